@@ -1,0 +1,67 @@
+// The small interface that a board gives to the flight code.
+//
+// Three boards implement it: firmware/due (registers), sim/native (this machine) and, through the
+// same registers as firmware/due, the emulated Due. Nothing above this file knows which one it is.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace heli {
+
+// Indices of per-axis arrays everywhere in the core; the same order as link::Axis.
+inline constexpr std::size_t kElevation = 0;
+inline constexpr std::size_t kPitch = 1;
+inline constexpr std::size_t kTravel = 2;
+inline constexpr std::size_t kAxisCount = 3;
+
+// Full duty. 84 MHz / (2 * 20 kHz) on the Due, centre-aligned; every board counts in these steps.
+inline constexpr std::int16_t kDutyFull = 2100;
+
+struct EncoderReading {
+  std::int32_t count[kAxisCount];    // free-running raw counts, x4
+  std::uint16_t illegal[kAxisCount]; // illegal transitions since power-up, saturating
+};
+
+struct MotorCommand {
+  std::int16_t front_duty;  // -kDutyFull ... kDutyFull; the sign is the direction
+  std::int16_t back_duty;
+  bool enable;              // false: both bridges off (coast), whatever the duties
+};
+
+// What the board knows of its own last start; see link::Reset and link::Fault for the codes.
+struct BootReport {
+  std::uint8_t board;  // 0 native, 1 Arduino Due
+  std::uint8_t reset;
+  std::uint8_t boot_fault;
+  std::uint32_t boot_count;
+};
+
+class Board {
+ public:
+  // Pages are kPageBytes each; the parameter store owns pages 0 and 1.
+  static constexpr std::size_t kPageBytes = 256;
+
+  virtual EncoderReading read_encoders() = 0;
+  virtual void write_motors(const MotorCommand& command) = 0;
+  // True while the hardware stop input cuts the drivers by itself.
+  virtual bool hardware_stop() = 0;
+
+  // Takes up to `most` received bytes; returns how many. Never waits.
+  virtual std::size_t receive(std::uint8_t* to, std::size_t most) = 0;
+  // Bytes that transmit() would take now without waiting.
+  virtual std::size_t transmit_free() = 0;
+  // Queues bytes; the caller has asked transmit_free() before.
+  virtual void transmit(const std::uint8_t* bytes, std::size_t count) = 0;
+
+  virtual void read_page(std::size_t page, std::uint8_t* to) = 0;
+  // Erases and writes one page. May stop the processor for milliseconds: only while motors are off.
+  virtual bool write_page(std::size_t page, const std::uint8_t* from) = 0;
+
+  virtual BootReport boot_report() = 0;
+
+ protected:
+  ~Board() = default;
+};
+
+}  // namespace heli

@@ -1,0 +1,885 @@
+// Written by firmware/generate.py from firmware/link.toml. Do not edit.
+// clang-format off
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "bytes.hpp"
+
+namespace heli::link {
+
+inline constexpr std::uint32_t kLinkHash = 0x864eec0eU;
+inline constexpr std::uint8_t kLinkMajor = 1;
+inline constexpr std::uint8_t kLinkMinor = 0;
+inline constexpr std::uint8_t kFirmwareMajor = 0;
+inline constexpr std::uint8_t kFirmwareMinor = 1;
+inline constexpr std::uint8_t kFirmwarePatch = 0;
+inline constexpr std::uint8_t kProtocol = 1;
+inline constexpr std::uint32_t kBaud = 250000;
+inline constexpr std::uint32_t kTick_us = 1000;
+inline constexpr std::size_t kMaxCommandPayload = 64;
+inline constexpr std::size_t kMaxTelemetryPayload = 480;
+
+// Axes in the order used everywhere: in telemetry, masks and messages.
+enum class Axis : std::uint8_t {
+  elevation = 0,  // long arm up and down; positive is up
+  pitch = 1,  // short arm about the long arm; positive when the front rotor pushes more
+  travel = 2,  // about the vertical; accelerates positive at positive pitch
+};
+inline constexpr std::size_t kAxisCount = 3;
+
+// State of the supervisor, sent with every tick.
+enum class State : std::uint8_t {
+  idle = 0,  // drivers disabled, motors off; the only state that may be configured freely
+  armed = 1,  // drivers enabled at zero voltage, pre-flight checks passed
+  closed_loop = 2,  // the on-board control law flies the axes of the mask
+  open_loop = 3,  // fixed voltages plus excitation, no axis closed
+  streamed = 4,  // voltages streamed by the host, each valid for a bounded time
+  hold = 5,  // no fresh setpoint: hovering level in place
+  landing = 6,  // controlled descent to the table, then motors off
+  fault = 7,  // motors off and latched until clear_fault
+};
+inline constexpr std::size_t kStateCount = 8;
+
+// Answer to a command.
+enum class Result : std::uint8_t {
+  ok = 0,  // done
+  unknown_command = 1,  // no such message id
+  bad_length = 2,  // payload length does not fit the message
+  bad_value = 3,  // a field is out of range or not finite; detail says which field, counted from 0
+  bad_state = 4,  // not allowed in the present state; detail is the state
+  check_failed = 5,  // a pre-flight check failed; detail is the fault code
+  out_of_range = 6,  // parameter value outside its range; detail is the parameter
+  no_such_parameter = 7,  // parameter index beyond the table
+  unsafe_now = 8,  // this parameter may only be set while idle; detail is the parameter
+  flash_failed = 9,  // the parameter page could not be written and verified
+  no_handshake = 10,  // hello with a matching declaration must come first
+  hash_mismatch = 11,  // the two ends were built from different declarations
+};
+inline constexpr std::size_t kResultCount = 12;
+
+// Why the board last started.
+enum class Reset : std::uint8_t {
+  power_up = 0,  // power applied
+  user = 1,  // reset line: opening the port, or the button
+  watchdog = 2,  // the watchdog fired: control tick or idle loop had hung
+  software = 3,  // reset asked for by the firmware after it recorded a fault
+};
+inline constexpr std::size_t kResetCount = 4;
+
+// Where the parameters of this boot came from.
+enum class ParamsSource : std::uint8_t {
+  defaults = 0,  // no stored set: the declared defaults
+  stored = 1,  // the newest valid copy in flash
+  fallback = 2,  // the newest copy was damaged; the older valid copy is used
+  corrupt = 3,  // both copies damaged or from another declaration: defaults, and arming is refused until a save
+};
+inline constexpr std::size_t kParamsSourceCount = 4;
+
+// Kinds of excitation generated on board and added to the motor voltages.
+enum class Excitation : std::uint8_t {
+  none = 0,  // no excitation
+  step = 1,  // constant amplitude for the duration
+  doublet = 2,  // plus amplitude for the first half, minus for the second
+  chirp = 3,  // sine whose frequency rises linearly from start_Hz to stop_Hz
+  multisine = 4,  // eight sines spread evenly from start_Hz to stop_Hz, Schroeder phases; the back motor uses frequencies between those of the front
+  prbs = 5,  // pseudo-random binary sequence that may switch every 1/stop_Hz, seeded
+};
+inline constexpr std::size_t kExcitationCount = 6;
+
+// What an event message reports.
+enum class Event : std::uint8_t {
+  boot = 0,  // first message after start; detail = reset cause, value = boot count
+  state = 1,  // state changed; detail = new state, cause = the supervisor event that did it
+  fault = 2,  // a fault tripped; detail = fault code, value = the offending quantity
+  setpoint_stale = 3,  // setpoints stopped coming; value = rate in Hz seen over the last second before
+  setpoint_fresh = 4,  // setpoints came back while holding
+  params_saved = 5,  // parameters written to flash; value = generation
+  excitation_end = 6,  // excitation finished or was stopped; detail = kind
+  setpoint_rejected = 7,  // a streamed value was refused; detail = result code
+  zeroed = 8,  // encoder zeros taken; detail = axis mask
+};
+inline constexpr std::size_t kEventCount = 9;
+
+// Supervisor events: rows of its state table, and the cause in state events.
+enum class Trigger : std::uint8_t {
+  arm = 0,  // arm command
+  stop = 1,  // stop command
+  close_loop = 2,  // control command with at least one axis
+  open_loop = 3,  // control command without any axis
+  stream = 4,  // stream command
+  land = 5,  // land command
+  setpoint_fresh = 6,  // a valid setpoint arrived while holding
+  stale_hold = 7,  // setpoint (or link, or streamed voltage) older than the hold time
+  stale_land = 8,  // setpoint or link older than the land time
+  touchdown = 9,  // at rest on the table while landing
+  trip = 10,  // a fault tripped
+  clear = 11,  // clear_fault command
+};
+inline constexpr std::size_t kTriggerCount = 12;
+
+// Axis mask.
+namespace axes {
+inline constexpr std::uint8_t elevation = 1U << 0U;  // elevation loop
+inline constexpr std::uint8_t pitch = 1U << 1U;  // pitch loop
+inline constexpr std::uint8_t travel = 1U << 2U;  // travel loop; needs pitch
+}  // namespace axes
+
+// Sent with every tick.
+namespace flags {
+inline constexpr std::uint8_t front_saturated = 1U << 0U;  // front motor voltage was limited
+inline constexpr std::uint8_t back_saturated = 1U << 1U;  // back motor voltage was limited
+inline constexpr std::uint8_t excitation = 1U << 2U;  // excitation is being added
+inline constexpr std::uint8_t link_alive = 1U << 3U;  // a valid host frame arrived within the hold time
+inline constexpr std::uint8_t pitch_limited = 1U << 4U;  // the travel loop's pitch setpoint was limited
+inline constexpr std::uint8_t overrun = 1U << 5U;  // the tick before this one was late
+}  // namespace flags
+
+enum class Fault : std::uint8_t {
+  none = 0,
+  elevation_limit = 1,  // trip: elevation above its limit
+  pitch_limit = 2,  // trip: pitch beyond its limit
+  travel_limit = 3,  // trip: travel beyond its limit: the cables wind up
+  elevation_rate = 4,  // trip: elevation moved faster than its limit
+  pitch_rate = 5,  // trip: pitch moved faster than its limit
+  travel_rate = 6,  // trip: travel moved faster than its limit
+  encoder_elevation = 7,  // trip: too many illegal transitions of the elevation encoder
+  encoder_pitch = 8,  // trip: too many illegal transitions of the pitch encoder
+  encoder_travel = 9,  // trip: too many illegal transitions of the travel encoder
+  landing_timeout = 10,  // trip: the table was not reached in time
+  tick_overrun = 11,  // trip: too many control ticks ran late
+  hardware_stop = 12,  // trip: the hardware stop input is active
+  not_at_rest = 20,  // check: the arm does not rest on the table
+  moving = 21,  // check: an axis is moving
+  link_not_alive = 22,  // check: no recent frame from the host
+  parameters_invalid = 23,  // check: the stored parameters are damaged or contradict each other
+  pitch_not_level = 24,  // check: the short arm is not level
+  watchdog = 30,  // boot: the watchdog reset the board: control tick or idle loop had hung
+  hard_fault = 31,  // boot: the processor faulted; bridges were switched off and the board reset
+  unexpected_interrupt = 32,  // boot: an interrupt without a handler; bridges were switched off and the board reset
+};
+
+enum class Param : std::uint8_t {
+  elevation_counts_per_rev = 0,  // count: elevation encoder counts a revolution, x4; negative reverses its direction
+  pitch_counts_per_rev = 1,  // count: pitch encoder counts a revolution, x4; negative reverses its direction
+  travel_counts_per_rev = 2,  // count: travel encoder counts a revolution, x4; negative reverses its direction
+  elevation_rest_deg = 3,  // deg: elevation when the arm rests on the table; makes level zero
+  supply_V = 4,  // V: supply of the motor drivers; full duty means this voltage
+  motor_min_V = 5,  // V: lowest motor voltage; 0 never reverses a rotor
+  motor_max_V = 6,  // V: highest motor voltage
+  motor_front_sign = 7,  // : -1 swaps the front motor's leads in software
+  motor_back_sign = 8,  // : -1 swaps the back motor's leads in software
+  dead_zone_V = 9,  // V: voltage below which a rotor gives no thrust (paper eq. 31); added back by the control law
+  hover_V = 10,  // V: feed-forward of the sum of both voltages above the dead zone that carries the arm at level
+  elevation_kp = 11,  // V/deg: elevation proportional gain (paper Table 6: 0.5)
+  elevation_ki = 12,  // V/(deg s): elevation integral gain (paper Table 6: 1)
+  elevation_kd = 13,  // V s/deg: elevation derivative gain, on the measurement (paper Table 6: 0.1)
+  pitch_kp = 14,  // V/deg: pitch proportional gain (paper Table 6: 0.66)
+  pitch_ki = 15,  // V/(deg s): pitch integral gain (paper Table 6: 3)
+  pitch_kd = 16,  // V s/deg: pitch derivative gain, on the measurement (paper Table 6: 0.1)
+  travel_kp = 17,  // deg/deg: travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)
+  travel_ki = 18,  // deg/(deg s): travel integral gain (paper Table 6 with P and I exchanged: 0.13)
+  travel_kd = 19,  // deg s/deg: travel derivative gain, on the measurement (paper Table 6: 1.462)
+  elevation_integral_max_V = 20,  // V: bound of the elevation integrator
+  pitch_integral_max_V = 21,  // V: bound of the pitch integrator
+  travel_integral_max_deg = 22,  // deg: bound of the travel integrator
+  elevation_filter_Hz = 23,  // Hz: cut-off of the elevation rate filter (two poles)
+  pitch_filter_Hz = 24,  // Hz: cut-off of the pitch rate filter (two poles)
+  travel_filter_Hz = 25,  // Hz: cut-off of the travel rate filter (two poles)
+  pitch_setpoint_max_deg = 26,  // deg: bound of the pitch setpoint, from the travel loop or the host
+  elevation_slew_deg_s = 27,  // deg/s: fastest change of the elevation setpoint
+  pitch_slew_deg_s = 28,  // deg/s: fastest change of a pitch setpoint given by the host
+  travel_slew_deg_s = 29,  // deg/s: fastest change of the travel setpoint
+  bumpless_s = 30,  // s: time constant with which the jump of a mode change is faded out
+  elevation_max_deg = 31,  // deg: elevation above which the motors are cut; setpoints are refused from 2 degrees below it
+  pitch_max_deg = 32,  // deg: pitch beyond which the motors are cut
+  travel_max_deg = 33,  // deg: travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it
+  elevation_rate_max_deg_s = 34,  // deg/s: elevation rate beyond which the motors are cut
+  pitch_rate_max_deg_s = 35,  // deg/s: pitch rate beyond which the motors are cut
+  travel_rate_max_deg_s = 36,  // deg/s: travel rate beyond which the motors are cut
+  encoder_illegal_max = 37,  // : illegal transitions of one encoder since arming that are tolerated
+  overrun_max = 38,  // : late ticks since arming that are tolerated
+  arm_rate_max_deg_s = 39,  // deg/s: arming needs every axis slower than this
+  arm_elevation_tolerance_deg = 40,  // deg: arming needs the elevation this close to rest
+  arm_pitch_tolerance_deg = 41,  // deg: arming needs the pitch this close to level
+  setpoint_hold_s = 42,  // s: without a fresh setpoint for this long the board holds level
+  setpoint_land_s = 43,  // s: without a fresh setpoint for this long the board lands
+  landing_rate_deg_s = 44,  // deg/s: descent of the elevation setpoint while landing
+  landing_timeout_s = 45,  // s: landing takes at most this long; then motors off with a fault
+  voltage_valid_max_ms = 46,  // ms: a streamed voltage acts at most this long, whatever its sender asked for
+  excitation_max_V = 47,  // V: largest amplitude that excite accepts
+  excitation_max_s = 48,  // s: longest duration that excite accepts
+  telemetry_batch_ticks = 49,  // tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+};
+inline constexpr std::size_t kParamCount = 50;
+
+struct ParamInfo {
+  float min;
+  float max;
+  float initial;
+  bool nonzero;
+  bool integer;
+  bool idle_only;
+};
+inline constexpr ParamInfo kParams[kParamCount] = {
+    {-65536.0F, 65536.0F, 4096.0F, true, false, true},  // elevation_counts_per_rev
+    {-65536.0F, 65536.0F, 4096.0F, true, false, true},  // pitch_counts_per_rev
+    {-65536.0F, 65536.0F, 4096.0F, true, false, true},  // travel_counts_per_rev
+    {-60.0F, 0.0F, -25.0F, false, false, true},  // elevation_rest_deg
+    {5.0F, 24.0F, 12.0F, false, false, true},  // supply_V
+    {-24.0F, 0.0F, 0.0F, false, false, true},  // motor_min_V
+    {0.5F, 24.0F, 10.0F, false, false, true},  // motor_max_V
+    {-1.0F, 1.0F, 1.0F, true, false, true},  // motor_front_sign
+    {-1.0F, 1.0F, 1.0F, true, false, true},  // motor_back_sign
+    {0.0F, 5.0F, 1.0F, false, false, false},  // dead_zone_V
+    {0.0F, 20.0F, 1.4F, false, false, false},  // hover_V
+    {0.0F, 20.0F, 0.5F, false, false, false},  // elevation_kp
+    {0.0F, 20.0F, 0.2F, false, false, false},  // elevation_ki
+    {0.0F, 20.0F, 0.35F, false, false, false},  // elevation_kd
+    {0.0F, 20.0F, 0.66F, false, false, false},  // pitch_kp
+    {0.0F, 20.0F, 0.3F, false, false, false},  // pitch_ki
+    {0.0F, 20.0F, 0.2F, false, false, false},  // pitch_kd
+    {0.0F, 20.0F, 0.7F, false, false, false},  // travel_kp
+    {0.0F, 20.0F, 0.05F, false, false, false},  // travel_ki
+    {0.0F, 20.0F, 1.462F, false, false, false},  // travel_kd
+    {0.0F, 20.0F, 3.0F, false, false, false},  // elevation_integral_max_V
+    {0.0F, 20.0F, 2.0F, false, false, false},  // pitch_integral_max_V
+    {0.0F, 45.0F, 10.0F, false, false, false},  // travel_integral_max_deg
+    {0.5F, 200.0F, 20.0F, false, false, false},  // elevation_filter_Hz
+    {0.5F, 200.0F, 20.0F, false, false, false},  // pitch_filter_Hz
+    {0.5F, 200.0F, 5.0F, false, false, false},  // travel_filter_Hz
+    {1.0F, 45.0F, 20.0F, false, false, false},  // pitch_setpoint_max_deg
+    {0.5F, 200.0F, 15.0F, false, false, false},  // elevation_slew_deg_s
+    {1.0F, 1000.0F, 90.0F, false, false, false},  // pitch_slew_deg_s
+    {0.5F, 200.0F, 20.0F, false, false, false},  // travel_slew_deg_s
+    {0.02F, 5.0F, 0.3F, false, false, false},  // bumpless_s
+    {1.0F, 60.0F, 24.0F, false, false, true},  // elevation_max_deg
+    {5.0F, 80.0F, 45.0F, false, false, true},  // pitch_max_deg
+    {10.0F, 3600.0F, 175.0F, false, false, true},  // travel_max_deg
+    {10.0F, 1000.0F, 120.0F, false, false, true},  // elevation_rate_max_deg_s
+    {10.0F, 2000.0F, 400.0F, false, false, true},  // pitch_rate_max_deg_s
+    {10.0F, 1000.0F, 150.0F, false, false, true},  // travel_rate_max_deg_s
+    {0.0F, 1000.0F, 5.0F, false, false, true},  // encoder_illegal_max
+    {0.0F, 1000.0F, 10.0F, false, false, true},  // overrun_max
+    {0.1F, 100.0F, 3.0F, false, false, true},  // arm_rate_max_deg_s
+    {0.1F, 60.0F, 2.0F, false, false, true},  // arm_elevation_tolerance_deg
+    {0.1F, 60.0F, 10.0F, false, false, true},  // arm_pitch_tolerance_deg
+    {0.05F, 5.0F, 0.5F, false, false, true},  // setpoint_hold_s
+    {0.1F, 30.0F, 2.0F, false, false, true},  // setpoint_land_s
+    {0.5F, 60.0F, 8.0F, false, false, false},  // landing_rate_deg_s
+    {1.0F, 60.0F, 12.0F, false, false, true},  // landing_timeout_s
+    {5.0F, 500.0F, 100.0F, false, false, true},  // voltage_valid_max_ms
+    {0.0F, 12.0F, 2.0F, false, false, true},  // excitation_max_V
+    {1.0F, 600.0F, 120.0F, false, false, true},  // excitation_max_s
+    {4.0F, 32.0F, 20.0F, false, true, false},  // telemetry_batch_ticks
+};
+
+enum class Channel : std::uint8_t {
+  elevation_count = 0,  // count: elevation encoder, level = 0, up positive
+  pitch_count = 1,  // count: pitch encoder, level = 0, front rotor up positive
+  travel_count = 2,  // count: travel encoder, 0 where the zero was taken
+  elevation_setpoint = 3,  // rad: slew-limited elevation setpoint that the control law used
+  pitch_setpoint = 4,  // rad: pitch setpoint that the control law used: the travel loop's output, or the host's
+  travel_setpoint = 5,  // rad: slew-limited travel setpoint that the control law used
+  front = 6,  // V: voltage that acted on the front motor during this tick: duty times supply, after every limit
+  back = 7,  // V: voltage that acted on the back motor during this tick
+  state = 8,  // enum state: supervisor state
+  fault = 9,  // enum fault: fault code, 0 while none
+  flags = 10,  // bits flags: flag bits
+};
+inline constexpr std::size_t kChannelCount = 11;
+inline constexpr std::uint8_t kChannelBytes[kChannelCount] = {4, 4, 4, 4, 4, 4, 2, 2, 1, 1, 1};
+inline constexpr float kElevationSetpointPerUnit = 100000.0F;  // raw = value in rad * this
+inline constexpr float kPitchSetpointPerUnit = 100000.0F;  // raw = value in rad * this
+inline constexpr float kTravelSetpointPerUnit = 100000.0F;  // raw = value in rad * this
+inline constexpr float kFrontPerUnit = 1000.0F;  // raw = value in V * this
+inline constexpr float kBackPerUnit = 1000.0F;  // raw = value in V * this
+
+enum class MessageId : std::uint8_t {
+  hello = 1,
+  ping = 2,
+  arm = 3,
+  stop = 4,
+  control = 5,
+  stream = 6,
+  land = 7,
+  excite = 8,
+  excite_stop = 9,
+  param_set = 10,
+  params_read = 11,
+  params_save = 12,
+  params_default = 13,
+  zero = 14,
+  clear_fault = 15,
+  status_read = 16,
+  setpoint = 32,
+  voltages = 33,
+  ack = 128,
+  welcome = 129,
+  pong = 130,
+  params = 131,
+  status = 132,
+  telemetry = 133,
+  event = 134,
+};
+
+// Opens a session. Its layout and welcome's never change, so that any two versions can tell each other apart.
+struct HelloMessage {
+  static constexpr MessageId kId = MessageId::hello;
+  static constexpr std::size_t kSize = 9;
+  std::uint8_t request = {};  // -
+  std::uint32_t link_hash = {};  // -
+  std::uint32_t session = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u32(to + 1, link_hash);
+    put_u32(to + 5, session);
+  }
+  static HelloMessage read([[maybe_unused]] const std::uint8_t* from) {
+    HelloMessage m;
+    m.request = get_u8(from + 0);
+    m.link_hash = get_u32(from + 1);
+    m.session = get_u32(from + 5);
+    return m;
+  }
+};
+
+// Heartbeat and clock exchange.
+struct PingMessage {
+  static constexpr MessageId kId = MessageId::ping;
+  static constexpr std::size_t kSize = 9;
+  std::uint8_t request = {};  // -
+  std::uint64_t host_us = {};  // us
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u64(to + 1, host_us);
+  }
+  static PingMessage read([[maybe_unused]] const std::uint8_t* from) {
+    PingMessage m;
+    m.request = get_u8(from + 0);
+    m.host_us = get_u64(from + 1);
+    return m;
+  }
+};
+
+// Runs the pre-flight checks; enables the drivers at zero voltage when they pass.
+struct ArmMessage {
+  static constexpr MessageId kId = MessageId::arm;
+  static constexpr std::size_t kSize = 1;
+  std::uint8_t request = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+  }
+  static ArmMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ArmMessage m;
+    m.request = get_u8(from + 0);
+    return m;
+  }
+};
+
+// Motors off now, from any state; also ends the armed state.
+struct StopMessage {
+  static constexpr MessageId kId = MessageId::stop;
+  static constexpr std::size_t kSize = 1;
+  std::uint8_t request = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+  }
+  static StopMessage read([[maybe_unused]] const std::uint8_t* from) {
+    StopMessage m;
+    m.request = get_u8(from + 0);
+    return m;
+  }
+};
+
+// Closes the loops of the mask; axes not closed get their share of the given voltages. Mask 0 is open loop.
+struct ControlMessage {
+  static constexpr MessageId kId = MessageId::control;
+  static constexpr std::size_t kSize = 10;
+  std::uint8_t request = {};  // -
+  std::uint8_t axes = {};  // bits axes
+  float front_V = {};  // V
+  float back_V = {};  // V
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, axes);
+    put_f32(to + 2, front_V);
+    put_f32(to + 6, back_V);
+  }
+  static ControlMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ControlMessage m;
+    m.request = get_u8(from + 0);
+    m.axes = get_u8(from + 1);
+    m.front_V = get_f32(from + 2);
+    m.back_V = get_f32(from + 6);
+    return m;
+  }
+};
+
+// Hands the motor voltages to the host's voltage stream.
+struct StreamMessage {
+  static constexpr MessageId kId = MessageId::stream;
+  static constexpr std::size_t kSize = 1;
+  std::uint8_t request = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+  }
+  static StreamMessage read([[maybe_unused]] const std::uint8_t* from) {
+    StreamMessage m;
+    m.request = get_u8(from + 0);
+    return m;
+  }
+};
+
+// Controlled descent, then motors off.
+struct LandMessage {
+  static constexpr MessageId kId = MessageId::land;
+  static constexpr std::size_t kSize = 1;
+  std::uint8_t request = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+  }
+  static LandMessage read([[maybe_unused]] const std::uint8_t* from) {
+    LandMessage m;
+    m.request = get_u8(from + 0);
+    return m;
+  }
+};
+
+// Starts an excitation on top of whatever drives the motors.
+struct ExciteMessage {
+  static constexpr MessageId kId = MessageId::excite;
+  static constexpr std::size_t kSize = 26;
+  std::uint8_t request = {};  // -
+  std::uint8_t kind = {};  // enum excitation
+  float front_V = {};  // V
+  float back_V = {};  // V
+  float start_Hz = {};  // Hz
+  float stop_Hz = {};  // Hz
+  float duration_s = {};  // s
+  std::uint32_t seed = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, kind);
+    put_f32(to + 2, front_V);
+    put_f32(to + 6, back_V);
+    put_f32(to + 10, start_Hz);
+    put_f32(to + 14, stop_Hz);
+    put_f32(to + 18, duration_s);
+    put_u32(to + 22, seed);
+  }
+  static ExciteMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ExciteMessage m;
+    m.request = get_u8(from + 0);
+    m.kind = get_u8(from + 1);
+    m.front_V = get_f32(from + 2);
+    m.back_V = get_f32(from + 6);
+    m.start_Hz = get_f32(from + 10);
+    m.stop_Hz = get_f32(from + 14);
+    m.duration_s = get_f32(from + 18);
+    m.seed = get_u32(from + 22);
+    return m;
+  }
+};
+
+// Ends a running excitation.
+struct ExciteStopMessage {
+  static constexpr MessageId kId = MessageId::excite_stop;
+  static constexpr std::size_t kSize = 1;
+  std::uint8_t request = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+  }
+  static ExciteStopMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ExciteStopMessage m;
+    m.request = get_u8(from + 0);
+    return m;
+  }
+};
+
+// Sets one parameter in memory; ack.value is the value now in force.
+struct ParamSetMessage {
+  static constexpr MessageId kId = MessageId::param_set;
+  static constexpr std::size_t kSize = 6;
+  std::uint8_t request = {};  // -
+  std::uint8_t index = {};  // enum param
+  float value = {};  // as declared
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, index);
+    put_f32(to + 2, value);
+  }
+  static ParamSetMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ParamSetMessage m;
+    m.request = get_u8(from + 0);
+    m.index = get_u8(from + 1);
+    m.value = get_f32(from + 2);
+    return m;
+  }
+};
+
+// Reads up to 32 parameters from `first` on.
+struct ParamsReadMessage {
+  static constexpr MessageId kId = MessageId::params_read;
+  static constexpr std::size_t kSize = 2;
+  std::uint8_t request = {};  // -
+  std::uint8_t first = {};  // enum param
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, first);
+  }
+  static ParamsReadMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ParamsReadMessage m;
+    m.request = get_u8(from + 0);
+    m.first = get_u8(from + 1);
+    return m;
+  }
+};
+
+// Writes all parameters to flash; only while idle.
+struct ParamsSaveMessage {
+  static constexpr MessageId kId = MessageId::params_save;
+  static constexpr std::size_t kSize = 1;
+  std::uint8_t request = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+  }
+  static ParamsSaveMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ParamsSaveMessage m;
+    m.request = get_u8(from + 0);
+    return m;
+  }
+};
+
+// Puts the declared defaults into memory; only while idle; does not save.
+struct ParamsDefaultMessage {
+  static constexpr MessageId kId = MessageId::params_default;
+  static constexpr std::size_t kSize = 1;
+  std::uint8_t request = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+  }
+  static ParamsDefaultMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ParamsDefaultMessage m;
+    m.request = get_u8(from + 0);
+    return m;
+  }
+};
+
+// Takes the present position as rest (elevation) or zero (pitch, travel); only while idle.
+struct ZeroMessage {
+  static constexpr MessageId kId = MessageId::zero;
+  static constexpr std::size_t kSize = 2;
+  std::uint8_t request = {};  // -
+  std::uint8_t axes = {};  // bits axes
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, axes);
+  }
+  static ZeroMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ZeroMessage m;
+    m.request = get_u8(from + 0);
+    m.axes = get_u8(from + 1);
+    return m;
+  }
+};
+
+// Leaves the fault state for idle.
+struct ClearFaultMessage {
+  static constexpr MessageId kId = MessageId::clear_fault;
+  static constexpr std::size_t kSize = 1;
+  std::uint8_t request = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+  }
+  static ClearFaultMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ClearFaultMessage m;
+    m.request = get_u8(from + 0);
+    return m;
+  }
+};
+
+// Asks for the counters now; they also come once a second.
+struct StatusReadMessage {
+  static constexpr MessageId kId = MessageId::status_read;
+  static constexpr std::size_t kSize = 1;
+  std::uint8_t request = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+  }
+  static StatusReadMessage read([[maybe_unused]] const std::uint8_t* from) {
+    StatusReadMessage m;
+    m.request = get_u8(from + 0);
+    return m;
+  }
+};
+
+// Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
+struct SetpointMessage {
+  static constexpr MessageId kId = MessageId::setpoint;
+  static constexpr std::size_t kSize = 16;
+  std::uint32_t apply_tick = {};  // tick
+  float elevation_rad = {};  // rad
+  float pitch_rad = {};  // rad
+  float travel_rad = {};  // rad
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u32(to + 0, apply_tick);
+    put_f32(to + 4, elevation_rad);
+    put_f32(to + 8, pitch_rad);
+    put_f32(to + 12, travel_rad);
+  }
+  static SetpointMessage read([[maybe_unused]] const std::uint8_t* from) {
+    SetpointMessage m;
+    m.apply_tick = get_u32(from + 0);
+    m.elevation_rad = get_f32(from + 4);
+    m.pitch_rad = get_f32(from + 8);
+    m.travel_rad = get_f32(from + 12);
+    return m;
+  }
+};
+
+// Motor voltages in the streamed state.
+struct VoltagesMessage {
+  static constexpr MessageId kId = MessageId::voltages;
+  static constexpr std::size_t kSize = 10;
+  float front_V = {};  // V
+  float back_V = {};  // V
+  std::uint16_t valid_ms = {};  // ms
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_f32(to + 0, front_V);
+    put_f32(to + 4, back_V);
+    put_u16(to + 8, valid_ms);
+  }
+  static VoltagesMessage read([[maybe_unused]] const std::uint8_t* from) {
+    VoltagesMessage m;
+    m.front_V = get_f32(from + 0);
+    m.back_V = get_f32(from + 4);
+    m.valid_ms = get_u16(from + 8);
+    return m;
+  }
+};
+
+// Answer to a command.
+struct AckMessage {
+  static constexpr MessageId kId = MessageId::ack;
+  static constexpr std::size_t kSize = 8;
+  std::uint8_t request = {};  // -
+  std::uint8_t command = {};  // message id
+  std::uint8_t result = {};  // enum result
+  std::uint8_t detail = {};  // -
+  float value = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, command);
+    put_u8(to + 2, result);
+    put_u8(to + 3, detail);
+    put_f32(to + 4, value);
+  }
+  static AckMessage read([[maybe_unused]] const std::uint8_t* from) {
+    AckMessage m;
+    m.request = get_u8(from + 0);
+    m.command = get_u8(from + 1);
+    m.result = get_u8(from + 2);
+    m.detail = get_u8(from + 3);
+    m.value = get_f32(from + 4);
+    return m;
+  }
+};
+
+// Answer to hello.
+struct WelcomeMessage {
+  static constexpr MessageId kId = MessageId::welcome;
+  static constexpr std::size_t kSize = 23;
+  std::uint8_t request = {};  // -
+  std::uint8_t result = {};  // enum result
+  std::uint32_t link_hash = {};  // -
+  std::uint8_t link_major = {};  // -
+  std::uint8_t link_minor = {};  // -
+  std::uint8_t firmware_major = {};  // -
+  std::uint8_t firmware_minor = {};  // -
+  std::uint8_t firmware_patch = {};  // -
+  std::uint8_t board = {};  // -
+  std::uint8_t reset = {};  // enum reset
+  std::uint8_t boot_fault = {};  // enum fault
+  std::uint32_t boot_count = {};  // -
+  std::uint32_t tick = {};  // tick
+  std::uint8_t params_source = {};  // enum params_source
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, result);
+    put_u32(to + 2, link_hash);
+    put_u8(to + 6, link_major);
+    put_u8(to + 7, link_minor);
+    put_u8(to + 8, firmware_major);
+    put_u8(to + 9, firmware_minor);
+    put_u8(to + 10, firmware_patch);
+    put_u8(to + 11, board);
+    put_u8(to + 12, reset);
+    put_u8(to + 13, boot_fault);
+    put_u32(to + 14, boot_count);
+    put_u32(to + 18, tick);
+    put_u8(to + 22, params_source);
+  }
+  static WelcomeMessage read([[maybe_unused]] const std::uint8_t* from) {
+    WelcomeMessage m;
+    m.request = get_u8(from + 0);
+    m.result = get_u8(from + 1);
+    m.link_hash = get_u32(from + 2);
+    m.link_major = get_u8(from + 6);
+    m.link_minor = get_u8(from + 7);
+    m.firmware_major = get_u8(from + 8);
+    m.firmware_minor = get_u8(from + 9);
+    m.firmware_patch = get_u8(from + 10);
+    m.board = get_u8(from + 11);
+    m.reset = get_u8(from + 12);
+    m.boot_fault = get_u8(from + 13);
+    m.boot_count = get_u32(from + 14);
+    m.tick = get_u32(from + 18);
+    m.params_source = get_u8(from + 22);
+    return m;
+  }
+};
+
+// Answer to ping.
+struct PongMessage {
+  static constexpr MessageId kId = MessageId::pong;
+  static constexpr std::size_t kSize = 13;
+  std::uint8_t request = {};  // -
+  std::uint64_t host_us = {};  // us
+  std::uint32_t tick = {};  // tick
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u64(to + 1, host_us);
+    put_u32(to + 9, tick);
+  }
+  static PongMessage read([[maybe_unused]] const std::uint8_t* from) {
+    PongMessage m;
+    m.request = get_u8(from + 0);
+    m.host_us = get_u64(from + 1);
+    m.tick = get_u32(from + 9);
+    return m;
+  }
+};
+
+// Parameter values, as many as `count` says (at most 32), in table order.
+struct ParamsMessage {
+  static constexpr MessageId kId = MessageId::params;
+  static constexpr std::size_t kSize = 3;
+  std::uint8_t request = {};  // -
+  std::uint8_t first = {};  // enum param
+  std::uint8_t count = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, first);
+    put_u8(to + 2, count);
+  }
+  static ParamsMessage read([[maybe_unused]] const std::uint8_t* from) {
+    ParamsMessage m;
+    m.request = get_u8(from + 0);
+    m.first = get_u8(from + 1);
+    m.count = get_u8(from + 2);
+    return m;
+  }
+};
+
+// Counters since start; sent once a second with request = 0, and on status_read.
+struct StatusMessage {
+  static constexpr MessageId kId = MessageId::status;
+  static constexpr std::size_t kSize = 43;
+  std::uint8_t request = {};  // -
+  std::uint32_t tick = {};  // tick
+  std::uint32_t frames_ok = {};  // -
+  std::uint32_t frames_bad = {};  // -
+  std::uint32_t frames_lost = {};  // -
+  std::uint32_t duplicates = {};  // -
+  std::uint32_t stale_streams = {};  // -
+  std::uint32_t ticks_dropped = {};  // tick
+  std::uint32_t overruns = {};  // -
+  std::uint16_t tick_max_us = {};  // us
+  std::uint16_t illegal_elevation = {};  // -
+  std::uint16_t illegal_pitch = {};  // -
+  std::uint16_t illegal_travel = {};  // -
+  std::uint16_t setpoint_rate_Hz = {};  // Hz
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u32(to + 1, tick);
+    put_u32(to + 5, frames_ok);
+    put_u32(to + 9, frames_bad);
+    put_u32(to + 13, frames_lost);
+    put_u32(to + 17, duplicates);
+    put_u32(to + 21, stale_streams);
+    put_u32(to + 25, ticks_dropped);
+    put_u32(to + 29, overruns);
+    put_u16(to + 33, tick_max_us);
+    put_u16(to + 35, illegal_elevation);
+    put_u16(to + 37, illegal_pitch);
+    put_u16(to + 39, illegal_travel);
+    put_u16(to + 41, setpoint_rate_Hz);
+  }
+  static StatusMessage read([[maybe_unused]] const std::uint8_t* from) {
+    StatusMessage m;
+    m.request = get_u8(from + 0);
+    m.tick = get_u32(from + 1);
+    m.frames_ok = get_u32(from + 5);
+    m.frames_bad = get_u32(from + 9);
+    m.frames_lost = get_u32(from + 13);
+    m.duplicates = get_u32(from + 17);
+    m.stale_streams = get_u32(from + 21);
+    m.ticks_dropped = get_u32(from + 25);
+    m.overruns = get_u32(from + 29);
+    m.tick_max_us = get_u16(from + 33);
+    m.illegal_elevation = get_u16(from + 35);
+    m.illegal_pitch = get_u16(from + 37);
+    m.illegal_travel = get_u16(from + 39);
+    m.setpoint_rate_Hz = get_u16(from + 41);
+    return m;
+  }
+};
+
+// A batch of consecutive ticks, delta-coded; layout below.
+struct TelemetryMessage {
+  static constexpr MessageId kId = MessageId::telemetry;
+  static constexpr std::size_t kSize = 5;
+  std::uint32_t first_tick = {};  // tick
+  std::uint8_t count = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u32(to + 0, first_tick);
+    put_u8(to + 4, count);
+  }
+  static TelemetryMessage read([[maybe_unused]] const std::uint8_t* from) {
+    TelemetryMessage m;
+    m.first_tick = get_u32(from + 0);
+    m.count = get_u8(from + 4);
+    return m;
+  }
+};
+
+// Something happened; also visible in telemetry, but with its reason here.
+struct EventMessage {
+  static constexpr MessageId kId = MessageId::event;
+  static constexpr std::size_t kSize = 11;
+  std::uint32_t tick = {};  // tick
+  std::uint8_t kind = {};  // enum event
+  std::uint8_t detail = {};  // -
+  std::uint8_t cause = {};  // enum trigger
+  float value = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u32(to + 0, tick);
+    put_u8(to + 4, kind);
+    put_u8(to + 5, detail);
+    put_u8(to + 6, cause);
+    put_f32(to + 7, value);
+  }
+  static EventMessage read([[maybe_unused]] const std::uint8_t* from) {
+    EventMessage m;
+    m.tick = get_u32(from + 0);
+    m.kind = get_u8(from + 4);
+    m.detail = get_u8(from + 5);
+    m.cause = get_u8(from + 6);
+    m.value = get_f32(from + 7);
+    return m;
+  }
+};
+
+}  // namespace heli::link
