@@ -1,0 +1,309 @@
+"""Every error that this package raises on purpose.
+
+::
+
+    HeliError                   cause and remedy, one line
+    ├── LinkError               the serial link
+    │   ├── PortError           the port cannot be opened: missing, no permission, busy
+    │   ├── BadBaud             a rate that cannot work; 1200 baud would erase a Due
+    │   ├── LinkLost            the other end went away: unplugged, closed, powered off
+    │   ├── HandshakeTimeout    nothing, or no answer to hello, within the deadline
+    │   ├── WrongDevice         bytes arrive, but they are not this link's frames
+    │   ├── LinkVersionMismatch the two ends were built from different declarations
+    │   ├── CommandTimeout      a command was not answered within its deadline
+    │   └── CommandRefused      the board said no: result, fault or parameter, and the remedy
+    ├── ParameterError          unknown name, value out of range, damaged dump
+    ├── SetpointError           a target outside the limits in force on the board
+    ├── ControllerError         a Python control law raised, or returned no two finite voltages
+    ├── WaitTimeout             what was waited for did not happen in time
+    ├── PlanError               a flight plan that cannot be flown as written
+    ├── FlightAborted           a flight ended before its plan did
+    ├── FlightDataError         a flight file without the columns or units it needs
+    └── LogError                the log file
+        ├── TruncatedLog        it ends in the middle; what is before can be read
+        └── LogWriteError       it cannot be written: disk full, folder missing, no permission
+
+``str(error)`` is always one line for a person: the cause, then what to do about it.
+"""
+
+from __future__ import annotations
+
+from heli_host.link.declaration import FAULTS, PARAMS, Fault, FaultSpec, MessageId, Param, Result, State
+
+
+class HeliError(Exception):
+    """Base of all errors of this package.
+
+    Parameters
+    ----------
+    cause : str
+        What is wrong, in words of the user's world.
+    remedy : str
+        What to do about it; may be empty where nothing can be done.
+    """
+
+    def __init__(self, cause: str, remedy: str = "") -> None:
+        self.cause = " ".join(cause.split())
+        self.remedy = " ".join(remedy.split())
+        super().__init__(f"{self.cause}; {self.remedy}" if self.remedy else self.cause)
+
+
+class LinkError(HeliError):
+    """Something about the serial link."""
+
+
+class PortError(LinkError):
+    """The port cannot be opened: missing, without permission, or in use."""
+
+
+class BadBaud(LinkError):
+    """A baud rate that cannot work; 1200 baud would erase a Due."""
+
+
+class LinkLost(LinkError):
+    """The other end went away: unplugged, closed or powered off."""
+
+
+class HandshakeTimeout(LinkError):
+    """Nothing was heard, or hello was not answered, within the deadline."""
+
+
+class WrongDevice(LinkError):
+    """Bytes arrive, but they are not frames of this link.
+
+    Parameters
+    ----------
+    cause : str
+        What was heard.
+    remedy : str
+        What to do about it.
+    byte_count : int
+        Bytes heard that belong to no frame.
+    excerpt : bytes
+        The last of them.
+    """
+
+    def __init__(self, cause: str, remedy: str = "", byte_count: int = 0, excerpt: bytes = b"") -> None:
+        self.byte_count = byte_count
+        self.excerpt = excerpt
+        super().__init__(cause, remedy)
+
+
+class LinkVersionMismatch(LinkError):
+    """The two ends were built from different declarations of the link.
+
+    Parameters
+    ----------
+    host_version, board_version : str
+        Version of the link that each end speaks.
+    host_hash, board_hash : int
+        Hash of the declaration that each end was built from.
+    firmware_version : str
+        Version of the flight code on the board.
+    """
+
+    def __init__(
+        self, host_version: str, host_hash: int, board_version: str, board_hash: int, firmware_version: str
+    ) -> None:
+        self.host_version = host_version
+        self.host_hash = host_hash
+        self.board_version = board_version
+        self.board_hash = board_hash
+        super().__init__(
+            f"the board (firmware {firmware_version}) speaks link {board_version} ({board_hash:08x}), "
+            f"this host link {host_version} ({host_hash:08x})",
+            "flash the firmware of this release, or install the heli_host that belongs to the board's",
+        )
+
+
+class CommandTimeout(LinkError):
+    """A command was not answered within its deadline, in spite of retries."""
+
+
+class CommandRefused(LinkError):
+    """The board answered a command with anything but ok.
+
+    Parameters
+    ----------
+    command : MessageId or int
+        The command refused.
+    result : Result or int
+        The board's result code.
+    detail : int
+        The detail byte of the ack: a state, a fault, a parameter or a field, as the result says.
+    value : float
+        The offending quantity, when the board sends one.
+
+    Attributes
+    ----------
+    state : State or None
+        State in which the command is not allowed.
+    fault : Fault or None
+        The check that failed.
+    parameter : str or None
+        The parameter at fault, or the one that sets the limit of the fault.
+    """
+
+    def __init__(self, command: int, result: int, detail: int = 0, value: float = 0.0) -> None:
+        self.command = command
+        self.result = result
+        self.detail = detail
+        self.value = value
+        self.state: State | None = None
+        self.fault: Fault | None = None
+        self.parameter: str | None = None
+        cause, remedy = self._explain()
+        super().__init__(f"the board refused {_message_name(command)}: {cause}", remedy)
+
+    def _explain(self) -> tuple[str, str]:
+        detail = self.detail
+        if self.result == Result.BAD_STATE:
+            if detail in State._value2member_map_:
+                self.state = State(detail)
+            name = self.state.name.lower() if self.state is not None else f"number {detail}"
+            return f"not allowed in state {name}", _STATE_REMEDIES.get(self.state, "")
+        if self.result == Result.CHECK_FAILED:
+            spec = fault_spec(detail)
+            if spec is None:
+                return f"pre-flight check {detail} failed", "update heli_host: it does not know this check"
+            self.fault, self.parameter = Fault(spec.code), spec.parameter
+            limit = f" (limit: {spec.parameter}, now {self.value:.4g})" if spec.parameter else ""
+            return f"{spec.name}: {spec.meaning}{limit}", spec.remedy
+        if self.result in (Result.OUT_OF_RANGE, Result.UNSAFE_NOW):
+            param = PARAMS[detail] if detail < len(PARAMS) else None
+            if param is None:
+                return f"parameter {detail} cannot be set", "update heli_host: it does not know this parameter"
+            self.parameter = param.name
+            if self.result == Result.UNSAFE_NOW:
+                return f"{param.name} may only be set while idle", "land or stop first"
+            return f"{param.name} does not take this value", f"give {range_text(Param(detail))}"
+        remedy = {
+            Result.UNKNOWN_COMMAND: "flash the firmware of this release",
+            Result.BAD_LENGTH: "flash the firmware of this release",
+            Result.BAD_VALUE: "give a finite number within its range",
+            Result.NO_SUCH_PARAMETER: "flash the firmware of this release",
+            Result.FLASH_FAILED: "try again; if it stays, the board's flash is worn: use another board",
+            Result.NO_HANDSHAKE: "connect again: the board was restarted",
+            Result.HASH_MISMATCH: "flash the firmware of this release",
+        }
+        if self.result in Result._value2member_map_:
+            known = Result(self.result)
+            field = f" (field {detail})" if known is Result.BAD_VALUE else ""
+            return known.name.lower() + field, remedy.get(known, "")
+        return f"result {self.result}", "update heli_host: it does not know this result"
+
+
+class ParameterError(HeliError):
+    """An unknown parameter, a value out of its range, or a damaged parameter dump."""
+
+
+class SetpointError(HeliError):
+    """A target outside the limits in force on the board; nothing was sent."""
+
+
+class ControllerError(HeliError):
+    """A Python control law raised, or did not return two finite voltages."""
+
+
+class WaitTimeout(HeliError):
+    """What was waited for did not happen in time."""
+
+
+class PlanError(HeliError):
+    """A flight plan that cannot be flown as it is written."""
+
+
+class FlightAborted(HeliError):
+    """A flight ended before its plan did."""
+
+
+class FlightDataError(HeliError):
+    """A flight file without the columns, the units or the order that it needs."""
+
+
+class LogError(HeliError):
+    """Something about a log file."""
+
+
+class TruncatedLog(LogError):
+    """The log ends in the middle of a record; what lies before can be read."""
+
+
+class LogWriteError(LogError):
+    """The log cannot be written: disk full, folder missing, no permission."""
+
+
+_STATE_REMEDIES: dict[State | None, str] = {
+    State.IDLE: "arm first",
+    State.ARMED: "start a control mode first, or stop to return to idle",
+    State.FAULT: "see which fault it is, remove its cause, then clear the fault",
+    State.LANDING: "wait until it has landed",
+    State.HOLD: "send setpoints again, or land",
+    State.CLOSED_LOOP: "land or stop first",
+    State.OPEN_LOOP: "land or stop first",
+    State.STREAMED: "land or stop first",
+}
+
+
+def fault_spec(code: int) -> FaultSpec | None:
+    """Return the declaration's row of a fault code.
+
+    Parameters
+    ----------
+    code : int
+        Fault code as sent by the board.
+
+    Returns
+    -------
+    FaultSpec or None
+        None for a code that this host does not know, and for 0.
+    """
+    return next((spec for spec in FAULTS if spec.code == code), None)
+
+
+def fault_text(code: int) -> str:
+    """Say in one line what a fault is and what to do about it.
+
+    Parameters
+    ----------
+    code : int
+        Fault code as sent by the board.
+
+    Returns
+    -------
+    str
+        ``"pitch_limit: pitch beyond its limit (pitch_max_deg); check ..."``.
+    """
+    if code == Fault.NONE:
+        return "no fault"
+    spec = fault_spec(code)
+    if spec is None:
+        return f"fault {code}, unknown to this host; update heli_host"
+    limit = f" ({spec.parameter})" if spec.parameter else ""
+    return f"{spec.name}: {spec.meaning}{limit}; {spec.remedy}"
+
+
+def range_text(param: Param) -> str:
+    """Say in words what a parameter takes.
+
+    Parameters
+    ----------
+    param : Param
+        The parameter.
+
+    Returns
+    -------
+    str
+        ``"a number from 0 to 20 V/deg"``.
+    """
+    spec = PARAMS[param]
+    kind = "a whole number" if spec.integer else "a number"
+    zero = ", not 0" if spec.nonzero else ""
+    unit = f" {spec.unit}" if spec.unit else ""
+    return f"{kind} from {spec.min:g} to {spec.max:g}{unit}{zero}"
+
+
+def _message_name(message_id: int) -> str:
+    if message_id in MessageId._value2member_map_:
+        return MessageId(message_id).name.lower()
+    return f"message {message_id}"
