@@ -1,0 +1,37 @@
+# Two commands matter: `make fly` and `make test`. Everything they need is set up in .venv by .ci/setup.
+.DEFAULT_GOAL := help
+.PHONY: help setup fly test check bench fuzz clean
+export PYTHON CXX
+
+PLANS ?= hover sine
+SPEED ?= 1
+HELI := .venv/bin/heli-host
+
+help: ## this list
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1@\2/p' $(MAKEFILE_LIST) | awk -F@ '{printf "%-14s %s\n", $$1, $$2}'
+
+setup: ## everything that flying, testing and measuring need, into .venv
+	@.ci/setup bench
+
+fly: ## fly the simulated helicopter: make fly [SPEED=5|max] [PLANS="hover sine"]
+	@.ci/setup fly
+	@$(HELI) fly $(PLANS) --sil --speed $(SPEED)
+
+test: ## style, types, static analysis, then all tests
+	@.ci/test
+
+check: ## style, types and static analysis only
+	@.ci/setup test
+	@.ci/check
+
+bench: ## measure what the project promises: bench.json and a table
+	@.ci/setup bench
+	@.venv/bin/python -m tests.bench
+
+fuzz: ## fuzz parser and dispatcher: make fuzz [SECONDS=60]; needs clang
+	@.ci/setup test
+	@.ci/fuzz $(or $(SECONDS),60)
+
+clean: ## remove .venv and everything built; flights/ stays
+	rm -rf .venv build bench.json .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
