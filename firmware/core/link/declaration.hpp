@@ -9,7 +9,7 @@
 
 namespace heli::link {
 
-inline constexpr std::uint32_t kLinkHash = 0x864eec0eU;
+inline constexpr std::uint32_t kLinkHash = 0x150813fbU;
 inline constexpr std::uint8_t kLinkMajor = 1;
 inline constexpr std::uint8_t kLinkMinor = 0;
 inline constexpr std::uint8_t kFirmwareMajor = 0;
@@ -188,31 +188,32 @@ enum class Param : std::uint8_t {
   pitch_filter_Hz = 24,  // Hz: cut-off of the pitch rate filter (two poles)
   travel_filter_Hz = 25,  // Hz: cut-off of the travel rate filter (two poles)
   pitch_setpoint_max_deg = 26,  // deg: bound of the pitch setpoint, from the travel loop or the host
-  elevation_slew_deg_s = 27,  // deg/s: fastest change of the elevation setpoint
-  pitch_slew_deg_s = 28,  // deg/s: fastest change of a pitch setpoint given by the host
-  travel_slew_deg_s = 29,  // deg/s: fastest change of the travel setpoint
-  bumpless_s = 30,  // s: time constant with which the jump of a mode change is faded out
-  elevation_max_deg = 31,  // deg: elevation above which the motors are cut; setpoints are refused from 2 degrees below it
-  pitch_max_deg = 32,  // deg: pitch beyond which the motors are cut
-  travel_max_deg = 33,  // deg: travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it
-  elevation_rate_max_deg_s = 34,  // deg/s: elevation rate beyond which the motors are cut
-  pitch_rate_max_deg_s = 35,  // deg/s: pitch rate beyond which the motors are cut
-  travel_rate_max_deg_s = 36,  // deg/s: travel rate beyond which the motors are cut
-  encoder_illegal_max = 37,  // : illegal transitions of one encoder since arming that are tolerated
-  overrun_max = 38,  // : late ticks since arming that are tolerated
-  arm_rate_max_deg_s = 39,  // deg/s: arming needs every axis slower than this
-  arm_elevation_tolerance_deg = 40,  // deg: arming needs the elevation this close to rest
-  arm_pitch_tolerance_deg = 41,  // deg: arming needs the pitch this close to level
-  setpoint_hold_s = 42,  // s: without a fresh setpoint for this long the board holds level
-  setpoint_land_s = 43,  // s: without a fresh setpoint for this long the board lands
-  landing_rate_deg_s = 44,  // deg/s: descent of the elevation setpoint while landing
-  landing_timeout_s = 45,  // s: landing takes at most this long; then motors off with a fault
-  voltage_valid_max_ms = 46,  // ms: a streamed voltage acts at most this long, whatever its sender asked for
-  excitation_max_V = 47,  // V: largest amplitude that excite accepts
-  excitation_max_s = 48,  // s: longest duration that excite accepts
-  telemetry_batch_ticks = 49,  // tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+  differential_max_V = 27,  // V: bound of front minus back: pitch has priority in the mixer, so more than this would lift the arm
+  elevation_slew_deg_s = 28,  // deg/s: fastest change of the elevation setpoint
+  pitch_slew_deg_s = 29,  // deg/s: fastest change of the pitch setpoint, from the travel loop or the host
+  travel_slew_deg_s = 30,  // deg/s: fastest change of the travel setpoint
+  bumpless_s = 31,  // s: time constant with which the jump of a mode change is faded out
+  elevation_max_deg = 32,  // deg: elevation above which the motors are cut; setpoints are refused from 2 degrees below it
+  pitch_max_deg = 33,  // deg: pitch beyond which the motors are cut
+  travel_max_deg = 34,  // deg: travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it
+  elevation_rate_max_deg_s = 35,  // deg/s: elevation rate beyond which the motors are cut
+  pitch_rate_max_deg_s = 36,  // deg/s: pitch rate beyond which the motors are cut
+  travel_rate_max_deg_s = 37,  // deg/s: travel rate beyond which the motors are cut
+  encoder_illegal_max = 38,  // : illegal transitions of one encoder since arming that are tolerated
+  overrun_max = 39,  // : late ticks since arming that are tolerated
+  arm_rate_max_deg_s = 40,  // deg/s: arming needs every axis slower than this
+  arm_elevation_tolerance_deg = 41,  // deg: arming needs the elevation this close to rest
+  arm_pitch_tolerance_deg = 42,  // deg: arming needs the pitch this close to level
+  setpoint_hold_s = 43,  // s: without a fresh setpoint for this long the board holds level
+  setpoint_land_s = 44,  // s: without a fresh setpoint for this long the board lands
+  landing_rate_deg_s = 45,  // deg/s: descent of the elevation setpoint while landing
+  landing_timeout_s = 46,  // s: landing takes at most this long; then motors off with a fault
+  voltage_valid_max_ms = 47,  // ms: a streamed voltage acts at most this long, whatever its sender asked for
+  excitation_max_V = 48,  // V: largest amplitude that excite accepts
+  excitation_max_s = 49,  // s: longest duration that excite accepts
+  telemetry_batch_ticks = 50,  // tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
 };
-inline constexpr std::size_t kParamCount = 50;
+inline constexpr std::size_t kParamCount = 51;
 
 struct ParamInfo {
   float min;
@@ -250,6 +251,7 @@ inline constexpr ParamInfo kParams[kParamCount] = {
     {0.5F, 200.0F, 20.0F, false, false, false},  // pitch_filter_Hz
     {0.5F, 200.0F, 5.0F, false, false, false},  // travel_filter_Hz
     {1.0F, 45.0F, 20.0F, false, false, false},  // pitch_setpoint_max_deg
+    {0.1F, 24.0F, 5.0F, false, false, false},  // differential_max_V
     {0.5F, 200.0F, 15.0F, false, false, false},  // elevation_slew_deg_s
     {1.0F, 1000.0F, 90.0F, false, false, false},  // pitch_slew_deg_s
     {0.5F, 200.0F, 20.0F, false, false, false},  // travel_slew_deg_s

@@ -1,0 +1,111 @@
+// What a valid frame from the host means: commands, streams, the session, exactly-once.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "board.hpp"
+#include "link/declaration.hpp"
+#include "link/mailbox.hpp"
+#include "link/parser.hpp"
+#include "link/spsc.hpp"
+#include "params/params.hpp"
+#include "params/store.hpp"
+
+namespace heli::link {
+
+// One streamed value; `id` says which member counts.
+struct StreamValue {
+  MessageId id = MessageId::setpoint;
+  SetpointMessage setpoint;
+  VoltagesMessage voltages;
+};
+
+using StreamQueue = Spsc<StreamValue, 4>;
+
+// The answer that waits for room in the transmitter.
+struct Outgoing {
+  static constexpr std::uint8_t kMostParams = 32;
+  static constexpr std::size_t kMost = ParamsMessage::kSize + 4 * kMostParams;
+
+  MessageId id = MessageId::ack;
+  std::size_t size = 0;
+  std::uint8_t payload[kMost] = {};
+};
+
+// Idle loop only. A command that changes something goes through the mailbox to the tick; at most
+// one is on its way. A command that arrives before the last one's answer has left is not answered:
+// the host, which sends one at a time, repeats it.
+class Dispatcher {
+ public:
+  Dispatcher(Board& board, const params::Params& params, params::Store& store, Mailbox& mailbox,
+             StreamQueue& streams)
+      : board_(board), params_(params), store_(store), mailbox_(mailbox), streams_(streams) {}
+
+  void handle(const Frame& frame, std::uint32_t tick);
+
+  // Turns the tick's reply, when it has come, into an ack; writes the flash for params_save.
+  // True when parameters may have changed.
+  bool collect(std::uint32_t tick);
+
+  // The answer to send, until sent(). Those with a device time or counters carry zeros there:
+  // the sender fills them in at the last moment.
+  const Outgoing* reply() const { return reply_waits_ ? &reply_ : nullptr; }
+  void sent() { reply_waits_ = false; }
+
+  // Events that arise here: parameters saved, streamed values refused.
+  Spsc<EventMessage, 4>& events() { return events_; }
+
+  // True after a hello whose declaration matches; only then does the board speak unasked.
+  bool session_open() const { return session_open_; }
+
+  std::uint32_t duplicates() const { return duplicates_; }
+  std::uint32_t stale_streams() const { return stale_streams_; }
+
+ private:
+  struct Memory {
+    bool valid = false;
+    std::uint8_t age = 0;  // other requests seen since
+    Request request;
+    AckMessage ack;
+  };
+
+  void hello(const Frame& frame);
+  void local(const Frame& frame);
+  void params_read(const Frame& frame);
+  void remote(const Frame& frame);
+  void stream(const Frame& frame, std::uint32_t tick);
+  void pass_stream();
+  void grow_old(std::uint8_t request);
+  void acknowledge(const AckMessage& ack);
+  void refuse(const Frame& frame, Result result, std::uint8_t detail = 0);
+  template <class Message>
+  void send(const Message& message);
+
+  Board& board_;
+  const params::Params& params_;
+  params::Store& store_;
+  Mailbox& mailbox_;
+  StreamQueue& streams_;
+
+  bool session_open_ = false;
+  bool session_known_ = false;
+  std::uint32_t session_ = 0;
+
+  bool busy_ = false;  // `pending_` is with the tick
+  Request pending_;
+  Memory memory_;
+  std::uint8_t last_request_ = 0;
+
+  bool reply_waits_ = false;
+  Outgoing reply_;
+
+  bool stream_waits_ = false;
+  StreamValue newest_stream_;
+
+  Spsc<EventMessage, 4> events_;
+  std::uint32_t duplicates_ = 0;
+  std::uint32_t stale_streams_ = 0;
+};
+
+}  // namespace heli::link

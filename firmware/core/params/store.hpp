@@ -1,0 +1,37 @@
+// Two copies of the parameters in flash, written in turn, so that one is always whole.
+#pragma once
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+
+#include "board.hpp"
+#include "link/declaration.hpp"
+#include "params/params.hpp"
+
+namespace heli::params {
+
+// Idle loop only, except source(). Layout of a page: README.md.
+class Store {
+ public:
+  explicit Store(Board& board) : board_(board) {}
+
+  // Puts the newest valid copy into `params`, or the declared defaults when there is none.
+  link::ParamsSource load(Params& params);
+
+  // Writes the older copy and reads it back. May stop the processor for milliseconds.
+  bool save(const Params& params);
+
+  // Where the parameters came from: load()'s answer, `stored` after a save. Any context.
+  link::ParamsSource source() const { return source_.load(std::memory_order_relaxed); }
+
+  // Counts saves over the life of the board; 0 before the first.
+  std::uint32_t generation() const { return generation_; }
+
+ private:
+  Board& board_;
+  std::atomic<link::ParamsSource> source_{link::ParamsSource::defaults};
+  std::uint32_t generation_ = 0;
+};
+
+}  // namespace heli::params
