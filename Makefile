@@ -1,10 +1,10 @@
 # Two commands matter: `make fly` and `make test`. Everything they need is set up in .venv by .ci/setup.
 .DEFAULT_GOAL := help
 .PHONY: help setup fly test check bench fuzz clean
-export PYTHON CXX
 
 PLANS ?= hover sine
 SPEED ?= 1
+FUZZ_S ?= 60
 HELI := .venv/bin/heli-host
 
 help: ## this list
@@ -28,9 +28,9 @@ bench: ## measure what the project promises: bench.json and a table
 	@.ci/setup bench
 	@.venv/bin/python -m tests.bench
 
-fuzz: ## fuzz parser and dispatcher: make fuzz [SECONDS=60]; needs clang
+fuzz: ## fuzz parser and dispatcher: make fuzz [FUZZ_S=60]; needs clang
 	@.ci/setup test
-	@.ci/fuzz $(or $(SECONDS),60)
+	@.ci/fuzz $(FUZZ_S)
 
 clean: ## remove .venv and everything built; flights/ stays
 	rm -rf .venv build bench.json .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -12,13 +12,14 @@ from pathlib import Path
 
 
 def main() -> None:
+    """Print them, one a line."""
     with Path("pyproject.toml").open("rb") as file:
         pyproject = tomllib.load(file)
     project = pyproject["project"]
     requirements = [*pyproject["build-system"]["requires"], *project["dependencies"]]
     for extra in sys.argv[1:]:
         requirements += project["optional-dependencies"][extra]
-    # scikit-build-core asks for these two only when the system has none, which a build without isolation cannot.
+    # scikit-build-core adds these two to an isolated build where the system has none; ours is not isolated.
     requirements += ["cmake>=3.20", "ninja"]
     print("\n".join(requirements))
 

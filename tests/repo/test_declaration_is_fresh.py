@@ -1,0 +1,44 @@
+"""The generated tables and docs/link.md are what firmware/link.toml says."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+GENERATED = ("firmware/core/link/declaration.hpp", "host/heli_host/link/declaration.py", "docs/link.md")
+
+
+def check(root: Path) -> int:
+    command = [sys.executable, "firmware/generate.py", "--check"]
+    return subprocess.run(command, cwd=root, capture_output=True, check=False).returncode
+
+
+@pytest.fixture
+def copy_of_tree(tmp_path: Path) -> Path:
+    for name in (*GENERATED, "firmware/link.toml", "firmware/generate.py"):
+        target = tmp_path / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, target)
+    return tmp_path
+
+
+def test_generated_files_are_fresh() -> None:
+    assert check(ROOT) == 0, "run: python firmware/generate.py"
+
+
+@pytest.mark.parametrize("name", GENERATED)
+def test_an_edited_generated_file_is_noticed(copy_of_tree: Path, name: str) -> None:
+    path = copy_of_tree / name
+    path.write_text(path.read_text().replace("elevation", "altitude", 1))
+    assert check(copy_of_tree) != 0
+
+
+def test_a_changed_declaration_is_noticed(copy_of_tree: Path) -> None:
+    path = copy_of_tree / "firmware/link.toml"
+    path.write_text(path.read_text().replace("default = 1.4", "default = 1.5", 1))
+    assert check(copy_of_tree) != 0

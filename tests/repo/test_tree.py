@@ -1,0 +1,63 @@
+"""Nothing in the tree depends on the machine that it was written on, and every room says what lives there."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+# Written so that this file does not hold what it looks for.
+MACHINE_PATH = re.compile(
+    r"(?<![\w.$}~>])/(?:" + "|".join(("work", "home", "root", "Users", "tmp")) + r")/\w"
+)
+TEXT_ENDS = {".py", ".md", ".toml", ".cpp", ".hpp", ".h", ".txt", ".sh", ".yml", ".yaml", ".json", ".ini", ""}
+LARGEST_KIB = 300
+
+
+def tracked() -> list[Path]:
+    names = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    return [ROOT / name for name in names.splitlines() if (ROOT / name).is_file()]
+
+
+def rooms() -> list[Path]:
+    """Every folder with sources in it, except those of one verb or of generated figures."""
+    folders = {path.parent for path in tracked() if path.suffix in (".py", ".cpp", ".hpp", ".toml")}
+    return sorted(folders - {ROOT})
+
+
+def test_no_path_of_a_build_machine() -> None:
+    found = []
+    for path in tracked():
+        if path.suffix not in TEXT_ENDS:
+            continue
+        for number, line in enumerate(path.read_text(errors="replace").splitlines(), 1):
+            if MACHINE_PATH.search(line):
+                found.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()}")
+    assert not found, "\n".join(found)
+
+
+def test_no_large_file() -> None:
+    large = [f"{path.relative_to(ROOT)}" for path in tracked() if path.stat().st_size > LARGEST_KIB * 1024]
+    assert not large
+
+
+@pytest.mark.parametrize("room", rooms(), ids=lambda room: str(room.relative_to(ROOT)))
+def test_room_says_what_lives_there(room: Path) -> None:
+    readme = room / "README.md"
+    assert readme.exists(), f"{room.relative_to(ROOT)} has no README.md of about ten lines"
+    assert 3 <= len(readme.read_text().splitlines()) <= 60
+
+
+def test_nothing_is_left_unfinished() -> None:
+    marks = re.compile("|".join(("TO" + "DO", "FIX" + "ME", "X" * 3, "Not" + "ImplementedError")))
+    found = [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in tracked()
+        if path.suffix in TEXT_ENDS
+        for number, line in enumerate(path.read_text(errors="replace").splitlines(), 1)
+        if marks.search(line)
+    ]
+    assert not found
