@@ -1,0 +1,32 @@
+// The door to the control law. Whatever stands behind it gets the measured state and the setpoints
+// and gives two motor voltages; supervisor, link and telemetry know no more of it than this.
+#pragma once
+
+#include <cstdint>
+
+#include "board.hpp"
+#include "control/constants.hpp"
+
+namespace heli::control {
+
+struct ControlInput {
+  float angle_rad[kAxisCount];
+  float rate_rad_s[kAxisCount];
+  float setpoint_rad[kAxisCount];  // pitch counts only while travel is not closed
+  std::uint8_t axes;               // link::axes bits of the closed loops
+  float open_front_V;              // motor volts for what is not closed
+  float open_back_V;
+  float excitation_front_V;  // added to the motors
+  float excitation_back_V;
+};
+
+struct ControlOutput {
+  float front_V;  // motor volts, within the motor limits
+  float back_V;
+  float pitch_setpoint_rad;  // the one that was used
+  bool front_saturated;
+  bool back_saturated;
+  bool pitch_limited;
+};
+
+}  // namespace heli::control

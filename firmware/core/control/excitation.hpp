@@ -1,0 +1,42 @@
+// Excitation generated on board and added to the motor voltages, bounded in amplitude and time.
+#pragma once
+
+#include <cstdint>
+
+#include "link/declaration.hpp"
+
+namespace heli::control {
+
+struct ExcitationValue {
+  float front_V;
+  float back_V;
+};
+
+class Exciter {
+ public:
+  // The caller has checked amplitude and duration against the parameters.
+  void start(const link::ExciteMessage& message);
+  void stop() { kind_ = link::Excitation::none; }
+  bool running() const { return kind_ != link::Excitation::none; }
+  link::Excitation kind() const { return kind_; }
+
+  // Value for this tick. The call after the last tick of the duration stops the excitation.
+  ExcitationValue next();
+
+ private:
+  static constexpr std::size_t kTones = 8;  // of a multisine, per motor
+
+  float shape(std::size_t motor);
+
+  link::Excitation kind_ = link::Excitation::none;
+  float amplitude_V_[2] = {};
+  std::uint32_t tick_ = 0;
+  std::uint32_t duration_ticks_ = 0;
+  std::uint32_t phase_[2][kTones] = {};  // 2^32 is one turn
+  std::uint32_t step_[2][kTones] = {};   // turns per tick, same scale
+  float chirp_step_ = 0.0F;              // current step as float: its growth is below one unit
+  float chirp_growth_ = 0.0F;
+  std::uint32_t noise_ = 1;
+};
+
+}  // namespace heli::control

@@ -1,0 +1,235 @@
+#include "core.hpp"
+
+namespace heli {
+
+using control::Constants;
+using control::ControlInput;
+using control::ControlOutput;
+using link::Event;
+using link::MessageId;
+using link::Reply;
+using link::Result;
+using link::State;
+
+namespace {
+
+constexpr std::uint8_t kAllAxes = link::axes::elevation | link::axes::pitch | link::axes::travel;
+
+std::int16_t duty_of(float voltage_V, float duty_per_V) {
+  const std::int32_t duty = control::round_to_int(voltage_V * duty_per_V);
+  const std::int32_t full = kDutyFull;
+  return static_cast<std::int16_t>(duty > full ? full : (duty < -full ? -full : duty));
+}
+
+}  // namespace
+
+Core::Core(Board& board)
+    : board_(board), store_(board), link_(board, params_, store_), supervisor_(link_) {
+  refresh_constants();
+}
+
+void Core::start() {
+  store_.load(params_);
+  refresh_constants();
+  const BootReport report = board_.boot_report();
+  link_.push_event({0, static_cast<std::uint8_t>(Event::boot), report.reset, report.boot_fault,
+                    static_cast<float>(report.boot_count)});
+}
+
+void Core::refresh_constants() {
+  const std::uint32_t revision = params_.revision();
+  const auto spare = static_cast<std::uint8_t>(1U - active_.load(std::memory_order_relaxed));
+  derived_[spare] = {control::constants_of(params_), flight::limits_of(params_),
+                     flight::setpoint_limits_of(params_)};
+  derived_revision_ = revision;
+  active_.store(spare, std::memory_order_release);
+}
+
+void Core::poll() {
+  link_.poll();
+  if (params_.revision() != derived_revision_) {
+    refresh_constants();
+  }
+}
+
+void Core::zero(const EncoderReading& reading, std::uint8_t axes) {
+  for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
+    if ((axes & (1U << axis)) != 0U) {
+      zero_count_[axis] = reading.count[axis];
+      filters_[axis].restart();
+    }
+  }
+  link_.push_event({tick_, static_cast<std::uint8_t>(Event::zeroed), axes, 0, 0.0F});
+}
+
+void Core::measure(const EncoderReading& reading, const Constants& c) {
+  for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
+    // Unsigned, because a free-running counter may wrap.
+    const auto turned = static_cast<std::int32_t>(static_cast<std::uint32_t>(reading.count[axis]) -
+                                                  static_cast<std::uint32_t>(zero_count_[axis]));
+    count_[axis] = c.count_sign[axis] * turned;
+  }
+  count_[kElevation] += c.elevation_rest_counts;
+  for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
+    angle_rad_[axis] = static_cast<float>(count_[axis]) * c.rad_per_count[axis];
+    rate_rad_s_[axis] = filters_[axis].update(angle_rad_[axis], c.smoothing[axis]);
+    counters_.illegal[axis] = reading.illegal[axis];
+  }
+}
+
+Reply Core::execute(const link::Request& request, const EncoderReading& reading) {
+  const bool idle = supervisor_.state() == State::idle;
+  const Reply not_idle{Result::bad_state, static_cast<std::uint8_t>(supervisor_.state()), 0.0F};
+  switch (request.id) {
+    case MessageId::param_set: {
+      const auto message = request.as<link::ParamSetMessage>();
+      const auto which = static_cast<link::Param>(message.index);
+      const Result result = params_.set(which, message.value, idle);
+      return {result, message.index, result == Result::ok ? params_.get(which) : message.value};
+    }
+    case MessageId::params_default:
+      if (!idle) {
+        return not_idle;
+      }
+      params_.defaults();
+      return {};
+    case MessageId::params_save:
+      return idle ? Reply{} : not_idle;
+    case MessageId::zero: {
+      const auto message = request.as<link::ZeroMessage>();
+      if (message.axes == 0U || (message.axes & ~kAllAxes) != 0U) {
+        return {Result::bad_value, 0, static_cast<float>(message.axes)};
+      }
+      if (!idle) {
+        return not_idle;
+      }
+      zero(reading, message.axes);
+      return {};
+    }
+    default:
+      return supervisor_.execute(request);
+  }
+}
+
+ControlOutput Core::drive(const Constants& c) {
+  if (!supervisor_.motors_enabled() || supervisor_.state() == State::armed) {
+    law_.reset();
+    ControlOutput off{};
+    off.pitch_setpoint_rad = angle_rad_[kPitch];
+    return off;
+  }
+  control::Exciter& exciter = supervisor_.exciter();
+  const link::Excitation kind = exciter.kind();
+  const control::ExcitationValue excitation = exciter.next();
+  excited_ = exciter.running();
+  if (kind != exciter.kind()) {
+    link_.push_event({tick_, static_cast<std::uint8_t>(Event::excitation_end),
+                      static_cast<std::uint8_t>(kind), 0, 0.0F});
+  }
+  ControlInput in{};
+  for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
+    in.angle_rad[axis] = angle_rad_[axis];
+    in.rate_rad_s[axis] = rate_rad_s_[axis];
+    in.setpoint_rad[axis] = supervisor_.setpoint_rad()[axis];
+  }
+  in.axes = supervisor_.axes();
+  in.open_front_V = supervisor_.open_voltages().front_V;
+  in.open_back_V = supervisor_.open_voltages().back_V;
+  in.excitation_front_V = excitation.front_V;
+  in.excitation_back_V = excitation.back_V;
+  return law_.update(in, c);
+}
+
+void Core::actuate(const ControlOutput& out, const Constants& c) {
+  MotorCommand command{};
+  command.enable = supervisor_.motors_enabled();
+  if (command.enable) {
+    command.front_duty = duty_of(out.front_V, c.front_duty_per_V);
+    command.back_duty = duty_of(out.back_V, c.back_duty_per_V);
+  }
+  board_.write_motors(command);
+  acted_ = {static_cast<float>(command.front_duty) * c.front_V_per_duty,
+            static_cast<float>(command.back_duty) * c.back_V_per_duty};
+}
+
+void Core::log_tick(const ControlOutput& out, TickTiming timing) {
+  link::Sample sample;
+  sample.tick = tick_;
+  const auto put = [&sample](link::Channel channel, std::int32_t value) {
+    sample.raw[static_cast<std::size_t>(channel)] = value;
+  };
+  using link::Channel;
+  put(Channel::elevation_count, count_[kElevation]);
+  put(Channel::pitch_count, count_[kPitch]);
+  put(Channel::travel_count, count_[kTravel]);
+  put(Channel::elevation_setpoint,
+      control::round_to_int(supervisor_.setpoint_rad()[kElevation] * link::kElevationSetpointPerUnit));
+  put(Channel::pitch_setpoint,
+      control::round_to_int(out.pitch_setpoint_rad * link::kPitchSetpointPerUnit));
+  put(Channel::travel_setpoint,
+      control::round_to_int(supervisor_.setpoint_rad()[kTravel] * link::kTravelSetpointPerUnit));
+  put(Channel::front, control::round_to_int(acted_.front_V * link::kFrontPerUnit));
+  put(Channel::back, control::round_to_int(acted_.back_V * link::kBackPerUnit));
+  put(Channel::state, static_cast<std::int32_t>(supervisor_.state()));
+  put(Channel::fault, static_cast<std::int32_t>(supervisor_.fault()));
+  std::uint8_t flags = 0;
+  const auto raise = [&flags](bool condition, std::uint8_t bit) {
+    flags = static_cast<std::uint8_t>(flags | (condition ? bit : 0U));
+  };
+  raise(out.front_saturated, link::flags::front_saturated);
+  raise(out.back_saturated, link::flags::back_saturated);
+  raise(excited_, link::flags::excitation);
+  raise(supervisor_.link_alive(), link::flags::link_alive);
+  raise(out.pitch_limited, link::flags::pitch_limited);
+  raise(timing.late, link::flags::overrun);
+  put(Channel::flags, flags);
+  link_.push_sample(sample);
+
+  counters_.overruns += timing.late ? 1U : 0U;
+  counters_.tick_max_us =
+      timing.last_us > counters_.tick_max_us ? timing.last_us : counters_.tick_max_us;
+  counters_.stale_streams = supervisor_.refused_streams();
+  counters_.setpoint_rate_Hz = supervisor_.setpoint_rate_Hz();
+  link_.publish(counters_);
+}
+
+void Core::tick(TickTiming timing) {
+  link_.begin_tick(tick_);
+  const EncoderReading reading = board_.read_encoders();
+  if (!zeroed_) {
+    zeroed_ = true;
+    zero(reading, kAllAxes);
+  }
+  const Derived& derived = derived_[active_.load(std::memory_order_acquire)];
+  measure(reading, derived.control);
+
+  flight::Observation seen{};
+  seen.tick = tick_;
+  for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
+    seen.angle_rad[axis] = angle_rad_[axis];
+    seen.rate_rad_s[axis] = rate_rad_s_[axis];
+    seen.illegal[axis] = reading.illegal[axis];
+  }
+  seen.overruns = counters_.overruns;
+  seen.hardware_stop = board_.hardware_stop();
+  seen.link_age_ticks = link_.ticks_since_host_frame();
+  seen.acted = acted_;
+  seen.params_usable = store_.source() != link::ParamsSource::corrupt;
+  supervisor_.observe(seen, derived.limits, derived.bounds);
+
+  if (const link::Request* request = link_.take_request()) {
+    link_.answer(execute(*request, reading));
+  }
+  link::StreamValue value;
+  while (link_.take_stream(value)) {
+    supervisor_.take_stream(value);
+  }
+  supervisor_.advance();
+  excited_ = false;
+  const ControlOutput out = drive(derived.control);
+  actuate(out, derived.control);
+  log_tick(out, timing);
+  ++tick_;
+}
+
+}  // namespace heli

@@ -1,0 +1,82 @@
+// The flight code: one tick a millisecond, and what the idle loop does between ticks.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+
+#include "board.hpp"
+#include "control/cascade.hpp"
+#include "control/constants.hpp"
+#include "control/rate_filter.hpp"
+#include "flight/limits.hpp"
+#include "flight/setpoints.hpp"
+#include "flight/supervisor.hpp"
+#include "link/link.hpp"
+#include "params/params.hpp"
+#include "params/store.hpp"
+
+namespace heli {
+
+// What the board measured of the tick before this one.
+struct TickTiming {
+  std::uint16_t last_us = 0;
+  bool late = false;
+};
+
+class Core {
+ public:
+  explicit Core(Board& board);
+
+  // Once, before the first tick: loads the parameters, announces the boot.
+  void start();
+
+  // Once a millisecond, from the timer's interrupt. Encoders in, motors out, one sample logged.
+  void tick(TickTiming timing = {});
+
+  // Again and again from the idle loop: the link, and constants after a change of parameters.
+  void poll();
+
+  link::State state() const { return supervisor_.state(); }
+
+ private:
+  // All that the tick needs of the parameters.
+  struct Derived {
+    control::Constants control;
+    flight::Limits limits;
+    flight::SetpointLimits bounds;
+  };
+
+  void refresh_constants();
+  void measure(const EncoderReading& reading, const control::Constants& c);
+  void zero(const EncoderReading& reading, std::uint8_t axes);
+  link::Reply execute(const link::Request& request, const EncoderReading& reading);
+  control::ControlOutput drive(const control::Constants& c);
+  void actuate(const control::ControlOutput& out, const control::Constants& c);
+  void log_tick(const control::ControlOutput& out, TickTiming timing);
+
+  Board& board_;
+  params::Params params_;
+  params::Store store_;
+  link::Link link_;
+  flight::Supervisor supervisor_;
+  control::Cascade law_;
+  control::RateFilter filters_[kAxisCount];
+
+  // The idle loop fills the one that is not active, then switches; a tick never runs half-way
+  // through a switch, because it is one byte.
+  Derived derived_[2];
+  std::atomic<std::uint8_t> active_{0};
+  std::uint32_t derived_revision_ = 0;
+
+  std::uint32_t tick_ = 0;
+  bool zeroed_ = false;
+  std::int32_t zero_count_[kAxisCount] = {};
+  std::int32_t count_[kAxisCount] = {};
+  float angle_rad_[kAxisCount] = {};
+  float rate_rad_s_[kAxisCount] = {};
+  flight::OpenVoltages acted_{};
+  bool excited_ = false;
+  link::TickCounters counters_;
+};
+
+}  // namespace heli

@@ -1,0 +1,56 @@
+// Angle, rate and encoder limits in flight, and the checks before arming.
+#pragma once
+
+#include <cstdint>
+
+#include "board.hpp"
+#include "link/declaration.hpp"
+#include "params/params.hpp"
+
+namespace heli::flight {
+
+// From the parameters, in the idle loop.
+struct Limits {
+  float angle_max_rad[kAxisCount];
+  float rate_max_rad_s[kAxisCount];
+  std::uint32_t encoder_illegal_max;
+  std::uint32_t overrun_max;
+  float arm_rate_max_rad_s;
+  float arm_elevation_tolerance_rad;
+  float arm_pitch_tolerance_rad;
+  float rest_rad;
+  std::uint32_t hold_ticks;
+  std::uint32_t land_ticks;
+  std::uint32_t landing_timeout_ticks;
+  std::uint32_t voltage_valid_max_ticks;
+  float excitation_max_V;
+  float excitation_max_s;
+  float motor_min_V;
+  float motor_max_V;
+  bool params_consistent;
+};
+
+Limits limits_of(const params::Params& params);
+
+// What the checks look at.
+struct Situation {
+  float angle_rad[kAxisCount];
+  float rate_rad_s[kAxisCount];
+  std::uint32_t illegal[kAxisCount];  // since arming
+  std::uint32_t overruns;             // since arming
+  bool hardware_stop;
+};
+
+struct Verdict {
+  link::Fault fault;  // none: all is well
+  float value;        // the offending quantity, in degrees, deg/s or a count
+};
+
+// The first limit that the situation breaks.
+Verdict check_flight(const Situation& situation, const Limits& limits);
+
+// The first reason not to arm. `link_age_ticks`: since the last frame of the host.
+Verdict check_before_arming(const Situation& situation, const Limits& limits,
+                            std::uint32_t link_age_ticks, bool params_usable);
+
+}  // namespace heli::flight

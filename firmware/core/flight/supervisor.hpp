@@ -1,0 +1,106 @@
+// Runs the state table: executes commands, watches limits and ages, decides what drives the motors.
+#pragma once
+
+#include <cstdint>
+
+#include "board.hpp"
+#include "control/excitation.hpp"
+#include "flight/limits.hpp"
+#include "flight/setpoints.hpp"
+#include "flight/state_table.hpp"
+#include "link/link.hpp"
+
+namespace heli::flight {
+
+// Motor voltages that nobody's control law decides: open loop, or streamed by the host.
+struct OpenVoltages {
+  float front_V;
+  float back_V;
+};
+
+// Seen once a tick, after the encoders were read.
+struct Observation {
+  std::uint32_t tick;
+  float angle_rad[kAxisCount];
+  float rate_rad_s[kAxisCount];
+  std::uint32_t illegal[kAxisCount];  // since power-up
+  std::uint32_t overruns;             // since power-up
+  bool hardware_stop;
+  std::uint32_t link_age_ticks;
+  OpenVoltages acted;  // motor voltages of the previous tick
+  bool params_usable;
+};
+
+class Supervisor {
+ public:
+  explicit Supervisor(link::Link& link) : link_(link) {}
+
+  void observe(const Observation& seen, const Limits& limits, const SetpointLimits& bounds);
+
+  // Commands that concern the flight; parameters and zeroing are the core's.
+  link::Reply execute(const link::Request& request);
+  void take_stream(const link::StreamValue& value);
+  // Limits, ages, landing, setpoints: once a tick after commands and streams.
+  void advance();
+
+  State state() const { return state_; }
+  link::Fault fault() const { return fault_; }
+  bool motors_enabled() const { return flight::motors_enabled(state_); }
+  // Axes that the control law closes now; none in open loop.
+  std::uint8_t axes() const;
+  OpenVoltages open_voltages() const { return open_; }
+  const float (&setpoint_rad() const)[kAxisCount] { return setpoints_.value_rad(); }
+  bool link_alive() const { return seen_.link_age_ticks <= limits_.hold_ticks; }
+  control::Exciter& exciter() { return exciter_; }
+  std::uint32_t refused_streams() const { return refused_streams_; }
+  std::uint16_t setpoint_rate_Hz() const;
+
+ private:
+  // Accepted stream values of the last second, in quarters.
+  static constexpr std::uint32_t kRateBuckets = 4;
+  static constexpr std::uint32_t kBucket_ticks = 250;
+
+  bool trigger(Trigger cause);
+  void enter(State next, Trigger cause);
+  void end_excitation();
+  void trip(link::Fault fault, float value);
+  void count_accepted();
+  void reject(link::Result why);
+  void event(link::Event kind, std::uint8_t detail, std::uint8_t cause, float value);
+  void check_ages();
+  bool touched_down();
+  link::Reply refuse_state() const;
+
+  link::Reply arm();
+  link::Reply control(const link::ControlMessage& message);
+  link::Reply excite(const link::ExciteMessage& message);
+  link::Reply plain(Trigger cause);
+  void take_setpoint(const link::SetpointMessage& message);
+  void take_voltages(const link::VoltagesMessage& message);
+
+  link::Link& link_;
+  Observation seen_{};
+  Limits limits_{};
+  SetpointLimits bounds_{};
+  Setpoints setpoints_;
+  control::Exciter exciter_;
+
+  State state_ = State::idle;
+  link::Fault fault_ = link::Fault::none;
+  std::uint8_t axes_ = 0;
+  OpenVoltages open_{};
+  std::uint32_t entered_tick_ = 0;
+  std::uint32_t fresh_tick_ = 0;       // last accepted stream value
+  std::uint32_t voltage_end_tick_ = 0; // streamed voltage acts until then
+  std::uint32_t quiet_ticks_ = 0;      // at rest on the table while landing
+  std::uint32_t illegal_at_arming_[kAxisCount] = {};
+  std::uint32_t overruns_at_arming_ = 0;
+  std::uint32_t refused_streams_ = 0;
+  std::uint32_t next_reject_event_tick_ = 0;
+  std::uint16_t accepted_[kRateBuckets] = {};
+  std::uint32_t bucket_end_tick_ = 0;
+  std::uint32_t bucket_ = 0;
+  std::uint16_t rate_when_fresh_Hz_ = 0;
+};
+
+}  // namespace heli::flight
