@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import ClassVar
 
-LINK_HASH = 0x864EEC0E
+LINK_HASH = 0x150813FB
 LINK_VERSION = "1.0"
 FIRMWARE_VERSION = "0.1.0"
 PROTOCOL = 1
@@ -193,29 +193,30 @@ class Param(IntEnum):
     PITCH_FILTER_HZ = 24  # Hz: cut-off of the pitch rate filter (two poles)
     TRAVEL_FILTER_HZ = 25  # Hz: cut-off of the travel rate filter (two poles)
     PITCH_SETPOINT_MAX_DEG = 26  # deg: bound of the pitch setpoint, from the travel loop or the host
-    ELEVATION_SLEW_DEG_S = 27  # deg/s: fastest change of the elevation setpoint
-    PITCH_SLEW_DEG_S = 28  # deg/s: fastest change of a pitch setpoint given by the host
-    TRAVEL_SLEW_DEG_S = 29  # deg/s: fastest change of the travel setpoint
-    BUMPLESS_S = 30  # s: time constant with which the jump of a mode change is faded out
-    ELEVATION_MAX_DEG = 31  # deg: elevation above which the motors are cut; setpoints are refused from 2 degrees below it
-    PITCH_MAX_DEG = 32  # deg: pitch beyond which the motors are cut
-    TRAVEL_MAX_DEG = 33  # deg: travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it
-    ELEVATION_RATE_MAX_DEG_S = 34  # deg/s: elevation rate beyond which the motors are cut
-    PITCH_RATE_MAX_DEG_S = 35  # deg/s: pitch rate beyond which the motors are cut
-    TRAVEL_RATE_MAX_DEG_S = 36  # deg/s: travel rate beyond which the motors are cut
-    ENCODER_ILLEGAL_MAX = 37  # : illegal transitions of one encoder since arming that are tolerated
-    OVERRUN_MAX = 38  # : late ticks since arming that are tolerated
-    ARM_RATE_MAX_DEG_S = 39  # deg/s: arming needs every axis slower than this
-    ARM_ELEVATION_TOLERANCE_DEG = 40  # deg: arming needs the elevation this close to rest
-    ARM_PITCH_TOLERANCE_DEG = 41  # deg: arming needs the pitch this close to level
-    SETPOINT_HOLD_S = 42  # s: without a fresh setpoint for this long the board holds level
-    SETPOINT_LAND_S = 43  # s: without a fresh setpoint for this long the board lands
-    LANDING_RATE_DEG_S = 44  # deg/s: descent of the elevation setpoint while landing
-    LANDING_TIMEOUT_S = 45  # s: landing takes at most this long; then motors off with a fault
-    VOLTAGE_VALID_MAX_MS = 46  # ms: a streamed voltage acts at most this long, whatever its sender asked for
-    EXCITATION_MAX_V = 47  # V: largest amplitude that excite accepts
-    EXCITATION_MAX_S = 48  # s: longest duration that excite accepts
-    TELEMETRY_BATCH_TICKS = 49  # tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+    DIFFERENTIAL_MAX_V = 27  # V: bound of front minus back: pitch has priority in the mixer, so more than this would lift the arm
+    ELEVATION_SLEW_DEG_S = 28  # deg/s: fastest change of the elevation setpoint
+    PITCH_SLEW_DEG_S = 29  # deg/s: fastest change of the pitch setpoint, from the travel loop or the host
+    TRAVEL_SLEW_DEG_S = 30  # deg/s: fastest change of the travel setpoint
+    BUMPLESS_S = 31  # s: time constant with which the jump of a mode change is faded out
+    ELEVATION_MAX_DEG = 32  # deg: elevation above which the motors are cut; setpoints are refused from 2 degrees below it
+    PITCH_MAX_DEG = 33  # deg: pitch beyond which the motors are cut
+    TRAVEL_MAX_DEG = 34  # deg: travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it
+    ELEVATION_RATE_MAX_DEG_S = 35  # deg/s: elevation rate beyond which the motors are cut
+    PITCH_RATE_MAX_DEG_S = 36  # deg/s: pitch rate beyond which the motors are cut
+    TRAVEL_RATE_MAX_DEG_S = 37  # deg/s: travel rate beyond which the motors are cut
+    ENCODER_ILLEGAL_MAX = 38  # : illegal transitions of one encoder since arming that are tolerated
+    OVERRUN_MAX = 39  # : late ticks since arming that are tolerated
+    ARM_RATE_MAX_DEG_S = 40  # deg/s: arming needs every axis slower than this
+    ARM_ELEVATION_TOLERANCE_DEG = 41  # deg: arming needs the elevation this close to rest
+    ARM_PITCH_TOLERANCE_DEG = 42  # deg: arming needs the pitch this close to level
+    SETPOINT_HOLD_S = 43  # s: without a fresh setpoint for this long the board holds level
+    SETPOINT_LAND_S = 44  # s: without a fresh setpoint for this long the board lands
+    LANDING_RATE_DEG_S = 45  # deg/s: descent of the elevation setpoint while landing
+    LANDING_TIMEOUT_S = 46  # s: landing takes at most this long; then motors off with a fault
+    VOLTAGE_VALID_MAX_MS = 47  # ms: a streamed voltage acts at most this long, whatever its sender asked for
+    EXCITATION_MAX_V = 48  # V: largest amplitude that excite accepts
+    EXCITATION_MAX_S = 49  # s: longest duration that excite accepts
+    TELEMETRY_BATCH_TICKS = 50  # tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
 
 
 class MessageId(IntEnum):
@@ -315,29 +316,30 @@ PARAMS: tuple[ParamSpec, ...] = (
     ParamSpec(24, "pitch_filter_Hz", "Hz", 0.5, 200.0, 20.0, False, False, False, "cut-off of the pitch rate filter (two poles)"),
     ParamSpec(25, "travel_filter_Hz", "Hz", 0.5, 200.0, 5.0, False, False, False, "cut-off of the travel rate filter (two poles)"),
     ParamSpec(26, "pitch_setpoint_max_deg", "deg", 1.0, 45.0, 20.0, False, False, False, "bound of the pitch setpoint, from the travel loop or the host"),
-    ParamSpec(27, "elevation_slew_deg_s", "deg/s", 0.5, 200.0, 15.0, False, False, False, "fastest change of the elevation setpoint"),
-    ParamSpec(28, "pitch_slew_deg_s", "deg/s", 1.0, 1000.0, 90.0, False, False, False, "fastest change of a pitch setpoint given by the host"),
-    ParamSpec(29, "travel_slew_deg_s", "deg/s", 0.5, 200.0, 20.0, False, False, False, "fastest change of the travel setpoint"),
-    ParamSpec(30, "bumpless_s", "s", 0.02, 5.0, 0.3, False, False, False, "time constant with which the jump of a mode change is faded out"),
-    ParamSpec(31, "elevation_max_deg", "deg", 1.0, 60.0, 24.0, False, False, True, "elevation above which the motors are cut; setpoints are refused from 2 degrees below it"),
-    ParamSpec(32, "pitch_max_deg", "deg", 5.0, 80.0, 45.0, False, False, True, "pitch beyond which the motors are cut"),
-    ParamSpec(33, "travel_max_deg", "deg", 10.0, 3600.0, 175.0, False, False, True, "travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it"),
-    ParamSpec(34, "elevation_rate_max_deg_s", "deg/s", 10.0, 1000.0, 120.0, False, False, True, "elevation rate beyond which the motors are cut"),
-    ParamSpec(35, "pitch_rate_max_deg_s", "deg/s", 10.0, 2000.0, 400.0, False, False, True, "pitch rate beyond which the motors are cut"),
-    ParamSpec(36, "travel_rate_max_deg_s", "deg/s", 10.0, 1000.0, 150.0, False, False, True, "travel rate beyond which the motors are cut"),
-    ParamSpec(37, "encoder_illegal_max", "", 0.0, 1000.0, 5.0, False, False, True, "illegal transitions of one encoder since arming that are tolerated"),
-    ParamSpec(38, "overrun_max", "", 0.0, 1000.0, 10.0, False, False, True, "late ticks since arming that are tolerated"),
-    ParamSpec(39, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, "arming needs every axis slower than this"),
-    ParamSpec(40, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, "arming needs the elevation this close to rest"),
-    ParamSpec(41, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, "arming needs the pitch this close to level"),
-    ParamSpec(42, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, "without a fresh setpoint for this long the board holds level"),
-    ParamSpec(43, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, "without a fresh setpoint for this long the board lands"),
-    ParamSpec(44, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, "descent of the elevation setpoint while landing"),
-    ParamSpec(45, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, "landing takes at most this long; then motors off with a fault"),
-    ParamSpec(46, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, "a streamed voltage acts at most this long, whatever its sender asked for"),
-    ParamSpec(47, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, "largest amplitude that excite accepts"),
-    ParamSpec(48, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, "longest duration that excite accepts"),
-    ParamSpec(49, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, "ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data"),
+    ParamSpec(27, "differential_max_V", "V", 0.1, 24.0, 5.0, False, False, False, "bound of front minus back: pitch has priority in the mixer, so more than this would lift the arm"),
+    ParamSpec(28, "elevation_slew_deg_s", "deg/s", 0.5, 200.0, 15.0, False, False, False, "fastest change of the elevation setpoint"),
+    ParamSpec(29, "pitch_slew_deg_s", "deg/s", 1.0, 1000.0, 90.0, False, False, False, "fastest change of the pitch setpoint, from the travel loop or the host"),
+    ParamSpec(30, "travel_slew_deg_s", "deg/s", 0.5, 200.0, 20.0, False, False, False, "fastest change of the travel setpoint"),
+    ParamSpec(31, "bumpless_s", "s", 0.02, 5.0, 0.3, False, False, False, "time constant with which the jump of a mode change is faded out"),
+    ParamSpec(32, "elevation_max_deg", "deg", 1.0, 60.0, 24.0, False, False, True, "elevation above which the motors are cut; setpoints are refused from 2 degrees below it"),
+    ParamSpec(33, "pitch_max_deg", "deg", 5.0, 80.0, 45.0, False, False, True, "pitch beyond which the motors are cut"),
+    ParamSpec(34, "travel_max_deg", "deg", 10.0, 3600.0, 175.0, False, False, True, "travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it"),
+    ParamSpec(35, "elevation_rate_max_deg_s", "deg/s", 10.0, 1000.0, 120.0, False, False, True, "elevation rate beyond which the motors are cut"),
+    ParamSpec(36, "pitch_rate_max_deg_s", "deg/s", 10.0, 2000.0, 400.0, False, False, True, "pitch rate beyond which the motors are cut"),
+    ParamSpec(37, "travel_rate_max_deg_s", "deg/s", 10.0, 1000.0, 150.0, False, False, True, "travel rate beyond which the motors are cut"),
+    ParamSpec(38, "encoder_illegal_max", "", 0.0, 1000.0, 5.0, False, False, True, "illegal transitions of one encoder since arming that are tolerated"),
+    ParamSpec(39, "overrun_max", "", 0.0, 1000.0, 10.0, False, False, True, "late ticks since arming that are tolerated"),
+    ParamSpec(40, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, "arming needs every axis slower than this"),
+    ParamSpec(41, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, "arming needs the elevation this close to rest"),
+    ParamSpec(42, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, "arming needs the pitch this close to level"),
+    ParamSpec(43, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, "without a fresh setpoint for this long the board holds level"),
+    ParamSpec(44, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, "without a fresh setpoint for this long the board lands"),
+    ParamSpec(45, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, "descent of the elevation setpoint while landing"),
+    ParamSpec(46, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, "landing takes at most this long; then motors off with a fault"),
+    ParamSpec(47, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, "a streamed voltage acts at most this long, whatever its sender asked for"),
+    ParamSpec(48, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, "largest amplitude that excite accepts"),
+    ParamSpec(49, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, "longest duration that excite accepts"),
+    ParamSpec(50, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, "ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data"),
 )
 
 FAULTS: tuple[FaultSpec, ...] = (
