@@ -77,7 +77,6 @@ class Dispatcher {
   void stream(const Frame& frame, std::uint32_t tick);
   void pass_stream();
   void grow_old(std::uint8_t request);
-  void acknowledge(const AckMessage& ack);
   void refuse(const Frame& frame, Result result, std::uint8_t detail = 0);
   template <class Message>
   void send(const Message& message);

@@ -72,7 +72,8 @@ class Link {
   void send_events();
   void send_status();
   void send_telemetry();
-  void flush_batch();
+  bool flush_batch();
+  void read_batch_ticks();
   StatusMessage status(std::uint8_t request) const;
   std::uint32_t now() const { return tick_.load(std::memory_order_relaxed); }
 
@@ -100,7 +101,8 @@ class Link {
   Dispatcher dispatcher_;
   Sample batch_[kMaxBatchTicks];
   std::size_t batch_count_ = 0;
-  std::uint32_t batch_ticks_ = 0;
+  std::size_t batch_bytes_ = 0;  // room that the full batch was found to need; 0: not packed yet
+  std::size_t batch_ticks_ = 0;
   std::uint32_t ticks_dropped_ = 0;
   std::uint32_t status_tick_ = 0;
   std::uint8_t payload_[kMaxTelemetryPayload];

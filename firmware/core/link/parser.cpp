@@ -48,7 +48,8 @@ bool Parser::finish() {
 
 void Parser::count_gap() {
   const auto step = static_cast<std::uint8_t>(frame_.sequence - last_sequence_);
-  // Step 0 is the same frame once more. A hello may come from a host that has just started to count.
+  // Step 0 is the same frame once more. A hello may come from a host that has just started to
+  // count.
   const bool starts = !in_sequence_ || frame_.id == static_cast<std::uint8_t>(MessageId::hello);
   if (!starts && step > 1) frames_lost_ += static_cast<std::uint32_t>(step - 1);
   last_sequence_ = frame_.sequence;

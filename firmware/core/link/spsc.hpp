@@ -31,9 +31,7 @@ class Spsc {
   }
 
   // Consumer. Gives the slot of front() back.
-  void pop() {
-    tail_.store(tail_.load(std::memory_order_relaxed) + 1, std::memory_order_release);
-  }
+  void pop() { tail_.store(tail_.load(std::memory_order_relaxed) + 1, std::memory_order_release); }
 
   // Consumer. At least this many values wait.
   std::size_t size() const {

@@ -1,0 +1,269 @@
+#include "link/dispatch.hpp"
+
+#include <cstring>
+
+#include "link/bytes.hpp"
+
+namespace heli::link {
+namespace {
+
+enum class Kind : std::uint8_t {
+  local,   // answered here
+  remote,  // executed by the tick
+  stream,  // passed to the tick, not answered
+};
+
+struct CommandInfo {
+  MessageId id;
+  Kind kind;
+  std::uint8_t size;
+  // The message's floats: they follow each other in every message.
+  std::uint8_t float_offset;
+  std::uint8_t float_field;  // position of the first among the message's fields
+  std::uint8_t float_count;
+};
+
+template <class Message>
+constexpr CommandInfo entry(Kind kind, std::uint8_t offset = 0, std::uint8_t field = 0,
+                            std::uint8_t floats = 0) {
+  return {Message::kId, kind, static_cast<std::uint8_t>(Message::kSize), offset, field, floats};
+}
+
+constexpr CommandInfo kCommands[] = {
+    entry<HelloMessage>(Kind::local),
+    entry<PingMessage>(Kind::local),
+    entry<ArmMessage>(Kind::remote),
+    entry<StopMessage>(Kind::remote),
+    entry<ControlMessage>(Kind::remote, 2, 2, 2),
+    entry<StreamMessage>(Kind::remote),
+    entry<LandMessage>(Kind::remote),
+    entry<ExciteMessage>(Kind::remote, 2, 2, 5),
+    entry<ExciteStopMessage>(Kind::remote),
+    entry<ParamSetMessage>(Kind::remote, 2, 2, 1),
+    entry<ParamsReadMessage>(Kind::local),
+    entry<ParamsSaveMessage>(Kind::remote),
+    entry<ParamsDefaultMessage>(Kind::remote),
+    entry<ZeroMessage>(Kind::remote),
+    entry<ClearFaultMessage>(Kind::remote),
+    entry<StatusReadMessage>(Kind::local),
+    entry<SetpointMessage>(Kind::stream, 4, 1, 3),
+    entry<VoltagesMessage>(Kind::stream, 0, 0, 2),
+};
+
+// Ids from here on travel from the board to the host.
+constexpr std::uint8_t kFirstReplyId = 128;
+
+constexpr std::uint8_t kNoField = 0xff;
+
+// A request number is remembered for this many others: far more than a retry can lag behind, and
+// so few that the number of a new command, eight bits and counting, cannot meet an old one.
+constexpr std::uint8_t kMemoryAge = 128;
+
+const CommandInfo* find(std::uint8_t id) {
+  for (const CommandInfo& info : kCommands) {
+    if (static_cast<std::uint8_t>(info.id) == id) return &info;
+  }
+  return nullptr;
+}
+
+// The first field that is NaN or infinite, kNoField if all are numbers.
+std::uint8_t bad_float(const CommandInfo& info, const std::uint8_t* payload) {
+  constexpr std::uint32_t kExponent = 0x7f800000U;
+  for (std::uint8_t i = 0; i < info.float_count; ++i) {
+    if ((get_u32(payload + info.float_offset + 4 * i) & kExponent) == kExponent) {
+      return static_cast<std::uint8_t>(info.float_field + i);
+    }
+  }
+  return kNoField;
+}
+
+bool same(const Request& a, const Request& b) {
+  return a.id == b.id && a.size == b.size && std::memcmp(a.payload, b.payload, a.size) == 0;
+}
+
+}  // namespace
+
+void Dispatcher::handle(const Frame& frame, std::uint32_t tick) {
+  // A board whose line is looped back hears itself; to answer that would never end.
+  if (frame.id >= kFirstReplyId) return;
+  const CommandInfo* info = find(frame.id);
+  if (info != nullptr && info->kind == Kind::stream) {
+    if (session_open_) stream(frame, tick);
+    return;
+  }
+  if (busy_ || reply_waits_) return;
+  if (frame.size > 0) grow_old(frame.payload[0]);
+
+  const bool is_hello = info != nullptr && info->id == MessageId::hello;
+  if (!is_hello && !session_open_) return refuse(frame, Result::no_handshake);
+  if (info == nullptr) return refuse(frame, Result::unknown_command);
+  if (frame.size != info->size) return refuse(frame, Result::bad_length);
+  const std::uint8_t field = bad_float(*info, frame.payload);
+  if (field != kNoField) return refuse(frame, Result::bad_value, field);
+  if (info->kind == Kind::local) return local(frame);
+  remote(frame);
+}
+
+void Dispatcher::local(const Frame& frame) {
+  switch (static_cast<MessageId>(frame.id)) {
+    case MessageId::hello:
+      return hello(frame);
+    case MessageId::ping: {
+      PongMessage pong;
+      pong.request = frame.payload[0];
+      pong.host_us = PingMessage::read(frame.payload).host_us;
+      return send(pong);
+    }
+    case MessageId::params_read:
+      return params_read(frame);
+    default: {
+      StatusMessage status;
+      status.request = frame.payload[0];
+      return send(status);
+    }
+  }
+}
+
+void Dispatcher::hello(const Frame& frame) {
+  const auto message = HelloMessage::read(frame.payload);
+  session_open_ = message.link_hash == kLinkHash;
+  if (session_open_) {
+    if (!session_known_ || session_ != message.session) memory_.valid = false;
+    session_known_ = true;
+    session_ = message.session;
+  }
+  const BootReport boot = board_.boot_report();
+  WelcomeMessage welcome;
+  welcome.request = message.request;
+  welcome.result = static_cast<std::uint8_t>(session_open_ ? Result::ok : Result::hash_mismatch);
+  welcome.link_hash = kLinkHash;
+  welcome.link_major = kLinkMajor;
+  welcome.link_minor = kLinkMinor;
+  welcome.firmware_major = kFirmwareMajor;
+  welcome.firmware_minor = kFirmwareMinor;
+  welcome.firmware_patch = kFirmwarePatch;
+  welcome.board = boot.board;
+  welcome.reset = boot.reset;
+  welcome.boot_fault = boot.boot_fault;
+  welcome.boot_count = boot.boot_count;
+  welcome.params_source = static_cast<std::uint8_t>(store_.source());
+  send(welcome);
+}
+
+void Dispatcher::params_read(const Frame& frame) {
+  const auto message = ParamsReadMessage::read(frame.payload);
+  if (message.first >= kParamCount) {
+    return refuse(frame, Result::no_such_parameter, message.first);
+  }
+  const std::size_t rest = kParamCount - message.first;
+  ParamsMessage head;
+  head.request = message.request;
+  head.first = message.first;
+  head.count =
+      rest < Outgoing::kMostParams ? static_cast<std::uint8_t>(rest) : Outgoing::kMostParams;
+  send(head);
+  for (std::size_t i = 0; i < head.count; ++i, reply_.size += 4) {
+    put_f32(reply_.payload + reply_.size, params_.data()[message.first + i]);
+  }
+}
+
+void Dispatcher::remote(const Frame& frame) {
+  pending_.id = static_cast<MessageId>(frame.id);
+  pending_.size = frame.size;
+  std::memcpy(pending_.payload, frame.payload, frame.size);
+  if (memory_.valid && same(memory_.request, pending_)) {
+    ++duplicates_;
+    return send(memory_.ack);
+  }
+  busy_ = mailbox_.post(pending_);
+}
+
+bool Dispatcher::collect(std::uint32_t tick) {
+  pass_stream();
+  Reply reply;
+  if (!mailbox_.collect(reply)) return false;
+  if (pending_.id == MessageId::params_save && reply.result == Result::ok) {
+    if (store_.save(params_)) {
+      EventMessage saved;
+      saved.tick = tick;
+      saved.kind = static_cast<std::uint8_t>(Event::params_saved);
+      saved.value = static_cast<float>(store_.generation());
+      events_.push(saved);
+      reply.value = saved.value;
+    } else {
+      reply.result = Result::flash_failed;
+    }
+  }
+  memory_.valid = true;
+  memory_.age = 0;
+  memory_.request = pending_;
+  memory_.ack.request = pending_.payload[0];
+  memory_.ack.command = static_cast<std::uint8_t>(pending_.id);
+  memory_.ack.result = static_cast<std::uint8_t>(reply.result);
+  memory_.ack.detail = reply.detail;
+  memory_.ack.value = reply.value;
+  busy_ = false;
+  send(memory_.ack);
+  return true;
+}
+
+void Dispatcher::stream(const Frame& frame, std::uint32_t tick) {
+  const CommandInfo* info = find(frame.id);
+  Result result = Result::ok;
+  std::uint8_t field = kNoField;
+  if (frame.size != info->size) {
+    result = Result::bad_length;
+  } else {
+    field = bad_float(*info, frame.payload);
+    if (field != kNoField) result = Result::bad_value;
+  }
+  if (result != Result::ok) {
+    ++stale_streams_;
+    EventMessage rejected;
+    rejected.tick = tick;
+    rejected.kind = static_cast<std::uint8_t>(Event::setpoint_rejected);
+    rejected.detail = static_cast<std::uint8_t>(result);
+    events_.push(rejected);
+    return;
+  }
+  pass_stream();
+  newest_stream_.id = info->id;
+  if (info->id == MessageId::setpoint) {
+    newest_stream_.setpoint = SetpointMessage::read(frame.payload);
+  } else {
+    newest_stream_.voltages = VoltagesMessage::read(frame.payload);
+  }
+  stream_waits_ = true;
+  pass_stream();
+}
+
+void Dispatcher::pass_stream() {
+  // While the queue is full the newest value stays here, where a newer one may replace it.
+  if (stream_waits_ && streams_.push(newest_stream_)) stream_waits_ = false;
+}
+
+void Dispatcher::grow_old(std::uint8_t request) {
+  if (request == last_request_) return;
+  last_request_ = request;
+  if (memory_.valid && ++memory_.age >= kMemoryAge) memory_.valid = false;
+}
+
+void Dispatcher::refuse(const Frame& frame, Result result, std::uint8_t detail) {
+  AckMessage ack;
+  ack.request = frame.size > 0 ? frame.payload[0] : std::uint8_t{0};
+  ack.command = frame.id;
+  ack.result = static_cast<std::uint8_t>(result);
+  ack.detail = detail;
+  send(ack);
+}
+
+template <class Message>
+void Dispatcher::send(const Message& message) {
+  static_assert(Message::kSize <= Outgoing::kMost, "the reply must fit");
+  reply_.id = Message::kId;
+  reply_.size = Message::kSize;
+  message.write(reply_.payload);
+  reply_waits_ = true;
+}
+
+}  // namespace heli::link

@@ -1,0 +1,188 @@
+#include "link/link.hpp"
+
+#include <cstring>
+
+namespace heli::link {
+namespace {
+
+// At 25 bytes a millisecond this empties any receiver, and yet ends.
+constexpr std::size_t kReceiveChunk = 64;
+constexpr std::size_t kReceiveChunks = 8;
+
+// A batch gives up its place when this many newer samples wait behind it: it could not be sent for
+// that many milliseconds, and half of the sample ring is left.
+constexpr std::size_t kBatchPatience = 32;
+
+constexpr std::uint32_t kStatusTicks = 1000000U / kTick_us;
+
+}  // namespace
+
+Link::Link(Board& board, params::Params& params, params::Store& store)
+    : board_(board), params_(params), dispatcher_(board, params, store, mailbox_, streams_) {}
+
+void Link::poll() {
+  // Only a request changes parameters, and none is on its way when collect() has returned true.
+  if (dispatcher_.collect(now()) || batch_ticks_ == 0) read_batch_ticks();
+  send_reply();
+  receive();
+  if (dispatcher_.session_open()) {
+    send_events();
+    send_status();
+  }
+  send_telemetry();
+}
+
+void Link::read_batch_ticks() {
+  batch_ticks_ = static_cast<std::size_t>(params_.get(Param::telemetry_batch_ticks));
+  if (batch_ticks_ > kMaxBatchTicks) batch_ticks_ = kMaxBatchTicks;
+}
+
+void Link::receive() {
+  std::uint8_t chunk[kReceiveChunk];
+  for (std::size_t i = 0; i < kReceiveChunks; ++i) {
+    const std::size_t count = board_.receive(chunk, kReceiveChunk);
+    for (std::size_t k = 0; k < count; ++k) {
+      if (parser_.put(chunk[k])) accept(parser_.frame());
+    }
+    if (count < kReceiveChunk) return;
+  }
+}
+
+void Link::accept(const Frame& frame) {
+  dispatcher_.handle(frame, now());
+  if (dispatcher_.session_open()) host_frame_tick_.store(now(), std::memory_order_relaxed);
+  session_open_.store(dispatcher_.session_open(), std::memory_order_release);
+  send_reply();
+}
+
+bool Link::take_stream(StreamValue& value) {
+  const StreamValue* next = streams_.front();
+  if (next == nullptr) return false;
+  value = *next;
+  streams_.pop();
+  return true;
+}
+
+void Link::push_sample(const Sample& sample) {
+  if (samples_.push(sample)) return;
+  samples_lost_.store(samples_lost_.load(std::memory_order_relaxed) + 1, std::memory_order_relaxed);
+}
+
+void Link::publish(const TickCounters& counters) {
+  constexpr auto kRelaxed = std::memory_order_relaxed;
+  overruns_.store(counters.overruns, kRelaxed);
+  stale_streams_.store(counters.stale_streams, kRelaxed);
+  tick_max_us_.store(counters.tick_max_us, kRelaxed);
+  setpoint_rate_Hz_.store(counters.setpoint_rate_Hz, kRelaxed);
+  for (std::size_t axis = 0; axis < heli::kAxisCount; ++axis) {
+    illegal_[axis].store(counters.illegal[axis], kRelaxed);
+  }
+}
+
+std::uint32_t Link::ticks_since_host_frame() const {
+  if (!session_open_.load(std::memory_order_acquire)) return kNever;
+  return now() - host_frame_tick_.load(std::memory_order_relaxed);
+}
+
+bool Link::send(MessageId id, const std::uint8_t* payload, std::size_t size) {
+  if (board_.transmit_free() < FrameWriter::wire_bytes(size)) return false;
+  const std::size_t count = writer_.write(static_cast<std::uint8_t>(id), payload, size, wire_);
+  board_.transmit(wire_, count);
+  return true;
+}
+
+void Link::send_reply() {
+  const Outgoing* reply = dispatcher_.reply();
+  if (reply == nullptr) return;
+  std::memcpy(payload_, reply->payload, reply->size);
+  // Device time and counters as of the moment of sending, for the host's clock fit.
+  if (reply->id == MessageId::pong) {
+    auto pong = PongMessage::read(payload_);
+    pong.tick = now();
+    pong.write(payload_);
+  } else if (reply->id == MessageId::welcome) {
+    auto welcome = WelcomeMessage::read(payload_);
+    welcome.tick = now();
+    welcome.write(payload_);
+  } else if (reply->id == MessageId::status) {
+    status(payload_[0]).write(payload_);
+  }
+  if (send(reply->id, payload_, reply->size)) dispatcher_.sent();
+}
+
+void Link::send_events() {
+  std::uint8_t payload[EventMessage::kSize];
+  while (const EventMessage* event = events_.front()) {
+    event->write(payload);
+    if (!send(MessageId::event, payload, sizeof payload)) return;
+    events_.pop();
+  }
+  while (const EventMessage* event = dispatcher_.events().front()) {
+    event->write(payload);
+    if (!send(MessageId::event, payload, sizeof payload)) return;
+    dispatcher_.events().pop();
+  }
+}
+
+void Link::send_status() {
+  if (now() - status_tick_ < kStatusTicks) return;
+  std::uint8_t payload[StatusMessage::kSize];
+  status(0).write(payload);
+  if (send(MessageId::status, payload, sizeof payload)) status_tick_ = now();
+}
+
+StatusMessage Link::status(std::uint8_t request) const {
+  constexpr auto kRelaxed = std::memory_order_relaxed;
+  StatusMessage m;
+  m.request = request;
+  m.tick = now();
+  m.frames_ok = parser_.frames_ok();
+  m.frames_bad = parser_.frames_bad();
+  m.frames_lost = parser_.frames_lost();
+  m.duplicates = dispatcher_.duplicates();
+  m.stale_streams = dispatcher_.stale_streams() + stale_streams_.load(kRelaxed);
+  m.ticks_dropped = ticks_dropped_ + samples_lost_.load(kRelaxed);
+  m.overruns = overruns_.load(kRelaxed);
+  m.tick_max_us = tick_max_us_.load(kRelaxed);
+  m.illegal_elevation = illegal_[kElevation].load(kRelaxed);
+  m.illegal_pitch = illegal_[kPitch].load(kRelaxed);
+  m.illegal_travel = illegal_[kTravel].load(kRelaxed);
+  m.setpoint_rate_Hz = setpoint_rate_Hz_.load(kRelaxed);
+  return m;
+}
+
+void Link::send_telemetry() {
+  if (!dispatcher_.session_open()) {
+    while (samples_.front() != nullptr) samples_.pop();
+    batch_count_ = 0;
+    batch_bytes_ = 0;
+    return;
+  }
+  while (const Sample* next = samples_.front()) {
+    const bool gap = batch_count_ > 0 && next->tick != batch_[batch_count_ - 1].tick + 1;
+    if ((gap || batch_count_ >= batch_ticks_) && !flush_batch()) {
+      if (samples_.size() < kBatchPatience) return;
+      ticks_dropped_ += static_cast<std::uint32_t>(batch_count_);
+      batch_count_ = 0;
+      batch_bytes_ = 0;
+    }
+    batch_[batch_count_++] = *next;
+    samples_.pop();
+  }
+  if (batch_count_ >= batch_ticks_) flush_batch();
+}
+
+bool Link::flush_batch() {
+  // The idle loop comes here at every turn: it packs again only when the result will have room.
+  while (batch_count_ > 0 && board_.transmit_free() >= batch_bytes_) {
+    const Packed packed = pack_batch(batch_, batch_count_, payload_);
+    batch_bytes_ = FrameWriter::wire_bytes(packed.bytes);
+    if (!send(MessageId::telemetry, payload_, packed.bytes)) return false;
+    batch_bytes_ = 0;
+    batch_count_ -= packed.samples;
+    for (std::size_t k = 0; k < batch_count_; ++k) batch_[k] = batch_[k + packed.samples];
+  }
+  return batch_count_ == 0;
+}
+
+}  // namespace heli::link

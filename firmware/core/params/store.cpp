@@ -1,0 +1,138 @@
+#include "params/store.hpp"
+
+#include <cstring>
+
+#include "link/bytes.hpp"
+#include "link/crc32.hpp"
+
+namespace heli::params {
+namespace {
+
+constexpr std::size_t kPages = 2;
+constexpr std::uint16_t kMagic = 0x5048;  // "HP"
+constexpr std::uint8_t kFormat = 1;
+
+constexpr std::size_t kMagicAt = 0;
+constexpr std::size_t kFormatAt = 2;
+constexpr std::size_t kCountAt = 3;
+constexpr std::size_t kHashAt = 4;
+constexpr std::size_t kGenerationAt = 8;
+constexpr std::size_t kValuesAt = 12;
+constexpr std::size_t kCrcAt = Board::kPageBytes - 4;
+static_assert(kValuesAt + 4 * link::kParamCount <= kCrcAt, "the parameters must fit one page");
+
+enum class Content : std::uint8_t {
+  erased,
+  damaged,
+  foreign,  // whole, but from another declaration: says nothing about this one
+  valid,
+};
+
+struct Copy {
+  Content content = Content::erased;
+  std::uint32_t generation = 0;
+};
+
+bool all_ones(const std::uint8_t* page) {
+  for (std::size_t i = 0; i < Board::kPageBytes; ++i) {
+    if (page[i] != 0xff) return false;
+  }
+  return true;
+}
+
+float value_at(const std::uint8_t* page, std::size_t index) {
+  return link::get_f32(page + kValuesAt + 4 * index);
+}
+
+Copy judge(const std::uint8_t* page) {
+  Copy copy;
+  if (all_ones(page)) return copy;
+  copy.content = Content::damaged;
+  if (link::crc32(page, kCrcAt) != link::get_u32(page + kCrcAt)) return copy;
+  copy.content = Content::foreign;
+  if (link::get_u16(page + kMagicAt) != kMagic || page[kFormatAt] != kFormat ||
+      page[kCountAt] != link::kParamCount || link::get_u32(page + kHashAt) != link::kLinkHash) {
+    return copy;
+  }
+  for (std::size_t i = 0; i < link::kParamCount; ++i) {
+    if (Params::check(static_cast<link::Param>(i), value_at(page, i)) != link::Result::ok) {
+      return copy;
+    }
+  }
+  copy.content = Content::valid;
+  copy.generation = link::get_u32(page + kGenerationAt);
+  return copy;
+}
+
+// Reads both pages through `buffer`; says which valid copy is the newest, kPages if none is valid.
+std::size_t survey(Board& board, std::uint8_t* buffer, Copy (&copies)[kPages]) {
+  std::size_t newest = kPages;
+  for (std::size_t page = 0; page < kPages; ++page) {
+    board.read_page(page, buffer);
+    copies[page] = judge(buffer);
+    if (copies[page].content != Content::valid) continue;
+    // As a signed difference, so that the count may wrap.
+    if (newest == kPages ||
+        static_cast<std::int32_t>(copies[page].generation - copies[newest].generation) > 0) {
+      newest = page;
+    }
+  }
+  return newest;
+}
+
+}  // namespace
+
+link::ParamsSource Store::load(Params& params) {
+  std::uint8_t buffer[Board::kPageBytes];
+  Copy copies[kPages];
+  const std::size_t newest = survey(board_, buffer, copies);
+
+  params.defaults();
+  link::ParamsSource source = link::ParamsSource::corrupt;
+  if (newest == kPages) {
+    generation_ = 0;
+    if (copies[0].content == Content::erased && copies[1].content == Content::erased) {
+      source = link::ParamsSource::defaults;
+    }
+  } else {
+    board_.read_page(newest, buffer);
+    for (std::size_t i = 0; i < link::kParamCount; ++i) {
+      params.set(static_cast<link::Param>(i), value_at(buffer, i), true);
+    }
+    generation_ = copies[newest].generation;
+    const bool other_damaged = copies[1 - newest].content == Content::damaged;
+    source = other_damaged ? link::ParamsSource::fallback : link::ParamsSource::stored;
+  }
+  source_.store(source, std::memory_order_relaxed);
+  return source;
+}
+
+bool Store::save(const Params& params) {
+  std::uint8_t page[Board::kPageBytes];
+  Copy copies[kPages];
+  const std::size_t newest = survey(board_, page, copies);
+  // Never the newest valid copy: a power cut from here on leaves it as it is.
+  const std::size_t target = newest == kPages ? 0 : 1 - newest;
+  const std::uint32_t generation = newest == kPages ? 1 : copies[newest].generation + 1;
+
+  std::memset(page, 0xff, sizeof page);
+  link::put_u16(page + kMagicAt, kMagic);
+  page[kFormatAt] = kFormat;
+  page[kCountAt] = static_cast<std::uint8_t>(link::kParamCount);
+  link::put_u32(page + kHashAt, link::kLinkHash);
+  link::put_u32(page + kGenerationAt, generation);
+  for (std::size_t i = 0; i < link::kParamCount; ++i) {
+    link::put_f32(page + kValuesAt + 4 * i, params.data()[i]);
+  }
+  link::put_u32(page + kCrcAt, link::crc32(page, kCrcAt));
+
+  if (!board_.write_page(target, page)) return false;
+  std::uint8_t written[Board::kPageBytes];
+  board_.read_page(target, written);
+  if (std::memcmp(page, written, sizeof page) != 0) return false;
+  generation_ = generation;
+  source_.store(link::ParamsSource::stored, std::memory_order_relaxed);
+  return true;
+}
+
+}  // namespace heli::params
