@@ -172,7 +172,10 @@ class CommandRefused(LinkError):
         if self.result in (Result.OUT_OF_RANGE, Result.UNSAFE_NOW):
             param = PARAMS[detail] if detail < len(PARAMS) else None
             if param is None:
-                return f"parameter {detail} cannot be set", "update heli_host: it does not know this parameter"
+                return (
+                    f"parameter {detail} cannot be set",
+                    "update heli_host: it does not know this parameter",
+                )
             self.parameter = param.name
             if self.result == Result.UNSAFE_NOW:
                 return f"{param.name} may only be set while idle", "land or stop first"

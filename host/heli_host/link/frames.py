@@ -1,0 +1,178 @@
+"""Frames: ``COBS(protocol | message id | sequence | payload | crc32) 0x00``, as docs/link.md says."""
+
+from __future__ import annotations
+
+import zlib
+from typing import NamedTuple
+
+from cobs import cobs
+
+from heli_host.link.declaration import MAX_COMMAND_PAYLOAD, MAX_TELEMETRY_PAYLOAD, PROTOCOL
+
+_HEADER_BYTES = 3
+_CRC_BYTES = 4
+_OVERHEAD_BYTES = _HEADER_BYTES + _CRC_BYTES
+_MAX_PLAIN = MAX_TELEMETRY_PAYLOAD + _OVERHEAD_BYTES
+# COBS adds one byte in front and one for every full 254 bytes.
+_MAX_ENCODED = _MAX_PLAIN + 1 + _MAX_PLAIN // 254
+_EXCERPT_BYTES = 16
+# The CRC-32 of anything that ends with its own CRC-32, least significant byte first.
+_CRC_RESIDUE = 0x2144DF1C
+
+
+class Frame(NamedTuple):
+    """One frame that passed every check.
+
+    Parameters
+    ----------
+    id : int
+        Message id; not necessarily one that this host knows.
+    seq : int
+        Sequence number, modulo 256.
+    payload : bytes
+        What lies between header and CRC.
+    """
+
+    id: int
+    seq: int
+    payload: bytes
+
+
+def encode_frame(message_id: int, seq: int, payload: bytes) -> bytes:
+    """Build one frame, with its delimiter.
+
+    Parameters
+    ----------
+    message_id : int
+        Message id.
+    seq : int
+        Sequence number; only its low byte is sent.
+    payload : bytes
+        At most ``MAX_TELEMETRY_PAYLOAD`` bytes; a board takes at most ``MAX_COMMAND_PAYLOAD``.
+
+    Returns
+    -------
+    bytes
+        The frame as it goes over the line.
+
+    Raises
+    ------
+    ValueError
+        The payload is longer than any frame may carry.
+    """
+    limit = MAX_COMMAND_PAYLOAD if message_id < 128 else MAX_TELEMETRY_PAYLOAD
+    if len(payload) > limit:
+        raise ValueError(f"payload of {len(payload)} bytes; a frame carries at most {limit}")
+    plain = bytes((PROTOCOL, message_id, seq & 0xFF)) + payload
+    return cobs.encode(plain + zlib.crc32(plain).to_bytes(4, "little")) + b"\0"
+
+
+class FrameParser:
+    """Splits a byte stream into frames, whatever is in it.
+
+    Attributes
+    ----------
+    frames_ok : int
+        Frames accepted.
+    frames_bad : int
+        Frames refused: COBS, length, CRC or protocol. What comes before the first delimiter is the tail of a frame
+        whose head was sent before anybody listened, and is not counted here.
+    frames_lost : int
+        Gaps in the sequence numbers of the frames accepted.
+    frames_repeated : int
+        Frames accepted with the sequence number of the one before.
+    bytes_received : int
+        All bytes fed.
+    bytes_dropped : int
+        Bytes that belong to no accepted frame, delimiters not counted.
+    excerpt : bytes
+        The last of the bytes dropped, at most 16.
+    """
+
+    def __init__(self) -> None:
+        self.frames_ok = 0
+        self.frames_bad = 0
+        self.frames_lost = 0
+        self.frames_repeated = 0
+        self.bytes_received = 0
+        self.bytes_dropped = 0
+        self.excerpt = b""
+        self._partial = b""
+        self._overlong = False
+        self._synchronised = False
+        self._expected_seq = -1
+
+    @property
+    def pending(self) -> bytes:
+        """Bytes since the last delimiter: the head of a frame, or of something that is none."""
+        return self._partial
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Take bytes as they came and return the frames that they complete.
+
+        Parameters
+        ----------
+        data : bytes
+            Any number of bytes.
+
+        Returns
+        -------
+        list of Frame
+            In order; empty while no frame is complete.
+        """
+        self.bytes_received += len(data)
+        parts = (self._partial + data).split(b"\0")
+        self._partial = parts.pop()
+        frames: list[Frame] = []
+        decode, crc32 = cobs.decode, zlib.crc32
+        for part in parts:
+            if self._overlong:
+                self._overlong = False
+                self._refuse(part)
+                continue
+            if not part:
+                self._synchronised = True
+                continue
+            if len(part) <= _MAX_ENCODED:
+                try:
+                    plain = decode(part)
+                except cobs.DecodeError:
+                    plain = b""
+                if len(plain) >= _OVERHEAD_BYTES and plain[0] == PROTOCOL and crc32(plain) == _CRC_RESIDUE:
+                    seq = plain[2]
+                    if seq != self._expected_seq:
+                        self._count_gap(seq)
+                    self._expected_seq = (seq + 1) & 0xFF
+                    frames.append(Frame(plain[1], seq, plain[_HEADER_BYTES:-_CRC_BYTES]))
+                    continue
+            self._refuse(part)
+        if frames:
+            self.frames_ok += len(frames)
+            self._synchronised = True
+        if len(self._partial) > _MAX_ENCODED:
+            self._drop(self._partial)
+            self._partial = b""
+            self._overlong = True
+        return frames
+
+    def restart_sequence(self) -> None:
+        """Take the next frame's sequence number as it is: the other end has started anew."""
+        self._expected_seq = -1
+
+    def _count_gap(self, seq: int) -> None:
+        if self._expected_seq < 0:
+            return
+        gap = (seq - self._expected_seq) & 0xFF
+        if gap == 0xFF:
+            self.frames_repeated += 1
+        else:
+            self.frames_lost += gap
+
+    def _refuse(self, part: bytes) -> None:
+        self._drop(part)
+        self.frames_bad += self._synchronised
+        self._synchronised = True
+
+    def _drop(self, part: bytes) -> None:
+        self.bytes_dropped += len(part)
+        self.excerpt = (self.excerpt + part)[-_EXCERPT_BYTES:]

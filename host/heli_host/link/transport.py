@@ -1,0 +1,423 @@
+"""Bytes to and from a board, whichever it is: a serial port, a socket, or a simulation.
+
+A URL names the board. ``/dev/ttyACM0``, ``COM3``, ``socket://host:port``, ``rfc2217://...`` and ``spy://...`` go
+to pyserial; any other scheme is looked up in the entry-point group ``heli_host.transports``, whose objects
+are called with the URL. So a simulated board is a transport like any other, and nothing here imports it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Protocol, cast, runtime_checkable
+
+import serial
+from serial.tools import list_ports
+
+from heli_host.errors import BadBaud, LinkError, LinkLost, PortError
+from heli_host.link.declaration import BAUD
+
+ENTRY_POINT_GROUP = "heli_host.transports"
+
+# A Due sends a burst every 4 ms. Waking for each of them costs 2.5 times the processor time of waking every 10 ms,
+# and a person does not see the difference; a control loop on the host does, and sets 1 ms.
+READ_INTERVAL_S = 0.01
+
+_READ_SIZE = 65536
+_WRITE_TIMEOUT_S = 1.0
+_POLL_S = 0.002
+_ERASING_BAUD = 1200
+_RESET_PULSE_S = 0.05
+
+
+@runtime_checkable
+class Transport(Protocol):
+    """What a session needs of a board's bytes.
+
+    Attributes
+    ----------
+    lockstep : bool
+        True when time advances only inside `read`: a simulation that runs as fast as it is read, from one thread.
+    url : str
+        Where the bytes come from, as the user wrote it.
+    """
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether time advances only inside `read`."""
+        ...
+
+    @property
+    def url(self) -> str:
+        """Where the bytes come from."""
+        ...
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return the bytes that arrived, waiting for them at most ``timeout_s``.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest wait [s]. A lockstep transport may return sooner with bytes, or use the whole time and return
+            all bytes of it; the second is what makes a simulation fast.
+
+        Returns
+        -------
+        bytes
+            Empty when nothing came.
+
+        Raises
+        ------
+        LinkLost
+            The other end is gone.
+        """
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send bytes.
+
+        Parameters
+        ----------
+        data : bytes
+            One or more whole frames.
+
+        Raises
+        ------
+        LinkLost
+            The other end is gone, or takes no bytes.
+        """
+        ...
+
+    def now_s(self) -> float:
+        """Return a monotonic time [s]; simulated seconds in lockstep."""
+        ...
+
+    def wall_ns(self) -> int:
+        """Return Unix time [ns]; in lockstep a fixed epoch plus simulated time, so that logs are reproducible."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the other end; harmless when called twice."""
+        ...
+
+
+class SerialTransport:
+    """A board behind anything that pyserial can open.
+
+    Opening clears the port's hang-up flag where the system has one: the kernel then keeps DTR raised when this
+    process ends, so that the next one does not reset a board that may still be flying.
+
+    Parameters
+    ----------
+    url : str
+        Port name or pyserial URL.
+    baud : int
+        Rate [baud]; the Due's programming port and its bridge both make 250,000 exactly.
+    reset_board : bool
+        Pulse DTR after opening, which resets a Due.
+    min_read_interval_s : float
+        Bytes are collected at least this long between two reads [s].
+
+    Raises
+    ------
+    BadBaud
+        1200 baud, which would erase a Due's flash, or a rate that the port cannot make.
+    PortError
+        The port is missing, busy, or not permitted.
+    LinkError
+        The URL is not one.
+    """
+
+    lockstep = False
+
+    def __init__(
+        self,
+        url: str,
+        baud: int = BAUD,
+        *,
+        reset_board: bool = False,
+        min_read_interval_s: float = READ_INTERVAL_S,
+    ) -> None:
+        if baud == _ERASING_BAUD:
+            raise BadBaud("1200 baud erases the flash of a Due", f"leave the rate at {BAUD}")
+        self.url = url
+        self.min_read_interval_s = min_read_interval_s
+        self._serial = _open_serial(url, baud)
+        self._last_read_s = -1.0
+        try:
+            # rfc2217 has no file behind it, and its fileno() raises what the io base class says.
+            self._fd: int | None = self._serial.fileno()
+        except (OSError, AttributeError):
+            self._fd = None
+        if self._fd is not None:
+            _keep_dtr_on_close(self._fd)
+        if reset_board:
+            self._serial.dtr = False
+            time.sleep(_RESET_PULSE_S)
+            self._serial.dtr = True
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return the bytes that arrived; see `Transport.read`.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest wait [s].
+
+        Returns
+        -------
+        bytes
+            Empty when nothing came.
+
+        Raises
+        ------
+        LinkLost
+            The port is gone.
+        """
+        deadline_s = time.monotonic() + timeout_s
+        pause_s = min(self._last_read_s + self.min_read_interval_s, deadline_s) - time.monotonic()
+        if pause_s > 0.0:
+            time.sleep(pause_s)
+        with self._lost_when_it_fails():
+            while not (data := self._drain()):
+                remaining_s = deadline_s - time.monotonic()
+                if remaining_s <= 0.0:
+                    break
+                if self._fd is None or os.name != "posix":
+                    time.sleep(min(_POLL_S, remaining_s))
+                else:
+                    select.select([self._fd], [], [], remaining_s)
+        self._last_read_s = time.monotonic()
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; see `Transport.write`.
+
+        Parameters
+        ----------
+        data : bytes
+            One or more whole frames.
+
+        Raises
+        ------
+        LinkLost
+            The port is gone, or took no byte for a second.
+        """
+        with self._lost_when_it_fails():
+            self._serial.write(data)
+
+    def now_s(self) -> float:
+        """Return the system's monotonic clock [s]."""
+        return time.monotonic()
+
+    def wall_ns(self) -> int:
+        """Return Unix time [ns]."""
+        return time.time_ns()
+
+    def close(self) -> None:
+        """Close the port."""
+        with contextlib.suppress(OSError, serial.SerialException):
+            self._serial.close()
+
+    def _drain(self) -> bytes:
+        # A terminal hands out at most 4096 bytes a call, however many wait.
+        first: bytes = self._serial.read(_READ_SIZE)
+        if len(first) < 4095:
+            return first
+        parts = [first]
+        while len(parts) < 64 and (more := self._serial.read(_READ_SIZE)):
+            parts.append(more)
+        return b"".join(parts)
+
+    @contextlib.contextmanager
+    def _lost_when_it_fails(self) -> Iterator[None]:
+        try:
+            yield
+        # TypeError and AttributeError: pyserial uses a handle that its own close has set to None.
+        except (serial.SerialException, OSError, TypeError, AttributeError) as error:
+            reason = (
+                "it takes no bytes" if isinstance(error, serial.SerialTimeoutException) else "it went away"
+            )
+            raise LinkLost(
+                f"lost {self.url}: {reason}", "check cable and power; it is looked for again"
+            ) from error
+
+
+@dataclass(frozen=True)
+class PortInfo:
+    """A serial port of this computer.
+
+    Parameters
+    ----------
+    device : str
+        Name to open it by.
+    stable_name : str
+        Name that survives unplugging, or the same as ``device`` where the system has none.
+    description : str
+        What the system says about it.
+    vendor_id, product_id : int or None
+        USB numbers, None for a port that is not USB.
+    """
+
+    device: str
+    stable_name: str
+    description: str
+    vendor_id: int | None
+    product_id: int | None
+
+
+def available_ports() -> list[PortInfo]:
+    """List the serial ports of this computer.
+
+    Returns
+    -------
+    list of PortInfo
+        In the order of their names.
+    """
+    return [
+        PortInfo(port.device, stable_name(port.device), port.description or "", port.vid, port.pid)
+        for port in sorted(list_ports.comports(), key=lambda port: str(port.device))
+    ]
+
+
+def stable_name(device: str) -> str:
+    """Return the name of a port that stays when it is unplugged and comes back under another number.
+
+    Parameters
+    ----------
+    device : str
+        Port name, such as ``/dev/ttyACM0``.
+
+    Returns
+    -------
+    str
+        Its path under ``/dev/serial/by-id``, or ``device`` when there is none.
+    """
+    folder = Path("/dev/serial/by-id")
+    if device.startswith("/dev/") and folder.is_dir() and not device.startswith(str(folder)):
+        for link in sorted(folder.iterdir()):
+            if link.resolve() == Path(device).resolve():
+                return str(link)
+    return device
+
+
+def open_transport(
+    url: str,
+    *,
+    baud: int = BAUD,
+    reset_board: bool = False,
+    min_read_interval_s: float = READ_INTERVAL_S,
+) -> Transport:
+    """Open the board that a URL names.
+
+    Parameters
+    ----------
+    url : str
+        Port name, pyserial URL, or a URL whose scheme an installed package provides, such as ``sil://``.
+    baud : int
+        Rate of a serial port [baud].
+    reset_board : bool
+        Reset a Due after opening its port.
+    min_read_interval_s : float
+        Bytes of a serial port are collected at least this long between two reads [s].
+
+    Returns
+    -------
+    Transport
+        Open, and owned by the caller.
+
+    Raises
+    ------
+    BadBaud
+        1200 baud, or a rate that the port cannot make.
+    PortError
+        The port is missing, busy, or not permitted.
+    LinkError
+        Nothing provides the scheme.
+    """
+    if baud == _ERASING_BAUD:
+        raise BadBaud("1200 baud erases the flash of a Due", f"leave the rate at {BAUD}")
+    scheme = url.partition("://")[0].lower() if "://" in url else ""
+    if scheme:
+        for entry in entry_points(group=ENTRY_POINT_GROUP, name=scheme):
+            factory = cast(Callable[[str], Transport], entry.load())
+            return factory(url)
+    return SerialTransport(url, baud, reset_board=reset_board, min_read_interval_s=min_read_interval_s)
+
+
+def set_read_interval(transport: Transport, interval_s: float) -> float | None:
+    """Change how long a transport collects bytes before it hands them out.
+
+    Parameters
+    ----------
+    transport : Transport
+        Any transport; those that do not collect are left alone.
+    interval_s : float
+        New interval [s].
+
+    Returns
+    -------
+    float or None
+        The interval before, None for a transport that does not collect.
+    """
+    if not isinstance(transport, SerialTransport):
+        return None
+    before_s, transport.min_read_interval_s = transport.min_read_interval_s, interval_s
+    return before_s
+
+
+def _open_serial(url: str, baud: int) -> serial.SerialBase:
+    is_file = os.name == "posix" and "://" not in url
+    options = {"exclusive": True} if is_file else {}
+    try:
+        return serial.serial_for_url(url, baud, timeout=0, write_timeout=_WRITE_TIMEOUT_S, **options)
+    except ValueError as error:
+        if "protocol" in str(error):
+            scheme = url.partition("://")[0]
+            raise LinkError(
+                f"nothing installed provides {scheme}:// links",
+                "give a port name, socket://host:port, or sil:// with heli_sim installed",
+            ) from error
+        raise BadBaud(f"{url} cannot run at {baud} baud", f"leave the rate at {BAUD}") from error
+    except (serial.SerialException, OSError) as error:
+        raise _port_error(url, error) from error
+
+
+def _port_error(url: str, error: Exception) -> PortError:
+    number = getattr(error, "errno", None)
+    text = str(error).lower()
+    if number in (errno.EACCES, errno.EPERM) or "permission" in text or "access is denied" in text:
+        return PortError(
+            f"no permission to open {url}", "run: sudo usermod -a -G dialout $USER, then log out and in again"
+        )
+    if number in (errno.EBUSY, errno.EAGAIN) or "lock" in text:
+        return PortError(
+            f"{url} is in use by another program",
+            "close the other program; if it is ModemManager, heli-host doctor says how to stop it",
+        )
+    if "://" in url:
+        return PortError(f"cannot open {url}", "check that its other end is running and listening")
+    ports = ", ".join(port.device for port in available_ports())
+    exist = (
+        f"ports that exist: {ports}" if ports else "no serial port exists: plug the board in, or use sil://"
+    )
+    return PortError(f"there is no usable port {url}", exist)
+
+
+def _keep_dtr_on_close(fd: int) -> None:
+    # Sockets have no such flag, and Windows no termios at all.
+    try:
+        import termios
+    except ImportError:
+        return
+    with contextlib.suppress(OSError, termios.error):
+        attributes = termios.tcgetattr(fd)
+        attributes[2] &= ~termios.HUPCL
+        termios.tcsetattr(fd, termios.TCSANOW, attributes)

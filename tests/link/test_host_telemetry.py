@@ -1,0 +1,105 @@
+"""Telemetry batches: the vectorised decoder against a slow witness."""
+
+from __future__ import annotations
+
+import host_reference as reference
+import numpy as np
+from heli_host.link.declaration import CHANNELS
+from heli_host.link.telemetry import EMPTY_TICKS, TelemetryDecoder
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+LIMITS = {"<i": (-(2**31), 2**31 - 1), "<h": (-(2**15), 2**15 - 1), "<B": (0, 255)}
+
+
+@st.composite
+def batches(draw: st.DrawFn) -> tuple[int, list[list[int]]]:
+    """A first tick and 1 to 32 samples; each channel still, slow, or anything that its type holds."""
+    count = draw(st.integers(1, 32))
+    columns = []
+    for channel in CHANNELS:
+        low, high = LIMITS[channel.code]
+        reach = draw(st.sampled_from([0, 1, 3, 60, 10_000, 2**32]))
+        value = draw(st.integers(low, high))
+        column = [value]
+        for _ in range(count - 1):
+            value = draw(st.integers(max(low, value - reach), min(high, value + reach)))
+            column.append(value)
+        columns.append(column)
+    return draw(st.integers(0, 2**32 - 33)), [list(row) for row in zip(*columns, strict=True)]
+
+
+@settings(max_examples=60)
+@given(st.lists(batches(), max_size=5))
+def test_any_batches_decode_to_what_was_packed(sent: list[tuple[int, list[list[int]]]]) -> None:
+    ticks = TelemetryDecoder().decode([reference.telemetry_payload(first, rows) for first, rows in sent])
+    assert ticks.tick.dtype == np.uint32
+    assert ticks.raw.dtype == np.int32
+    assert ticks.tick.tolist() == [first + k for first, rows in sent for k in range(len(rows))]
+    assert ticks.raw.tolist() == [row for _, rows in sent for row in rows]
+
+
+@settings(max_examples=60)
+@given(batches(), st.data())
+def test_wider_deltas_than_needed_decode_alike(
+    sent: tuple[int, list[list[int]]], data: st.DataObject
+) -> None:
+    first, rows = sent
+    narrow = reference.telemetry_payload(first, rows)
+    codes = [nibble for byte in narrow[5:11] for nibble in (byte % 16, byte // 16)][:11]
+    wide = [data.draw(st.integers(code, 5)) for code in codes]
+    assert TelemetryDecoder().decode([reference.telemetry_payload(first, rows, wide)]).raw.tolist() == rows
+
+
+@given(batches(), st.binary(min_size=1, max_size=8), st.booleans())
+def test_a_payload_whose_length_does_not_fit_is_refused_and_counted(
+    sent: tuple[int, list[list[int]]], extra: bytes, longer: bool
+) -> None:
+    payload = reference.telemetry_payload(*sent)
+    decoder = TelemetryDecoder()
+    assert len(decoder.decode([payload + extra if longer else payload[: -len(extra)]])) == 0
+    assert decoder.malformed == 1
+
+
+@given(st.binary(max_size=480))
+def test_any_payload_decodes_like_the_witness_or_is_refused(payload: bytes) -> None:
+    decoder = TelemetryDecoder()
+    ticks = decoder.decode([payload])
+    if decoder.malformed:
+        assert ticks.tick.tolist() == []
+    else:
+        assert ticks.raw.tolist() == reference.telemetry_samples(payload)[1]
+
+
+def test_a_malformed_payload_does_not_spoil_its_neighbours() -> None:
+    rows = [[k * (c + 1) for c in range(11)] for k in range(20)]
+    good = reference.telemetry_payload(100, rows)
+    later = reference.telemetry_payload(120, rows)
+    bad_width = bytes([*good[:5], 0x66, *good[6:]])
+    no_samples = bytes([*good[:4], 0, *good[5:]])
+    decoder = TelemetryDecoder()
+    ticks = decoder.decode([good, bad_width, good[:-1], b"", no_samples, later])
+    assert ticks.tick.tolist() == list(range(100, 140))
+    assert ticks.raw.tolist() == rows + rows
+    assert decoder.malformed == 4
+
+
+def test_the_last_tick_before_the_counter_wraps_is_followed_by_zero() -> None:
+    ticks = TelemetryDecoder().decode([reference.telemetry_payload(2**32 - 2, [[0] * 11] * 4)])
+    assert ticks.tick.tolist() == [2**32 - 2, 2**32 - 1, 0, 1]
+
+
+def test_hundreds_of_batches_of_changing_size_keep_their_order() -> None:
+    sent = []
+    first = 0
+    for index in range(600):
+        count = 20 if index % 50 else 5 + index % 7
+        sent.append((first, [[(first + k) * (c + 3) % 250 for c in range(11)] for k in range(count)]))
+        first += count
+    ticks = TelemetryDecoder().decode([reference.telemetry_payload(*batch) for batch in sent])
+    assert ticks.tick.tolist() == list(range(first))
+    assert ticks.raw.tolist() == [row for _, rows in sent for row in rows]
+
+
+def test_no_payloads_are_no_ticks() -> None:
+    assert TelemetryDecoder().decode([]) is EMPTY_TICKS
