@@ -1,0 +1,35 @@
+"""Errors of heli_sim, one tree.
+
+SimError                    anything that goes wrong in the simulation; str() is one line, cause and remedy
+├── RigError                a rig file is missing, incomplete or holds something it may not
+├── PlantError              the plant cannot be compiled or loaded
+├── EndpointError           the simulated serial port cannot be opened
+├── OptionError             an option of a `sil://` address or of the server is unknown or out of range
+└── Unplugged               the simulated USB cable is out (also a ConnectionError)
+"""
+
+from __future__ import annotations
+
+
+class SimError(Exception):
+    """Anything that goes wrong in the simulation."""
+
+
+class RigError(SimError):
+    """A rig file is missing, incomplete or holds something it may not."""
+
+
+class PlantError(SimError):
+    """The plant cannot be compiled or loaded."""
+
+
+class EndpointError(SimError):
+    """The simulated serial port cannot be opened."""
+
+
+class OptionError(SimError):
+    """An option of a `sil://` address or of the server is unknown or out of range."""
+
+
+class Unplugged(SimError, ConnectionError):
+    """The simulated USB cable is out."""

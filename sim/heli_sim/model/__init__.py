@@ -1,0 +1,9 @@
+"""The dynamics of the rig, symbolic in CasADi."""
+
+from __future__ import annotations
+
+from heli_sim.model.base import Effect, Model, Situation
+from heli_sim.model.paper import PaperModel
+from heli_sim.rig.quantity import Quantity
+
+__all__ = ["Effect", "Model", "PaperModel", "Quantity", "Situation"]

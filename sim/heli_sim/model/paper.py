@@ -1,0 +1,115 @@
+"""Equations (30) of Makki et al. with the physical coefficients printed below them, misprints corrected.
+
+Corrections, each against what is printed:
+
+- Table 2 names two lengths L_h; the 0.45 m one is L_b.
+- Inertias are (27) to (29) at level (theta = phi = 0), as (30) treats them as constants. Table 2's
+  J_theta = 0.8496 kg m2 is not used: (27) gives 0.7675. (29) is J_psi, though it is printed as J_theta.
+- (19) has cos(phi + L_h) for cos(phi + zeta_h); (20) and P_8 are right.
+- P_1 and P_15 (the constant -2k) stand for the 1 V dead zone of (31), and would push downwards at 0 V. Here the
+  dead zone is in the thrust itself: no thrust below it.
+- The drag of (22) is a force; its torque about the vertical has the arm L_a, which P_13 and P_16 lack. It
+  opposes motion (psi_dot |psi_dot|), also at negative pitch (|sin phi|).
+- P_18 is left out. (F_f - F_b) L_h sin phi would be a torque about the vertical, but the horizontal thrust
+  component F sin phi acts along the tangent at the arm's end: its moment has the arm L_a for both rotors.
+- D_theta, D_phi and D_psi (P_5, P_10, P_14), the unknown constants, are zero.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from heli_sim.model.base import Model, Situation
+
+
+class PaperModel(Model):
+    """The paper's model: three uncoupled inertias, gravity, thrust, viscous friction, drag on travel.
+
+    Parameters
+    ----------
+    effects : tuple of Effect
+        Effects on top of the model, applied in this order.
+    """
+
+    name = "paper"
+    rig_parameters = (
+        *("M_f", "M_b", "M_w", "M_h", "M_l", "L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x", "g"),
+        *("air_density", "drag_area_arm", "drag_area_body"),
+    )
+
+    def inertia_kg_m2(self, at: Situation) -> ca.SX:
+        """J_theta (27), J_phi (28) and J_psi (29) at level.
+
+        Parameters
+        ----------
+        at : Situation
+            Gives the rig's numbers.
+
+        Returns
+        -------
+        casadi.SX
+            Inertia about the elevation, pitch and travel axes, shape (3, 1).
+        """
+        p = at.parameter
+        rotors = p["M_f"] + p["M_b"]
+        L_theta2 = p["L_theta"] ** 2
+        short_arm2 = p["L_h"] ** 2 + p["L_phi"] ** 2
+        elevation = (
+            rotors * p["L_a"] ** 2
+            + p["M_l"] * (p["L_x"] ** 2 + L_theta2)
+            + p["M_w"] * (p["L_b"] ** 2 + L_theta2)
+            + p["M_h"] * (p["L_a"] ** 2 + L_theta2)
+        )
+        pitch = rotors * short_arm2 + p["M_h"] * p["L_phi"] ** 2
+        travel = (
+            rotors * (short_arm2 + p["L_a"] ** 2)
+            + p["M_l"] * p["L_x"] ** 2
+            + p["M_w"] * p["L_b"] ** 2
+            + p["M_h"] * p["L_a"] ** 2
+        )
+        return ca.vertcat(elevation, pitch, travel)
+
+    def acceleration(self, at: Situation, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
+        """Right-hand sides of (16), (20) and (25), divided by the inertias.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state, voltages and parameters.
+        thrust_N : casadi.SX
+            Thrust of the front and the back rotor, shape (2, 1).
+        torque_Nm : casadi.SX
+            Friction and other torques about the three axes, shape (3, 1).
+
+        Returns
+        -------
+        casadi.SX
+            Acceleration of elevation, pitch and travel in rad/s2, shape (3, 1).
+        """
+        p, state = at.parameter, at.state
+        elevation, pitch = state["elevation_rad"], state["pitch_rad"]
+        total_N = thrust_N[0] + thrust_N[1]
+        difference_N = thrust_N[0] - thrust_N[1]
+
+        body_N = (p["M_f"] + p["M_b"] + p["M_h"]) * p["g"]
+        weight_N, arm_N = p["M_w"] * p["g"], p["M_l"] * p["g"]
+        # tan(zeta) = L_theta / L: each product L tan(zeta) of (16) is L_theta.
+        elevation_Nm = (
+            total_N * ca.cos(pitch) * p["L_a"]
+            + (weight_N * p["L_b"] - body_N * p["L_a"] - arm_N * p["L_x"]) * ca.cos(elevation)
+            - (body_N + weight_N + arm_N) * p["L_theta"] * ca.sin(elevation)
+        )
+        # Likewise L_h tan(zeta_h) of (20) is L_phi.
+        pitch_Nm = (
+            difference_N * p["L_h"]
+            + (p["M_b"] - p["M_f"]) * p["g"] * p["L_h"] * ca.cos(pitch)
+            - body_N * p["L_phi"] * ca.sin(pitch)
+        )
+        travel_Nm = total_N * ca.sin(pitch) * p["L_a"] - self._drag_Nm(at)
+        return (ca.vertcat(elevation_Nm, pitch_Nm, travel_Nm) + torque_Nm) / self.inertia_kg_m2(at)
+
+    def _drag_Nm(self, at: Situation) -> ca.SX:
+        p = at.parameter
+        rate = at.state["travel_rate_rad_s"]
+        area = p["drag_area_arm"] + p["drag_area_body"] * ca.fabs(ca.sin(at.state["pitch_rad"]))
+        return 0.5 * p["air_density"] * area * p["L_a"] ** 3 * rate * ca.fabs(rate)

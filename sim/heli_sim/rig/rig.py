@@ -1,0 +1,221 @@
+"""The Rig class and its TOML reader."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+from heli_sim.errors import RigError
+from heli_sim.rig.schema import RIG_QUANTITIES
+
+_FOLDER: Final = Path(__file__).parent
+_FIELDS: Final = ("value", "unit", "tolerance", "source")
+_TEXTS: Final = ("name", "description")
+# Everything else is a length, a mass, a gain or a limit of which there must be some.
+_MAY_BE_ZERO: Final = frozenset(
+    {
+        "dead_zone",
+        "friction_elevation",
+        "friction_pitch",
+        "friction_travel",
+        "air_density",
+        "drag_area_arm",
+        "drag_area_body",
+        "table_damping",
+        "driver_dead_band",
+    }
+)
+_MAY_BE_NEGATIVE: Final = frozenset({"elevation_min", "L_x", "L_phi", "L_theta"})
+
+
+@dataclass(frozen=True)
+class Number:
+    """One number of a rig.
+
+    Parameters
+    ----------
+    value : float
+        The value, in `unit`.
+    unit : str
+        Unit, as declared for this name in `RIG_QUANTITIES`.
+    tolerance : float
+        Half width, in `unit`, of the interval that holds the true value with about 95 % confidence.
+    source : str
+        Where the value comes from: table, equation, measurement or assumption.
+    """
+
+    value: float
+    unit: str
+    tolerance: float
+    source: str
+
+
+@dataclass(frozen=True)
+class Rig(Mapping[str, Number]):
+    """A rig: an immutable mapping from the names of `RIG_QUANTITIES` to numbers.
+
+    Parameters
+    ----------
+    name : str
+        Short name.
+    description : str
+        One line.
+    numbers : Mapping[str, Number]
+        One entry for each quantity of `RIG_QUANTITIES`.
+
+    Raises
+    ------
+    RigError
+        When a number is missing, unknown, not finite, out of range or in another unit.
+    """
+
+    name: str
+    description: str
+    numbers: Mapping[str, Number]
+
+    def __post_init__(self) -> None:
+        _check(self.name, self.numbers)
+        object.__setattr__(self, "numbers", MappingProxyType(dict(self.numbers)))
+
+    def __getitem__(self, name: str) -> Number:
+        return self.numbers[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.numbers)
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def replace(self, **values: float) -> Rig:
+        """Return a copy with other values; units, tolerances and sources stay.
+
+        Parameters
+        ----------
+        **values : float
+            New values by name, each in the unit of its name.
+
+        Returns
+        -------
+        Rig
+            The changed rig.
+
+        Raises
+        ------
+        RigError
+            When a name is unknown or a value is not allowed.
+        """
+        numbers = dict(self.numbers)
+        for name, value in values.items():
+            if name not in numbers:
+                raise RigError(_unknown(self.name, name))
+            numbers[name] = replace(numbers[name], value=float(value))
+        return Rig(self.name, self.description, numbers)
+
+
+def rig_names() -> list[str]:
+    """Names of the rigs that come with the package.
+
+    Returns
+    -------
+    list of str
+        Sorted names, each good for `load_rig`.
+    """
+    return sorted(path.stem for path in _FOLDER.glob("*.toml"))
+
+
+def load_rig(name_or_path: str | Path) -> Rig:
+    """Read a rig by name or from a file.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A name of `rig_names`, or the path of a TOML file.
+
+    Returns
+    -------
+    Rig
+        The rig, checked.
+
+    Raises
+    ------
+    RigError
+        When there is no such rig, or its file is not a complete and valid rig.
+    """
+    path = _FOLDER / f"{name_or_path}.toml"
+    if str(name_or_path) not in rig_names():
+        path = Path(name_or_path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        known = ", ".join(rig_names())
+        raise RigError(f"no rig '{name_or_path}'; give a TOML file or one of: {known}") from None
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise RigError(f"rig file {path} is not TOML: {error}") from None
+    return _rig_from_table(path, table)
+
+
+def _rig_from_table(path: Path, table: Mapping[str, Any]) -> Rig:
+    texts: dict[str, str] = {}
+    for key in _TEXTS:
+        value = table.get(key)
+        if not isinstance(value, str):
+            raise RigError(f'rig file {path} lacks {key} = "..."; add it at the top')
+        texts[key] = value
+    numbers = {
+        name: _number(path, name, entry) for name, entry in table.items() if name not in _TEXTS
+    }
+    return Rig(texts["name"], texts["description"], numbers)
+
+
+def _number(path: Path, name: str, entry: object) -> Number:
+    where = f"rig file {path}: {name}"
+    if not isinstance(entry, dict):
+        raise RigError(f"{where} must be a table with {', '.join(_FIELDS)}")
+    missing = [field for field in _FIELDS if field not in entry]
+    unknown = [field for field in entry if field not in _FIELDS]
+    if missing or unknown:
+        raise RigError(f"{where} needs exactly {', '.join(_FIELDS)}; wrong: {', '.join(missing + unknown)}")
+    for field in ("value", "tolerance"):
+        if isinstance(entry[field], bool) or not isinstance(entry[field], int | float):
+            raise RigError(f"{where}: {field} must be a number, not {entry[field]!r}")
+    for field in ("unit", "source"):
+        if not isinstance(entry[field], str) or not entry[field]:
+            raise RigError(f"{where}: {field} must be a text, not {entry[field]!r}")
+    return Number(float(entry["value"]), entry["unit"], float(entry["tolerance"]), entry["source"])
+
+
+def _unknown(rig: str, name: str) -> str:
+    return f"rig '{rig}' knows no '{name}'; names are: {', '.join(q.name for q in RIG_QUANTITIES)}"
+
+
+def _check(rig: str, numbers: Mapping[str, Number]) -> None:
+    wanted = {quantity.name: quantity for quantity in RIG_QUANTITIES}
+    for name in numbers:
+        if name not in wanted:
+            raise RigError(_unknown(rig, name))
+    missing = [name for name in wanted if name not in numbers]
+    if missing:
+        raise RigError(f"rig '{rig}' lacks {', '.join(missing)}; add each with {', '.join(_FIELDS)}")
+    for name, number in numbers.items():
+        where = f"rig '{rig}': {name}"
+        if number.unit != wanted[name].unit:
+            raise RigError(f"{where} is in '{number.unit}'; give it in '{wanted[name].unit}'")
+        if not math.isfinite(number.value):
+            raise RigError(f"{where} = {number.value} is not finite")
+        if not (math.isfinite(number.tolerance) and number.tolerance >= 0.0):
+            raise RigError(f"{where}: tolerance {number.tolerance} must be finite and not negative")
+        if number.value < 0.0 and name not in _MAY_BE_NEGATIVE:
+            raise RigError(f"{where} = {number.value} must not be negative")
+        if number.value == 0.0 and name not in _MAY_BE_ZERO | _MAY_BE_NEGATIVE:
+            raise RigError(f"{where} must not be 0")
+    if numbers["elevation_min"].value >= numbers["elevation_max"].value:
+        raise RigError(f"rig '{rig}': elevation_min must be below elevation_max")
+    if numbers["driver_dead_band"].value >= 0.5:
+        raise RigError(f"rig '{rig}': driver_dead_band must be below 0.5, or no duty passes")

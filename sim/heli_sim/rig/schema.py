@@ -1,0 +1,38 @@
+"""What a rig file must hold: name, unit and meaning of every number."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from heli_sim.rig.quantity import Quantity
+
+RIG_QUANTITIES: Final[tuple[Quantity, ...]] = (
+    Quantity("M_f", "kg", "front rotor: motor and propeller"),
+    Quantity("M_b", "kg", "back rotor: motor and propeller"),
+    Quantity("M_w", "kg", "counterweight"),
+    Quantity("M_h", "kg", "short arm"),
+    Quantity("M_l", "kg", "long arm"),
+    Quantity("L_a", "m", "elevation axis to pitch axis"),
+    Quantity("L_b", "m", "elevation axis to counterweight"),
+    Quantity("L_h", "m", "pitch axis to the centre of a propeller"),
+    Quantity("L_phi", "m", "pitch axis down to the short arm"),
+    Quantity("L_theta", "m", "elevation axis down to the long arm"),
+    Quantity("L_x", "m", "elevation axis to the centre of the long arm"),
+    Quantity("g", "m/s2", "gravity"),
+    Quantity("thrust_gain", "N/V", "thrust of one rotor for each volt above the dead zone"),
+    Quantity("dead_zone", "V", "voltage below which a rotor gives no thrust"),
+    Quantity("friction_elevation", "N m s/rad", "viscous friction of the elevation axis"),
+    Quantity("friction_pitch", "N m s/rad", "viscous friction of the pitch axis"),
+    Quantity("friction_travel", "N m s/rad", "viscous friction of the travel axis"),
+    Quantity("air_density", "kg/m3", "density of the air"),
+    Quantity("drag_area_arm", "m2", "drag coefficient times area that travel always drives through the air"),
+    Quantity("drag_area_body", "m2", "drag coefficient times area that pitch turns into the travel's way"),
+    Quantity("elevation_min", "deg", "elevation when the arm rests on the table"),
+    Quantity("elevation_max", "deg", "upper stop of the elevation"),
+    Quantity("pitch_max", "deg", "stops of the pitch, both ways"),
+    Quantity("travel_max", "deg", "travel at which the cables are taut, both ways"),
+    Quantity("table_damping", "1/s", "rate at which pitch and travel motion dies while resting on the table"),
+    Quantity("supply", "V", "supply of the motor drivers"),
+    Quantity("driver_dead_band", "1", "part of the duty that the drivers swallow near 0 and near full"),
+    Quantity("encoder_counts", "count", "counts of each encoder for one revolution, x4"),
+)

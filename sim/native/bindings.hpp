@@ -1,0 +1,8 @@
+// One function for each part of the extension; module.cpp calls them.
+#pragma once
+
+#include <nanobind/nanobind.h>
+
+void bind_world(nanobind::module_& module);
+void bind_link(nanobind::module_& module);
+void bind_control(nanobind::module_& module);

@@ -1,0 +1,97 @@
+#include "native_board.hpp"
+
+#include <algorithm>
+#include <fstream>
+#include <stdexcept>
+
+namespace heli_sim {
+
+std::size_t MemoryBoard::receive(std::uint8_t* to, std::size_t most) {
+  std::size_t count = 0;
+  while (count < most && !rx.empty()) to[count++] = rx.pop();
+  return count;
+}
+
+void MemoryBoard::transmit(const std::uint8_t* bytes, std::size_t count) {
+  for (std::size_t i = 0; i < count; ++i) tx.push(bytes[i]);
+}
+
+void MemoryBoard::read_page(std::size_t page, std::uint8_t* to) {
+  if (page >= kPages) {
+    std::fill_n(to, kPageBytes, std::uint8_t{0xFF});
+    return;
+  }
+  std::copy_n(flash.data() + page * kPageBytes, kPageBytes, to);
+}
+
+bool MemoryBoard::write_page(std::size_t page, const std::uint8_t* from) {
+  if (page >= kPages) return false;
+  std::copy_n(from, kPageBytes, flash.data() + page * kPageBytes);
+  if (flash_file.empty()) return true;
+  std::ofstream file(flash_file, std::ios::binary | std::ios::trunc);
+  file.write(reinterpret_cast<const char*>(flash.data()),
+             static_cast<std::streamsize>(flash.size()));
+  return static_cast<bool>(file.flush());
+}
+
+NativeBoard::NativeBoard(const std::string& flash_file) {
+  memory_.flash_file = flash_file;
+  std::ifstream file(flash_file, std::ios::binary);
+  if (!flash_file.empty() && file.is_open()) {
+    file.read(reinterpret_cast<char*>(memory_.flash.data()),
+              static_cast<std::streamsize>(memory_.flash.size()));
+    if (static_cast<std::size_t>(file.gcount()) != memory_.flash.size()) {
+      throw std::runtime_error("the flash file " + flash_file +
+                               " is not 1024 bytes long; delete it, it is made again");
+    }
+  }
+}
+
+void NativeBoard::boot(heli::link::Reset cause) {
+  memory_.boot.board = 0;
+  memory_.boot.reset = static_cast<std::uint8_t>(cause);
+  memory_.boot.boot_fault = 0;
+  ++memory_.boot.boot_count;
+  core_.emplace(memory_);
+  core_->start();
+}
+
+void NativeBoard::run(const EncoderInput& encoders) {
+  if (reset_ticks_ > 0) {
+    --reset_ticks_;
+    return;
+  }
+  std::copy_n(encoders.count, heli::kAxisCount, memory_.encoders.count);
+  if (!core_) boot(cause_);
+  core_->tick();
+  core_->poll();
+}
+
+MotorOutput NativeBoard::motors() const {
+  const double full = heli::kDutyFull;
+  return {memory_.motors.front_duty / full, memory_.motors.back_duty / full,
+          memory_.motors.enable && !memory_.stop_input};
+}
+
+void NativeBoard::reset(heli::link::Reset cause) {
+  core_.reset();
+  memory_.motors = {};
+  memory_.encoders = {};
+  memory_.rx.clear();
+  memory_.tx.clear();
+  cause_ = cause;
+  reset_ticks_ = kResetTicks;
+}
+
+void NativeBoard::uart_receive(std::uint8_t byte) {
+  if (in_reset()) return;
+  if (!memory_.rx.push(byte)) ++memory_.rx_overflow;
+}
+
+bool NativeBoard::uart_transmit(std::uint8_t& byte) {
+  if (memory_.tx.empty()) return false;
+  byte = memory_.tx.pop();
+  return true;
+}
+
+}  // namespace heli_sim

@@ -1,0 +1,79 @@
+#include "plant_step.hpp"
+
+#include <dlfcn.h>
+
+#include <stdexcept>
+
+namespace heli_sim {
+
+CompiledStep::CompiledStep(const std::string& library, const std::string& name)
+    : library_(library) {
+  handle_ = dlopen(library.c_str(), RTLD_NOW | RTLD_LOCAL);
+  if (handle_ == nullptr) {
+    throw std::runtime_error("the compiled plant does not load: " + std::string(dlerror()) +
+                             "; delete it, it is built again");
+  }
+  try {
+    using Sparsity = const Integer* (*)(Integer);
+    using Work = int (*)(Integer*, Integer*, Integer*, Integer*);
+    function_ = reinterpret_cast<Function>(symbol(name));
+    const auto in = reinterpret_cast<Sparsity>(symbol(name + "_sparsity_in"));
+    const auto out = reinterpret_cast<Sparsity>(symbol(name + "_sparsity_out"));
+    const auto work = reinterpret_cast<Work>(symbol(name + "_work"));
+
+    state_count_ = dense_size(in(0));
+    parameter_count_ = dense_size(in(3));
+    if (dense_size(in(1)) != 2 || dense_size(in(2)) != 3 || dense_size(out(0)) != state_count_ ||
+        dense_size(out(1)) != 3) {
+      throw std::runtime_error("the compiled plant " + library_ +
+                               " has other inputs or outputs; delete it, it is built again");
+    }
+    Integer arguments = 0;
+    Integer results = 0;
+    Integer integers = 0;
+    Integer reals = 0;
+    work(&arguments, &results, &integers, &reals);
+    arguments_.resize(static_cast<std::size_t>(arguments));
+    results_.resize(static_cast<std::size_t>(results));
+    integer_work_.resize(static_cast<std::size_t>(integers));
+    real_work_.resize(static_cast<std::size_t>(reals));
+  } catch (...) {
+    dlclose(handle_);
+    throw;
+  }
+}
+
+CompiledStep::~CompiledStep() { dlclose(handle_); }
+
+void* CompiledStep::symbol(const std::string& name) const {
+  void* address = dlsym(handle_, name.c_str());
+  if (address == nullptr) {
+    throw std::runtime_error("the compiled plant " + library_ + " lacks " + name +
+                             "; delete it, it is built again");
+  }
+  return address;
+}
+
+std::size_t CompiledStep::dense_size(const Integer* sparsity) const {
+  // CasADi's compressed columns: rows, columns, then 1 for dense or the column offsets.
+  const Integer size = sparsity[0] * sparsity[1];
+  const bool dense = sparsity[2] == 1 || sparsity[2 + sparsity[1]] == size;
+  if (!dense) {
+    throw std::runtime_error("the compiled plant " + library_ +
+                             " has a sparse vector; make it dense");
+  }
+  return static_cast<std::size_t>(size);
+}
+
+void CompiledStep::step(const double* state, const double* volts_V, const double* locked,
+                        const double* parameters, double* next_state, double* angles_rad) {
+  arguments_[0] = state;
+  arguments_[1] = volts_V;
+  arguments_[2] = locked;
+  arguments_[3] = parameters;
+  results_[0] = next_state;
+  results_[1] = angles_rad;
+  function_(arguments_.data(), results_.data(), integer_work_.data(), real_work_.data(), 0);
+}
+
+}  // namespace heli_sim

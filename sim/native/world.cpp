@@ -1,0 +1,104 @@
+#include "world.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <string>
+#include <utility>
+
+namespace heli_sim {
+
+namespace {
+
+void require_size(const char* what, std::size_t given, std::size_t wanted) {
+  if (given == wanted) return;
+  throw std::invalid_argument(std::string(what) + " has " + std::to_string(given) +
+                              " numbers; the plant takes " + std::to_string(wanted));
+}
+
+}  // namespace
+
+double PowerStage::volts(double duty) const {
+  const double size = std::min(std::fabs(duty), 1.0);
+  if (size < dead_band) return 0.0;
+  const double effective = size > 1.0 - dead_band ? 1.0 : size;
+  return std::copysign(effective * supply_V, duty);
+}
+
+World::World(std::unique_ptr<SimBoard> board, std::shared_ptr<PlantStep> step,
+             std::vector<double> state, std::vector<double> parameters, const PowerStage& power,
+             const EncoderConfig& encoders)
+    : board_(std::move(board)),
+      step_(std::move(step)),
+      power_(power),
+      encoders_(encoders),
+      state_(std::move(state)),
+      next_state_(state_.size()),
+      parameters_(std::move(parameters)) {
+  require_size("the state", state_.size(), step_->state_count());
+  require_size("the parameter vector", parameters_.size(), step_->parameter_count());
+  std::copy_n(state_.begin(), heli::kAxisCount, angles_rad_.begin());
+  encoders_.move(angles_rad_.data());
+}
+
+void World::set_state(const std::vector<double>& state) {
+  require_size("the state", state.size(), state_.size());
+  state_ = state;
+  std::copy_n(state_.begin(), heli::kAxisCount, angles_rad_.begin());
+  encoders_.move(angles_rad_.data());
+}
+
+void World::set_parameters(const std::vector<double>& parameters) {
+  require_size("the parameter vector", parameters.size(), parameters_.size());
+  parameters_ = parameters;
+}
+
+void World::reset_board(heli::link::Reset cause) {
+  board_->reset(cause);
+  encoders_.restart();
+}
+
+std::uint64_t World::advance(std::uint64_t ticks, bool until_output, std::uint64_t least,
+                             std::vector<std::uint8_t>& to_host) {
+  std::uint64_t passed = 0;
+  while (passed < ticks) {
+    one_tick(to_host);
+    ++passed;
+    if (until_output && passed >= least && !to_host.empty()) break;
+  }
+  return passed;
+}
+
+void World::one_tick(std::vector<std::uint8_t>& to_host) {
+  if (board_->wants_edges()) {
+    move_rig();
+    const std::vector<Edge>& edges = encoders_.edges();
+    run_board(edges.data(), edges.size());
+  } else {
+    run_board(nullptr, 0);
+    move_rig();
+  }
+  line_.tick(*board_, to_host);
+  ++tick_;
+}
+
+void World::run_board(const Edge* edges, std::size_t edge_count) {
+  EncoderInput input{};
+  std::copy_n(encoders_.count(), heli::kAxisCount, input.count);
+  for (std::size_t i = 0; i < edge_count; ++i) input.count[edges[i].axis] -= edges[i].direction;
+  input.edges = edges;
+  input.edge_count = edge_count;
+  board_->run(input);
+}
+
+void World::move_rig() {
+  const MotorOutput motors = board_->motors();
+  volts_V_[0] = motors.enable ? power_.volts(motors.front_duty) : 0.0;
+  volts_V_[1] = motors.enable ? power_.volts(motors.back_duty) : 0.0;
+  step_->step(state_.data(), volts_V_.data(), locked_.data(), parameters_.data(),
+              next_state_.data(), angles_rad_.data());
+  state_.swap(next_state_);
+  encoders_.move(angles_rad_.data());
+}
+
+}  // namespace heli_sim

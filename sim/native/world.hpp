@@ -1,0 +1,71 @@
+// Board, line, power stage and rig on one clock of 1 ms.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "encoders.hpp"
+#include "plant_step.hpp"
+#include "serial_line.hpp"
+#include "sim_board.hpp"
+
+namespace heli_sim {
+
+struct PowerStage {
+  double supply_V;
+  // Fraction of the period that the switching delays of the drivers swallow near 0 and near full
+  // duty: below it nothing comes out, above 1 minus it the bridge is simply on.
+  double dead_band;
+
+  double volts(double duty) const;
+};
+
+class World {
+ public:
+  // `state` begins with elevation, pitch, travel (rad) and their rates (rad/s).
+  // Throws std::invalid_argument when the sizes do not fit the step.
+  World(std::unique_ptr<SimBoard> board, std::shared_ptr<PlantStep> step,
+        std::vector<double> state, std::vector<double> parameters, const PowerStage& power,
+        const EncoderConfig& encoders);
+
+  // Lets up to `ticks` milliseconds pass. With `until_output` it ends early, after the first
+  // `least` of them, as soon as bytes reached the host. Returns the milliseconds that passed.
+  std::uint64_t advance(std::uint64_t ticks, bool until_output, std::uint64_t least,
+                        std::vector<std::uint8_t>& to_host);
+
+  void reset_board(heli::link::Reset cause);
+
+  SimBoard& board() { return *board_; }
+  SerialLine& line() { return line_; }
+  const Encoders& encoders() const { return encoders_; }
+  std::uint64_t tick() const { return tick_; }
+  const std::vector<double>& state() const { return state_; }
+  void set_state(const std::vector<double>& state);
+  const std::vector<double>& parameters() const { return parameters_; }
+  void set_parameters(const std::vector<double>& parameters);
+  const std::array<double, 2>& volts_V() const { return volts_V_; }
+  void set_locked(const std::array<double, heli::kAxisCount>& locked) { locked_ = locked; }
+  const std::array<double, heli::kAxisCount>& locked() const { return locked_; }
+
+ private:
+  void one_tick(std::vector<std::uint8_t>& to_host);
+  void run_board(const Edge* edges, std::size_t edge_count);
+  void move_rig();
+
+  std::unique_ptr<SimBoard> board_;
+  std::shared_ptr<PlantStep> step_;
+  SerialLine line_;
+  PowerStage power_;
+  Encoders encoders_;
+  std::vector<double> state_;
+  std::vector<double> next_state_;
+  std::vector<double> parameters_;
+  std::array<double, heli::kAxisCount> angles_rad_{};
+  std::array<double, heli::kAxisCount> locked_{};
+  std::array<double, 2> volts_V_{};
+  std::uint64_t tick_ = 0;
+};
+
+}  // namespace heli_sim
