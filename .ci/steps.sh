@@ -49,13 +49,13 @@ ticker() { # shows on a terminal that time passes
   while sleep 1; do printf '\r%s %d s ' "$1" $((SECONDS - start)); done
 }
 
-# Runs the next planned step, its output in .venv/last-step.log, of which a failure shows the end.
+# Runs the next planned step; its output is shown only when it fails.
 run_step() { # run_step COMMAND...
   step_number=$((step_number + 1))
   local name about label start=$SECONDS log status=0 ticker_pid=
   name=$(echo "$planned_steps" | cut -d' ' -f$((step_number + 1)))
   about=${step_about_s[$name]}
-  label="[$step_number/$step_count] ${step_label[$name]} (about $about s, all about $seconds_left s) ..."
+  label="[$step_number/$step_count] ${step_label[$name]} (about $about s; $seconds_left s left in all) ..."
   log=$(mktemp)
   printf '%s ' "$label"
   if [ -t 1 ]; then

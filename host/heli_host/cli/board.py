@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from urllib.parse import urlencode
 
@@ -12,59 +11,41 @@ from heli_host.cli.options import DEFAULT_RIG, parse_speed
 
 if TYPE_CHECKING:
     from heli_host.heli import Heli
+    from heli_host.link.transport import PortInfo
 
 ARDUINO_VID = 0x2341
 DUE_PROGRAMMING_PID = 0x003D
 DUE_NATIVE_PID = 0x003E
 
 
-@dataclass(frozen=True)
-class Port:
-    """A serial port of this machine.
+def is_due(port: PortInfo) -> bool:
+    """Say whether a port is the programming port of a Due, which this link uses.
 
     Parameters
     ----------
-    device : str
-        What ``--port`` takes.
-    what : str
-        The device behind it, in a person's words.
-    serial_number : str
-        The device's; may be empty.
-    is_due : bool
-        Whether it is the programming port of a Due, which this link uses.
-    is_due_native : bool
-        Whether it is the Due's other port, which it does not use.
-    """
-
-    device: str
-    what: str
-    serial_number: str
-    is_due: bool
-    is_due_native: bool
-
-
-def list_ports() -> list[Port]:
-    """Return the serial ports of this machine, a Due's programming port first.
+    port : PortInfo
+        A port of this computer.
 
     Returns
     -------
-    list of Port
-        May be empty.
+    bool
     """
-    from serial.tools.list_ports import comports
+    return (port.vendor_id, port.product_id) == (ARDUINO_VID, DUE_PROGRAMMING_PID)
 
-    found = []
-    for port in comports():
-        ours = port.vid == ARDUINO_VID
-        is_due = ours and port.pid == DUE_PROGRAMMING_PID
-        is_native = ours and port.pid == DUE_NATIVE_PID
-        what = port.description if port.description != "n/a" else "serial port"
-        if is_due:
-            what = "Arduino Due, programming port"
-        elif is_native:
-            what = "Arduino Due, native port: move the cable to the programming port"
-        found.append(Port(port.device, what, port.serial_number or "", is_due, is_native))
-    return sorted(found, key=lambda port: (not port.is_due, not port.is_due_native, port.device))
+
+def is_due_native(port: PortInfo) -> bool:
+    """Say whether a port is a Due's other port, which this link does not use.
+
+    Parameters
+    ----------
+    port : PortInfo
+        A port of this computer.
+
+    Returns
+    -------
+    bool
+    """
+    return (port.vendor_id, port.product_id) == (ARDUINO_VID, DUE_NATIVE_PID)
 
 
 def find_board() -> str:
@@ -81,16 +62,17 @@ def find_board() -> str:
         If there is none, or more than one.
     """
     from heli_host.errors import PortError
+    from heli_host.link.transport import available_ports
 
-    found = list_ports()
-    boards = [port.device for port in found if port.is_due]
+    found = available_ports()
+    boards = [port.device for port in found if is_due(port)]
     if len(boards) == 1:
         return boards[0]
     if boards:
         raise PortError(
             f"{len(boards)} boards are plugged in", f"choose one: --port {' or --port '.join(boards)}"
         )
-    if any(port.is_due_native for port in found):
+    if any(is_due_native(port) for port in found):
         raise PortError(
             "the Due is plugged in by its native port", "use the programming port, next to the power jack"
         )

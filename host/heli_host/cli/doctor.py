@@ -12,10 +12,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
-from heli_host.cli.board import ARDUINO_VID, Port, list_ports
+from heli_host.cli.board import ARDUINO_VID, is_due, is_due_native
+
+if TYPE_CHECKING:
+    from heli_host.link.transport import PortInfo
 
 UDEV_FOLDERS = (Path("/etc/udev/rules.d"), Path("/run/udev/rules.d"), Path("/usr/lib/udev/rules.d"))
 UDEV_REMEDY = (
@@ -89,10 +93,12 @@ def examine() -> Iterator[Finding]:
     yield check_compiler()
     yield check_cache()
     yield check_pseudo_terminal()
-    ports = list_ports()
+    from heli_host.link.transport import available_ports
+
+    ports = available_ports()
     yield from check_boards(ports)
     yield from check_permissions(ports)
-    yield check_modem_manager(any(port.is_due for port in ports))
+    yield check_modem_manager(any(is_due(port) for port in ports))
 
 
 def check_python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
@@ -236,12 +242,12 @@ def check_pseudo_terminal() -> Finding:
     return Finding(Verdict.GOOD, f"pseudo-terminals work, at {BAUD} baud too")
 
 
-def check_boards(ports: list[Port]) -> Iterator[Finding]:
+def check_boards(ports: list[PortInfo]) -> Iterator[Finding]:
     """Say which boards are plugged in.
 
     Parameters
     ----------
-    ports : list of Port
+    ports : list of PortInfo
         The serial ports of this machine.
 
     Yields
@@ -249,11 +255,11 @@ def check_boards(ports: list[Port]) -> Iterator[Finding]:
     Finding
         One a board; a note when there is none.
     """
-    boards = [port for port in ports if port.is_due]
+    boards = [port for port in ports if is_due(port)]
     for port in boards:
-        yield Finding(Verdict.GOOD, f"board: {port.what} on {port.device}")
+        yield Finding(Verdict.GOOD, f"board: Arduino Due, programming port, on {port.device}")
     for port in ports:
-        if port.is_due_native:
+        if is_due_native(port):
             yield Finding(
                 Verdict.BAD,
                 f"board: a Due on {port.device}, but by its native port",
@@ -263,12 +269,12 @@ def check_boards(ports: list[Port]) -> Iterator[Finding]:
         yield Finding(Verdict.NOTE, "no Due is plugged in: only the simulated board can fly")
 
 
-def check_permissions(ports: list[Port]) -> Iterator[Finding]:
+def check_permissions(ports: list[PortInfo]) -> Iterator[Finding]:
     """Check that this user may open the serial ports.
 
     Parameters
     ----------
-    ports : list of Port
+    ports : list of PortInfo
         The serial ports of this machine.
 
     Yields
@@ -281,7 +287,7 @@ def check_permissions(ports: list[Port]) -> Iterator[Finding]:
             continue
         group = _group_of(port.device)
         yield Finding(
-            Verdict.BAD if port.is_due else Verdict.NOTE,
+            Verdict.BAD if is_due(port) else Verdict.NOTE,
             f"no permission for {port.device}",
             f"run: sudo usermod -aG {group} $USER, then log out and in again",
         )

@@ -11,16 +11,20 @@ def ports() -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from heli_host.cli.board import list_ports
+    from heli_host.cli.board import is_due, is_due_native
+    from heli_host.link.transport import available_ports
 
-    found = list_ports()
+    found = sorted(available_ports(), key=lambda port: not is_due(port))
     console = Console(highlight=False)
     if not found:
-        console.print(
-            "no serial port found; plug the board in (its programming port, next to the power jack)"
-        )
+        console.print("no serial port; plug the board in by its programming port, next to the power jack")
         return
-    table = Table("port", "what", "serial number", box=None, pad_edge=False)
+    table = Table("port", "what", "name that stays", box=None, pad_edge=False)
     for port in found:
-        table.add_row(port.device, port.what, port.serial_number)
+        what = port.description
+        if is_due(port):
+            what = "Arduino Due, programming port"
+        elif is_due_native(port):
+            what = "Arduino Due, native port: use the other one"
+        table.add_row(port.device, what, port.stable_name if port.stable_name != port.device else "")
     console.print(table)
