@@ -1,0 +1,75 @@
+"""Device ticks as one time axis: counted from the first tick logged, over wraps and restarts of the board."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heli_host.link.declaration import TICK_US
+
+
+class TickClock:
+    """Unwraps the board's 32-bit tick counter (49.7 days at 1 kHz) and goes on after a restart of the
+    board.
+    """
+
+    def __init__(self) -> None:
+        self._last_tick: int | None = None
+        self._last_us = 0
+
+    def advance(self, tick: NDArray[np.uint32]) -> tuple[NDArray[np.int64], int]:
+        """Place a batch of ticks on the axis.
+
+        Parameters
+        ----------
+        tick : ndarray of uint32 (n,)
+            Tick numbers in the order of arrival, n >= 1. One that does not rise means that the board
+            restarted; it is placed one tick behind its forerunner.
+
+        Returns
+        -------
+        time_us : ndarray of int64 (n,)
+            Time since the first tick, in microseconds; strictly rising.
+        lost : int
+            Ticks missing before and within this batch.
+        """
+        anchored = self._last_tick is not None
+        before = self._last_tick if self._last_tick is not None else int(tick[0])
+        step = np.diff(tick, prepend=np.uint32(before)).view(np.int32).astype(np.int64)
+        first = 0 if anchored else 1
+        restarted = step[first:] <= 0
+        step[first:][restarted] = 1
+        lost = int(step.sum()) - (step.size - first)
+        time_us = self._last_us + np.cumsum(step) * TICK_US
+        self._last_tick, self._last_us = int(tick[-1]), int(time_us[-1])
+        return time_us, lost
+
+    def skip(self, gap_s: float) -> None:
+        """Leave time for a restart of the board.
+
+        Parameters
+        ----------
+        gap_s : float
+            Seconds from the last tick to the first of the restarted board, which begins to count anew.
+        """
+        if self._last_tick is not None:
+            self._last_us += max(1, round(gap_s * 1e6 / TICK_US)) * TICK_US
+            self._last_tick = None
+
+    def time_us(self, tick: int) -> int:
+        """Place an event on the axis, without moving on.
+
+        Parameters
+        ----------
+        tick : int
+            Device tick of the event.
+
+        Returns
+        -------
+        int
+            Time since the first tick, in microseconds; 0 for an event before it.
+        """
+        if self._last_tick is None:
+            return self._last_us
+        step = (tick - self._last_tick) & 0xFFFFFFFF
+        return max(0, self._last_us + (step - (1 << 32) if step >= 1 << 31 else step) * TICK_US)

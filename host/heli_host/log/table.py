@@ -1,0 +1,325 @@
+"""Flights as tables: .csv and .csv.gz, in and out."""
+
+from __future__ import annotations
+
+import difflib
+import gzip
+import io
+import re
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heli_host.errors import FlightDataError, LogWriteError
+from heli_host.flight import REQUIRED_COLUMNS, SETPOINT_COLUMNS, STATUS_COLUMNS, Flight, FlightEvent, check
+
+_FORMATS = {"t_s": "%.6f", "front_V": "%.6f", "back_V": "%.6f"} | dict.fromkeys(STATUS_COLUMNS, "%d")
+_NUMBER_FORMAT = "%.9f"
+_NOTE = re.compile(r"([\w .-]{1,40}):\s?(.*)")
+_PLAN_MARK = "plan|"
+_ROWS_A_BLOCK = 20_000
+_OWN_COLUMNS = frozenset(REQUIRED_COLUMNS + SETPOINT_COLUMNS + STATUS_COLUMNS)
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """A table's text, taken apart: notes, column names, and the lines of numbers with their place in the
+    file.
+    """
+
+    notes: tuple[str, ...]
+    names: tuple[str, ...]
+    body: bytes
+    first_line: int
+    note_lines: tuple[int, ...]
+
+    def line_of(self, row: int) -> int:
+        """Line of the file, counted from 1, that holds a row counted from 0."""
+        line = self.first_line + row
+        for note_line in self.note_lines:
+            if note_line <= line:
+                line += 1
+        return line
+
+    def where(self, row: int) -> str:
+        return f"line {self.line_of(row)}"
+
+
+def read_csv(path: Path, *, allow_gaps: bool = False) -> Flight:
+    """Read a flight from a table.
+
+    Parameters
+    ----------
+    path : Path
+        ``.csv`` or ``.csv.gz``.
+    allow_gaps : bool
+        Accept missing rows.
+
+    Returns
+    -------
+    Flight
+        Notes of the form ``# name: value`` are in ``meta`` under their name, the others joined under
+        ``notes``.
+
+    Raises
+    ------
+    FlightDataError
+        As `Flight.read` says.
+    """
+    lines = _take_apart(_read_bytes(path), path)
+    _check_names(lines.names, path)
+    numbers, names = _read_numbers(lines, path)
+    columns = dict(zip(names, numbers.T, strict=True))
+    flight = _build(columns, lines.notes)
+    check(flight, str(path), allow_gaps=allow_gaps, where=lines.where)
+    return flight
+
+
+def write_csv(flight: Flight, path: Path) -> None:
+    """Write a flight as a table.
+
+    Parameters
+    ----------
+    flight : Flight
+        What to write.
+    path : Path
+        ``.csv`` or ``.csv.gz``; the same flight gives the same bytes.
+
+    Raises
+    ------
+    LogWriteError
+        If the file cannot be written.
+    """
+    columns = flight.columns()
+    row_format = ",".join(_FORMATS.get(name, _NUMBER_FORMAT) for name in columns) + "\n"
+    table = np.column_stack([column.astype(np.float64) for column in columns.values()])
+    try:
+        with path.open("wb") as file:
+            if path.name.lower().endswith(".gz"):
+                # Without name and date in its header, the same flight compresses to the same bytes.
+                with gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=file, mtime=0) as packed:
+                    _write_rows(packed, flight, list(columns), row_format, table)
+            else:
+                _write_rows(file, flight, list(columns), row_format, table)
+    except OSError as error:
+        raise LogWriteError(
+            f"cannot write {path}: {error.strerror or error}", "choose another folder"
+        ) from error
+
+
+def _write_rows(
+    file: Any, flight: Flight, names: Sequence[str], row_format: str, table: NDArray[np.float64]
+) -> None:
+    notes = [f"# {name}: {_one_line(value)}" for name, value in flight.meta.items()]
+    notes += [f"# parameter.{name}: {value!r}" for name, value in flight.parameters.items()]
+    notes += [f"# state.{number}: {name}" for number, name in flight.state_names.items()]
+    notes += [f"# fault.{number}: {name}" for number, name in flight.fault_names.items()]
+    notes += [f"# {_PLAN_MARK}{line}" for line in flight.plan.splitlines()]
+    notes += [f"# event.{event.name}: {event.t_s:.6f} {_one_line(event.text)}" for event in flight.events]
+    file.write("".join(line + "\n" for line in (*notes, ",".join(names))).encode())
+    for start in range(0, len(table), _ROWS_A_BLOCK):
+        block = table[start : start + _ROWS_A_BLOCK]
+        file.write(((row_format * len(block)) % tuple(block.ravel().tolist())).encode())
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FlightDataError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
+    if not path.name.lower().endswith(".gz"):
+        return data
+    try:
+        return gzip.decompress(data)
+    except EOFError as error:
+        raise FlightDataError(
+            f"{path}: the compressed file ends early", "copy or download it again"
+        ) from error
+    except (OSError, zlib.error) as error:
+        raise FlightDataError(
+            f"{path}: not a gzip file, or a damaged one", "copy it again, or name it .csv if it is plain text"
+        ) from error
+
+
+def _take_apart(data: bytes, path: Path) -> _Lines:
+    data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if not data.strip():
+        raise FlightDataError(f"{path}: the file is empty", "record a flight into it first")
+    notes: list[str] = []
+    header, position, number = "", 0, 0
+    while position < len(data):
+        end = data.find(b"\n", position)
+        end = len(data) if end < 0 else end
+        line = data[position:end].decode("utf-8", errors="replace").strip()
+        position, number = end + 1, number + 1
+        if line.startswith("#"):
+            notes.append(line[1:].removeprefix(" "))
+        elif line:
+            header = line
+            break
+    body = data[position:]
+    names = tuple(name.strip().strip('"') for name in header.split(","))
+    if b"#" not in body and b"\n\n" not in body:
+        return _Lines(tuple(notes), names, body, number + 1, ())
+    kept: list[bytes] = []
+    note_lines: list[int] = []
+    for offset, raw in enumerate(body.split(b"\n")):
+        if raw.lstrip().startswith(b"#"):
+            notes.append(raw.lstrip()[1:].decode("utf-8", errors="replace").strip())
+            note_lines.append(number + 1 + offset)
+        elif raw.strip():
+            kept.append(raw)
+        else:
+            note_lines.append(number + 1 + offset)
+    return _Lines(tuple(notes), names, b"\n".join(kept), number + 1, tuple(note_lines))
+
+
+def _check_names(names: tuple[str, ...], path: Path) -> None:
+    missing = [name for name in REQUIRED_COLUMNS if name not in names]
+    if missing:
+        raise FlightDataError(f"{path}: column {missing[0]} is missing", _missing_remedy(missing[0], names))
+    doubled = next((name for name in names if names.count(name) > 1), None)
+    if doubled is not None:
+        raise FlightDataError(f"{path}: column {doubled!r} is there twice", "rename or remove one of them")
+
+
+def _missing_remedy(missing: str, names: tuple[str, ...]) -> str:
+    if len(names) == 1:
+        separator = next((mark for mark in ";\t" if mark in names[0]), None)
+        if separator is not None:
+            return "separate the columns by commas"
+    degrees = missing.replace("_rad", "_deg")
+    if degrees != missing and degrees in names:
+        return f"convert {degrees} to radians and name it {missing}"
+    if all(_is_number(name) for name in names):
+        return f"put a first line with the column names: {','.join(REQUIRED_COLUMNS)}"
+    close = difflib.get_close_matches(missing, names, n=1, cutoff=0.5)
+    if close:
+        return f"rename {close[0]!r} if that is it, and mind the unit"
+    return f"it has {', '.join(names[:8])}; a flight needs {', '.join(REQUIRED_COLUMNS)}"
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _read_numbers(lines: _Lines, path: Path) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    if not lines.body.strip():
+        raise FlightDataError(f"{path}: no rows below the column names", "record a flight into it first")
+    keep = list(range(len(lines.names)))
+    while True:
+        names = tuple(lines.names[column] for column in keep)
+        try:
+            return _load(lines.body, len(lines.names), keep), names
+        except ValueError as error:
+            row, column, text = _find_bad_cell(lines, keep)
+            if row < 0:
+                raise FlightDataError(f"{path}: {error}", "correct the table") from error
+            if column >= 0 and lines.names[column] not in _OWN_COLUMNS:
+                keep.remove(column)
+                continue
+            if column < 0:
+                raise FlightDataError(
+                    f"{path}: {lines.where(row)} has {text} columns, the header {len(lines.names)}",
+                    "complete or remove that line",
+                ) from error
+            raise FlightDataError(
+                f"{path}: {lines.names[column]} is {text!r} in {lines.where(row)}, not a number",
+                "correct or remove that line",
+            ) from error
+
+
+def _load(body: bytes, width: int, keep: list[int]) -> NDArray[np.float64]:
+    usecols = None if len(keep) == width else keep
+    table = np.loadtxt(
+        io.BytesIO(body), delimiter=",", comments=None, ndmin=2, usecols=usecols, encoding="latin-1"
+    )
+    if table.shape[1] != len(keep):
+        raise ValueError("the rows have another number of columns than the header")
+    return np.asarray(table, np.float64)
+
+
+def _find_bad_cell(lines: _Lines, keep: list[int]) -> tuple[int, int, str]:
+    """Return row, column and text of the first cell that is not a number; column -1: the row has ``text``
+    cells.
+    """
+    for row, raw in enumerate(lines.body.split(b"\n")):
+        if not raw.strip():
+            continue
+        cells = raw.decode("latin-1").split(",")
+        if len(cells) != len(lines.names):
+            return row, -1, str(len(cells))
+        for column in keep:
+            if not _is_number(cells[column]):
+                return row, column, cells[column].strip()[:40]
+    return -1, -1, ""
+
+
+def _build(columns: dict[str, NDArray[np.float64]], notes: tuple[str, ...]) -> Flight:
+    meta: dict[str, str] = {}
+    free: list[str] = []
+    plan: list[str] = []
+    parameters: dict[str, float] = {}
+    events: list[FlightEvent] = []
+    names: dict[str, dict[int, str]] = {"state": {}, "fault": {}}
+    for note in notes:
+        if note.startswith(_PLAN_MARK):
+            plan.append(note.removeprefix(_PLAN_MARK))
+            continue
+        match = _NOTE.fullmatch(note)
+        if match is None:
+            free.append(note)
+            continue
+        key, value = match.group(1), match.group(2)
+        room, _, name = key.partition(".")
+        if room == "parameter" and name and _is_number(value):
+            parameters[name] = float(value)
+        elif room in names and name.isdigit():
+            names[room][int(name)] = value
+        elif room == "event" and name and _is_number(value.partition(" ")[0]):
+            moment, _, text = value.partition(" ")
+            events.append(FlightEvent(float(moment), name, text))
+        elif key in meta:
+            free.append(note)
+        else:
+            meta[key] = value
+    if free:
+        meta["notes"] = "\n".join(free)
+    own: dict[str, Any] = {
+        name: np.ascontiguousarray(columns[name])
+        for name in REQUIRED_COLUMNS + SETPOINT_COLUMNS
+        if name in columns
+    }
+    extra: dict[str, NDArray[np.float64]] = {}
+    for name, column in columns.items():
+        if name in STATUS_COLUMNS and _fits_a_byte(column):
+            own[name] = column.astype(np.uint8)
+        elif name not in own:
+            extra[name] = np.ascontiguousarray(column)
+    return Flight(
+        **own,
+        state_names=names["state"],
+        fault_names=names["fault"],
+        events=tuple(events),
+        parameters=parameters,
+        plan="\n".join(plan) + "\n" if plan else "",
+        extra=extra,
+        meta=meta,
+    )
+
+
+def _fits_a_byte(column: NDArray[np.float64]) -> bool:
+    return bool(np.all((column >= 0) & (column <= 255) & (column == np.floor(column))))
