@@ -125,11 +125,10 @@ class Desk {
 
   nb::bytes sent() {
     std::vector<char> bytes;
-    std::uint8_t byte = 0;
-    while (board_.tx.pop(byte)) {
-      bytes.push_back(static_cast<char>(byte));
+    while (!board_.tx.empty()) {
+      bytes.push_back(static_cast<char>(board_.tx.pop()));
     }
-    return {bytes.data(), bytes.size()};
+    return nb::bytes(bytes.data(), bytes.size());
   }
 
   std::tuple<int, int, bool> motors() const {
