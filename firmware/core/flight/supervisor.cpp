@@ -71,7 +71,7 @@ std::uint16_t Supervisor::setpoint_rate_Hz() const {
   for (const std::uint16_t count : accepted_) {
     sum = static_cast<std::uint16_t>(sum + count);
   }
-  return sum;
+  return static_cast<std::uint16_t>(sum - accepted_[bucket_]);
 }
 
 void Supervisor::event(Event kind, std::uint8_t detail, std::uint8_t cause, float value) {
@@ -363,7 +363,7 @@ bool Supervisor::touched_down() {
 void Supervisor::advance() {
   if (passed(seen_.tick, bucket_end_tick_)) {
     bucket_end_tick_ = seen_.tick + kBucket_ticks;
-    bucket_ = (bucket_ + 1U) % kRateBuckets;
+    bucket_ = bucket_ + 1U < kRateBuckets ? bucket_ + 1U : 0U;
     accepted_[bucket_] = 0;
   }
   if (motors_enabled()) {

@@ -56,8 +56,8 @@ class Supervisor {
   std::uint16_t setpoint_rate_Hz() const;
 
  private:
-  // Accepted stream values of the last second, in quarters.
-  static constexpr std::uint32_t kRateBuckets = 4;
+  // Accepted stream values in quarters of a second: the running one and the last four.
+  static constexpr std::uint32_t kRateBuckets = 5;
   static constexpr std::uint32_t kBucket_ticks = 250;
 
   bool trigger(Trigger cause);

@@ -1,0 +1,213 @@
+"""The C++ control law against the reference written from the equations, and its properties."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from heli_host.link.declaration import PARAMS
+from heli_sim._native import control
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.control.reference import ReferenceLaw
+
+INDEX = {p.name: p.index for p in PARAMS}
+DEFAULTS = {p.name: p.default for p in PARAMS}
+ALL = 7
+
+
+def make_law(**changes: float) -> tuple[control.Law, ReferenceLaw]:
+    parameters = DEFAULTS | changes
+    law = control.Law([(INDEX[name], value) for name, value in parameters.items()])
+    return law, ReferenceLaw(parameters)
+
+
+def radians(values: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(math.radians(v) for v in values)
+
+
+def fly_both(seed: int, ticks: int, **changes: float) -> np.ndarray:
+    """Random smooth states, setpoints, axis masks and excitation through both laws; (ticks, 6)."""
+    rng = np.random.default_rng(seed)
+    law, reference = make_law(**changes)
+    t = np.arange(ticks) * 0.001
+    wave = lambda size: size * np.sin(2 * np.pi * rng.uniform(0.05, 3) * t + rng.uniform(0, 6))  # noqa: E731
+    angles = np.stack([wave(15), wave(25), wave(60)], axis=1)  # deg (ticks, 3)
+    rates = np.gradient(angles, 0.001, axis=0)
+    setpoints = np.stack([wave(10), wave(18), wave(40)], axis=1)
+    masks = rng.choice([ALL, 1, 2, 3, 6, 0], size=1 + ticks // 200).repeat(200)[:ticks]
+    out = np.empty((ticks, 6))
+    for k in range(ticks):
+        open_V = (1.5 + rng.uniform(-1, 1), 1.5)
+        excitation_V = (float(rng.normal(0, 0.2)), float(rng.normal(0, 0.2)))
+        state = (tuple(angles[k]), tuple(rates[k]), tuple(setpoints[k]))
+        front, back, pitch_rad, *_ = law.update(*(radians(x) for x in state), int(masks[k]), open_V, excitation_V)
+        out[k] = (front, back, math.degrees(pitch_rad), *reference.update(*state, int(masks[k]), open_V, excitation_V))
+    return out
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_law_agrees_with_the_equations_over_random_flights(seed: int) -> None:
+    out = fly_both(seed, 4000)
+    np.testing.assert_allclose(out[:, :2], out[:, 3:5], atol=2e-3)  # V; float32 and the blend's slope of 20
+    np.testing.assert_allclose(out[:, 2], out[:, 5], atol=2e-3)  # deg
+
+
+def test_law_agrees_when_the_motors_may_reverse_and_gains_are_the_papers() -> None:
+    paper = {"elevation_ki": 1.0, "elevation_kd": 0.1, "pitch_ki": 3.0, "pitch_kd": 0.1, "travel_ki": 0.13}
+    out = fly_both(11, 4000, motor_min_V=-6.0, **paper)
+    np.testing.assert_allclose(out[:, :2], out[:, 3:5], atol=5e-3)
+
+
+level = st.floats(-12, 12, width=32)
+
+
+@given(level, level, st.floats(-5, 0, width=32), st.floats(0.5, 11, width=32), st.floats(0.125, 24, width=32))
+def test_mixer_keeps_motors_in_range_and_pitch_first(
+    collective_V: float, differential_V: float, least_V: float, most_V: float, bound_V: float
+) -> None:
+    front, back, plus, minus = control.mix(collective_V, differential_V, least_V, most_V, bound_V)
+    assert least_V - 1e-5 <= front <= most_V + 1e-5
+    assert least_V - 1e-5 <= back <= most_V + 1e-5
+    assert front + back == pytest.approx(plus, abs=1e-5)
+    assert front - back == pytest.approx(minus, abs=1e-5)
+    largest = min(bound_V, most_V - least_V)
+    assert minus == pytest.approx(max(-largest, min(largest, differential_V)), abs=1e-5)
+
+
+def step_response(differential_V: float) -> float:
+    """Collective that is left when pitch asks for this much."""
+    return control.mix(4.0, differential_V, 0.0, 9.0, 24.0)[2]
+
+
+def test_pitch_takes_voltage_from_the_collective_only_when_a_motor_is_at_its_limit() -> None:
+    assert step_response(3.9) == pytest.approx(4.0)
+    assert step_response(6.0) == pytest.approx(6.0)
+
+
+def run_constant(law: control.Law, ticks: int, axes: int, setpoint_deg: tuple[float, float, float]) -> list[float]:
+    zero = (0.0, 0.0, 0.0)
+    return [law.update(zero, zero, radians(setpoint_deg), axes, (0.0, 0.0), (0.0, 0.0))[0] for _ in range(ticks)]
+
+
+def test_integrator_does_not_wind_up_while_the_mixer_is_saturated() -> None:
+    law, _ = make_law(elevation_ki=5.0, elevation_integral_max_V=20.0)
+    run_constant(law, 5000, ALL, (24.0, 0.0, 0.0))
+    saturated = run_constant(law, 1, ALL, (24.0, 0.0, 0.0))[0]
+    assert saturated == pytest.approx(DEFAULTS["motor_max_V"], abs=0.3)
+    # With the error reversed the output must leave the limit at once, not after unwinding 5 s of integral.
+    after = run_constant(law, 300, ALL, (-24.0, 0.0, 0.0))
+    assert after[-1] == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("before, after", [(0, ALL), (ALL, 0), (2, ALL), (ALL, 2), (3, 6)])
+def test_mode_changes_do_not_jump(before: int, after: int) -> None:
+    law, _ = make_law()
+    state = (radians((-3.0, 2.0, 5.0)), (0.0, 0.0, 0.0), radians((4.0, -3.0, 9.0)))
+    open_V, none = (1.8, 1.6), (0.0, 0.0)
+    for _ in range(3000):
+        last = law.update(*state, before, open_V, none)
+    first = law.update(*state, after, open_V, none)
+    # The fade loses 1/300 of the jump a tick, and a loop that closes starts from the angle it finds.
+    assert first[0] == pytest.approx(last[0], abs=0.06)
+    assert first[1] == pytest.approx(last[1], abs=0.06)
+
+
+def test_derivative_acts_on_the_measurement_not_on_the_setpoint() -> None:
+    law, _ = make_law(elevation_ki=0.0, pitch_ki=0.0, travel_ki=0.0)
+    before = run_constant(law, 3000, 1, (0.0, 0.0, 0.0))[-1]
+    after = run_constant(law, 1, 1, (1.0, 0.0, 0.0))[0]
+    assert after - before == pytest.approx(DEFAULTS["elevation_kp"] * 1.0 / 2, abs=1e-3)
+
+
+def test_open_loop_gives_the_voltages_that_were_asked_for_dead_zone_included() -> None:
+    law, _ = make_law()
+    zero = (0.0, 0.0, 0.0)
+    for _ in range(6000):
+        out = law.update(zero, zero, zero, 0, (0.4, 2.5), (0.0, 0.0))
+    assert out[:2] == pytest.approx((0.4, 2.5), abs=1e-4)
+
+
+@given(st.floats(2.0**-10, 2.0**20, width=32))
+def test_reciprocal_needs_no_division_and_is_right(value: float) -> None:
+    assert control.reciprocal(value) * value == pytest.approx(1.0, rel=1e-6)
+
+
+def test_rate_filter_follows_a_ramp_exactly_and_halves_no_signal_below_its_cutoff() -> None:
+    smoothing = 1 - math.exp(-2 * math.pi * 20 * 0.001)
+    ramp = control.RateFilter()
+    for k in range(400):
+        rate = ramp.update(0.002 * k, smoothing)
+    assert rate == pytest.approx(2.0, rel=1e-3)
+    wave = control.RateFilter()
+    t = np.arange(3000) * 0.001
+    rates = np.array([wave.update(float(np.sin(2 * np.pi * 5 * x)), smoothing) for x in t])[1000:]
+    # Two poles at 20 Hz leave 1 / (1 + (5/20)^2) of a 5 Hz signal.
+    assert np.ptp(rates) / 2 == pytest.approx(2 * np.pi * 5 / (1 + (5 / 20) ** 2), rel=0.02)
+
+
+def test_rate_filter_quietens_the_encoder_as_the_comment_claims() -> None:
+    smoothing = 1 - math.exp(-2 * math.pi * 20 * 0.001)
+    t = np.arange(20000) * 0.001
+    angle = 0.3 * np.sin(2 * np.pi * 0.2 * t)
+    counted = np.round(angle * 4096 / (2 * np.pi)) * 2 * np.pi / 4096
+    law = control.RateFilter()
+    rates = np.array([law.update(float(a), smoothing) for a in counted])[2000:]
+    exact = 0.3 * 2 * np.pi * 0.2 * np.cos(2 * np.pi * 0.2 * t)[2000:]
+    raw = np.diff(counted)[1999:] / 0.001 - exact
+    assert np.std(raw) > 0.2
+    assert np.std(rates - exact) < 0.03
+
+
+@settings(deadline=None)
+@given(
+    kind=st.integers(1, 5),
+    front_V=st.floats(-2, 2, width=32),
+    back_V=st.floats(-2, 2, width=32),
+    start_Hz=st.floats(0, 20, width=32),
+    spread_Hz=st.floats(0, 100, width=32),
+    duration_s=st.floats(0.015625, 4, width=32),
+    seed=st.integers(1, 2**32 - 1),
+)
+def test_excitation_never_exceeds_its_amplitude_or_its_time(
+    kind: int, front_V: float, back_V: float, start_Hz: float, spread_Hz: float, duration_s: float, seed: int
+) -> None:
+    ticks = round(duration_s * 1000)
+    values = control.excitation(kind, front_V, back_V, start_Hz, start_Hz + spread_Hz, duration_s, seed, ticks + 50)
+    assert np.all(np.abs(values[:, 0]) <= abs(front_V) + 1e-6)
+    assert np.all(np.abs(values[:, 1]) <= abs(back_V) + 1e-6)
+    assert np.all(values[ticks + 1 :] == 0)
+
+
+def test_multisine_excites_the_motors_at_frequencies_of_their_own() -> None:
+    values = control.excitation(4, 1.0, 1.0, 0.5, 8.0, 60.0, 1, 60000)
+    spectrum = np.abs(np.fft.rfft(values, axis=0))  # (frequencies, 2)
+    peaks = [set(np.argsort(spectrum[:, motor])[-8:]) for motor in (0, 1)]
+    assert peaks[0].isdisjoint(peaks[1])
+    expected = 0.5 + (2 * np.arange(8)) / 15 * 7.5
+    np.testing.assert_allclose(sorted(np.array(list(peaks[0])) / 60.0), expected, atol=0.02)
+
+
+def test_chirp_sweeps_from_start_to_stop() -> None:
+    values = control.excitation(3, 1.0, 0.0, 1.0, 20.0, 10.0, 1, 10000)[:, 0]
+    crossings = np.flatnonzero(np.diff(np.signbit(values)))
+    frequency = 500 / np.diff(crossings)  # Hz, half periods in ms
+    middle = crossings[:-1] / 1000
+    np.testing.assert_allclose(frequency[5:-5], 1 + 1.9 * middle[5:-5], rtol=0.12)
+
+
+def test_prbs_switches_at_its_rate_only_and_depends_on_its_seed() -> None:
+    values = control.excitation(5, 1.0, 1.0, 0.0, 10.0, 20.0, 42, 20000)[:, 0]
+    switches = np.flatnonzero(np.diff(values)) + 1
+    assert np.all(np.isin(np.mod(switches, 100), (0, 1, 99)))
+    assert 60 < len(switches) < 140
+    other = control.excitation(5, 1.0, 1.0, 0.0, 10.0, 20.0, 43, 20000)[:, 0]
+    assert not np.array_equal(values, other)
+
+
+def test_doublet_and_step_have_their_shapes() -> None:
+    doublet = control.excitation(2, 1.5, -0.5, 0.0, 0.0, 2.0, 1, 2000)
+    assert np.all(doublet[:1000] == (1.5, -0.5))
+    assert np.all(doublet[1000:] == (-1.5, 0.5))
+    assert np.all(control.excitation(1, 0.5, 0.25, 0.0, 0.0, 1.0, 1, 1000) == (0.5, 0.25))

@@ -1,0 +1,443 @@
+"""Who may start the motors, what stops them, and when."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from tests.flight.desk import REST_DEG, Desk
+from heli_host.link import declaration as d
+from heli_host.link.declaration import Event, Fault, Result, State, Trigger
+from heli_host.link.telemetry import TelemetryDecoder
+from heli_sim._native import control
+
+# The table as docs and README promise it, written a second time: (from, trigger) -> to.
+PROMISED = {
+    (State.IDLE, Trigger.ARM): State.ARMED,
+    (State.ARMED, Trigger.CLOSE_LOOP): State.CLOSED_LOOP,
+    (State.ARMED, Trigger.OPEN_LOOP): State.OPEN_LOOP,
+    (State.ARMED, Trigger.STREAM): State.STREAMED,
+    (State.ARMED, Trigger.LAND): State.IDLE,
+    (State.ARMED, Trigger.STALE_LAND): State.IDLE,
+    (State.CLOSED_LOOP, Trigger.STALE_HOLD): State.HOLD,
+    (State.STREAMED, Trigger.STALE_HOLD): State.HOLD,
+    (State.OPEN_LOOP, Trigger.STALE_HOLD): State.IDLE,
+    (State.HOLD, Trigger.SETPOINT_FRESH): State.CLOSED_LOOP,
+    (State.HOLD, Trigger.STALE_LAND): State.LANDING,
+    (State.HOLD, Trigger.CLOSE_LOOP): State.CLOSED_LOOP,
+    (State.HOLD, Trigger.STREAM): State.STREAMED,
+    (State.HOLD, Trigger.LAND): State.LANDING,
+    (State.LANDING, Trigger.TOUCHDOWN): State.IDLE,
+    (State.LANDING, Trigger.CLOSE_LOOP): State.CLOSED_LOOP,
+    (State.LANDING, Trigger.LAND): State.LANDING,
+    (State.FAULT, Trigger.CLEAR): State.IDLE,
+    (State.FAULT, Trigger.STOP): State.FAULT,
+}
+PROMISED |= {(s, Trigger.STOP): State.IDLE for s in State if s is not State.FAULT}
+PROMISED |= {(s, Trigger.TRIP): State.FAULT for s in State}
+for flying in (State.CLOSED_LOOP, State.OPEN_LOOP, State.STREAMED):
+    PROMISED |= {
+        (flying, Trigger.CLOSE_LOOP): State.CLOSED_LOOP,
+        (flying, Trigger.OPEN_LOOP): State.OPEN_LOOP,
+        (flying, Trigger.STREAM): State.STREAMED,
+        (flying, Trigger.LAND): State.LANDING,
+    }
+
+
+@pytest.mark.parametrize(
+    "state, trigger", list(itertools.product(State, Trigger)), ids=lambda x: x.name.lower()
+)
+def test_every_cell_of_the_state_table_is_as_promised(state: State, trigger: Trigger) -> None:
+    assert control.next_state(state, trigger) == PROMISED.get((state, trigger))
+
+
+def test_power_up_is_idle_with_the_bridges_off_and_the_arm_at_rest() -> None:
+    desk = Desk(session=False)
+    assert desk.state is State.IDLE
+    assert desk.motors_off
+
+
+def test_nothing_is_obeyed_before_a_handshake() -> None:
+    desk = Desk(session=False)
+    assert desk.arm().result == Result.NO_HANDSHAKE
+    assert desk.state is State.IDLE
+
+
+def test_armed_drives_are_enabled_at_zero_voltage() -> None:
+    desk = Desk()
+    assert desk.arm().result == Result.OK
+    assert desk.state is State.ARMED
+    assert desk.motors == (0, 0, True)
+
+
+def refused_with(desk: Desk, fault: Fault) -> None:
+    reply = desk.arm()
+    assert (reply.result, reply.detail) == (Result.CHECK_FAILED, fault)
+    assert desk.motors_off
+
+
+def test_arming_is_refused_away_from_rest() -> None:
+    desk = Desk()
+    desk.glide(0, REST_DEG + 4, 1.0)
+    desk.tick(500)
+    desk.ping()
+    refused_with(desk, Fault.NOT_AT_REST)
+
+
+def test_arming_is_refused_with_the_short_arm_tilted() -> None:
+    desk = Desk()
+    desk.glide(1, 12, 20.0)
+    desk.tick(400)
+    desk.ping()
+    refused_with(desk, Fault.PITCH_NOT_LEVEL)
+
+
+def test_arming_is_refused_while_moving() -> None:
+    desk = Desk()
+    desk.glide(2, 20, 30.0)
+    refused_with(desk, Fault.MOVING)
+
+
+def test_arming_is_refused_when_parameters_contradict_each_other() -> None:
+    desk = Desk()
+    assert desk.set("motor_max_V", 24).result == Result.OK  # above the supply of 12 V
+    refused_with(desk, Fault.PARAMETERS_INVALID)
+
+
+def test_arming_is_refused_while_the_hardware_stop_is_pressed() -> None:
+    desk = Desk()
+    desk.core.stop_input(True)
+    refused_with(desk, Fault.HARDWARE_STOP)
+
+
+def test_arming_is_refused_in_flight() -> None:
+    desk = Desk()
+    desk.fly()
+    reply = desk.arm()
+    assert (reply.result, reply.detail) == (Result.BAD_STATE, State.CLOSED_LOOP)
+
+
+@pytest.mark.parametrize(
+    "axis, angle_deg, rate_deg_s, fault",
+    [
+        (0, 25, 60, Fault.ELEVATION_LIMIT),
+        (1, 46, 200, Fault.PITCH_LIMIT),
+        (1, -46, 200, Fault.PITCH_LIMIT),
+        (2, 176, 100, Fault.TRAVEL_LIMIT),
+        (2, -176, 100, Fault.TRAVEL_LIMIT),
+        (0, 0, 200, Fault.ELEVATION_RATE),
+        (1, 40, 900, Fault.PITCH_RATE),
+        (2, 90, 300, Fault.TRAVEL_RATE),
+    ],
+)
+def test_each_limit_cuts_the_motors_and_names_itself(axis: int, angle_deg: float, rate_deg_s: float, fault: Fault) -> None:
+    desk = Desk()
+    desk.set("setpoint_hold_s", 5)
+    desk.set("setpoint_land_s", 30)
+    desk.fly()
+    desk.glide(axis, angle_deg, rate_deg_s)
+    desk.tick(30)
+    assert desk.state is State.FAULT
+    assert desk.motors_off
+    assert desk.last_event(Event.FAULT).detail == fault
+
+
+@pytest.mark.parametrize("axis, fault", [(0, Fault.ENCODER_ELEVATION), (1, Fault.ENCODER_PITCH), (2, Fault.ENCODER_TRAVEL)])
+def test_illegal_encoder_transitions_are_tolerated_up_to_the_parameter_then_cut(axis: int, fault: Fault) -> None:
+    desk = Desk()
+    desk.break_encoder(axis, 100)  # before arming they do not count
+    desk.tick()
+    desk.fly()
+    desk.break_encoder(axis, 5)
+    desk.tick()
+    assert desk.state is State.CLOSED_LOOP
+    desk.break_encoder(axis, 1)
+    desk.tick(5)
+    assert desk.motors_off
+    assert desk.last_event(Event.FAULT).detail == fault
+
+
+def test_late_ticks_cut_the_motors_when_there_are_too_many() -> None:
+    desk = Desk()
+    desk.fly()
+    desk.tick(10, late=True)
+    assert desk.state is State.CLOSED_LOOP
+    desk.tick(2, late=True)
+    desk.tick(20)
+    assert desk.motors_off
+    assert desk.last_event(Event.FAULT).detail == Fault.TICK_OVERRUN
+
+
+def test_a_fault_stays_until_it_is_cleared_and_not_while_its_cause_is_pressed() -> None:
+    desk = Desk()
+    desk.fly()
+    desk.core.stop_input(True)
+    desk.tick(2)
+    assert desk.state is State.FAULT
+    assert desk.arm().result == Result.BAD_STATE
+    assert desk.ask(d.ClearFaultMessage(0)).detail == Fault.HARDWARE_STOP
+    desk.core.stop_input(False)
+    desk.tick()
+    assert desk.ask(d.ClearFaultMessage(0)).result == Result.OK
+    assert desk.state is State.IDLE
+
+
+def test_setpoint_loss_holds_level_after_half_a_second_then_lands_after_two_then_cuts() -> None:
+    desk = Desk()
+    desk.fly()
+    desk.glide(0, 0, 20)
+    desk.keep_flying(2000)
+    # The last setpoint was taken 20 ticks before keep_flying ended.
+    desk.tick(470)
+    assert desk.state is State.CLOSED_LOOP
+    desk.tick(20)
+    assert desk.state is State.HOLD
+    assert desk.last_event(Event.SETPOINT_STALE).value == pytest.approx(50, abs=2)
+    desk.tick(1470)
+    assert desk.state is State.HOLD
+    desk.tick(40)
+    assert desk.state is State.LANDING
+    desk.glide(0, REST_DEG, 10)
+    desk.tick(250)
+    assert desk.state is State.LANDING
+    desk.tick(400)
+    assert desk.state is State.IDLE
+    assert desk.motors_off
+
+
+def test_a_setpoint_that_comes_back_ends_the_hold_but_not_a_landing() -> None:
+    desk = Desk()
+    desk.fly()
+    desk.tick(600)
+    assert desk.state is State.HOLD
+    desk.keep_flying(40, elevation_deg=REST_DEG)
+    assert desk.state is State.CLOSED_LOOP
+    desk.glide(0, -10, 20)
+    desk.tick(2600)
+    assert desk.state is State.LANDING
+    desk.keep_flying(40)
+    assert desk.state is State.LANDING
+
+
+def test_landing_that_never_reaches_the_table_times_out_with_a_fault() -> None:
+    desk = Desk()
+    desk.fly()
+    desk.glide(0, 0, 60)
+    assert desk.ask(d.LandMessage(0)).result == Result.OK
+    desk.tick(11900)
+    assert desk.state is State.LANDING
+    desk.tick(200)
+    assert desk.motors_off
+    assert desk.last_event(Event.FAULT).detail == Fault.LANDING_TIMEOUT
+
+
+def test_stop_works_from_every_state_that_has_motors() -> None:
+    def streamed(desk: Desk) -> None:
+        desk.arm()
+        desk.ask(d.StreamMessage(0))
+
+    def open_loop(desk: Desk) -> None:
+        desk.arm()
+        desk.ask(d.ControlMessage(0, 0, 1.5, 1.5))
+
+    def hold(desk: Desk) -> None:
+        desk.fly()
+        desk.tick(600)
+
+    def landing(desk: Desk) -> None:
+        desk.fly()
+        desk.glide(0, 0, 60)
+        desk.ask(d.LandMessage(0))
+
+    reached = set()
+    for prepare in (Desk.arm, Desk.fly, streamed, open_loop, hold, landing):
+        desk = Desk()
+        prepare(desk)
+        reached.add(desk.state)
+        assert desk.ask(d.StopMessage(0)).result == Result.OK
+        assert desk.motors_off
+    assert reached == set(State) - {State.IDLE, State.FAULT}
+
+
+def test_streamed_voltage_acts_for_its_time_only_then_the_board_holds_by_itself() -> None:
+    desk = Desk()
+    desk.arm()
+    desk.ask(d.StreamMessage(0))
+    for _ in range(100):
+        desk.send(d.VoltagesMessage(2.0, 1.5, 50))
+        desk.tick(10)
+    assert desk.motors[:2] == (350, 263)  # 2100 / 12 V
+    desk.send(d.VoltagesMessage(2.0, 1.5, 50))
+    desk.tick(48)
+    assert desk.state is State.STREAMED
+    desk.tick(5)
+    assert desk.state is State.HOLD
+
+
+def test_a_streamed_voltage_that_asks_for_hours_gets_the_parameter() -> None:
+    desk = Desk()
+    desk.arm()
+    desk.ask(d.StreamMessage(0))
+    desk.send(d.VoltagesMessage(1.0, 1.0, 60000))
+    desk.tick(99)
+    assert desk.state is State.STREAMED
+    desk.tick(5)
+    assert desk.state is State.HOLD
+
+
+def test_open_loop_without_a_living_link_cuts_the_motors() -> None:
+    desk = Desk()
+    desk.arm()
+    desk.ask(d.ControlMessage(0, 0, 1.5, 1.5))
+    desk.tick(480)
+    assert desk.state is State.OPEN_LOOP
+    desk.tick(40)
+    assert desk.state is State.IDLE
+    assert desk.motors_off
+
+
+def test_armed_without_a_living_link_disarms() -> None:
+    desk = Desk()
+    desk.arm()
+    desk.tick(1990)
+    assert desk.state is State.ARMED
+    desk.tick(40)
+    assert desk.motors_off
+
+
+@pytest.mark.parametrize(
+    "setpoint",
+    [
+        {"elevation_deg": 22.5},
+        {"elevation_deg": -27.0},
+        {"pitch_deg": 20.5},
+        {"travel_deg": 171.0},
+        {"travel_deg": -171.0},
+        {"at_tick": 10**6},
+    ],
+)
+def test_a_setpoint_outside_the_limits_is_refused_and_reported(setpoint: dict[str, float]) -> None:
+    desk = Desk()
+    desk.fly()
+    desk.setpoint(**setpoint)  # type: ignore[arg-type]
+    desk.tick(30)
+    assert desk.last_event(Event.SETPOINT_REJECTED).detail == Result.BAD_VALUE
+    desk.tick(480)
+    assert desk.state is State.HOLD, "a refused setpoint must not count as fresh"
+
+
+def test_a_host_that_streams_nonsense_gets_one_event_in_half_a_second() -> None:
+    desk = Desk()
+    for _ in range(100):
+        desk.setpoint(elevation_deg=90)
+        desk.tick(10)
+    assert sum(e.kind == Event.SETPOINT_REJECTED for e in desk.events) <= 3
+
+
+@pytest.mark.parametrize("axes", [4, 5, 8, 255])
+def test_travel_cannot_be_closed_without_pitch_nor_unknown_axes(axes: int) -> None:
+    desk = Desk()
+    desk.arm()
+    assert desk.close_loops(axes).result == Result.BAD_VALUE
+    assert desk.state is State.ARMED
+
+
+@pytest.mark.parametrize(
+    "message, field",
+    [
+        (d.ExciteMessage(0, 0, 1, 1, 1, 2, 1, 1), 0),
+        (d.ExciteMessage(0, 6, 1, 1, 1, 2, 1, 1), 0),
+        (d.ExciteMessage(0, 1, 2.5, 1, 1, 2, 1, 1), 1),
+        (d.ExciteMessage(0, 1, 1, -2.5, 1, 2, 1, 1), 2),
+        (d.ExciteMessage(0, 3, 1, 1, -1, 2, 1, 1), 3),
+        (d.ExciteMessage(0, 3, 1, 1, 3, 2, 1, 1), 4),
+        (d.ExciteMessage(0, 4, 1, 1, 1, 600, 1, 1), 4),
+        (d.ExciteMessage(0, 5, 1, 1, 0, 0, 1, 1), 4),
+        (d.ExciteMessage(0, 1, 1, 1, 1, 2, 121, 1), 5),
+        (d.ExciteMessage(0, 1, 1, 1, 1, 2, 0, 1), 5),
+        (d.ExciteMessage(0, 5, 1, 1, 0, 5, 1, 0), 6),
+    ],
+)
+def test_excitation_outside_its_bounds_is_refused_by_field(message: d.ExciteMessage, field: int) -> None:
+    desk = Desk()
+    desk.arm()
+    desk.ask(d.ControlMessage(0, 0, 1.5, 1.5))
+    reply = desk.ask(message)
+    assert (reply.result, reply.detail) == (Result.BAD_VALUE, field)
+
+
+def test_excitation_adds_to_the_voltages_and_ends_by_itself() -> None:
+    desk = Desk()
+    desk.arm()
+    desk.ask(d.ControlMessage(0, 0, 3.0, 3.0))
+    for _ in range(10):
+        desk.tick(300)
+        desk.ping()
+    assert desk.motors[:2] == (525, 525)
+    desk.ask(d.ExciteMessage(0, d.Excitation.STEP, 1.0, -1.0, 0, 0, 0.3, 1))
+    desk.tick(20)
+    assert desk.motors[:2] == (700, 350)
+    desk.tick(300)
+    assert desk.motors[:2] == (525, 525)
+    assert desk.last_event(Event.EXCITATION_END).detail == d.Excitation.STEP
+
+
+def test_excitation_ends_when_the_board_must_hold() -> None:
+    desk = Desk()
+    desk.fly()
+    assert desk.ask(d.ExciteMessage(0, d.Excitation.MULTISINE, 0.2, 0.2, 0.1, 5, 60, 1)).result == Result.OK
+    desk.tick(600)
+    assert desk.state is State.HOLD
+    assert desk.last_event(Event.EXCITATION_END).detail == d.Excitation.MULTISINE
+
+
+def test_unsafe_parameters_are_refused_in_flight_and_gains_are_not() -> None:
+    desk = Desk()
+    desk.fly()
+    assert desk.set("supply_V", 11).result == Result.UNSAFE_NOW
+    assert desk.set("elevation_kp", 0.6).result == Result.OK
+    assert desk.set("elevation_kp", 21).result == Result.OUT_OF_RANGE
+
+
+def test_zero_and_save_are_refused_in_flight() -> None:
+    desk = Desk()
+    desk.fly()
+    for message in (d.ZeroMessage(0, 7), d.ParamsSaveMessage(0), d.ParamsDefaultMessage(0)):
+        assert desk.ask(message).result == Result.BAD_STATE
+
+
+def test_gain_changes_act_in_the_next_tick() -> None:
+    desk = Desk()
+    desk.fly()
+    desk.keep_flying(3000, elevation_deg=REST_DEG)
+    before = desk.motors
+    desk.set("hover_V", 2.4)
+    desk.keep_flying(3, elevation_deg=REST_DEG)
+    assert desk.motors[0] - before[0] == pytest.approx(0.5 / 12 * 2100, abs=3)
+
+
+def test_setpoint_is_reached_at_its_device_tick() -> None:
+    desk = Desk()
+    desk.set("elevation_slew_deg_s", 100)
+    desk.fly()
+    start = desk.ask(d.PingMessage(0, 0)).tick
+    desk.setpoint(elevation_deg=REST_DEG + 2, at_tick=start + 200)
+    desk.tick(400)
+    ticks = TelemetryDecoder().decode([f.payload for f in desk.frames if f.id == d.MessageId.TELEMETRY])
+    setpoint_deg = ticks.raw[:, 3] * 1e-5 * 57.29578
+    rows = {int(t): float(s) for t, s in zip(ticks.tick, setpoint_deg, strict=True)}
+    assert rows[start + 100] == pytest.approx(REST_DEG + 1, abs=0.05)
+    assert rows[start + 190] < REST_DEG + 1.95
+    assert rows[start + 201] == pytest.approx(REST_DEG + 2, abs=0.05)
+
+
+def test_setpoints_are_slew_limited() -> None:
+    desk = Desk()
+    desk.fly()
+    start = desk.ask(d.PingMessage(0, 0)).tick
+    desk.keep_flying(400, elevation_deg=0.0)
+    ticks = TelemetryDecoder().decode([f.payload for f in desk.frames if f.id == d.MessageId.TELEMETRY])
+    setpoint_deg = ticks.raw[:, 3] * 1e-5 * 57.29578
+    steps = abs(setpoint_deg[1:] - setpoint_deg[:-1])
+    assert steps.max() <= 0.015 * 1.2  # 15 deg/s, to the channel's resolution
+    assert setpoint_deg[ticks.tick == start + 300][0] == pytest.approx(REST_DEG + 4.5, abs=0.2)
