@@ -23,7 +23,7 @@ bool Parser::put(std::uint8_t byte) {
   const bool ok = !empty && finish();
   if (!ok && !empty) {
     ++frames_bad_;
-    bytes_dropped_ += received_;
+    bytes_dropped_ += received_ - 1;
   }
   received_ = 0;
   decoded_count_ = 0;

@@ -27,9 +27,11 @@ class Parser {
   const Frame& frame() const { return frame_; }
 
   std::uint32_t frames_ok() const { return frames_ok_; }
-  std::uint32_t frames_bad() const { return frames_bad_; }        // COBS, length, CRC or protocol
-  std::uint32_t frames_lost() const { return frames_lost_; }      // gaps in the sequence numbers
-  std::uint32_t bytes_dropped() const { return bytes_dropped_; }  // in bad frames, zeros included
+  std::uint32_t frames_bad() const { return frames_bad_; }    // COBS, length, CRC or protocol
+  std::uint32_t frames_lost() const { return frames_lost_; }  // gaps in the sequence numbers
+  std::uint32_t bytes_dropped() const {
+    return bytes_dropped_;
+  }  // in bad frames, without delimiters
 
  private:
   bool finish();

@@ -80,6 +80,13 @@ std::size_t survey(Board& board, std::uint8_t* buffer, Copy (&copies)[kPages]) {
   return newest;
 }
 
+bool write_verified(Board& board, std::size_t page, const std::uint8_t* bytes) {
+  if (!board.write_page(page, bytes)) return false;
+  std::uint8_t written[Board::kPageBytes];
+  board.read_page(page, written);
+  return std::memcmp(bytes, written, sizeof written) == 0;
+}
+
 }  // namespace
 
 link::ParamsSource Store::load(Params& params) {
@@ -126,10 +133,10 @@ bool Store::save(const Params& params) {
   }
   link::put_u32(page + kCrcAt, link::crc32(page, kCrcAt));
 
-  if (!board_.write_page(target, page)) return false;
-  std::uint8_t written[Board::kPageBytes];
-  board_.read_page(target, written);
-  if (std::memcmp(page, written, sizeof page) != 0) return false;
+  if (!write_verified(board_, target, page)) return false;
+  // With no valid copy left a damaged neighbour would make the next start believe that it had been
+  // newer than this one.
+  if (newest == kPages && copies[1].content == Content::damaged) write_verified(board_, 1, page);
   generation_ = generation;
   source_.store(link::ParamsSource::stored, std::memory_order_relaxed);
   return true;

@@ -1,0 +1,114 @@
+"""A desk for the board's end of the link: Python plays both the host and the control tick."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from heli_host.link.declaration import (
+    LINK_HASH,
+    AckMessage,
+    HelloMessage,
+    MessageId,
+    Result,
+    StatusMessage,
+    StatusReadMessage,
+    WelcomeMessage,
+)
+from heli_host.link.frames import Frame, FrameParser, encode_frame
+from heli_sim._native import link as core_link
+
+Execute = Callable[[int, bytes], tuple[int, int, float]]
+
+
+class Message(Protocol):
+    """What the generated message classes have in common."""
+
+    @property
+    def ID(self) -> MessageId: ...
+    def pack(self) -> bytes: ...
+
+
+def always_ok(_message_id: int, _payload: bytes) -> tuple[int, int, float]:
+    return int(Result.OK), 0, 0.0
+
+
+class Desk:
+    """One board, its host and its tick; `turn` lets a millisecond pass."""
+
+    def __init__(self, execute: Execute = always_ok) -> None:
+        self.bench = core_link.Bench()
+        self.execute = execute
+        self.tick = 0
+        self.room = 4096  # bytes that the transmitter takes in a millisecond
+        self.executed: list[tuple[int, bytes]] = []
+        self.streamed: list[tuple[int, bytes]] = []
+        self._seq = 0
+        self._parser = FrameParser()
+
+    def frame(self, message: Message) -> bytes:
+        return self.raw_frame(message.ID, message.pack())
+
+    def raw_frame(self, message_id: int, payload: bytes) -> bytes:
+        self._seq += 1
+        return encode_frame(message_id, self._seq - 1, payload)
+
+    def turn(self, received: bytes = b"", ticks: int = 1) -> list[Frame]:
+        """Give the board these bytes, then let tick and idle loop run; what the board sent meanwhile."""
+        self.bench.receive(received)
+        frames: list[Frame] = []
+        for _ in range(ticks):
+            self.run_tick()
+            self.bench.room = self.room
+            self.bench.poll()
+            frames += self._parser.feed(self.bench.sent())
+        return frames
+
+    def run_tick(self) -> None:
+        self.bench.begin_tick(self.tick)
+        request = self.bench.take_request()
+        if request is not None:
+            self.executed.append(request)
+            self.bench.answer(*self.execute(*request))
+        while (value := self.bench.take_stream()) is not None:
+            self.streamed.append(value)
+        self.tick += 1
+
+    def hello(self, session: int = 1, link_hash: int = LINK_HASH, request: int = 200) -> WelcomeMessage:
+        frames = self.turn(self.frame(HelloMessage(request, link_hash, session)))
+        (welcome,) = [f for f in frames if f.id == MessageId.WELCOME]
+        return WelcomeMessage.unpack(welcome.payload)
+
+    def ask(self, message: Message) -> list[Frame]:
+        """Send a command and let three milliseconds pass: enough for the tick to answer."""
+        return self.turn(self.frame(message), ticks=3)
+
+    def status(self) -> StatusMessage:
+        request = 250
+        frames = self.ask(StatusReadMessage(request))
+        (asked,) = [f for f in frames if f.id == MessageId.STATUS and f.payload[0] == request]
+        return StatusMessage.unpack(asked.payload)
+
+
+def open_desk(execute: Execute = always_ok, session: int = 1) -> Desk:
+    """A desk on which the handshake has been made."""
+    desk = Desk(execute)
+    assert desk.hello(session).result == Result.OK
+    return desk
+
+
+def of_kind(frames: list[Frame], message_id: MessageId) -> list[bytes]:
+    """Payloads of the frames with this id."""
+    return [frame.payload for frame in frames if frame.id == message_id]
+
+
+def acks_in(frames: list[Frame]) -> list[AckMessage]:
+    return [AckMessage.unpack(payload) for payload in of_kind(frames, MessageId.ACK)]
+
+
+def ramp(count: int) -> np.ndarray:
+    """Samples whose channels all move a little, shape (count, 11)."""
+    raw = np.zeros((count, 11), dtype=np.int32)
+    raw[:, :] = np.arange(count)[:, None] % 7
+    return raw

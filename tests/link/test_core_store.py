@@ -1,0 +1,178 @@
+"""The two-copy parameter store: whenever power fails, one whole set is found at the next start."""
+
+from __future__ import annotations
+
+import zlib
+
+import pytest
+from heli_host.link.declaration import LINK_HASH, PARAMS, ParamsSource
+from heli_sim._native import link as core_link
+from hypothesis import given
+from hypothesis import strategies as st
+
+PAGE = 256
+STEPS_OF_A_SAVE = 2 * PAGE  # erase and write, byte by byte
+HOVER = next(spec.index for spec in PARAMS if spec.name == "hover_V")
+HOVER_DEFAULT = core_link.Params().get(HOVER)
+
+
+def load(board: core_link.Board) -> tuple[int, float]:
+    """What a board that starts with this flash finds: the source and a value."""
+    params = core_link.Params()
+    return core_link.Store(board).load(params), params.get(HOVER)
+
+
+def save(board: core_link.Board, hover_V: float) -> bool:
+    params = core_link.Params()
+    params.set(HOVER, hover_V, True)
+    return bool(core_link.Store(board).save(params))
+
+
+def pages(board: core_link.Board) -> list[bytes]:
+    return [board.flash[:PAGE], board.flash[PAGE:]]
+
+
+def saved_board(*hovers_V: float) -> core_link.Board:
+    board = core_link.Board()
+    for hover_V in hovers_V:
+        assert save(board, hover_V)
+    return board
+
+
+def damage(board: core_link.Board, page: int, at: int, bits: int = 0x10) -> None:
+    flash = bytearray(board.flash)
+    flash[page * PAGE + at] ^= bits
+    board.flash = bytes(flash)
+
+
+def rewrite(board: core_link.Board, page: int, at: int, new: bytes) -> None:
+    """Change a page and make its CRC right again."""
+    flash = bytearray(board.flash)
+    start = page * PAGE
+    flash[start + at : start + at + len(new)] = new
+    crc = zlib.crc32(flash[start : start + PAGE - 4])
+    flash[start + PAGE - 4 : start + PAGE] = crc.to_bytes(4, "little")
+    board.flash = bytes(flash)
+
+
+def test_an_erased_board_has_the_declared_defaults() -> None:
+    assert load(core_link.Board()) == (ParamsSource.DEFAULTS, HOVER_DEFAULT)
+
+
+def test_what_was_saved_is_there_at_the_next_start() -> None:
+    board = saved_board(3.0)
+    assert load(board) == (ParamsSource.STORED, 3.0)
+
+
+def test_saves_take_turns_and_the_newest_counts() -> None:
+    board = core_link.Board()
+    for generation in range(1, 8):
+        before = pages(board)
+        assert save(board, float(generation))
+        changed = [page for page in (0, 1) if pages(board)[page] != before[page]]
+        assert changed == [(generation - 1) % 2]
+        assert load(board) == (ParamsSource.STORED, float(generation))
+
+
+@pytest.mark.parametrize("stored", [(), (3.0,), (3.0, 4.0), (3.0, 4.0, 5.0)], ids=len)
+def test_a_power_cut_at_any_byte_of_a_save_loses_at_most_that_save(stored: tuple[float, ...]) -> None:
+    for cut in range(STEPS_OF_A_SAVE):
+        board = saved_board(*stored)
+        board.steps_left = cut
+        returned = save(board, 7.0)
+        board.steps_left = None
+        source, hover_V = load(board)
+        # Erased bytes at the end of the page may be just what was to be written: then the cut came too late.
+        complete = hover_V == 7.0
+        assert returned == complete
+        if not complete:
+            assert hover_V == (stored[-1] if stored else HOVER_DEFAULT)
+        if stored:
+            assert source in (ParamsSource.STORED, ParamsSource.FALLBACK)
+        # The board recovers: the next save works and the one after it too.
+        assert save(board, 8.0)
+        assert load(board) == (ParamsSource.STORED, 8.0)
+        assert save(board, 9.0)
+        assert load(board) == (ParamsSource.STORED, 9.0)
+
+
+@given(st.lists(st.integers(0, STEPS_OF_A_SAVE), min_size=1, max_size=12))
+def test_any_number_of_power_cuts_in_a_row_never_loses_the_last_whole_set(cuts: list[int]) -> None:
+    board = saved_board(3.0)
+    last = 3.0
+    for attempt, cut in enumerate(cuts):
+        board.steps_left = cut
+        value = 4.0 + attempt
+        if save(board, value):
+            last = value
+        board.steps_left = None
+        assert load(board)[1] == last
+
+
+@given(st.integers(0, 1), st.integers(0, PAGE - 1), st.integers(1, 255))
+def test_one_damaged_byte_anywhere_is_found_and_the_other_copy_is_used(page: int, at: int, bits: int) -> None:
+    board = saved_board(3.0, 4.0)
+    damage(board, page, at, bits)
+    assert load(board) == (ParamsSource.FALLBACK, 4.0 if page == 0 else 3.0)
+    assert save(board, 5.0)
+    assert load(board) == (ParamsSource.STORED, 5.0)
+
+
+def test_two_damaged_copies_give_the_defaults_and_say_so() -> None:
+    board = saved_board(3.0, 4.0)
+    damage(board, 0, 100)
+    damage(board, 1, 200)
+    assert load(board) == (ParamsSource.CORRUPT, HOVER_DEFAULT)
+    assert save(board, 5.0)
+    assert load(board) == (ParamsSource.STORED, 5.0)
+
+
+def test_a_damaged_copy_beside_an_erased_one_is_corrupt_not_new() -> None:
+    board = saved_board(3.0)
+    damage(board, 0, 100)
+    assert load(board) == (ParamsSource.CORRUPT, HOVER_DEFAULT)
+
+
+def test_copies_of_another_declaration_are_not_used() -> None:
+    board = saved_board(3.0, 4.0)
+    for page in (0, 1):
+        rewrite(board, page, 4, (LINK_HASH ^ 1).to_bytes(4, "little"))
+    assert load(board) == (ParamsSource.CORRUPT, HOVER_DEFAULT)
+    assert save(board, 5.0)
+    # The other page still holds the old declaration's set: whole, and no sign of damage.
+    assert load(board) == (ParamsSource.STORED, 5.0)
+    assert save(board, 6.0)
+    assert load(board) == (ParamsSource.STORED, 6.0)
+
+
+def test_a_copy_with_a_value_out_of_range_is_not_used_whatever_its_crc() -> None:
+    board = saved_board(3.0)
+    rewrite(board, 0, 12 + 4 * HOVER, bytes.fromhex("0000c07f"))
+    assert load(board) == (ParamsSource.CORRUPT, HOVER_DEFAULT)
+
+
+def test_the_generation_may_wrap() -> None:
+    board = saved_board(3.0, 4.0)
+    rewrite(board, 0, 8, (0xFFFFFFFE).to_bytes(4, "little"))
+    rewrite(board, 1, 8, (0xFFFFFFFF).to_bytes(4, "little"))
+    assert load(board) == (ParamsSource.STORED, 4.0)
+    for value in (5.0, 6.0, 7.0):
+        assert save(board, value)
+        assert load(board) == (ParamsSource.STORED, value)
+
+
+def test_a_failed_save_says_so_and_the_next_start_finds_the_old_set() -> None:
+    board = saved_board(3.0)
+    board.steps_left = 300
+    assert not save(board, 4.0)
+    assert load(board) == (ParamsSource.FALLBACK, 3.0)
+
+
+def test_a_save_makes_a_corrupt_board_fit_to_arm_without_a_restart() -> None:
+    board = saved_board(3.0)
+    damage(board, 0, 100)
+    params = core_link.Params()
+    store = core_link.Store(board)
+    assert store.load(params) == ParamsSource.CORRUPT
+    assert store.save(params)
+    assert store.source == ParamsSource.STORED
