@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from heli_sim.errors import EndpointError, OptionError, PlantError, RigError, SimError, Unplugged
+from heli_sim.errors import EndpointError, OptionError, PlantError, RigError, SimError
 
-__all__ = ["EndpointError", "OptionError", "PlantError", "RigError", "SimError", "Unplugged"]
+__all__ = ["EndpointError", "OptionError", "PlantError", "RigError", "SimError"]

@@ -1,11 +1,12 @@
 """Errors of heli_sim, one tree.
 
-SimError                    anything that goes wrong in the simulation; str() is one line, cause and remedy
-├── RigError                a rig file is missing, incomplete or holds something it may not
-├── PlantError              the plant cannot be compiled or loaded
-├── EndpointError           the simulated serial port cannot be opened
-├── OptionError             an option of a `sil://` address or of the server is unknown or out of range
-└── Unplugged               the simulated USB cable is out (also a ConnectionError)
+::
+
+    SimError                what goes wrong in the simulation; str() is one line, cause and remedy
+    ├── RigError            a rig file is missing, incomplete or holds something it may not
+    ├── PlantError          the plant cannot be put together, compiled or loaded
+    ├── EndpointError       the simulated serial port cannot be opened or did not appear
+    └── OptionError         an option of a sil:// address or of the server is unknown or out of range
 """
 
 from __future__ import annotations
@@ -20,16 +21,12 @@ class RigError(SimError):
 
 
 class PlantError(SimError):
-    """The plant cannot be compiled or loaded."""
+    """The plant cannot be put together, compiled or loaded."""
 
 
 class EndpointError(SimError):
-    """The simulated serial port cannot be opened."""
+    """The simulated serial port cannot be opened or did not appear."""
 
 
 class OptionError(SimError):
-    """An option of a `sil://` address or of the server is unknown or out of range."""
-
-
-class Unplugged(SimError, ConnectionError):
-    """The simulated USB cable is out."""
+    """An option of a ``sil://`` address or of the server is unknown or out of range."""

@@ -1,0 +1,231 @@
+"""Faults of the link, repeatable: the same seed spoils the same bytes, however they arrive in pieces."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from heli_sim.errors import OptionError
+
+_NEVER: Final = 1 << 62
+
+
+@dataclass(frozen=True)
+class Span:
+    """A stretch of simulated time.
+
+    Parameters
+    ----------
+    start_s : float
+        Beginning, seconds since the simulation started.
+    duration_s : float
+        Length, s.
+    """
+
+    start_s: float
+    duration_s: float
+
+    def __post_init__(self) -> None:
+        finite = math.isfinite(self.start_s) and math.isfinite(self.duration_s)
+        if not finite or self.start_s < 0.0 or self.duration_s <= 0.0:
+            raise OptionError(
+                f"'{self.start_s}:{self.duration_s}' is no stretch of time; write start:length in seconds"
+            )
+
+    def edges(self) -> tuple[int, int]:
+        """First tick of the stretch, and first tick after it.
+
+        Returns
+        -------
+        tuple of int
+            Ticks, ms since the simulation started.
+        """
+        return round(1e3 * self.start_s), round(1e3 * (self.start_s + self.duration_s))
+
+
+@dataclass(frozen=True)
+class FaultPlan:
+    """What goes wrong on the link, both ways.
+
+    Parameters
+    ----------
+    flip : float
+        Probability that a bit arrives inverted.
+    drop : float
+        Probability that a byte is lost.
+    double : float
+        Probability that a byte arrives twice.
+    stalls : tuple of Span
+        The host neither reads nor writes: bytes towards it overflow the bridge, bytes from it wait.
+    unplugs : tuple of Span
+        The cable is out: the port is gone, bytes under way are lost; the board keeps its power.
+
+    Raises
+    ------
+    OptionError
+        When a probability is not between 0 and 1.
+    """
+
+    flip: float = 0.0
+    drop: float = 0.0
+    double: float = 0.0
+    stalls: tuple[Span, ...] = ()
+    unplugs: tuple[Span, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("flip", "drop", "double"):
+            value = getattr(self, name)
+            if not 0.0 <= value <= 1.0:
+                raise OptionError(f"{name}={value} is no probability; give a number from 0 to 1")
+
+    def next_edge(self, tick: int) -> int:
+        """First tick after `tick` at which a stall or an unplugging begins or ends.
+
+        Parameters
+        ----------
+        tick : int
+            Present tick.
+
+        Returns
+        -------
+        int
+            That tick; far away when there is none.
+        """
+        edges = (edge for span in (*self.stalls, *self.unplugs) for edge in span.edges())
+        return min((edge for edge in edges if edge > tick), default=_NEVER)
+
+    def stalled(self, tick: int) -> bool:
+        """Whether the host is stalled.
+
+        Parameters
+        ----------
+        tick : int
+            Present tick.
+
+        Returns
+        -------
+        bool
+            True inside one of `stalls`.
+        """
+        return _inside(self.stalls, tick)
+
+    def unplugged(self, tick: int) -> bool:
+        """Whether the cable is out.
+
+        Parameters
+        ----------
+        tick : int
+            Present tick.
+
+        Returns
+        -------
+        bool
+            True inside one of `unplugs`.
+        """
+        return _inside(self.unplugs, tick)
+
+
+@dataclass
+class FaultCounters:
+    """Faults that happened so far.
+
+    Parameters
+    ----------
+    bytes_seen : int
+        Bytes that entered.
+    flipped : int
+        Bits inverted.
+    dropped : int
+        Bytes lost.
+    doubled : int
+        Bytes sent twice.
+    """
+
+    bytes_seen: int = 0
+    flipped: int = 0
+    dropped: int = 0
+    doubled: int = 0
+
+
+class FaultyStream:
+    """One direction of a link with random faults.
+
+    Parameters
+    ----------
+    plan : FaultPlan
+        Probabilities.
+    seed : int
+        Seed of the simulation.
+    direction : int
+        0 towards the board, 1 towards the host: the two see different faults.
+    """
+
+    def __init__(self, plan: FaultPlan, seed: int, direction: int) -> None:
+        self.counters = FaultCounters()
+        self._flip = _Gaps(plan.flip, seed, direction, 0)
+        self._drop = _Gaps(plan.drop, seed, direction, 1)
+        self._double = _Gaps(plan.double, seed, direction, 2)
+        self._clean = plan.flip == plan.drop == plan.double == 0.0
+
+    def pass_through(self, data: bytes) -> bytes:
+        """Let bytes through, with the faults that are due.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes that enter.
+
+        Returns
+        -------
+        bytes
+            Bytes that come out.
+        """
+        self.counters.bytes_seen += len(data)
+        if self._clean or not data:
+            return data
+        flips = self._flip.within(8 * len(data))
+        drops = self._drop.within(len(data))
+        doubles = self._double.within(len(data))
+        if not (flips or drops or doubles):
+            return data
+        pieces = [bytearray([byte]) for byte in data]
+        for bit in flips:
+            pieces[bit // 8][0] ^= 1 << (bit % 8)
+        for index in doubles:
+            pieces[index] *= 2
+        for index in drops:
+            pieces[index].clear()
+        self.counters.flipped += len(flips)
+        self.counters.dropped += len(drops)
+        self.counters.doubled += len(doubles)
+        return b"".join(pieces)
+
+
+class _Gaps:
+    """Positions of rare events in a long row of trials, drawn gap by gap."""
+
+    def __init__(self, probability: float, *seed: int) -> None:
+        self._probability = probability
+        self._random = np.random.default_rng(seed)
+        self._next = self._gap()
+
+    def _gap(self) -> int:
+        if self._probability == 0.0:
+            return _NEVER
+        return int(self._random.geometric(self._probability)) - 1
+
+    def within(self, trials: int) -> list[int]:
+        """Positions among the next `trials` trials."""
+        hits = []
+        while self._next < trials:
+            hits.append(self._next)
+            self._next += 1 + self._gap()
+        self._next -= trials
+        return hits
+
+
+def _inside(spans: tuple[Span, ...], tick: int) -> bool:
+    return any(first <= tick < last for first, last in (span.edges() for span in spans))

@@ -1,0 +1,150 @@
+"""The simulated board as a transport of heli_host, in the same process and on simulated time.
+
+This file implements the protocol `heli_host.link.transport.Transport`, found through an entry point; it is the
+one place in heli_sim that raises heli_host's errors.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Final
+
+from heli_host.errors import LinkLost, PortError
+from heli_sim.sil.options import parse_url
+from heli_sim.sil.world import SilWorld
+
+# 2024-01-01 00:00 UTC. Logs of simulated flights start here, so that the same flight gives the same bytes.
+EPOCH_ns: Final = 1_704_067_200_000_000_000
+# Time that passes while a host finds the port gone and looks again.
+_RETRY_TICKS: Final = 100
+
+
+class InProcessTransport:
+    """Transport to a simulated board; time advances only in `read`.
+
+    Parameters
+    ----------
+    world : SilWorld
+        The world to talk to; another transport may have talked to it before.
+    url : str
+        Address to report.
+
+    Raises
+    ------
+    PortError
+        When the plan of faults has the cable out; 0.1 s of simulated time passes.
+    """
+
+    lockstep: Final = True
+
+    def __init__(self, world: SilWorld, url: str = "sil://") -> None:
+        self.url = url
+        self.world = world
+        self._written = bytearray()
+        self._closed = False
+        self._speed = world.options.speed
+        if world.unplugged:
+            world.advance(_RETRY_TICKS)
+            raise PortError("the simulated cable is out", "wait until it is plugged in again")
+        if world.options.reset_on_open:
+            world.reset_board()
+        self._start_s = time.monotonic() - (world.time_s / self._speed if self._speed else 0.0)
+
+    def read(self, timeout_s: float) -> bytes:
+        """Let simulated time pass until bytes arrive.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Most simulated time to pass, s. At least a millisecond passes; up to slice_ms of the options pass
+            even when bytes arrive earlier.
+
+        Returns
+        -------
+        bytes
+            What arrived; empty after `timeout_s`.
+
+        Raises
+        ------
+        LinkLost
+            When the transport is closed, or the plan of faults has the cable out.
+        """
+        self._check()
+        ticks = max(1, round(1e3 * timeout_s))
+        written = bytes(self._written)
+        self._written.clear()
+        least = min(ticks, self.world.options.slice_ms)
+        received = self.world.advance(ticks, written, until_output=True, least=least)
+        if self._speed:
+            ahead_s = self._start_s + self.world.time_s / self._speed - time.monotonic()
+            if ahead_s > 0.0:
+                time.sleep(ahead_s)
+        return received
+
+    def write(self, data: bytes) -> None:
+        """Hand bytes to the line; they start to travel at the next `read`.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes for the board.
+
+        Raises
+        ------
+        LinkLost
+            When the transport is closed, or the plan of faults has the cable out.
+        """
+        self._check()
+        self._written += data
+
+    def now_s(self) -> float:
+        """Simulated time.
+
+        Returns
+        -------
+        float
+            Seconds since the simulation started.
+        """
+        return self.world.time_s
+
+    def wall_ns(self) -> int:
+        """Date and time of the simulation.
+
+        Returns
+        -------
+        int
+            Nanoseconds since 1970, a fixed epoch plus simulated time.
+        """
+        return EPOCH_ns + self.world.tick * 1_000_000
+
+    def close(self) -> None:
+        """Close the transport; the world stays as it is. Closing twice does nothing."""
+        self._closed = True
+
+    def _check(self) -> None:
+        if self._closed:
+            raise LinkLost("the simulated port is closed", "open it again")
+        if self.world.unplugged:
+            self._closed = True
+            raise LinkLost("the simulated cable was pulled out", "open the port again after a while")
+
+
+def open_transport(url: str) -> InProcessTransport:
+    """Start a simulated board and open its port; the entry point ``heli_host.transports``, name ``sil``.
+
+    Parameters
+    ----------
+    url : str
+        ``sil://?rig=makki2024&seed=1&speed=max``; see `heli_sim.sil.options.parse_url`.
+
+    Returns
+    -------
+    InProcessTransport
+        Transport to a board just powered up, with the arm at rest on the table.
+
+    Raises
+    ------
+    SimError
+        When an option is wrong or the rig cannot be read.
+    """
+    return InProcessTransport(SilWorld(parse_url(url)), url)

@@ -1,0 +1,150 @@
+"""Options of a simulated board, and how a `sil://` address spells them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+from urllib.parse import parse_qsl, urlsplit
+
+from heli_sim.errors import OptionError
+from heli_sim.sil.faults import FaultPlan, Span
+
+_KEYS: Final = (
+    *("rig", "seed", "speed", "slice_ms", "flash", "reset_on_open"),
+    *("flip", "drop", "double", "stall", "unplug"),
+)
+
+
+@dataclass(frozen=True)
+class SilOptions:
+    """What to simulate.
+
+    Parameters
+    ----------
+    rig : str
+        Name or file of the rig.
+    seed : int
+        Seed of everything random: where the encoders start, and the faults.
+    speed : float or None
+        Simulated seconds a second; None is as fast as the host keeps up.
+    slice_ms : int
+        In process: longest stretch of simulated time in one read, ms. The host's bytes reach the line at the
+        beginning of a stretch.
+    flash_file : str
+        File that keeps the board's flash pages; empty to forget them.
+    reset_on_open : bool
+        Whether opening the port resets the board, as DTR does on a Due unless ``stty -hupcl`` was given.
+    faults : FaultPlan
+        What goes wrong on the link.
+
+    Raises
+    ------
+    OptionError
+        When a number is out of range.
+    """
+
+    rig: str = "makki2024"
+    seed: int = 1
+    speed: float | None = None
+    slice_ms: int = 20
+    flash_file: str = ""
+    reset_on_open: bool = False
+    faults: FaultPlan = field(default_factory=FaultPlan)
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise OptionError(f"seed={self.seed} must not be negative")
+        if self.speed is not None and not (math.isfinite(self.speed) and self.speed > 0.0):
+            raise OptionError(f"speed={self.speed} must be a number above 0, or max")
+        if not 1 <= self.slice_ms <= 1000:
+            raise OptionError(f"slice_ms={self.slice_ms} must be from 1 to 1000")
+
+
+def parse_url(url: str) -> SilOptions:
+    """Read the options of an address such as ``sil://?rig=makki2024&seed=1&speed=max&flip=1e-4&stall=5:0.5``.
+
+    Parameters
+    ----------
+    url : str
+        The address. ``stall`` and ``unplug`` take start:length in seconds, several with commas between them.
+
+    Returns
+    -------
+    SilOptions
+        The options; what the address does not name has its default.
+
+    Raises
+    ------
+    OptionError
+        When a key is unknown or a value cannot be read.
+    """
+    parts = urlsplit(url)
+    if parts.netloc or parts.path.strip("/"):
+        raise OptionError(f"'{url}' names a place; a simulated board is written sil://?rig=NAME&seed=1")
+    try:
+        pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
+    except ValueError:
+        raise OptionError(f"'{url}' has no key=value after the question mark") from None
+    return parse_options(dict(pairs))
+
+
+def parse_options(values: dict[str, str]) -> SilOptions:
+    """Read options from texts.
+
+    Parameters
+    ----------
+    values : dict of str
+        Texts by key, spelled as in a `sil://` address.
+
+    Returns
+    -------
+    SilOptions
+        The options; what is not named has its default.
+
+    Raises
+    ------
+    OptionError
+        When a key is unknown or a value cannot be read.
+    """
+    unknown = sorted(set(values) - set(_KEYS))
+    if unknown:
+        raise OptionError(f"unknown option {', '.join(unknown)}; options are: {', '.join(_KEYS)}")
+    speed = values.get("speed", "max")
+    return SilOptions(
+        rig=values.get("rig", "makki2024"),
+        seed=int(_number("seed", values.get("seed", "1"), whole=True)),
+        speed=None if speed == "max" else _number("speed", speed),
+        slice_ms=int(_number("slice_ms", values.get("slice_ms", "20"), whole=True)),
+        flash_file=values.get("flash", ""),
+        reset_on_open=_flag("reset_on_open", values.get("reset_on_open", "0")),
+        faults=FaultPlan(
+            flip=_number("flip", values.get("flip", "0")),
+            drop=_number("drop", values.get("drop", "0")),
+            double=_number("double", values.get("double", "0")),
+            stalls=_spans("stall", values.get("stall", "")),
+            unplugs=_spans("unplug", values.get("unplug", "")),
+        ),
+    )
+
+
+def _number(key: str, text: str, *, whole: bool = False) -> float:
+    try:
+        return int(text) if whole else float(text)
+    except ValueError:
+        kind = "whole number" if whole else "number"
+        raise OptionError(f"{key}={text} must be a {kind}") from None
+
+
+def _flag(key: str, text: str) -> bool:
+    if text not in ("0", "1"):
+        raise OptionError(f"{key}={text} must be 0 or 1")
+    return text == "1"
+
+
+def _spans(key: str, text: str) -> tuple[Span, ...]:
+    spans = []
+    for part in filter(None, text.split(",")):
+        start, _, duration = part.partition(":")
+        spans.append(Span(_number(key, start), _number(key, duration)))
+    return tuple(spans)

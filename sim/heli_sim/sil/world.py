@@ -1,0 +1,145 @@
+"""One simulated rig with its board and link, on its own clock."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from heli_sim import _native
+from heli_sim.model import PaperModel
+from heli_sim.plant import Plant
+from heli_sim.rig import Rig, load_rig
+from heli_sim.sil.faults import FaultyStream
+from heli_sim.sil.options import SilOptions
+
+# Counters of the encoders stand anywhere at power-up.
+_OFFSET_COUNTS: Final = 50_000.0
+
+
+class SilWorld:
+    """Native board, serial line with its faults, power stage and plant.
+
+    Parameters
+    ----------
+    options : SilOptions
+        What to simulate.
+    plant : Plant or None
+        Plant to fly instead of the paper's model on the rig of `options`.
+
+    Raises
+    ------
+    RigError
+        When the rig cannot be read.
+    PlantError
+        When the plant cannot be compiled.
+    """
+
+    def __init__(self, options: SilOptions, plant: Plant | None = None) -> None:
+        self.options = options
+        self.plant = plant if plant is not None else Plant(PaperModel(), load_rig(options.rig))
+        self.rig: Rig = self.plant.rig
+        random = np.random.default_rng(options.seed)
+        counts_per_rad = self.rig["encoder_counts"].value / (2.0 * np.pi)
+        self.native = _native.World(
+            self.plant.native_step(),
+            self.plant.rest_state().tolist(),
+            self.plant.parameters.tolist(),
+            supply_V=self.rig["supply"].value,
+            dead_band=self.rig["driver_dead_band"].value,
+            counts_per_rad=[counts_per_rad] * 3,
+            offset_count=random.uniform(-_OFFSET_COUNTS, _OFFSET_COUNTS, 3).tolist(),
+            flash_file=options.flash_file,
+        )
+        self.to_board = FaultyStream(options.faults, options.seed, 0)
+        self.to_host = FaultyStream(options.faults, options.seed, 1)
+        self.host_reading = True
+        """Whether the host takes bytes; while it does not, the bridge towards it overflows."""
+        self._held = b""
+
+    @property
+    def tick(self) -> int:
+        """Simulated milliseconds so far."""
+        return self.native.tick
+
+    @property
+    def time_s(self) -> float:
+        """Simulated seconds so far."""
+        return self.native.tick * 1e-3
+
+    @property
+    def unplugged(self) -> bool:
+        """Whether the plan of faults has the cable out now."""
+        return self.options.faults.unplugged(self.native.tick)
+
+    @property
+    def state(self) -> npt.NDArray[np.float64]:
+        """True state of the plant, shape (len(plant.model.states),); may be set, to push the arm."""
+        return np.array(self.native.state)
+
+    @state.setter
+    def state(self, state: Sequence[float] | npt.NDArray[np.float64]) -> None:
+        self.native.state = [float(value) for value in state]
+
+    def advance(self, ticks: int, rx: bytes = b"", *, until_output: bool = False, least: int = 1) -> bytes:
+        """Let time pass.
+
+        Parameters
+        ----------
+        ticks : int
+            Most milliseconds to pass.
+        rx : bytes
+            Bytes that the host writes now.
+        until_output : bool
+            Return as soon as bytes reached the host.
+        least : int
+            With `until_output`: milliseconds that pass in any case.
+
+        Returns
+        -------
+        bytes
+            Bytes that reached the host.
+        """
+        faults = self.options.faults
+        self._held += self.to_board.pass_through(rx)
+        received = b""
+        while ticks > 0:
+            tick = self.native.tick
+            unplugged, stalled = faults.unplugged(tick), faults.stalled(tick)
+            if unplugged:
+                self.native.unplug()
+                self._held = b""
+            self.native.host_reading = self.host_reading and not (stalled or unplugged)
+            write = b"" if stalled else self._held
+            if write:
+                self._held = b""
+            stretch = min(ticks, faults.next_edge(tick) - tick)
+            passed, data = self.native.advance(stretch, write, until_output, least)
+            received += data
+            ticks -= passed
+            least = max(1, least - passed)
+            if until_output and received:
+                break
+        return self.to_host.pass_through(received)
+
+    def reset_board(self) -> None:
+        """Pulse the board's reset line: motors off at once, the flight code starts 205 ms later."""
+        self.native.reset_board()
+
+    def counters(self) -> dict[str, int]:
+        """Bytes carried, lost and spoiled so far.
+
+        Returns
+        -------
+        dict of int
+            The line's own counters, and flipped_bits, dropped_bytes and doubled_bytes of both directions.
+        """
+        both = (self.to_board.counters, self.to_host.counters)
+        return {
+            **self.native.line_counters(),
+            "flipped_bits": sum(counters.flipped for counters in both),
+            "dropped_bytes": sum(counters.dropped for counters in both),
+            "doubled_bytes": sum(counters.doubled for counters in both),
+        }
