@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
+from heli_host.link import declaration
 from heli_host.link.declaration import (
     LINK_HASH,
     AckMessage,
@@ -18,6 +19,15 @@ from heli_host.link.declaration import (
 )
 from heli_host.link.frames import Frame, FrameParser, encode_frame
 from heli_sim._native import link as core_link
+
+# The generated classes of all messages that the host sends; of these the streams and the commands.
+TO_BOARD: list[Any] = [
+    cls
+    for cls in vars(declaration).values()
+    if isinstance(cls, type) and getattr(cls, "ID", MessageId.ACK) < MessageId.ACK
+]
+STREAMS = [cls for cls in TO_BOARD if cls.ID in (MessageId.SETPOINT, MessageId.VOLTAGES)]
+COMMANDS = [cls for cls in TO_BOARD if cls not in STREAMS]
 
 Execute = Callable[[int, bytes], tuple[int, int, float]]
 
@@ -89,6 +99,11 @@ class Desk:
         frames = self.ask(StatusReadMessage(request))
         (asked,) = [f for f in frames if f.id == MessageId.STATUS and f.payload[0] == request]
         return StatusMessage.unpack(asked.payload)
+
+
+def named(value: object) -> str | None:
+    """Test ids of message classes."""
+    return value.ID.name.lower() if isinstance(value, type) and hasattr(value, "ID") else None
 
 
 def open_desk(execute: Execute = always_ok, session: int = 1) -> Desk:

@@ -112,8 +112,26 @@ def test_a_batch_is_packed_byte_for_byte_as_the_witness_does(count: int, step: i
 
 @pytest.mark.parametrize(
     ("delta", "code"),
-    [(0, 0), (1, 1), (-2, 1), (2, 2), (-3, 2), (7, 2), (-8, 2), (8, 3), (-9, 3), (127, 3), (-128, 3)]
-    + [(128, 4), (-129, 4), (32767, 4), (-32768, 4), (32768, 5), (-32769, 5), (-(2**31), 5)],
+    [
+        (0, 0),
+        (1, 1),
+        (-2, 1),
+        (2, 2),
+        (-3, 2),
+        (7, 2),
+        (-8, 2),
+        (8, 3),
+        (-9, 3),
+        (127, 3),
+        (-128, 3),
+        (128, 4),
+        (-129, 4),
+        (32767, 4),
+        (-32768, 4),
+        (32768, 5),
+        (-32769, 5),
+        (-(2**31), 5),
+    ],
 )
 def test_a_delta_gets_the_narrowest_width_that_holds_it(delta: int, code: int) -> None:
     raw = np.zeros((2, 11), dtype=np.int32)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 
 from heli_host.link.declaration import MAX_COMMAND_PAYLOAD, MessageId
@@ -28,7 +29,7 @@ def test_frames_survive_any_chopping_of_the_stream(sent: list[tuple[int, bytes]]
     stream = stream_of(sent)
     edges = [0, *sorted(cut for cut in cuts if cut < len(stream)), len(stream)]
     parser = core_link.Parser()
-    frames = [f for a, b in zip(edges, edges[1:], strict=False) for f in parser.feed(stream[a:b])]
+    frames = [f for a, b in itertools.pairwise(edges) for f in parser.feed(stream[a:b])]
     assert contents(frames) == sent
     assert (parser.frames_ok, parser.frames_bad, parser.frames_lost) == (len(sent), 0, 0)
 

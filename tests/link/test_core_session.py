@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import struct
+from typing import Any
 
 import pytest
-from heli_host.link import declaration
 from heli_host.link.declaration import (
     LINK_HASH,
     ArmMessage,
+    HelloMessage,
     MessageId,
     ParamSetMessage,
     PingMessage,
@@ -19,19 +20,13 @@ from heli_host.link.declaration import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.link.core_desk import Desk, acks_in, of_kind, open_desk, ramp
+from tests.link.core_desk import STREAMS, TO_BOARD, Desk, acks_in, named, of_kind, open_desk, ramp
 
 NEVER = 0xFFFFFFFF
-TO_BOARD = [
-    cls
-    for cls in vars(declaration).values()
-    if isinstance(cls, type) and hasattr(cls, "STRUCT") and cls.ID < MessageId.ACK
-]
-STREAMS = (MessageId.SETPOINT, MessageId.VOLTAGES)
 
 
-@pytest.mark.parametrize("cls", TO_BOARD, ids=lambda cls: cls.ID.name.lower())
-def test_before_the_handshake_nothing_but_hello_is_heard(cls: type[ArmMessage]) -> None:
+@pytest.mark.parametrize("cls", TO_BOARD, ids=named)
+def test_before_the_handshake_nothing_but_hello_is_heard(cls: Any) -> None:
     desk = Desk()
     frames = desk.turn(desk.raw_frame(cls.ID, b"\x05" + bytes(cls.STRUCT.size - 1)), ticks=3)
     assert desk.executed == []
@@ -39,7 +34,7 @@ def test_before_the_handshake_nothing_but_hello_is_heard(cls: type[ArmMessage]) 
     if cls.ID == MessageId.HELLO:
         (welcome,) = of_kind(frames, MessageId.WELCOME)
         assert welcome[1] == Result.HASH_MISMATCH
-    elif cls.ID in STREAMS:
+    elif cls in STREAMS:
         assert frames == []
     else:
         (ack,) = acks_in(frames)
@@ -58,7 +53,7 @@ def test_what_happened_before_the_handshake_is_told_after_it() -> None:
     for tick in range(5):
         desk.bench.push_event(tick, 1)
     desk.turn(ticks=100)
-    frames = desk.turn(desk.frame(declaration.HelloMessage(1, LINK_HASH, 1)))
+    frames = desk.turn(desk.frame(HelloMessage(1, LINK_HASH, 1)))
     assert [frame.id for frame in frames] == [MessageId.WELCOME] + [MessageId.EVENT] * 5
     assert [event[0] for event in of_kind(frames, MessageId.EVENT)] == [0, 1, 2, 3, 4]
 
