@@ -64,7 +64,8 @@ def encode_frame(message_id: int, seq: int, payload: bytes) -> bytes:
     if len(payload) > limit:
         raise ValueError(f"payload of {len(payload)} bytes; a frame carries at most {limit}")
     plain = bytes((PROTOCOL, message_id, seq & 0xFF)) + payload
-    return cobs.encode(plain + zlib.crc32(plain).to_bytes(4, "little")) + b"\0"
+    encoded: bytes = cobs.encode(plain + zlib.crc32(plain).to_bytes(4, "little"))
+    return encoded + b"\0"
 
 
 class FrameParser:
@@ -75,8 +76,8 @@ class FrameParser:
     frames_ok : int
         Frames accepted.
     frames_bad : int
-        Frames refused: COBS, length, CRC or protocol. What comes before the first delimiter is the tail of a frame
-        whose head was sent before anybody listened, and is not counted here.
+        Frames refused: COBS, length, CRC or protocol. What comes before the first delimiter is the tail of a
+        frame whose head was sent before anybody listened, and is not counted here.
     frames_lost : int
         Gaps in the sequence numbers of the frames accepted.
     frames_repeated : int
@@ -154,6 +155,13 @@ class FrameParser:
             self._partial = b""
             self._overlong = True
         return frames
+
+    def restart(self) -> None:
+        """Forget the frame begun and the sequence: the line was cut and put together again."""
+        self._partial = b""
+        self._overlong = False
+        self._synchronised = False
+        self.restart_sequence()
 
     def restart_sequence(self) -> None:
         """Take the next frame's sequence number as it is: the other end has started anew."""

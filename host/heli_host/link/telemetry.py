@@ -1,8 +1,8 @@
 """Telemetry batches to ticks, many at a time.
 
-The deltas of one channel are 2, 4, 8, 16 or 32 bits wide and start on a byte, so each of them lies inside the four
-bytes that begin at its own first byte. One gather of such words, two shifts (left to drop what is above, right to
-extend the sign) and a running sum therefore unpack any number of batches, whatever their widths.
+The deltas of one channel are 2, 4, 8, 16 or 32 bits wide and start on a byte, so each of them lies inside the
+four bytes that begin at its own first byte. One gather of such words, two shifts (left to drop what is above,
+right to extend the sign) and a running sum therefore unpack any number of batches, whatever their widths.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Bytes to and from a board, whichever it is: a serial port, a socket, or a simulation.
 
-A URL names the board. ``/dev/ttyACM0``, ``COM3``, ``socket://host:port``, ``rfc2217://...`` and ``spy://...`` go
-to pyserial; any other scheme is looked up in the entry-point group ``heli_host.transports``, whose objects
+A URL names the board. ``/dev/ttyACM0``, ``COM3``, ``socket://host:port``, ``rfc2217://...`` and ``spy://...``
+go to pyserial; any other scheme is looked up in the entry-point group ``heli_host.transports``, whose objects
 are called with the URL. So a simulated board is a transport like any other, and nothing here imports it.
 """
 
@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Protocol, cast, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 import serial
 from serial.tools import list_ports
@@ -26,8 +26,8 @@ from heli_host.link.declaration import BAUD
 
 ENTRY_POINT_GROUP = "heli_host.transports"
 
-# A Due sends a burst every 4 ms. Waking for each of them costs 2.5 times the processor time of waking every 10 ms,
-# and a person does not see the difference; a control loop on the host does, and sets 1 ms.
+# A Due sends a burst every 4 ms, and every waking costs processor time. A person does not see the difference
+# between 4 and 10 ms; a control loop on the host does, and sets 1 ms.
 READ_INTERVAL_S = 0.01
 
 _READ_SIZE = 65536
@@ -44,7 +44,7 @@ class Transport(Protocol):
     Attributes
     ----------
     lockstep : bool
-        True when time advances only inside `read`: a simulation that runs as fast as it is read, from one thread.
+        True when time advances only inside `read`: a simulation as fast as it is read, by one thread.
     url : str
         Where the bytes come from, as the user wrote it.
     """
@@ -65,8 +65,8 @@ class Transport(Protocol):
         Parameters
         ----------
         timeout_s : float
-            Longest wait [s]. A lockstep transport may return sooner with bytes, or use the whole time and return
-            all bytes of it; the second is what makes a simulation fast.
+            Longest wait [s]. A lockstep transport may return sooner with bytes, or use the whole time and
+            return all bytes of it; the second is what makes a simulation fast.
 
         Returns
         -------
@@ -100,19 +100,34 @@ class Transport(Protocol):
         ...
 
     def wall_ns(self) -> int:
-        """Return Unix time [ns]; in lockstep a fixed epoch plus simulated time, so that logs are reproducible."""
+        """Return Unix time [ns]; in lockstep a fixed epoch plus simulated time, so that logs repeat."""
         ...
 
     def close(self) -> None:
         """Let go of the other end; harmless when called twice."""
         ...
 
+    def reopen(self) -> Transport:
+        """Open the same board again, after this transport was lost and closed.
+
+        Returns
+        -------
+        Transport
+            Another one; this one stays closed.
+
+        Raises
+        ------
+        LinkError
+            It is not there, or not yet.
+        """
+        ...
+
 
 class SerialTransport:
     """A board behind anything that pyserial can open.
 
-    Opening clears the port's hang-up flag where the system has one: the kernel then keeps DTR raised when this
-    process ends, so that the next one does not reset a board that may still be flying.
+    Opening clears the port's hang-up flag where the system has one: the kernel then keeps DTR raised when
+    this process ends, so that the next one does not reset a board that may still be flying.
 
     Parameters
     ----------
@@ -149,7 +164,10 @@ class SerialTransport:
             raise BadBaud("1200 baud erases the flash of a Due", f"leave the rate at {BAUD}")
         self.url = url
         self.min_read_interval_s = min_read_interval_s
+        self._baud = baud
         self._serial = _open_serial(url, baud)
+        # Unplugged and plugged in again, a board may come back under another number.
+        self._stable_url = stable_name(url)
         self._last_read_s = -1.0
         try:
             # rfc2217 has no file behind it, and its fileno() raises what the io base class says.
@@ -225,6 +243,21 @@ class SerialTransport:
         """Close the port."""
         with contextlib.suppress(OSError, serial.SerialException):
             self._serial.close()
+
+    def reopen(self) -> SerialTransport:
+        """Open the same port again, by the name that survives unplugging where there is one.
+
+        Returns
+        -------
+        SerialTransport
+            Open; it does not reset the board.
+
+        Raises
+        ------
+        PortError
+            It is not there, or not yet.
+        """
+        return SerialTransport(self._stable_url, self._baud, min_read_interval_s=self.min_read_interval_s)
 
     def _drain(self) -> bytes:
         # A terminal hands out at most 4096 bytes a call, however many wait.
@@ -352,30 +385,23 @@ def open_transport(
     return SerialTransport(url, baud, reset_board=reset_board, min_read_interval_s=min_read_interval_s)
 
 
-def set_read_interval(transport: Transport, interval_s: float) -> float | None:
-    """Change how long a transport collects bytes before it hands them out.
+def set_read_interval(transport: Transport, interval_s: float) -> None:
+    """Choose how long a transport collects bytes before it hands them out.
 
     Parameters
     ----------
     transport : Transport
-        Any transport; those that do not collect are left alone.
+        Any transport; one without ``min_read_interval_s`` is left alone.
     interval_s : float
-        New interval [s].
-
-    Returns
-    -------
-    float or None
-        The interval before, None for a transport that does not collect.
+        Interval [s].
     """
-    if not isinstance(transport, SerialTransport):
-        return None
-    before_s, transport.min_read_interval_s = transport.min_read_interval_s, interval_s
-    return before_s
+    if hasattr(transport, "min_read_interval_s"):
+        transport.min_read_interval_s = interval_s
 
 
 def _open_serial(url: str, baud: int) -> serial.SerialBase:
     is_file = os.name == "posix" and "://" not in url
-    options = {"exclusive": True} if is_file else {}
+    options: dict[str, Any] = {"exclusive": True} if is_file else {}
     try:
         return serial.serial_for_url(url, baud, timeout=0, write_timeout=_WRITE_TIMEOUT_S, **options)
     except ValueError as error:

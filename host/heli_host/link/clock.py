@@ -1,0 +1,211 @@
+"""Device time to host time, from the moments at which bytes arrived.
+
+Bytes arrive late, by the length of a frame, by the bursts of a USB bridge, by whatever this computer was
+doing; never early. So the line that maps ticks to host seconds lies below all arrivals and touches the
+quickest of them: of all such lines the one with the least mean lateness is an edge of their lower convex
+hull. A pong also says when it was asked for; half of the shortest round trip is taken off as the way from
+board to host.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from heli_host.link.declaration import TICK_US
+
+TICK_S = TICK_US * 1e-6
+
+_BIN_TICKS = 500
+_BINS = 120
+# Four bins in a row this late mean that the clocks have moved against each other (a simulation was paused, a
+# computer slept), not that the line was busy: a full Due line is late by 15 ms at most.
+_STEP_S = 0.03
+_STEP_BINS = 4
+
+
+@dataclass(frozen=True)
+class ClockEstimate:
+    """A map between device time and the host's monotonic time.
+
+    Parameters
+    ----------
+    origin_tick : float
+        Tick at which the map is anchored.
+    origin_s : float
+        Host time of that tick [s].
+    tick_s : float
+        Host seconds that one tick takes [s]: near 0.001, less when a simulation runs faster than real time.
+    jitter_s : float
+        Lateness that one in twenty of the recent arrivals exceeds [s].
+    round_trip_s : float
+        Shortest round trip of a ping [s]; 0 before the first.
+    """
+
+    origin_tick: float
+    origin_s: float
+    tick_s: float
+    jitter_s: float
+    round_trip_s: float
+
+    @property
+    def rate(self) -> float:
+        """Device seconds in one host second."""
+        return TICK_S / self.tick_s
+
+    @property
+    def drift_ppm(self) -> float:
+        """How much faster than the host's the device's clock runs, in parts per million of real time."""
+        return (self.rate - 1.0) * 1e6
+
+    def host_s_at(self, tick: float) -> float:
+        """Return the host time of a tick.
+
+        Parameters
+        ----------
+        tick : float
+            Device time [tick], counted on over 2^32.
+
+        Returns
+        -------
+        float
+            Monotonic host time [s].
+        """
+        return self.origin_s + (tick - self.origin_tick) * self.tick_s
+
+    def tick_at(self, host_s: float) -> float:
+        """Return the device time at a host time.
+
+        Parameters
+        ----------
+        host_s : float
+            Monotonic host time [s].
+
+        Returns
+        -------
+        float
+            Device time [tick].
+        """
+        return self.origin_tick + (host_s - self.origin_s) / self.tick_s
+
+
+class ClockFit:
+    """Collects arrivals and fits a `ClockEstimate` to them, when asked."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: the board, or the simulation's clock, has started anew."""
+        self._bins: deque[tuple[int, float]] = deque(maxlen=_BINS)  # (tick, host_s), the quickest of its bin
+        self._best: tuple[int, float] | None = None
+        self._late_s: deque[float] = deque(maxlen=200)
+        self._round_trip_s: deque[float] = deque(maxlen=60)
+        self._estimate: ClockEstimate | None = None
+        self._stale = True
+
+    def observe(self, tick: int, host_s: float) -> None:
+        """Take the arrival of something that the board sent at or after a tick.
+
+        Parameters
+        ----------
+        tick : int
+            Latest device time that is in what arrived [tick], counted on over 2^32.
+        host_s : float
+            Monotonic host time of the arrival [s].
+        """
+        best = self._best
+        if best is None:
+            self._best, self._stale = (tick, host_s), True
+            return
+        estimate = self._estimate
+        slope_s = estimate.tick_s if estimate is not None else TICK_S
+        if tick // _BIN_TICKS != best[0] // _BIN_TICKS:
+            self.estimate()
+            self._bins.append(best)
+            self._forget_before_a_step()
+            self._best, self._stale = (tick, host_s), True
+        elif host_s - best[1] < (tick - best[0]) * slope_s:
+            self._best, self._stale = (tick, host_s), True
+        if estimate is not None:
+            self._late_s.append(host_s - estimate.host_s_at(tick))
+
+    def observe_pong(self, sent_s: float, tick: int, host_s: float) -> None:
+        """Take the answer to a ping.
+
+        Parameters
+        ----------
+        sent_s : float
+            Monotonic host time at which the ping was sent [s].
+        tick : int
+            Device time at the answer [tick], counted on over 2^32.
+        host_s : float
+            Monotonic host time of the arrival [s].
+        """
+        self._round_trip_s.append(max(host_s - sent_s, 0.0))
+        self.observe(tick, host_s)
+        self._stale = True
+
+    def estimate(self) -> ClockEstimate | None:
+        """Fit the map to what was seen so far.
+
+        Returns
+        -------
+        ClockEstimate or None
+            None before the first arrival.
+        """
+        if self._stale and self._best is not None:
+            self._estimate = self._fit([*self._bins, self._best])
+            self._stale = False
+        return self._estimate
+
+    def _fit(self, points: Sequence[tuple[int, float]]) -> ClockEstimate:
+        (tick, host_s), tick_s = points[-1], TICK_S
+        if self._estimate is not None:
+            tick_s = self._estimate.tick_s
+        if points[-1][0] - points[0][0] >= _BIN_TICKS // 2:
+            left, right = _edge_below_the_middle(points)
+            tick_s = max((right[1] - left[1]) / (right[0] - left[0]), 1e-9)
+            tick, host_s = left
+        round_trip_s = min(self._round_trip_s, default=0.0)
+        late = sorted(self._late_s)
+        jitter_s = late[int(0.95 * len(late))] if late else 0.0
+        return ClockEstimate(tick, host_s - round_trip_s / 2.0, tick_s, max(jitter_s, 0.0), round_trip_s)
+
+    def _forget_before_a_step(self) -> None:
+        bins = self._bins
+        if len(bins) <= _STEP_BINS or self._estimate is None:
+            return
+        late = [host_s - self._estimate.host_s_at(tick) > _STEP_S for tick, host_s in bins]
+        kept = len(bins)
+        if all(late[-_STEP_BINS:]):
+            kept = _STEP_BINS
+        elif 4 * sum(late) > len(late):
+            # Faster than before: the line then runs below the bend, which the newest bins do not show.
+            kept = max(len(bins) // 2, _STEP_BINS)
+        for _ in range(len(bins) - kept):
+            bins.popleft()
+
+
+def _edge_below_the_middle(
+    points: Sequence[tuple[int, float]],
+) -> tuple[tuple[int, float], tuple[int, float]]:
+    """Edge of the lower convex hull at the mean tick; points in the order of their ticks."""
+    hull: list[tuple[int, float]] = []
+    for point in points:
+        while len(hull) >= 2:
+            (t0, s0), (t1, s1) = hull[-2], hull[-1]
+            if (s1 - s0) * (point[0] - t0) < (point[1] - s0) * (t1 - t0):
+                break
+            hull.pop()
+        if hull and hull[-1][0] == point[0]:
+            hull[-1] = min(hull[-1], point)
+        else:
+            hull.append(point)
+    middle = sum(tick for tick, _ in points) / len(points)
+    for left, right in itertools.pairwise(hull):
+        if right[0] >= middle:
+            return left, right
+    return hull[-2], hull[-1]

@@ -1,0 +1,550 @@
+"""The protocol of a session without its bytes' ways: what comes in, what is due to go out, and when.
+
+No thread, no clock and no port is used here: the session feeds received bytes and the time, and sends what
+`Engine.outgoing` returns. So a session over a port, with a thread, and one in lockstep with a simulation run
+the same protocol.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import struct
+from dataclasses import dataclass, field
+from enum import Enum, auto
+from typing import ClassVar, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from heli_host.errors import CommandTimeout, HeliError, LinkLost, LinkVersionMismatch, fault_text
+from heli_host.link.accounting import LinkCounters, TickAccount
+from heli_host.link.clock import ClockFit
+from heli_host.link.declaration import (
+    LINK_HASH,
+    LINK_VERSION,
+    AckMessage,
+    Event,
+    EventMessage,
+    HelloMessage,
+    MessageId,
+    PingMessage,
+    PongMessage,
+    Reset,
+    Result,
+    SetpointMessage,
+    State,
+    StatusMessage,
+    VoltagesMessage,
+    WelcomeMessage,
+)
+from heli_host.link.events import (
+    BOARD_RESTARTED,
+    LINK_LOST,
+    LINK_RESTORED,
+    LINK_SILENT,
+    LinkEvent,
+    event_kind,
+    event_text,
+)
+from heli_host.link.frames import Frame, FrameParser, encode_frame
+from heli_host.link.telemetry import EMPTY_TICKS, TelemetryDecoder, Ticks
+
+HELLO_INTERVAL_S = 0.1
+HEARTBEAT_S = 0.2
+CLOCK_PING_S = 1.0
+KEEP_ALIVE_S = 0.1
+SILENCE_S = 1.0
+SETPOINT_INTERVAL_S = 1.0 / 200.0
+VOLTAGES_INTERVAL_S = 1.0 / 500.0
+
+_STATE_CHANNEL = 8
+_FIRST_TRY_S = 0.06
+_LONGEST_TRY_S = 0.5
+_HELD_BATCHES = 500
+_TICK_MASK = 0xFFFFFFFF
+
+
+class Command(Protocol):
+    """A message that the board answers; every class of the declaration with a ``REPLY`` is one."""
+
+    ID: ClassVar[MessageId]
+    REPLY: ClassVar[MessageId]
+
+    @property
+    def request(self) -> int:
+        """Request number; the engine sets it."""
+        ...
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        ...
+
+
+class Phase(Enum):
+    """Whether the board has welcomed this session."""
+
+    GREETING = auto()
+    OPEN = auto()
+
+
+@dataclass
+class Request:
+    """A command on its way.
+
+    Parameters
+    ----------
+    command : Command
+        What was asked, with its request number.
+    deadline_s : float
+        Host time at which it is given up [s].
+    next_try_s : float
+        Host time of the next try [s].
+    tries : int
+        How often it was sent.
+    reply : Frame or None
+        The answer.
+    error : HeliError or None
+        Why there will be none.
+    """
+
+    command: Command
+    deadline_s: float
+    next_try_s: float
+    tries: int = 0
+    reply: Frame | None = None
+    error: HeliError | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether it is answered or given up."""
+        return self.reply is not None or self.error is not None
+
+
+@dataclass
+class Received:
+    """What one reading brought.
+
+    Parameters
+    ----------
+    ticks : Ticks
+        New samples.
+    events : list of LinkEvent
+        Events of board and link, in order.
+    statuses : list of StatusMessage
+        The board's counters.
+    """
+
+    ticks: Ticks = EMPTY_TICKS
+    events: list[LinkEvent] = field(default_factory=list)
+    statuses: list[StatusMessage] = field(default_factory=list)
+
+
+@dataclass
+class _Slot:
+    """A stream's newest value, held back by the rate limit."""
+
+    interval_s: float
+    waiting: SetpointMessage | VoltagesMessage | None = None
+    sent_s: float = -1e9
+    sent: int = 0
+    skipped: int = 0
+
+
+class Engine:
+    """The state of one session.
+
+    Parameters
+    ----------
+    session_number : int
+        Number that tells this session from others; the same after a reconnect.
+
+    Attributes
+    ----------
+    parser : FrameParser
+        Frames and their counts.
+    account : TickAccount
+        Ticks received and lost.
+    clock : ClockFit
+        Device time to host time.
+    phase : Phase
+        Whether the board has welcomed this session.
+    welcome : WelcomeMessage or None
+        The board's newest welcome.
+    mismatch : LinkVersionMismatch or None
+        Set when the board speaks another declaration.
+    latest_raw : ndarray of int32, shape (11,), or None
+        Newest sample, channels in the declaration's order.
+    unreachable_since_s : float or None
+        Host time since when the board does not answer [s].
+    restarts : int
+        Times that the board started anew.
+    kept : SetpointMessage or None
+        Setpoint that is sent again ten times a second while the board flies on setpoints.
+    """
+
+    def __init__(self, session_number: int) -> None:
+        self.parser = FrameParser()
+        self.account = TickAccount()
+        self.clock = ClockFit()
+        self.phase = Phase.GREETING
+        self.welcome: WelcomeMessage | None = None
+        self.mismatch: LinkVersionMismatch | None = None
+        self.latest_raw: npt.NDArray[np.int32] | None = None
+        self.unreachable_since_s: float | None = None
+        self.kept: SetpointMessage | None = None
+        self._decoder = TelemetryDecoder()
+        self._session_number = session_number
+        self._seq = 0
+        self._request_number = session_number & 0xFF
+        self._hello_request = self._number()
+        self._next_hello_s = -1e9
+        self._last_sent_s = -1e9
+        self._last_heard_s = 0.0
+        self._last_ping_s = -1e9
+        self._request: Request | None = None
+        self._setpoints = _Slot(SETPOINT_INTERVAL_S)
+        self._voltages = _Slot(VOLTAGES_INTERVAL_S)
+        self._held: list[bytes] = []
+        self._retries = 0
+        self._reconnects = 0
+        self.restarts = 0
+        self._malformed = 0
+        self._board: StatusMessage | None = None
+        self._baseline = (0, 0, 0, 0, 0)
+        self._round_trip_s = 0.0
+
+    @property
+    def state(self) -> State | None:
+        """Supervisor state in the newest sample; None before the first, and for one unknown to this host."""
+        if self.latest_raw is None:
+            return None
+        number = int(self.latest_raw[_STATE_CHANNEL])
+        return State(number) if number in State._value2member_map_ else None
+
+    @property
+    def speed(self) -> float:
+        """Device seconds in a host second, at least 1: a fast simulation wants everything sooner."""
+        estimate = self.clock.estimate()
+        return 1.0 if estimate is None else max(estimate.rate, 1.0)
+
+    @property
+    def last_request(self) -> Request | None:
+        """The command on its way, or the last one that was."""
+        return self._request
+
+    def counters(self) -> LinkCounters:
+        """Return all counts since the first welcome.
+
+        Returns
+        -------
+        LinkCounters
+            A snapshot.
+        """
+        frames_ok, frames_bad, frames_lost, received, dropped = (
+            now - then for now, then in zip(self._parser_counts(), self._baseline, strict=True)
+        )
+        return LinkCounters(
+            frames_ok=frames_ok,
+            frames_bad=frames_bad + self._malformed + self._decoder.malformed,
+            frames_lost=frames_lost,
+            bytes_received=received,
+            bytes_dropped=dropped,
+            retries=self._retries,
+            reconnects=self._reconnects,
+            restarts=self.restarts,
+            ticks_received=self.account.received,
+            ticks_lost=self.account.lost,
+            setpoints_sent=self._setpoints.sent,
+            setpoints_skipped=self._setpoints.skipped,
+            voltages_sent=self._voltages.sent,
+            voltages_skipped=self._voltages.skipped,
+            board=self._board,
+        )
+
+    def receive(self, data: bytes, now_s: float, wall_ns: int) -> Received:
+        """Take bytes from the board.
+
+        Parameters
+        ----------
+        data : bytes
+            As they came; may be empty.
+        now_s : float
+            Host time of their arrival [s].
+        wall_ns : int
+            Unix time of their arrival [ns].
+
+        Returns
+        -------
+        Received
+            What they say.
+        """
+        received = Received()
+        frames = self.parser.feed(data) if data else []
+        if frames:
+            self._last_heard_s = now_s
+        for frame in frames:
+            if frame.id == MessageId.TELEMETRY:
+                self._held.append(frame.payload)
+            else:
+                self._take(frame, now_s, wall_ns, received)
+        if self.phase is Phase.GREETING:
+            # After a reconnect these become samples, once the welcome has said that it is the same start.
+            del self._held[:-_HELD_BATCHES]
+            return received
+        if self._held:
+            self._take_telemetry(now_s, wall_ns, received)
+        if now_s - self._last_heard_s > SILENCE_S:
+            self._greet(now_s)
+            received.events.append(self._event(LINK_SILENT, "the board has fallen silent", wall_ns))
+        return received
+
+    def outgoing(self, now_s: float) -> bytes:
+        """Return the frames that are due.
+
+        Parameters
+        ----------
+        now_s : float
+            Host time [s].
+
+        Returns
+        -------
+        bytes
+            To be sent at once; empty when nothing is due.
+        """
+        request = self._request
+        if request is not None and not request.done and now_s >= request.deadline_s:
+            name = request.command.ID.name.lower()
+            request.error = CommandTimeout(
+                f"the board did not answer {name} in {request.tries} tries",
+                "check the link with heli-host doctor",
+            )
+        if self.phase is Phase.GREETING:
+            if now_s < self._next_hello_s:
+                return b""
+            self._next_hello_s = now_s + HELLO_INTERVAL_S
+            return self._frame(HelloMessage(self._hello_request, LINK_HASH, self._session_number), now_s)
+        speed = self.speed
+        out = b""
+        if request is not None and not request.done and now_s >= request.next_try_s:
+            out += self._try(request, now_s)
+        for slot in (self._setpoints, self._voltages):
+            if slot.waiting is not None and now_s >= slot.sent_s + slot.interval_s / speed:
+                out += self._release(slot, slot.waiting, now_s)
+        if (
+            self.kept is not None
+            and now_s >= self._setpoints.sent_s + KEEP_ALIVE_S / speed
+            and self.state in (State.CLOSED_LOOP, State.HOLD)
+        ):
+            tick = (self.account.last or 0) & _TICK_MASK
+            out += self._release(self._setpoints, dataclasses.replace(self.kept, apply_tick=tick), now_s)
+        idle_s, unpinged_s = now_s - self._last_sent_s, now_s - self._last_ping_s
+        awaiting = request is not None and not request.done
+        if not awaiting and (idle_s >= HEARTBEAT_S / speed or unpinged_s >= CLOCK_PING_S / speed):
+            self._last_ping_s = now_s
+            out += self._frame(PingMessage(self._number(), round(now_s * 1e6)), now_s)
+        return out
+
+    def next_stream_s(self) -> float | None:
+        """Return when a streamed value that waits may go.
+
+        Returns
+        -------
+        float or None
+            Host time [s]; None when none waits.
+        """
+        times = [
+            slot.sent_s + slot.interval_s / self.speed
+            for slot in (self._setpoints, self._voltages)
+            if slot.waiting is not None
+        ]
+        return min(times, default=None)
+
+    def ask(self, command: Command, now_s: float, timeout_s: float) -> Request:
+        """Start a command; `outgoing` sends it, and again until the answer comes.
+
+        Parameters
+        ----------
+        command : Command
+            Any message with a reply; its request number is replaced.
+        now_s : float
+            Host time [s].
+        timeout_s : float
+            Time after which it is given up [s].
+
+        Returns
+        -------
+        Request
+            Done when answered or given up; only one may be on its way.
+        """
+        numbered = dataclasses.replace(command, request=self._number())  # type: ignore[type-var]
+        self._request = Request(numbered, now_s + timeout_s, now_s)
+        return self._request
+
+    def stream(self, message: SetpointMessage | VoltagesMessage) -> None:
+        """Put a streamed value in line: `outgoing` sends the newest, as often as the rate limit lets it.
+
+        Parameters
+        ----------
+        message : SetpointMessage or VoltagesMessage
+            The value; it replaces one of its kind that waits.
+        """
+        slot = self._setpoints if isinstance(message, SetpointMessage) else self._voltages
+        slot.skipped += slot.waiting is not None
+        slot.waiting = message
+
+    def cut(self, now_s: float, wall_ns: int, reason: str) -> LinkEvent:
+        """Note that the line is cut; greeting starts again when bytes flow again.
+
+        Parameters
+        ----------
+        now_s : float
+            Host time [s].
+        wall_ns : int
+            Unix time [ns].
+        reason : str
+            What happened, for the event.
+
+        Returns
+        -------
+        LinkEvent
+            To be delivered.
+        """
+        self.parser.restart()
+        self._greet(now_s)
+        return self._event(LINK_LOST, reason, wall_ns)
+
+    def _take(self, frame: Frame, now_s: float, wall_ns: int, received: Received) -> None:
+        try:
+            match frame.id:
+                case MessageId.WELCOME:
+                    self._take_welcome(WelcomeMessage.unpack(frame.payload), now_s, wall_ns, received)
+                case MessageId.PONG:
+                    pong = PongMessage.unpack(frame.payload)
+                    sent_s = pong.host_us * 1e-6
+                    self._round_trip_s = max(0.8 * self._round_trip_s, now_s - sent_s)
+                    if self.phase is Phase.OPEN:
+                        self.clock.observe_pong(sent_s, self.account.unwrap(pong.tick), now_s)
+                case MessageId.STATUS:
+                    self._board = StatusMessage.unpack(frame.payload)
+                    received.statuses.append(self._board)
+                case MessageId.EVENT:
+                    self._take_event(EventMessage.unpack(frame.payload), now_s, wall_ns, received)
+                case MessageId.ACK:
+                    if AckMessage.unpack(frame.payload).result == Result.NO_HANDSHAKE:
+                        self._greet(now_s)
+                        return
+            self._match(frame)
+        except struct.error:
+            self._malformed += 1
+
+    def _match(self, frame: Frame) -> None:
+        request = self._request
+        if (
+            request is None
+            or request.done
+            or not frame.payload
+            or frame.payload[0] != request.command.request
+        ):
+            return
+        refused = frame.id == MessageId.ACK and frame.payload[1] == request.command.ID
+        if refused or frame.id == request.command.REPLY:
+            request.reply = frame
+
+    def _take_welcome(self, welcome: WelcomeMessage, now_s: float, wall_ns: int, received: Received) -> None:
+        if self.phase is Phase.OPEN or welcome.request != self._hello_request:
+            return
+        if welcome.result != Result.OK or welcome.link_hash != LINK_HASH:
+            self.mismatch = LinkVersionMismatch(
+                LINK_VERSION,
+                LINK_HASH,
+                f"{welcome.link_major}.{welcome.link_minor}",
+                welcome.link_hash,
+                f"{welcome.firmware_major}.{welcome.firmware_minor}.{welcome.firmware_patch}",
+            )
+            return
+        before = self.welcome
+        self.phase, self.welcome, self.unreachable_since_s = Phase.OPEN, welcome, None
+        self._last_sent_s = self._last_ping_s = now_s - HEARTBEAT_S
+        if before is None:
+            self._held.clear()
+            self._baseline = self._parser_counts()
+            return
+        self._reconnects += 1
+        if welcome.boot_count == before.boot_count:
+            received.events.append(self._event(LINK_RESTORED, "the link is back", wall_ns))
+            if self._request is not None:
+                self._request.next_try_s = now_s
+            return
+        self._held.clear()
+        self.account.restart()
+        self.clock.reset()
+        self.latest_raw = None
+        self.kept = None
+        self.restarts += 1
+        reason = Reset(welcome.reset).name.lower() if welcome.reset in Reset._value2member_map_ else "unknown"
+        fault = f"; {fault_text(welcome.boot_fault)}" if welcome.boot_fault else ""
+        text = f"the board started anew ({reason}){fault}"
+        received.events.append(self._event(BOARD_RESTARTED, text, wall_ns))
+        if self._request is not None and not self._request.done:
+            self._request.error = LinkLost(f"{text} before it answered", "check its supply, then arm again")
+
+    def _take_event(self, message: EventMessage, now_s: float, wall_ns: int, received: Received) -> None:
+        event = LinkEvent(message.tick, wall_ns, event_kind(message), event_text(message), message)
+        received.events.append(event)
+        known = self.welcome is not None and int(message.value) == self.welcome.boot_count
+        if message.kind == Event.BOOT and not known:
+            self._greet(now_s)
+
+    def _take_telemetry(self, now_s: float, wall_ns: int, received: Received) -> None:
+        ticks = self._decoder.decode(self._held)
+        self._held.clear()
+        accepted, jumped_back = self.account.take(ticks)
+        if len(accepted):
+            self.latest_raw = accepted.raw[-1]
+            self.clock.observe(self.account.last or 0, now_s)
+            received.ticks = accepted
+        if jumped_back:
+            self._greet(now_s)
+
+    def _greet(self, now_s: float) -> None:
+        if self.phase is Phase.OPEN or self.unreachable_since_s is None:
+            self.unreachable_since_s = now_s
+        self.phase = Phase.GREETING
+        self._next_hello_s = now_s
+        self._hello_request = self._number()
+        self.parser.restart_sequence()
+
+    def _event(self, kind: str, text: str, wall_ns: int) -> LinkEvent:
+        return LinkEvent((self.account.last or 0) & _TICK_MASK, wall_ns, kind, text)
+
+    def _try(self, request: Request, now_s: float) -> bytes:
+        self._retries += request.tries > 0
+        patience_s = max(_FIRST_TRY_S, 2.0 * self._round_trip_s) * 1.5**request.tries
+        request.next_try_s = now_s + min(patience_s, _LONGEST_TRY_S)
+        request.tries += 1
+        return self._frame(request.command, now_s)
+
+    def _release(self, slot: _Slot, message: SetpointMessage | VoltagesMessage, now_s: float) -> bytes:
+        slot.waiting, slot.sent_s = None, now_s
+        slot.sent += 1
+        return self._frame(message, now_s)
+
+    def _frame(self, message: Command | SetpointMessage | VoltagesMessage, now_s: float) -> bytes:
+        self._last_sent_s = now_s
+        self._seq = (self._seq + 1) & 0xFF
+        return encode_frame(message.ID, self._seq, message.pack())
+
+    def _number(self) -> int:
+        # 0 is the number of what the board sends unasked.
+        self._request_number = self._request_number % 255 + 1
+        return self._request_number
+
+    def _parser_counts(self) -> tuple[int, int, int, int, int]:
+        parser = self.parser
+        return (
+            parser.frames_ok,
+            parser.frames_bad,
+            parser.frames_lost,
+            parser.bytes_received,
+            parser.bytes_dropped,
+        )

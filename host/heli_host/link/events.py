@@ -1,0 +1,103 @@
+"""What happened, in words: the board's events and those of the link itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from heli_host.errors import fault_text
+from heli_host.link.declaration import Axes, Event, EventMessage, Excitation, Reset, Result, State, Trigger
+
+LINK_LOST = "link_lost"
+LINK_SILENT = "link_silent"
+LINK_RESTORED = "link_restored"
+BOARD_RESTARTED = "board_restarted"
+CALLBACK_FAILED = "callback_failed"
+
+
+@dataclass(frozen=True)
+class LinkEvent:
+    """Something that happened on the board or on the link.
+
+    Parameters
+    ----------
+    tick : int
+        Device time [tick]; for the link's own events the newest tick known.
+    wall_ns : int
+        Unix time at which this host learned of it [ns].
+    kind : str
+        Name of the board's event (``state``, ``fault``, ``setpoint_stale``, ...), or ``link_lost``,
+        ``link_silent``, ``link_restored``, ``board_restarted``, ``callback_failed``.
+    text : str
+        One line for a person, with the reason.
+    message : EventMessage or None
+        The board's message; None for an event of the link.
+    """
+
+    tick: int
+    wall_ns: int
+    kind: str
+    text: str
+    message: EventMessage | None = None
+
+
+def event_text(message: EventMessage) -> str:
+    """Say in one line what the board reports.
+
+    Parameters
+    ----------
+    message : EventMessage
+        As it came over the link.
+
+    Returns
+    -------
+    str
+        For example ``"state hold, because of stale_hold"``.
+    """
+    detail, value = message.detail, message.value
+    match message.kind:
+        case Event.BOOT:
+            return f"board started ({_name(Reset, detail)}), start number {value:.0f}"
+        case Event.STATE:
+            return f"state {_name(State, detail)}, because of {_name(Trigger, message.cause)}"
+        case Event.FAULT:
+            return f"fault {fault_text(detail)}; seen: {value:.4g}"
+        case Event.SETPOINT_STALE:
+            return f"setpoints stopped coming; they came at {value:.0f} Hz in the second before"
+        case Event.SETPOINT_FRESH:
+            return "setpoints came back"
+        case Event.PARAMS_SAVED:
+            return f"parameters saved, generation {value:.0f}"
+        case Event.EXCITATION_END:
+            return f"excitation {_name(Excitation, detail)} ended"
+        case Event.SETPOINT_REJECTED:
+            return f"a streamed value was refused: {_name(Result, detail)}"
+        case Event.ZEROED:
+            axes = [axis.name.lower() for axis in Axes if axis.name and axis & detail]
+            return f"zero taken: {', '.join(axes)}"
+        case _:
+            return f"event {message.kind}, unknown to this host (detail {detail}, value {value:.4g})"
+
+
+def event_kind(message: EventMessage) -> str:
+    """Return the name of a board's event.
+
+    Parameters
+    ----------
+    message : EventMessage
+        As it came over the link.
+
+    Returns
+    -------
+    str
+        Lower-case name, ``"event_<number>"`` for one that this host does not know.
+    """
+    return _name(Event, message.kind, "event_")
+
+
+def _name(
+    kind: type[Event | Reset | State | Trigger | Excitation | Result], value: int, prefix: str = ""
+) -> str:
+    try:
+        return kind(value).name.lower()
+    except ValueError:
+        return f"{prefix}{value}"
