@@ -1,0 +1,130 @@
+"""What a board allows a plan, from its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from heli_host.errors import PlanError
+from heli_host.fly.keys import AXES
+from heli_host.fly.route import Floats
+from heli_host.fly.segments import Segment
+from heli_host.link.declaration import PARAMS
+
+_ELEVATION_MARGIN_DEG = 2.0
+_TRAVEL_MARGIN_DEG = 5.0
+_TABLE_MARGIN_DEG = 2.0
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the board allows.
+
+    Parameters
+    ----------
+    low_deg, high_deg : ndarray (3,)
+        Bounds of the setpoints of elevation, pitch and travel.
+    low_names, high_names : tuple of str
+        Where each bound comes from, for messages.
+    slew_deg_s : ndarray (3,)
+        Fastest change of each setpoint.
+    excitation_max_V, excitation_max_s : float
+        Bounds of an excitation.
+    rest_deg : float
+        Elevation on the table.
+    """
+
+    low_deg: Floats
+    high_deg: Floats
+    low_names: tuple[str, str, str]
+    high_names: tuple[str, str, str]
+    slew_deg_s: Floats
+    excitation_max_V: float
+    excitation_max_s: float
+    rest_deg: float
+
+    @staticmethod
+    def of(parameters: Mapping[str, float] | None = None) -> Limits:
+        """Return the limits that parameters set.
+
+        Parameters
+        ----------
+        parameters : Mapping[str, float], optional
+            The board's parameters by name; the declared defaults stand for what is missing.
+
+        Returns
+        -------
+        Limits
+        """
+        known = {spec.name: spec.default for spec in PARAMS}
+        known.update(parameters or {})
+        travel_deg = known["travel_max_deg"] - _TRAVEL_MARGIN_DEG
+        pitch_deg = known["pitch_setpoint_max_deg"]
+        return Limits(
+            low_deg=np.array([known["elevation_rest_deg"] + _TABLE_MARGIN_DEG, -pitch_deg, -travel_deg]),
+            high_deg=np.array([known["elevation_max_deg"] - _ELEVATION_MARGIN_DEG, pitch_deg, travel_deg]),
+            low_names=("elevation_rest_deg + 2", "-pitch_setpoint_max_deg", "-(travel_max_deg - 5)"),
+            high_names=("elevation_max_deg - 2", "pitch_setpoint_max_deg", "travel_max_deg - 5"),
+            slew_deg_s=np.array(
+                [known["elevation_slew_deg_s"], known["pitch_slew_deg_s"], known["travel_slew_deg_s"]]
+            ),
+            excitation_max_V=known["excitation_max_V"],
+            excitation_max_s=known["excitation_max_s"],
+            rest_deg=known["elevation_rest_deg"],
+        )
+
+
+def check_motion(segment: Segment, at_deg: Floats, limits: Limits) -> None:
+    """Refuse a segment that the board would refuse, or could not follow.
+
+    Parameters
+    ----------
+    segment : Segment
+        The segment.
+    at_deg : ndarray (3,)
+        Setpoints at which it begins.
+    limits : Limits
+        What the board allows.
+
+    Raises
+    ------
+    PlanError
+        With file, segment and key.
+    """
+    motion = segment.motion(at_deg)
+    slack_deg = 1e-9
+    for index, axis in enumerate(AXES):
+        key = segment.limit_keys[index]
+        low, high = limits.low_deg[index], limits.high_deg[index]
+        if motion.high_deg[index] > high + slack_deg:
+            raise PlanError(
+                f"{segment.where}: {key} takes {axis} to {motion.high_deg[index]:g} degrees",
+                f"stay at or below {high:g} ({limits.high_names[index]})",
+            )
+        if motion.low_deg[index] < low - slack_deg:
+            raise PlanError(
+                f"{segment.where}: {key} takes {axis} to {motion.low_deg[index]:g} degrees",
+                f"stay at or above {low:g} ({limits.low_names[index]})",
+            )
+        rate_deg_s = motion.rate_deg_s[index]
+        if rate_deg_s > limits.slew_deg_s[index] * (1.0 + 1e-9):
+            raise PlanError(
+                f"{segment.where}: {segment.rate_key} asks {axis} for {rate_deg_s:.4g} degrees a second",
+                f"the board's {axis}_slew_deg_s is {limits.slew_deg_s[index]:g}: go slower, or raise it",
+            )
+    excitation = segment.excitation
+    if excitation is None:
+        return
+    for key, value in (("front_V", excitation.front_V), ("back_V", excitation.back_V)):
+        if abs(value) > limits.excitation_max_V:
+            raise PlanError(
+                f"{segment.where}: {key} is {value:g}",
+                f"keep it within {limits.excitation_max_V:g} (excitation_max_V)",
+            )
+    if excitation.duration_s > limits.excitation_max_s:
+        raise PlanError(
+            f"{segment.where}: duration_s is {excitation.duration_s:g}",
+            f"keep it within {limits.excitation_max_s:g} (excitation_max_s)",
+        )

@@ -1,0 +1,382 @@
+"""Flight plans: TOML in, setpoints as functions of time out; everything is checked before anything moves.
+
+::
+
+    title = "Travel step"
+    [start]                      # where take-off ends; all of it may be left out
+    elevation_deg = 0
+    rate_deg_s = 8               # how fast the elevation setpoint rises from the table
+    settle_s = 4                 # wait there before the first segment
+
+    [[segment]]
+    kind = "hold"                # hold, step, ramp, sine, waypoints, excite, land
+    duration_s = 5
+    [[segment]]
+    kind = "step"
+    travel_deg = 15
+    duration_s = 12
+
+A plan closes all axes unless ``axes = ["elevation", "pitch"]`` leaves travel free; only then ``pitch_deg`` is
+taken. Setpoints are continuous from segment to segment, steps excepted; every plan ends in a landing.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heli_host.errors import PlanError
+from heli_host.fly import route as shapes
+from heli_host.fly.keys import ANGLE, AXES, PAUSE, RATE, Table
+from heli_host.fly.limits import Limits, check_motion
+from heli_host.fly.route import Floats, Route
+from heli_host.fly.segments import Segment, read_segment
+
+TAKE_OFF = "take-off"
+"""Phase before the first plan."""
+
+MAX_SEGMENTS = 1000
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where take-off ends, or where the plan before this one hands over.
+
+    Parameters
+    ----------
+    elevation_deg : float
+        Elevation there.
+    rate_deg_s : float
+        How fast the elevation setpoint rises to it.
+    settle_s : float
+        How long to wait there.
+    """
+
+    elevation_deg: float = 0.0
+    rate_deg_s: float = 8.0
+    settle_s: float = 4.0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A flight plan, read and checked.
+
+    Parameters
+    ----------
+    name : str
+        Name it is found by, or its file's stem.
+    source : str
+        Built-in name or path, for messages.
+    title : str
+        What it is, in one line.
+    axes : tuple of str
+        Axes that it closes.
+    start : Start
+        Its take-off.
+    segments : tuple of Segment
+        What it flies.
+    text : str
+        Its TOML, as read; goes into the log.
+    """
+
+    name: str
+    source: str
+    title: str
+    axes: tuple[str, ...]
+    start: Start
+    segments: tuple[Segment, ...]
+    text: str
+
+    @staticmethod
+    def parse(text: str, source: str, name: str = "") -> Plan:
+        """Read a plan.
+
+        Parameters
+        ----------
+        text : str
+            TOML.
+        source : str
+            Where it comes from, for messages.
+        name : str
+            Name of the plan; the source's stem without it.
+
+        Returns
+        -------
+        Plan
+
+        Raises
+        ------
+        PlanError
+            If it is no TOML, has an unknown key, lacks one, or holds a value that no board takes.
+        """
+        try:
+            values = tomllib.loads(text)
+        except (tomllib.TOMLDecodeError, RecursionError) as error:
+            raise PlanError(f"{source} is not TOML: {error}", "correct that line") from error
+        name = name or Path(source).stem
+        table = Table(values, source, ("title", "axes", "start", "segment"))
+        closed = _read_axes(table)
+        commanded = tuple(axis for axis in closed if axis != "pitch" or "travel" not in closed)
+        start = _read_start(values.get("start", {}), source)
+        rows = values.get("segment", [])
+        if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
+            table.fail("it has no segment", 'add one: [[segment]] with kind = "hold" and duration_s = 10')
+        if len(rows) > MAX_SEGMENTS:
+            table.fail(f"it has {len(rows)} segments", f"use at most {MAX_SEGMENTS}")
+        segments = tuple(
+            read_segment(row, f"{source}, segment {number}", commanded)
+            for number, row in enumerate(rows, start=1)
+        )
+        for segment in segments[:-1]:
+            if segment.kind == "land":
+                raise PlanError(f"{segment.where}: something follows it", "put land last; it may be left out")
+        return Plan(name, source, table.text("title", name), closed, start, segments, text)
+
+    @cached_property
+    def route(self) -> Route:
+        """The plan as setpoints over time; 0 s is when take-off has settled."""
+        start_deg = np.array([self.start.elevation_deg, 0.0, 0.0])
+        return extend(Route(start_deg), self)
+
+    @property
+    def duration_s(self) -> float:
+        """Length without take-off and landing, in seconds."""
+        return self.route.duration_s
+
+    def evaluate(self, t_s: float | NDArray[np.float64]) -> tuple[Any, Any, Any]:
+        """Return the setpoints at one time or many.
+
+        Parameters
+        ----------
+        t_s : float or ndarray (n,)
+            Seconds since take-off has settled.
+
+        Returns
+        -------
+        elevation_deg, pitch_deg, travel_deg : float or ndarray (n,)
+            Setpoints in degrees; before 0 s where the plan starts, after its end where it ends.
+        """
+        points = self.route.evaluate(np.atleast_1d(np.asarray(t_s, np.float64)))
+        if np.ndim(t_s) == 0:
+            return float(points[0, 0]), float(points[0, 1]), float(points[0, 2])
+        return points[:, 0], points[:, 1], points[:, 2]
+
+    def check(self, parameters: Mapping[str, float] | None = None, from_deg: Floats | None = None) -> Floats:
+        """Refuse what the board would refuse, or could not follow.
+
+        Parameters
+        ----------
+        parameters : Mapping[str, float], optional
+            The board's parameters; the declared defaults stand for what is missing.
+        from_deg : ndarray (3,), optional
+            Setpoints at which the plan begins; its own start without it.
+
+        Returns
+        -------
+        ndarray (3,)
+            Setpoints at which it ends, in degrees.
+
+        Raises
+        ------
+        PlanError
+            If a setpoint leaves the limits, changes faster than the board's slew limits, or an excitation is
+            too large or too long; the message names file, segment and key.
+        """
+        at_deg = np.array([self.start.elevation_deg, 0.0, 0.0]) if from_deg is None else from_deg.copy()
+        limits = Limits.of(parameters)
+        self._check_start(limits)
+        at_deg[0] = self.start.elevation_deg
+        for segment in self.segments:
+            check_motion(segment, at_deg, limits)
+            at_deg = _end(segment, at_deg)
+        return at_deg
+
+    def _check_start(self, limits: Limits) -> None:
+        low, high = limits.low_deg[0], limits.high_deg[0]
+        if not low <= self.start.elevation_deg <= high:
+            raise PlanError(
+                f"{self.source}, start: elevation_deg is {self.start.elevation_deg:g}",
+                f"keep it from {low:g} to {high:g}",
+            )
+        if self.start.rate_deg_s > limits.slew_deg_s[0]:
+            raise PlanError(
+                f"{self.source}, start: rate_deg_s is {self.start.rate_deg_s:g}, the board's "
+                f"elevation_slew_deg_s {limits.slew_deg_s[0]:g}",
+                "lower it, or raise the parameter",
+            )
+
+
+def load_plan(name: str | Path) -> Plan:
+    """Find and read a plan.
+
+    Parameters
+    ----------
+    name : str or Path
+        Name of a built-in plan, or path of a TOML file.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    PlanError
+        If there is no such plan, or it cannot be flown as written.
+    """
+    text = str(name)
+    if text in plan_names():
+        return Plan.parse((_built_in() / f"{text}.toml").read_text(encoding="utf-8"), f"plan {text}", text)
+    path = Path(name)
+    if not path.exists():
+        close = difflib.get_close_matches(text, plan_names(), n=1)
+        hint = f"did you mean {close[0]}? " if close else ""
+        raise PlanError(
+            f"there is no plan {text!r}", f"{hint}give a file, or one of: {', '.join(plan_names())}"
+        )
+    try:
+        return Plan.parse(path.read_text(encoding="utf-8"), str(path), path.stem)
+    except UnicodeDecodeError as error:
+        raise PlanError(f"{path} is not text in UTF-8", "give a TOML file") from error
+    except OSError as error:
+        raise PlanError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
+
+
+def plan_names() -> list[str]:
+    """Return the names of the built-in plans."""
+    return sorted(
+        entry.name.removesuffix(".toml") for entry in _built_in().iterdir() if entry.name.endswith(".toml")
+    )
+
+
+def plan_title(name: str) -> str:
+    """Return the title of a built-in plan.
+
+    Parameters
+    ----------
+    name : str
+        One of `plan_names`.
+
+    Returns
+    -------
+    str
+    """
+    return load_plan(name).title
+
+
+def take_off(plans: Sequence[Plan], parameters: Mapping[str, float], start_deg: Floats) -> Route:
+    """Join take-off and plans to one route, checked against a board.
+
+    Parameters
+    ----------
+    plans : sequence of Plan
+        Plans in the order in which they are flown, at least one; all close the same axes.
+    parameters : Mapping[str, float]
+        The board's parameters by name.
+    start_deg : ndarray (3,)
+        Elevation, pitch and travel on the table.
+
+    Returns
+    -------
+    Route
+        It begins on the table; take-off is its first phase, then each plan is one.
+
+    Raises
+    ------
+    PlanError
+        If a plan cannot be flown on this board from there, or the plans do not fit each other.
+    """
+    first = plans[0]
+    for plan in plans[1:]:
+        if plan.axes != first.axes:
+            raise PlanError(
+                f"{plan.source} closes {', '.join(plan.axes)}, {first.source} {', '.join(first.axes)}",
+                "fly them one after the other, each with its own command",
+            )
+    at_deg = start_deg.copy()
+    at_deg[1] = 0.0
+    for plan in plans:
+        at_deg = plan.check(parameters, at_deg)
+    route = Route(np.array([start_deg[0], 0.0, start_deg[2]]))
+    for number, plan in enumerate(plans):
+        route = extend(_reach(route, plan, TAKE_OFF if number == 0 else plan.name, settle=number == 0), plan)
+    return route
+
+
+def extend(route: Route, plan: Plan) -> Route:
+    """Append a plan's segments to a route.
+
+    Parameters
+    ----------
+    route : Route
+        What comes before.
+    plan : Plan
+        What to append; its start is not.
+
+    Returns
+    -------
+    Route
+    """
+    for segment in plan.segments:
+        motion = segment.motion(route.end_deg)
+        if motion.duration_s > 0.0:
+            route = route.then(plan.name, segment.kind, motion.duration_s, motion.shape, segment.excitation)
+    return route
+
+
+def _reach(route: Route, plan: Plan, phase: str, *, settle: bool) -> Route:
+    from_deg = route.end_deg
+    to_deg = from_deg.copy()
+    to_deg[0] = plan.start.elevation_deg
+    duration_s = abs(float(to_deg[0] - from_deg[0])) / plan.start.rate_deg_s
+    if duration_s > 0.0:
+        route = route.then(phase, "rise", duration_s, shapes.ramp(from_deg, to_deg, duration_s))
+    if settle and plan.start.settle_s > 0.0:
+        route = route.then(phase, "settle", plan.start.settle_s, shapes.hold(to_deg))
+    return route
+
+
+def _end(segment: Segment, at_deg: Floats) -> Floats:
+    motion = segment.motion(at_deg)
+    end_deg: Floats = motion.shape(np.array([motion.duration_s]))[0]
+    return end_deg
+
+
+def _read_axes(table: Table) -> tuple[str, ...]:
+    given = table.values.get("axes", list(AXES))
+    if (
+        not isinstance(given, list)
+        or not all(axis in AXES for axis in given)
+        or len(set(given)) != len(given)
+    ):
+        table.fail("axes is not a list of axes", f"write axes = {list(AXES)}".replace("'", '"'))
+    if "elevation" not in given or "pitch" not in given:
+        table.fail(
+            "axes lacks elevation or pitch",
+            "a plan closes both; fly open loop from Python with heli.control()",
+        )
+    return tuple(axis for axis in AXES if axis in given)
+
+
+def _read_start(values: Any, source: str) -> Start:
+    if not isinstance(values, dict):
+        raise PlanError(f"{source}: start is not a table", "write [start] above its keys")
+    table = Table(values, f"{source}, start", ("elevation_deg", "rate_deg_s", "settle_s"))
+    usual = Start()
+    return Start(
+        table.number("elevation_deg", ANGLE, usual.elevation_deg),
+        table.number("rate_deg_s", RATE, usual.rate_deg_s),
+        table.number("settle_s", PAUSE, usual.settle_s),
+    )
+
+
+def _built_in() -> Any:
+    return resources.files("heli_host.fly") / "plans"

@@ -1,0 +1,262 @@
+"""Setpoints as functions of time: what a plan means once it is read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Shape = Callable[[Floats], Floats]
+"""From times within a piece, seconds (n,), to elevation, pitch and travel in degrees (n, 3)."""
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """An excitation that the board adds to the motor voltages during a piece.
+
+    Parameters
+    ----------
+    signal : str
+        Kind, as the link's declaration names it in lower case.
+    front_V, back_V : float
+        Amplitude on each motor.
+    start_Hz, stop_Hz : float
+        Frequencies.
+    duration_s : float
+        Length.
+    seed : int
+        Seed of prbs.
+    """
+
+    signal: str
+    front_V: float
+    back_V: float
+    start_Hz: float
+    stop_Hz: float
+    duration_s: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A stretch of a route.
+
+    Parameters
+    ----------
+    phase : str
+        What it belongs to: ``take-off`` or a plan's name.
+    name : str
+        What it is, for a person: ``sine``, ``step`` ...
+    start_s, duration_s : float
+        When, on the route's axis.
+    shape : callable
+        Setpoints within it.
+    excitation : Excitation or None
+        What the board adds meanwhile.
+    """
+
+    phase: str
+    name: str
+    start_s: float
+    duration_s: float
+    shape: Shape
+    excitation: Excitation | None = None
+
+    @property
+    def end_deg(self) -> Floats:
+        """Setpoints at its end, degrees (3,)."""
+        end_deg: Floats = self.shape(np.array([self.duration_s]))[0]
+        return end_deg
+
+
+@dataclass(frozen=True)
+class Route:
+    """Pieces that follow each other.
+
+    Parameters
+    ----------
+    start_deg : ndarray (3,)
+        Elevation, pitch and travel before the first piece.
+    pieces : tuple of Piece
+        In order of time, without gaps.
+    """
+
+    start_deg: Floats
+    pieces: tuple[Piece, ...] = ()
+
+    @property
+    def duration_s(self) -> float:
+        """Time from its start to its end, in seconds."""
+        return self.pieces[-1].start_s + self.pieces[-1].duration_s if self.pieces else 0.0
+
+    @property
+    def end_deg(self) -> Floats:
+        """Setpoints at its end, degrees (3,)."""
+        return self.pieces[-1].end_deg if self.pieces else self.start_deg
+
+    def then(
+        self, phase: str, name: str, duration_s: float, shape: Shape, excitation: Excitation | None = None
+    ) -> Route:
+        """Return the route with one more piece.
+
+        Parameters
+        ----------
+        phase, name : str
+            As in `Piece`.
+        duration_s : float
+            Length of the piece.
+        shape : callable
+            Setpoints within it.
+        excitation : Excitation, optional
+            What the board adds meanwhile.
+
+        Returns
+        -------
+        Route
+        """
+        piece = Piece(phase, name, self.duration_s, duration_s, shape, excitation)
+        return Route(self.start_deg, (*self.pieces, piece))
+
+    def piece_at(self, t_s: float) -> Piece | None:
+        """Return the piece at a time.
+
+        Parameters
+        ----------
+        t_s : float
+            Time on the route's axis.
+
+        Returns
+        -------
+        Piece or None
+            None before the start and after the end.
+        """
+        if not self.pieces or t_s < 0.0 or t_s >= self.duration_s:
+            return None
+        starts = [piece.start_s for piece in self.pieces]
+        return self.pieces[max(0, int(np.searchsorted(starts, t_s, side="right")) - 1)]
+
+    def phase_start_s(self, phase: str) -> float:
+        """Return when a phase begins.
+
+        Parameters
+        ----------
+        phase : str
+            Name of a phase of this route.
+
+        Returns
+        -------
+        float
+            Seconds on the route's axis; the route's end when it has no such phase.
+        """
+        return next((piece.start_s for piece in self.pieces if piece.phase == phase), self.duration_s)
+
+    def evaluate(self, t_s: Floats) -> Floats:
+        """Return the setpoints.
+
+        Parameters
+        ----------
+        t_s : ndarray (n,)
+            Times on the route's axis; before it the start, behind it the end counts.
+
+        Returns
+        -------
+        ndarray (n, 3)
+            Elevation, pitch and travel in degrees.
+        """
+        out = np.empty((t_s.size, 3))
+        out[:] = self.start_deg
+        if not self.pieces:
+            return out
+        starts = np.array([piece.start_s for piece in self.pieces])
+        index = np.searchsorted(starts, t_s, side="right") - 1
+        for number in np.unique(index[index >= 0]):
+            piece = self.pieces[number]
+            mine = index == number
+            out[mine] = piece.shape(np.minimum(t_s[mine] - piece.start_s, piece.duration_s))
+        return out
+
+
+def hold(at_deg: Floats) -> Shape:
+    """Return a shape that stays.
+
+    Parameters
+    ----------
+    at_deg : ndarray (3,)
+        Where.
+
+    Returns
+    -------
+    callable
+    """
+    return lambda t_s: np.tile(at_deg, (t_s.size, 1))
+
+
+def ramp(from_deg: Floats, to_deg: Floats, duration_s: float) -> Shape:
+    """Return a shape that goes straight from one point to another.
+
+    Parameters
+    ----------
+    from_deg, to_deg : ndarray (3,)
+        Both ends.
+    duration_s : float
+        Time between them.
+
+    Returns
+    -------
+    callable
+    """
+    return lambda t_s: from_deg + np.outer(np.clip(t_s / duration_s, 0.0, 1.0), to_deg - from_deg)
+
+
+def sine(from_deg: Floats, amplitude_deg: Floats, period_s: Floats) -> Shape:
+    """Return sines that begin at the present point.
+
+    Parameters
+    ----------
+    from_deg : ndarray (3,)
+        Where they begin, and their middle.
+    amplitude_deg : ndarray (3,)
+        Amplitude of each axis; 0 stays.
+    period_s : ndarray (3,)
+        Period of each axis.
+
+    Returns
+    -------
+    callable
+    """
+    return lambda t_s: from_deg + amplitude_deg * np.sin(2.0 * np.pi * t_s[:, None] / period_s)
+
+
+def waypoints(at_s: Sequence[Floats], points_deg: Sequence[Floats], smooth: bool) -> Shape:
+    """Return a path through points.
+
+    Parameters
+    ----------
+    at_s : sequence of three ndarray (m,)
+        Times of each axis' points, rising, from 0.
+    points_deg : sequence of three ndarray (m,)
+        Their values.
+    smooth : bool
+        Leave and reach every point at rest (cubic blend); else straight lines.
+
+    Returns
+    -------
+    callable
+    """
+
+    def shape(t_s: Floats) -> Floats:
+        columns = []
+        for times, values in zip(at_s, points_deg, strict=True):
+            if not smooth or times.size < 2:
+                columns.append(np.interp(t_s, times, values))
+                continue
+            left = np.clip(np.searchsorted(times, t_s, side="right") - 1, 0, times.size - 2)
+            share = np.clip((t_s - times[left]) / (times[left + 1] - times[left]), 0.0, 1.0)
+            share = share * share * (3.0 - 2.0 * share)
+            columns.append(values[left] + share * (values[left + 1] - values[left]))
+        return np.column_stack(columns)
+
+    return shape

@@ -1,0 +1,316 @@
+"""The kinds of segment of a plan: which keys each takes, and the motion that it makes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from heli_host.fly import route
+from heli_host.fly.keys import (
+    ANGLE,
+    AXES,
+    DURATION,
+    EXCITATION_HZ,
+    FREQUENCY,
+    PAUSE,
+    PERIOD,
+    RATE,
+    SEED,
+    TARGETS,
+    VOLTAGE,
+    Table,
+)
+from heli_host.fly.route import Excitation, Floats, Shape
+from heli_host.link.declaration import Excitation as Signal
+
+SIGNALS = tuple(signal.name.lower() for signal in Signal if signal is not Signal.NONE)
+_SHAPES_OF_PATH = ("smooth", "straight")
+_SMOOTH_PEAK = 1.5  # steepest slope of the cubic blend, as a multiple of the mean one
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What a segment does from where it begins.
+
+    Parameters
+    ----------
+    duration_s : float
+        Its length.
+    shape : callable
+        Setpoints within it.
+    low_deg, high_deg : ndarray (3,)
+        Bounds of elevation, pitch and travel within it.
+    rate_deg_s : ndarray (3,)
+        Steepest slopes asked for; a step asks for none, because the board's slew limit shapes it.
+    """
+
+    duration_s: float
+    shape: Shape
+    low_deg: Floats
+    high_deg: Floats
+    rate_deg_s: Floats
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One segment of a plan.
+
+    Parameters
+    ----------
+    kind : str
+        ``hold``, ``step``, ``ramp``, ``sine``, ``waypoints``, ``excite`` or ``land``.
+    where : str
+        File and segment, for messages.
+    motion : callable
+        From the setpoints at its beginning, degrees (3,), to its `Motion`.
+    limit_keys : tuple of str
+        For each axis, the key to blame when the motion leaves the limits.
+    rate_key : str
+        The key to blame when it is too fast.
+    excitation : Excitation or None
+        What the board adds meanwhile.
+    """
+
+    kind: str
+    where: str
+    motion: Callable[[Floats], Motion]
+    limit_keys: tuple[str, str, str] = ("elevation_deg", "pitch_deg", "travel_deg")
+    rate_key: str = "duration_s"
+    excitation: Excitation | None = None
+
+
+def read_segment(values: Mapping[str, Any], where: str, commanded: tuple[str, ...]) -> Segment:
+    """Read one segment.
+
+    Parameters
+    ----------
+    values : Mapping[str, object]
+        The segment's table.
+    where : str
+        File and number of the segment, for messages.
+    commanded : tuple of str
+        Axes that the plan's segments may move: those that it closes, but not pitch while travel commands it.
+
+    Returns
+    -------
+    Segment
+
+    Raises
+    ------
+    PlanError
+        If a key is unknown, missing, or holds what it cannot.
+    """
+    kind_only = Table({key: values[key] for key in ("kind",) if key in values}, where, ("kind",))
+    kind = kind_only.choice("kind", _KINDS)
+    where = f"{where} ({kind})"
+    known, reader = _KINDS[kind]
+    usable = [key for key in known if _axis_of(key) is None or _axis_of(key) in commanded]
+    for key in values:
+        axis = _axis_of(key)
+        if key in known and axis is not None and axis not in commanded:
+            kind_only.where = where
+            remedy = 'set axes = ["elevation", "pitch"] to command pitch' if axis == "pitch" else "remove it"
+            kind_only.fail(f"{key} has no effect: this plan {_why_not(axis)}", remedy)
+    return reader(Table(values, where, ("kind", *usable)), commanded)
+
+
+def _axis_of(key: str) -> str | None:
+    return next((axis for axis in AXES if key.startswith(axis + "_")), None)
+
+
+def _why_not(axis: str) -> str:
+    if axis == "pitch":
+        return "closes travel, whose loop commands pitch"
+    return f"does not close {axis}"
+
+
+def _motion(duration_s: float, shape: Shape, *points_deg: Floats, rate_deg_s: Floats | None = None) -> Motion:
+    points = np.array(points_deg)
+    rate = np.zeros(3) if rate_deg_s is None else rate_deg_s
+    return Motion(duration_s, shape, points.min(axis=0), points.max(axis=0), rate)
+
+
+def _targets(table: Table, commanded: tuple[str, ...]) -> Callable[[Floats], Floats]:
+    """Return what fills in the axes that the table names."""
+    given = {axis: table.optional(f"{axis}_deg", ANGLE) for axis in AXES}
+    if all(value is None for value in given.values()):
+        names = " or ".join(f"{axis}_deg" for axis in commanded)
+        table.fail("it moves no axis", f"add {names}")
+
+    def fill(from_deg: Floats) -> Floats:
+        to_deg = from_deg.copy()
+        for index, axis in enumerate(AXES):
+            value = given[axis]
+            if value is not None:
+                to_deg[index] = value
+        return to_deg
+
+    return fill
+
+
+def _read_hold(table: Table, commanded: tuple[str, ...]) -> Segment:
+    duration_s = table.number("duration_s", DURATION)
+    return Segment("hold", table.where, lambda at: _motion(duration_s, route.hold(at), at))
+
+
+def _read_step(table: Table, commanded: tuple[str, ...]) -> Segment:
+    duration_s = table.number("duration_s", DURATION)
+    fill = _targets(table, commanded)
+    return Segment("step", table.where, lambda at: _motion(duration_s, route.hold(fill(at)), at, fill(at)))
+
+
+def _read_ramp(table: Table, commanded: tuple[str, ...]) -> Segment:
+    given_s = table.optional("duration_s", DURATION)
+    rate_deg_s = table.optional("rate_deg_s", RATE)
+    if (given_s is None) == (rate_deg_s is None):
+        table.fail("it needs duration_s or rate_deg_s, one of them", "add duration_s = 5 or rate_deg_s = 5")
+    fill = _targets(table, commanded)
+
+    def motion(at: Floats) -> Motion:
+        to = fill(at)
+        distance_deg = np.abs(to - at)
+        duration_s = given_s if given_s is not None else float(distance_deg.max()) / (rate_deg_s or 1.0)
+        duration_s = max(duration_s, 1e-3)
+        return _motion(
+            duration_s, route.ramp(at, to, duration_s), at, to, rate_deg_s=distance_deg / duration_s
+        )
+
+    rate_key = "duration_s" if given_s is not None else "rate_deg_s"
+    return Segment("ramp", table.where, motion, rate_key=rate_key)
+
+
+def _read_sine(table: Table, commanded: tuple[str, ...]) -> Segment:
+    duration_s = table.number("duration_s", DURATION)
+    amplitude_deg = np.array([table.number(f"{axis}_amplitude_deg", ANGLE, 0.0) for axis in AXES])
+    if not amplitude_deg.any():
+        table.fail("it moves no axis", f"add {commanded[-1]}_amplitude_deg = 5")
+    period_s = np.ones(3)
+    for index, axis in enumerate(AXES):
+        own = _period(table, f"{axis}_")
+        if amplitude_deg[index] == 0.0 and own is not None:
+            table.fail(
+                f"{axis} has a period but no amplitude", f"add {axis}_amplitude_deg, or remove the period"
+            )
+        shared = _period(table, "")
+        if amplitude_deg[index] == 0.0:
+            continue
+        chosen = own if own is not None else shared
+        if chosen is None:
+            table.fail(f"{axis}_period_s is missing", f"add {axis}_period_s or {axis}_frequency_Hz")
+        period_s[index] = chosen
+
+    def motion(at: Floats) -> Motion:
+        reach_deg = np.abs(amplitude_deg)
+        rate_deg_s = reach_deg * 2.0 * np.pi / period_s
+        shape = route.sine(at, amplitude_deg, period_s)
+        return _motion(duration_s, shape, at - reach_deg, at + reach_deg, rate_deg_s=rate_deg_s)
+
+    keys = (f"{AXES[0]}_amplitude_deg", f"{AXES[1]}_amplitude_deg", f"{AXES[2]}_amplitude_deg")
+    return Segment("sine", table.where, motion, keys, "period_s")
+
+
+def _period(table: Table, prefix: str) -> float | None:
+    period_s = table.optional(f"{prefix}period_s", PERIOD)
+    frequency_Hz = table.optional(f"{prefix}frequency_Hz", FREQUENCY)
+    if period_s is not None and frequency_Hz is not None:
+        table.fail(f"both {prefix}period_s and {prefix}frequency_Hz are given", "remove one of them")
+    return 1.0 / frequency_Hz if frequency_Hz is not None else period_s
+
+
+def _read_waypoints(table: Table, commanded: tuple[str, ...]) -> Segment:
+    smooth = table.choice("path", _SHAPES_OF_PATH, "smooth") == "smooth"
+    rows = table.values.get("points")
+    if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
+        table.fail("points is not a list of points", "write points = [{at_s = 5, travel_deg = 10}, ...]")
+    columns: list[list[tuple[float, float]]] = [[], [], []]
+    usable = ("at_s", *(key for key in TARGETS if _axis_of(key) in commanded))
+    last_s = -1.0
+    for number, row in enumerate(rows, start=1):
+        point = Table(row, f"{table.where}, point {number}", usable)
+        at_s = point.number("at_s", PAUSE)
+        if at_s <= last_s:
+            point.fail(f"at_s is {at_s:g}, not behind the point before it", "sort the points by at_s")
+        last_s = at_s
+        if len(row) < 2:
+            point.fail("it moves no axis", f"add {usable[-1]}")
+        for index, axis in enumerate(AXES):
+            value = point.optional(f"{axis}_deg", ANGLE)
+            if value is not None:
+                columns[index].append((at_s, value))
+    if last_s <= 0.0:
+        table.fail("all points are at 0 s", "give the last point an at_s above 0")
+    duration_s = table.number("duration_s", DURATION, last_s)
+    if duration_s < last_s:
+        table.fail(
+            f"duration_s is {duration_s:g}, the last point is at {last_s:g} s", "make it longer, or remove it"
+        )
+
+    def motion(at: Floats) -> Motion:
+        times, values = [], []
+        for index, column in enumerate(columns):
+            own = column if column and column[0][0] == 0.0 else [(0.0, float(at[index])), *column]
+            times.append(np.array([moment for moment, _ in own]))
+            values.append(np.array([value for _, value in own]))
+        low = np.array([min(value.min(), start) for value, start in zip(values, at, strict=True)])
+        high = np.array([max(value.max(), start) for value, start in zip(values, at, strict=True)])
+        factor = _SMOOTH_PEAK if smooth else 1.0
+        rate_deg_s = np.array(
+            [
+                factor * float(np.max(np.abs(np.diff(value) / np.diff(moment)), initial=0.0))
+                for moment, value in zip(times, values, strict=True)
+            ]
+        )
+        return Motion(duration_s, route.waypoints(times, values, smooth), low, high, rate_deg_s)
+
+    return Segment("waypoints", table.where, motion, rate_key="at_s")
+
+
+def _read_excite(table: Table, commanded: tuple[str, ...]) -> Segment:
+    signal = table.choice("signal", SIGNALS)
+    front_V = table.number("front_V", VOLTAGE, 0.0)
+    back_V = table.number("back_V", VOLTAGE, 0.0)
+    if front_V == 0.0 and back_V == 0.0:
+        table.fail("it excites no motor", "add front_V = 0.25 or back_V = 0.25")
+    duration_s = table.number("duration_s", DURATION)
+    needs_start, needs_stop = signal in ("chirp", "multisine"), signal in ("chirp", "multisine", "prbs")
+    for key, needed in (("start_Hz", needs_start), ("stop_Hz", needs_stop)):
+        if key in table.values and not needed:
+            table.fail(f"{key} has no effect on a {signal}", "remove it")
+    start_Hz = table.number("start_Hz", EXCITATION_HZ, None if needs_start else 0.0)
+    stop_Hz = table.number("stop_Hz", EXCITATION_HZ, None if needs_stop else 0.0)
+    if needs_start and stop_Hz <= start_Hz:
+        table.fail(f"stop_Hz is {stop_Hz:g}, start_Hz {start_Hz:g}", "make stop_Hz the higher one")
+    if signal == "prbs" and stop_Hz == 0.0:
+        table.fail("stop_Hz is 0", "give the rate at which the prbs may switch, such as 10")
+    seed = int(table.number("seed", SEED, 1))
+    if signal == "prbs" and seed == 0:
+        table.fail("seed is 0", "give a whole number from 1")
+    excitation = Excitation(signal, front_V, back_V, start_Hz, stop_Hz, duration_s, seed)
+    return Segment(
+        "excite",
+        table.where,
+        lambda at: _motion(duration_s, route.hold(at), at),
+        excitation=excitation,
+    )
+
+
+def _read_land(table: Table, commanded: tuple[str, ...]) -> Segment:
+    return Segment("land", table.where, lambda at: _motion(0.0, route.hold(at), at))
+
+
+_SINE_KEYS = tuple(
+    f"{axis}_{name}" for axis in AXES for name in ("amplitude_deg", "period_s", "frequency_Hz")
+)
+
+_KINDS: dict[str, tuple[tuple[str, ...], Callable[[Table, tuple[str, ...]], Segment]]] = {
+    "hold": (("duration_s",), _read_hold),
+    "step": ((*TARGETS, "duration_s"), _read_step),
+    "ramp": ((*TARGETS, "duration_s", "rate_deg_s"), _read_ramp),
+    "sine": ((*_SINE_KEYS, "period_s", "frequency_Hz", "duration_s"), _read_sine),
+    "waypoints": (("points", "path", "duration_s"), _read_waypoints),
+    "excite": (("signal", "front_V", "back_V", "start_Hz", "stop_Hz", "duration_s", "seed"), _read_excite),
+    "land": ((), _read_land),
+}

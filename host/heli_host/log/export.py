@@ -1,0 +1,104 @@
+"""Flights for other programs: tables, MATLAB, Parquet."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from heli_host.errors import LogWriteError
+from heli_host.flight import Flight
+
+
+def export_csv(flight: Flight, path: str | Path) -> None:
+    """Write a table that `Flight.read` takes back.
+
+    Parameters
+    ----------
+    flight : Flight
+        What to write.
+    path : str or Path
+        ``.csv``, or ``.csv.gz`` to compress it.
+
+    Raises
+    ------
+    LogWriteError
+        If it cannot be written.
+    """
+    flight.write_csv(path)
+
+
+def export_mat(flight: Flight, path: str | Path) -> None:
+    """Write a MATLAB file (version 5): one column vector a column, a struct of parameters, the plan and the
+    notes.
+
+    Parameters
+    ----------
+    flight : Flight
+        What to write.
+    path : str or Path
+        ``.mat`` file to write.
+
+    Raises
+    ------
+    LogWriteError
+        If it cannot be written.
+    """
+    from scipy.io import savemat
+
+    content: dict[str, object] = {
+        name: column.astype(np.float64) for name, column in flight.columns().items() if len(name) <= _MAT_NAME
+    }
+    content["parameters"] = {
+        name: value for name, value in flight.parameters.items() if len(name) <= _MAT_NAME
+    }
+    content["plan"] = flight.plan
+    content["notes"] = "\n".join(f"{name}: {value}" for name, value in flight.meta.items())
+    content["events"] = "\n".join(f"{event.t_s:.3f} s {event.name}: {event.text}" for event in flight.events)
+    buffer = io.BytesIO()
+    savemat(buffer, content, do_compression=True, oned_as="column")
+    # The header's first 116 bytes hold the date; without it the same flight gives the same bytes.
+    data = b"MATLAB 5.0 MAT-file, written by heli_host".ljust(116) + buffer.getvalue()[116:]
+    try:
+        Path(path).write_bytes(data)
+    except OSError as error:
+        raise LogWriteError(
+            f"cannot write {path}: {error.strerror or error}", "choose another folder"
+        ) from error
+
+
+def export_parquet(flight: Flight, path: str | Path) -> None:
+    """Write a Parquet file: one column each, with parameters, plan and notes in its metadata.
+
+    Parameters
+    ----------
+    flight : Flight
+        What to write.
+    path : str or Path
+        ``.parquet`` file to write.
+
+    Raises
+    ------
+    LogWriteError
+        If pyarrow is not installed, or the file cannot be written.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise LogWriteError("writing Parquet needs pyarrow", "pip install 'heli-host[export]'") from error
+    table = pyarrow.table({name: np.ascontiguousarray(column) for name, column in flight.columns().items()})
+    notes = {f"parameter.{name}": repr(value) for name, value in flight.parameters.items()}
+    notes |= {"plan": flight.plan, **flight.meta}
+    table = table.replace_schema_metadata(notes)
+    try:
+        pyarrow.parquet.write_table(table, str(path))
+    except OSError as error:
+        raise LogWriteError(
+            f"cannot write {path}: {error.strerror or error}", "choose another folder"
+        ) from error
+
+
+_MAT_NAME = 63
+"""Longest name that MATLAB takes."""

@@ -1,0 +1,259 @@
+"""A flight at a glance: setpoint and measured angles, voltages, states and events on one page."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heli_host.errors import LogWriteError
+from heli_host.flight import Flight, FlightEvent
+from heli_host.log.summary import AXES, LANDING, PHASE_EVENT, TAKE_OFF, FlightSummary
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_MEASURED = {"elevation": "#0b5fa5", "pitch": "#b3420f", "travel": "#157a4a"}
+_FRONT, _BACK = "#6b3fa0", "#c98a00"
+_SETPOINT = "#222222"
+_STATE_COLOURS = {
+    "idle": "#e6e6e6",
+    "armed": "#ffe9a8",
+    "closed_loop": "#d6ecd2",
+    "open_loop": "#e3d7f1",
+    "streamed": "#d3e5f5",
+    "hold": "#ffd9b0",
+    "landing": "#d5e3ee",
+    "fault": "#f6b8b3",
+}
+_LOUD_EVENTS = frozenset(
+    {
+        "board_restarted",
+        "fault",
+        "link_lost",
+        "link_restored",
+        "link_silent",
+        "setpoint_rejected",
+        "setpoint_stale",
+    }
+)
+_BUCKETS = 3000
+_DPI = 130
+
+
+def write_figure(flight: Flight, summary: FlightSummary, path: str | Path) -> None:
+    """Draw a flight into a file.
+
+    Parameters
+    ----------
+    flight : Flight
+        What was flown.
+    summary : FlightSummary
+        Its numbers, for the titles.
+    path : str or Path
+        ``.png``, ``.pdf`` or ``.svg`` file to write; a missing folder is made.
+
+    Raises
+    ------
+    LogWriteError
+        If it cannot be written.
+    """
+    figure = draw(flight, summary)
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(
+            path, dpi=_DPI, facecolor="white", metadata={"Software": None} if path.suffix == ".png" else None
+        )
+    except (OSError, ValueError) as error:
+        raise LogWriteError(f"cannot write {path}: {error}", "give a .png, .pdf or .svg file") from error
+
+
+def draw(flight: Flight, summary: FlightSummary) -> Figure:
+    """Draw a flight.
+
+    Parameters
+    ----------
+    flight : Flight
+        What was flown.
+    summary : FlightSummary
+        Its numbers, for the titles.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Not known to pyplot; save it with ``savefig``.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.0, 9.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(5, 1, sharex=True, gridspec_kw={"height_ratios": [0.42, 3.0, 3.0, 3.0, 2.2]})
+    band, panels, volts = axes[0], axes[1:4], axes[4]
+    t_s = flight.t_s - flight.t_s[0] if len(flight) else flight.t_s
+    for index, panel in enumerate(panels):
+        _draw_axis(panel, flight, t_s, index, summary)
+    _draw_voltages(volts, flight, t_s)
+    _draw_states(band, (*panels, volts), flight, t_s)
+    _draw_events((*panels, volts), flight)
+    volts.set_xlabel("time since the first logged tick [s]")
+    if len(t_s):
+        volts.set_xlim(0.0, max(float(t_s[-1]), 1e-3))
+    figure.suptitle(_headline(summary), fontsize=15, fontweight="bold", x=0.012, ha="left")
+    band.set_title(
+        "\n".join(textwrap.wrap(_subtitle(summary), 150)), fontsize=9.5, loc="left", color="#444444"
+    )
+    return figure
+
+
+def _headline(summary: FlightSummary) -> str:
+    flown = " + ".join(summary.plans) if summary.plans else "flight"
+    rig = f" on {summary.rig}" if summary.rig else ""
+    return f"{flown}{rig}: {summary.outcome if len(summary.outcome) < 60 else summary.outcome[:57] + '...'}"
+
+
+def _subtitle(summary: FlightSummary) -> str:
+    lost = f"{summary.ticks_lost} lost" if summary.ticks_lost else "none lost"
+    link = summary.link
+    parts = [
+        f"{summary.duration_s:.1f} s, {summary.ticks_logged:,} ticks logged, {lost}",
+        f"link: {link.get('frames_ok', 0):,} frames, {link.get('frames_bad', 0)} bad, "
+        f"{link.get('retries', 0)} retries, {link.get('reconnects', 0)} reconnects",
+    ]
+    if summary.board:
+        parts.append(summary.board)
+    return "   ·   ".join([*parts, *summary.notes])
+
+
+def _draw_axis(
+    panel: Axes, flight: Flight, t_s: NDArray[np.float64], index: int, summary: FlightSummary
+) -> None:
+    axis = AXES[index]
+    measured_deg = np.rad2deg(flight.angles_rad[:, index])
+    setpoints_rad = flight.setpoints_rad
+    panel.plot(*_thinned(t_s, measured_deg), color=_MEASURED[axis], lw=1.4, label="measured", zorder=3)
+    if setpoints_rad is not None:
+        panel.plot(
+            *_thinned(t_s, np.rad2deg(setpoints_rad[:, index])),
+            color=_SETPOINT,
+            lw=1.0,
+            ls=(0, (5, 2)),
+            label="setpoint",
+            zorder=4,
+        )
+    panel.set_ylabel(f"{axis} [°]")
+    rms, worst = summary.rms_error_deg.get(axis), summary.max_error_deg.get(axis)
+    error = (
+        f"error {rms:.2f}° rms, {worst:.2f}° at most"
+        if rms is not None and worst is not None
+        else "not closed"
+    )
+    panel.set_title(f"{axis}: {error}", fontsize=10, loc="left")
+    _finish(panel)
+
+
+def _draw_voltages(panel: Axes, flight: Flight, t_s: NDArray[np.float64]) -> None:
+    panel.plot(*_thinned(t_s, flight.front_V), color=_FRONT, lw=1.0, label="front", zorder=3)
+    panel.plot(*_thinned(t_s, flight.back_V), color=_BACK, lw=1.0, label="back", alpha=0.85, zorder=3)
+    panel.set_ylabel("voltage [V]")
+    panel.set_title("motor voltages that acted", fontsize=10, loc="left")
+    _finish(panel)
+
+
+def _finish(panel: Axes) -> None:
+    panel.grid(True, color="#bbbbbb", lw=0.5, alpha=0.6)
+    panel.margins(y=0.12)
+    for side in ("top", "right"):
+        panel.spines[side].set_visible(False)
+    panel.legend(loc="upper right", ncols=2, fontsize=8.5, framealpha=0.85, borderpad=0.3, handlelength=2.2)
+
+
+def _draw_states(band: Axes, panels: Sequence[Axes], flight: Flight, t_s: NDArray[np.float64]) -> None:
+    band.set_ylim(0.0, 1.0)
+    band.set_yticks([])
+    band.tick_params(axis="x", length=0, labelbottom=False)
+    for spine in band.spines.values():
+        spine.set_visible(False)
+    if flight.state is None or not len(flight):
+        return
+    total_s = max(float(t_s[-1]), 1e-9)
+    for start, stop, number in _runs(flight.state):
+        name = flight.state_names.get(number, str(number))
+        left, right = float(t_s[start]), float(t_s[min(stop, len(t_s) - 1)])
+        colour = _STATE_COLOURS.get(name, "#dddddd")
+        band.axvspan(left, right, color=colour, lw=0)
+        if right - left > 0.012 * len(name) * total_s:
+            band.text((left + right) / 2, 0.5, name.replace("_", " "), ha="center", va="center", fontsize=9)
+        for panel in panels:
+            panel.axvspan(left, right, color=colour, alpha=0.28, lw=0, zorder=0)
+
+
+def _draw_events(panels: Sequence[Axes], flight: Flight) -> None:
+    if not len(flight):
+        return
+    phases = [event for event in flight.events if event.name == PHASE_EVENT]
+    loud = [event for event in flight.events if event.name in _LOUD_EVENTS]
+    for event in phases:
+        for panel in panels:
+            panel.axvline(_moment_s(event, flight), color="#666666", lw=0.8, ls=":", zorder=2)
+        if event.text not in (TAKE_OFF, LANDING):
+            _label(panels[0], _moment_s(event, flight), event.text, "#333333")
+    for event in loud[:40]:
+        for panel in panels:
+            panel.axvline(_moment_s(event, flight), color="#c0202a", lw=1.0, zorder=2)
+    for event in _spread(loud, flight):
+        _label(panels[-1], _moment_s(event, flight), event.name.replace("_", " "), "#c0202a")
+
+
+def _label(panel: Axes, at_s: float, text: str, colour: str) -> None:
+    panel.annotate(
+        text,
+        (at_s, 0.03),
+        xycoords=("data", "axes fraction"),
+        xytext=(3, 0),
+        textcoords="offset points",
+        fontsize=8.5,
+        color=colour,
+        zorder=5,
+    )
+
+
+def _spread(events: Sequence[FlightEvent], flight: Flight) -> list[FlightEvent]:
+    """Keep events whose labels do not fall onto each other."""
+    kept: list[FlightEvent] = []
+    for event in events:
+        if not kept or event.t_s - kept[-1].t_s > 0.09 * max(flight.duration_s, 1e-9):
+            kept.append(event)
+    return kept
+
+
+def _moment_s(event: FlightEvent, flight: Flight) -> float:
+    return min(max(event.t_s - float(flight.t_s[0]), 0.0), flight.duration_s)
+
+
+def _runs(state: NDArray[np.uint8]) -> list[tuple[int, int, int]]:
+    edges = np.flatnonzero(np.diff(state)) + 1
+    starts = [0, *edges.tolist()]
+    stops = [*edges.tolist(), len(state)]
+    return [(start, stop, int(state[start])) for start, stop in zip(starts, stops, strict=True)]
+
+
+def _thinned(t_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[Any, Any]:
+    """Keep the least and the greatest of every bucket, so that a long flight draws fast and no peak is lost."""
+    bucket = len(values) // _BUCKETS
+    if bucket < 3:
+        return t_s, values
+    count = len(values) // bucket
+    table = values[: count * bucket].reshape(count, bucket)
+    rows = np.arange(count) * bucket
+    pairs = np.sort(
+        np.column_stack((rows + table.argmin(axis=1), rows + table.argmax(axis=1))), axis=1
+    ).ravel()
+    keep = np.unique(np.append(pairs, len(values) - 1))
+    return t_s[keep], values[keep]

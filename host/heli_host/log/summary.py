@@ -1,0 +1,228 @@
+"""What a flight was, in a dictionary: the same numbers for ``summary.json``, the figure and the last line
+printed.
+
+Tracking errors count from the end of take-off until landing begins, in closed loop only: measured angle less
+the setpoint that the control law used in that tick (after the board's slew limit). Pitch is compared with the
+setpoint that the travel loop asks for. A log without phases, of a flight by hand, counts all ticks in closed
+loop.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heli_host.errors import LogWriteError
+from heli_host.flight import Flight
+from heli_host.log.reader import Log
+
+AXES = ("elevation", "pitch", "travel")
+PHASE_EVENT = "phase"
+"""Name of the events with which a flight marks its phases."""
+TAKE_OFF, LANDING = "take-off", "landing"
+"""Phases around the plans."""
+
+
+@dataclass(frozen=True)
+class FlightSummary:
+    """What a flight was.
+
+    Parameters
+    ----------
+    outcome : str
+        ``completed``, ``recorded`` without a plan, or in one line what ended the flight.
+    duration_s : float
+        Device time from the first tick logged to the last.
+    ticks_logged, ticks_lost : int
+        Ticks in the log, and those missing between them.
+    rms_error_deg, max_error_deg : Mapping[str, float or None]
+        Tracking error by axis; None for an axis that was never closed.
+    link : Mapping[str, int]
+        ``frames_ok``, ``frames_bad``, ``retries``, ``reconnects`` and what else was counted.
+    plans : tuple of str
+        Names of the plans flown.
+    rig, board : str
+        What was flown.
+    events : tuple of Mapping
+        ``t_s``, ``name``, ``text`` of every event.
+    notes : tuple of str
+        What is wrong with the log, if anything.
+    log : str
+        Path of the log.
+    """
+
+    outcome: str
+    duration_s: float
+    ticks_logged: int
+    ticks_lost: int
+    rms_error_deg: Mapping[str, float | None]
+    max_error_deg: Mapping[str, float | None]
+    link: Mapping[str, int]
+    plans: tuple[str, ...] = ()
+    rig: str = ""
+    board: str = ""
+    events: tuple[Mapping[str, Any], ...] = ()
+    notes: tuple[str, ...] = ()
+    log: str = ""
+
+    @property
+    def completed(self) -> bool:
+        """Whether the flight went to its end."""
+        return self.outcome == "completed"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the content of ``summary.json``."""
+        return {
+            "outcome": self.outcome,
+            "plans": list(self.plans),
+            "rig": self.rig,
+            "board": self.board,
+            "duration_s": round(self.duration_s, 6),
+            "ticks_logged": self.ticks_logged,
+            "ticks_lost": self.ticks_lost,
+            "rms_error_deg": dict(self.rms_error_deg),
+            "max_error_deg": dict(self.max_error_deg),
+            "link": dict(self.link),
+            "events": [dict(event) for event in self.events],
+            "notes": list(self.notes),
+            "log": self.log,
+        }
+
+    def write_json(self, path: str | Path) -> None:
+        """Write ``summary.json``.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to write; a missing folder is made.
+
+        Raises
+        ------
+        LogWriteError
+            If it cannot be written.
+        """
+        path = Path(path)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(json.dumps(self.as_dict(), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise LogWriteError(
+                f"cannot write {path}: {error.strerror or error}", "choose another place with --json"
+            ) from error
+
+
+def summarise(log: Log) -> FlightSummary:
+    """Sum a log up.
+
+    Parameters
+    ----------
+    log : Log
+        As read from its file.
+
+    Returns
+    -------
+    FlightSummary
+    """
+    session = log.metadata.get("session", {})
+    result = log.metadata.get("result", {})
+    plans = tuple(log.metadata.get("plan", {}))
+    closed = _closed_axes(session.get("axes", ""))
+    rms_deg: dict[str, float | None] = dict.fromkeys(AXES)
+    max_deg: dict[str, float | None] = dict.fromkeys(AXES)
+    if len(log.ticks):
+        flight = log.flight()
+        errors_deg = tracking_errors_deg(flight)
+        for index, axis in enumerate(AXES):
+            if len(errors_deg) and axis in closed:
+                rms_deg[axis] = round(float(np.sqrt(np.mean(errors_deg[:, index] ** 2))), 4)
+                max_deg[axis] = round(float(np.max(np.abs(errors_deg[:, index]))), 4)
+    outcome = result.get("outcome") or (
+        "recorded" if log.complete else "not closed: the host ended before the flight did"
+    )
+    return FlightSummary(
+        outcome=outcome,
+        duration_s=float(log.ticks["t_s"][-1] - log.ticks["t_s"][0]) if len(log.ticks) else 0.0,
+        ticks_logged=len(log.ticks),
+        ticks_lost=log.ticks_lost,
+        rms_error_deg=rms_deg,
+        max_error_deg=max_deg,
+        link=_link(log),
+        plans=plans,
+        rig=session.get("rig", ""),
+        board=session.get("board", ""),
+        events=tuple(
+            {"t_s": round(float(event["t_s"]), 6), "name": event["name"], "text": event["message"]}
+            for event in log.events
+        ),
+        notes=log.notes,
+        log=str(log.path),
+    )
+
+
+def flown_rows(flight: Flight) -> NDArray[np.bool_]:
+    """Return which rows count as flown: closed loop, after take-off, before landing.
+
+    Parameters
+    ----------
+    flight : Flight
+        A flight with states.
+
+    Returns
+    -------
+    ndarray of bool (n,)
+    """
+    if flight.state is None:
+        return np.zeros(len(flight), np.bool_)
+    closed = [number for number, name in flight.state_names.items() if name == "closed_loop"]
+    rows = np.isin(flight.state, closed)
+    phases = [event for event in flight.events if event.name == PHASE_EVENT]
+    flown = [event.t_s for event in phases if event.text not in (TAKE_OFF, LANDING)]
+    if phases:
+        first_s = flown[0] if flown else np.inf
+        rows &= flight.t_s >= first_s
+    landing = [event.t_s for event in phases if event.text == LANDING]
+    if landing:
+        rows &= flight.t_s < landing[0]
+    return rows
+
+
+def tracking_errors_deg(flight: Flight) -> NDArray[np.float64]:
+    """Return measured angle less setpoint in the rows that count.
+
+    Parameters
+    ----------
+    flight : Flight
+        A flight.
+
+    Returns
+    -------
+    ndarray (m, 3)
+        Errors of elevation, pitch and travel in degrees; m is 0 when nothing was flown in closed loop.
+    """
+    setpoints_rad = flight.setpoints_rad
+    if setpoints_rad is None:
+        return np.zeros((0, 3))
+    rows = flown_rows(flight)
+    errors_deg: NDArray[np.float64] = np.rad2deg(flight.angles_rad[rows] - setpoints_rad[rows])
+    return errors_deg
+
+
+def _closed_axes(text: str) -> tuple[str, ...]:
+    named = tuple(axis for axis in AXES if axis in text.split())
+    return named or AXES
+
+
+def _link(log: Log) -> dict[str, int]:
+    counted = {"frames_ok": 0, "frames_bad": 0, "retries": 0, "reconnects": 0}
+    last = log.link[-1] if log.link else {}
+    counted.update({name: int(value) for name, value in last.items() if name != "t_s"})
+    for name, value in log.metadata.get("counters", {}).items():
+        if value.lstrip("-").isdigit():
+            counted[name] = int(value)
+    return counted
