@@ -1,0 +1,168 @@
+"""A pseudo-terminal as serial port, with a symbolic link as its lasting name."""
+
+from __future__ import annotations
+
+import os
+import termios
+import tty
+from pathlib import Path
+from typing import Final
+
+from heli_sim.errors import EndpointError
+
+_CHUNK: Final = 65536
+
+
+class PtyEndpoint:
+    """The board's side of a pseudo-terminal.
+
+    A host opens the link like a device file. When it closes the port, what it has not read is thrown away, and
+    the terminal stays for the next one.
+
+    Parameters
+    ----------
+    link : str or Path or None
+        Symbolic link to make; None to show the terminal under its own name only.
+
+    Raises
+    ------
+    EndpointError
+        When the link's place is taken by something that is not a link, or cannot be written.
+    """
+
+    def __init__(self, link: str | Path | None = None) -> None:
+        self._link = Path(link) if link is not None else None
+        self._master = -1
+        self._open = False
+        self._opened = False
+        self._kept = b""
+        self.url = ""
+        self.plug()
+
+    @property
+    def ready(self) -> bool:
+        """Whether a host has the port open and takes its bytes."""
+        return self._open and not self._kept
+
+    def receive(self) -> bytes:
+        """Take what the host wrote.
+
+        Returns
+        -------
+        bytes
+            Empty when there is nothing, or nobody.
+        """
+        if self._master < 0:
+            return b""
+        try:
+            data = os.read(self._master, _CHUNK)
+        except BlockingIOError:
+            data = b""
+        except OSError:
+            # Linux answers EIO as long as no process has the other side open.
+            if self._open:
+                self._hang_up()
+            return b""
+        if not self._open:
+            self._open = self._opened = True
+        return data
+
+    def send(self, data: bytes) -> None:
+        """Give bytes to the host.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes for the host.
+        """
+        if not self._open:
+            return
+        self._kept += data
+        if not self._kept:
+            return
+        try:
+            self._kept = self._kept[os.write(self._master, self._kept) :]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._hang_up()
+
+    def take_opened(self) -> bool:
+        """Whether the port was opened since the last call.
+
+        Returns
+        -------
+        bool
+            True once for each opening.
+        """
+        opened, self._opened = self._opened, False
+        return opened
+
+    def fileno(self) -> int:
+        """File descriptor to watch for bytes.
+
+        Returns
+        -------
+        int
+            -1 while no host has the port open: the terminal would report its hang-up for ever.
+        """
+        return self._master if self._open else -1
+
+    def unplug(self) -> None:
+        """Take the terminal and its link away; a host that has it open gets an error."""
+        if self._master < 0:
+            return
+        if self._link is not None and self._link.is_symlink() and os.readlink(self._link) == self._name:
+            self._link.unlink()
+        os.close(self._master)
+        self._master = -1
+        self._open, self._kept = False, b""
+
+    def plug(self) -> None:
+        """Make a new terminal, and the link to it.
+
+        Raises
+        ------
+        EndpointError
+            When there is no terminal to be had, or the link cannot be made.
+        """
+        if self._master >= 0:
+            return
+        try:
+            self._master, slave = os.openpty()
+        except OSError as error:
+            raise EndpointError(f"no pseudo-terminal: {error.strerror}; close other programs") from None
+        self._name = os.ttyname(slave)
+        # Without this a host sees its own bytes, and the board's zeros and returns changed, until it sets the
+        # port up. The settings last as long as this side is open.
+        tty.setraw(slave)
+        os.close(slave)
+        os.set_blocking(self._master, False)
+        try:
+            self._make_link()
+        except EndpointError:
+            self.unplug()
+            raise
+        self.url = str(self._link) if self._link is not None else self._name
+
+    def close(self) -> None:
+        """Take the terminal and its link away for good."""
+        self.unplug()
+
+    def _make_link(self) -> None:
+        if self._link is None:
+            return
+        if self._link.exists() and not self._link.is_symlink():
+            raise EndpointError(f"{self._link} exists and is no link; choose another path for the port")
+        beside = self._link.with_name(f".{self._link.name}.{os.getpid()}")
+        try:
+            beside.symlink_to(self._name)
+            beside.replace(self._link)
+        except OSError as error:
+            raise EndpointError(
+                f"cannot make the port {self._link}: {error.strerror}; choose a folder that can be written"
+            ) from None
+
+    def _hang_up(self) -> None:
+        self._open, self._kept = False, b""
+        termios.tcflush(self._master, termios.TCOFLUSH)

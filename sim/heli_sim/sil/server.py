@@ -1,0 +1,233 @@
+"""A simulated board behind a pseudo-terminal or a TCP port.
+
+``python -m heli_sim.sil.server --pty PATH --options 'rig=makki2024&seed=1&speed=1'`` serves until it is told to
+stop by a signal, or, with ``--watch-stdin``, by the end of its standard input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import select
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qsl
+
+from heli_sim.errors import OptionError, SimError
+from heli_sim.sil.endpoint import Endpoint
+from heli_sim.sil.options import SilOptions, parse_options
+from heli_sim.sil.pace import Pace, make_pace
+from heli_sim.sil.pty import PtyEndpoint
+from heli_sim.sil.tcp import TcpEndpoint
+from heli_sim.sil.world import SilWorld
+
+
+class SilServer:
+    """Moves bytes between a port and a world, and lets the world's time pass.
+
+    Parameters
+    ----------
+    endpoint : Endpoint
+        The port.
+    world : SilWorld
+        Board, line and plant.
+    pace : Pace
+        How fast time may pass.
+    clock : callable
+        Monotonic clock, s.
+    """
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        world: SilWorld,
+        pace: Pace,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._endpoint = endpoint
+        self._world = world
+        self._pace = pace
+        self._clock = clock
+        self._plugged = True
+        self._received = b""
+
+    def turn(self) -> float:
+        """Move the bytes that are there and simulate what is due; never waits.
+
+        Returns
+        -------
+        float
+            Seconds until the next turn is worth while; 0 for at once.
+        """
+        endpoint, world, now_s = self._endpoint, self._world, self._clock()
+        self._follow_cable()
+        received = endpoint.receive()
+        if received:
+            self._received += received
+            self._pace.heard(now_s, world.tick)
+        if endpoint.take_opened() and world.options.reset_on_open:
+            world.reset_board()
+        ticks = self._pace.due(now_s, world.tick)
+        if ticks == 0:
+            return self._pace.wait_s(now_s, world.tick)
+        endpoint.send(b"")
+        world.host_reading = endpoint.ready
+        sent = world.advance(ticks, self._received)
+        self._received = b""
+        if sent:
+            endpoint.send(sent)
+        return self._pace.wait_s(now_s, world.tick)
+
+    def watched(self) -> list[int]:
+        """File descriptors whose bytes are worth waking up for.
+
+        Returns
+        -------
+        list of int
+            The port, where the pace follows the host; else none.
+        """
+        fd = self._endpoint.fileno()
+        return [fd] if self._pace.follows_host and fd >= 0 else []
+
+    def _follow_cable(self) -> None:
+        if self._world.unplugged == self._plugged:
+            self._plugged = not self._plugged
+            if self._plugged:
+                self._endpoint.plug()
+            else:
+                self._endpoint.unplug()
+                self._received = b""
+
+
+def serve(endpoint: Endpoint, world: SilWorld, pace: Pace, stop_fd: int | None = None) -> None:
+    """Serve a world until told to stop.
+
+    Parameters
+    ----------
+    endpoint : Endpoint
+        The port; the caller closes it.
+    world : SilWorld
+        Board, line and plant.
+    pace : Pace
+        How fast time may pass.
+    stop_fd : int or None
+        File descriptor; serving ends as soon as something can be read from it, or it is at its end.
+    """
+    server = SilServer(endpoint, world, pace)
+    stops = [] if stop_fd is None else [stop_fd]
+    while True:
+        wait_s = server.turn()
+        # Looking for the stop costs little beside a turn, so it is done even when there is no time to wait.
+        ready, _, _ = select.select(stops + server.watched(), [], [], wait_s)
+        if stop_fd in ready:
+            return
+
+
+def run_server(
+    options: SilOptions,
+    *,
+    pty: str | Path | None = None,
+    tcp: str | None = None,
+    stop_fd: int | None = None,
+    on_ready: Callable[[str], None] = lambda url: None,
+) -> dict[str, int]:
+    """Build a world and serve it until `stop_fd`, SIGINT (as KeyboardInterrupt) or an error ends it.
+
+    Parameters
+    ----------
+    options : SilOptions
+        What to simulate, and how fast.
+    pty : str or Path or None
+        Symbolic link to make to the pseudo-terminal.
+    tcp : str or None
+        ``HOST:PORT`` to listen on instead of a pseudo-terminal.
+    stop_fd : int or None
+        File descriptor; serving ends as soon as something can be read from it, or it is at its end.
+    on_ready : callable
+        Called with the port's address when a host can open it.
+
+    Returns
+    -------
+    dict of int
+        Counters of the link, as `SilWorld.counters` gives them, and the ticks simulated.
+
+    Raises
+    ------
+    SimError
+        When the port cannot be opened, or the rig cannot be read.
+    """
+    world = SilWorld(options)
+    endpoint: Endpoint = PtyEndpoint(pty) if tcp is None else TcpEndpoint(*_address(tcp))
+    try:
+        on_ready(endpoint.url)
+        serve(endpoint, world, make_pace(options.speed), stop_fd)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        endpoint.close()
+    return {**world.counters(), "ticks": world.tick}
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not port.isdigit():
+        raise OptionError(f"'{text}' is no address; write HOST:PORT")
+    return host or "127.0.0.1", int(port)
+
+
+def _say(**values: Any) -> None:
+    # Whoever started this process may be gone.
+    with contextlib.suppress(BrokenPipeError):
+        sys.stdout.write(json.dumps(values) + "\n")
+        sys.stdout.flush()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the server as a program of its own.
+
+    The first line of its standard output is ``{"url": ...}`` once the port can be opened, the last one
+    ``{"counters": ...}``.
+
+    Parameters
+    ----------
+    arguments : sequence of str or None
+        Command line without the program's name; None for that of the process.
+
+    Returns
+    -------
+    int
+        Exit status.
+    """
+    parser = argparse.ArgumentParser(prog="heli_sim.sil.server", description="Serve a simulated board.")
+    parser.add_argument("--pty", help="symbolic link to make to the pseudo-terminal")
+    parser.add_argument("--tcp", help="HOST:PORT to listen on instead")
+    parser.add_argument("--options", default="", help="rig=makki2024&seed=1&speed=max&...")
+    parser.add_argument("--watch-stdin", action="store_true", help="stop when standard input ends")
+    given = parser.parse_args(arguments)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.default_int_handler)
+    try:
+        options = parse_options(dict(parse_qsl(given.options, keep_blank_values=True)))
+        counters = run_server(
+            options,
+            pty=given.pty,
+            tcp=given.tcp,
+            stop_fd=sys.stdin.fileno() if given.watch_stdin else None,
+            on_ready=lambda url: _say(url=url),
+        )
+    except KeyboardInterrupt:
+        return 0
+    except SimError as error:
+        sys.stderr.write(f"{error}\n")
+        return 1
+    _say(counters=counters)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,156 @@
+"""A TCP port as serial port, for pyserial's ``socket://HOST:PORT`` on systems without pseudo-terminals."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from typing import Final
+
+from heli_sim.errors import EndpointError
+
+_CHUNK: Final = 65536
+# A host that does not read must see the bridge overflow after about a second, as with a serial driver, and not
+# after the megabytes that a system would buffer.
+_SEND_BUFFER: Final = 16384
+
+
+class TcpEndpoint:
+    """The board's side of a TCP connection; one host at a time, the next one waits.
+
+    Parameters
+    ----------
+    host : str
+        Address to listen on; ``127.0.0.1`` keeps it on this machine.
+    port : int
+        Port to listen on; 0 takes any free one.
+
+    Raises
+    ------
+    EndpointError
+        When the address cannot be listened on.
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
+        self._address = (host, port)
+        self._listener: socket.socket | None = None
+        self._peer: socket.socket | None = None
+        self._opened = False
+        self._kept = b""
+        self.url = ""
+        self.plug()
+
+    @property
+    def ready(self) -> bool:
+        """Whether a host is connected and takes its bytes."""
+        return self._peer is not None and not self._kept
+
+    def receive(self) -> bytes:
+        """Take what the host wrote, or accept the next host.
+
+        Returns
+        -------
+        bytes
+            Empty when there is nothing, or nobody.
+        """
+        if self._peer is None:
+            self._accept()
+        if self._peer is None:
+            return b""
+        try:
+            data = self._peer.recv(_CHUNK)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._hang_up()
+        return data
+
+    def send(self, data: bytes) -> None:
+        """Give bytes to the host.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes for the host.
+        """
+        if self._peer is None:
+            return
+        self._kept += data
+        if not self._kept:
+            return
+        try:
+            self._kept = self._kept[self._peer.send(self._kept) :]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._hang_up()
+
+    def take_opened(self) -> bool:
+        """Whether a host connected since the last call.
+
+        Returns
+        -------
+        bool
+            True once for each connection.
+        """
+        opened, self._opened = self._opened, False
+        return opened
+
+    def fileno(self) -> int:
+        """File descriptor to watch for bytes, or for the next host.
+
+        Returns
+        -------
+        int
+            -1 while the cable is out.
+        """
+        watched = self._peer or self._listener
+        return watched.fileno() if watched is not None else -1
+
+    def unplug(self) -> None:
+        """Close the connection and stop listening."""
+        self._hang_up()
+        if self._listener is not None:
+            self._listener.close()
+            self._listener = None
+
+    def plug(self) -> None:
+        """Listen, on the same port as before.
+
+        Raises
+        ------
+        EndpointError
+            When the address cannot be listened on.
+        """
+        if self._listener is not None:
+            return
+        try:
+            listener = socket.create_server(self._address, backlog=1)
+        except (OSError, OverflowError) as error:
+            host, port = self._address
+            reason = getattr(error, "strerror", None) or str(error)
+            raise EndpointError(f"cannot listen on {host}:{port}: {reason}; choose another port") from None
+        listener.setblocking(False)
+        self._listener = listener
+        self._address = (self._address[0], listener.getsockname()[1])
+        self.url = f"socket://{self._address[0]}:{self._address[1]}"
+
+    def close(self) -> None:
+        """Close the connection and stop listening, for good."""
+        self.unplug()
+
+    def _accept(self) -> None:
+        if self._listener is None:
+            return
+        with contextlib.suppress(OSError):
+            peer, _ = self._listener.accept()
+            peer.setblocking(False)
+            peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            peer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+            self._peer, self._opened = peer, True
+
+    def _hang_up(self) -> None:
+        if self._peer is not None:
+            self._peer.close()
+        self._peer, self._kept = None, b""
