@@ -94,17 +94,18 @@ def draw(flight: Flight, summary: FlightSummary) -> Figure:
 
     figure = Figure(figsize=(12.0, 9.2), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(5, 1, sharex=True, gridspec_kw={"height_ratios": [0.42, 3.0, 3.0, 3.0, 2.2]})
+    axes = figure.subplots(5, 1, sharex=True, gridspec_kw={"height_ratios": [0.62, 3.0, 3.0, 3.0, 2.2]})
     band, panels, volts = axes[0], axes[1:4], axes[4]
     t_s = flight.t_s - flight.t_s[0] if len(flight) else flight.t_s
     for index, panel in enumerate(panels):
         _draw_axis(panel, flight, t_s, index, summary)
     _draw_voltages(volts, flight, t_s)
-    _draw_states(band, (*panels, volts), flight, t_s)
+    _draw_strips(band, (*panels, volts), flight, t_s)
     _draw_events((*panels, volts), flight)
     volts.set_xlabel("time since the first logged tick [s]")
     if len(t_s):
         volts.set_xlim(0.0, max(float(t_s[-1]), 1e-3))
+    figure.align_ylabels([*panels, volts])
     figure.suptitle(_headline(summary), fontsize=15, fontweight="bold", x=0.012, ha="left")
     band.set_title(
         "\n".join(textwrap.wrap(_subtitle(summary), 150)), fontsize=9.5, loc="left", color="#444444"
@@ -171,27 +172,55 @@ def _finish(panel: Axes) -> None:
     panel.margins(y=0.12)
     for side in ("top", "right"):
         panel.spines[side].set_visible(False)
-    panel.legend(loc="upper right", ncols=2, fontsize=8.5, framealpha=0.85, borderpad=0.3, handlelength=2.2)
+    panel.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 0.99),
+        ncols=2,
+        fontsize=8.5,
+        frameon=False,
+        borderpad=0.1,
+        borderaxespad=0.1,
+        handlelength=2.2,
+    )
 
 
-def _draw_states(band: Axes, panels: Sequence[Axes], flight: Flight, t_s: NDArray[np.float64]) -> None:
-    band.set_ylim(0.0, 1.0)
-    band.set_yticks([])
-    band.tick_params(axis="x", length=0, labelbottom=False)
+def _draw_strips(band: Axes, panels: Sequence[Axes], flight: Flight, t_s: NDArray[np.float64]) -> None:
+    """Draw two strips above the panels, what was flown and the board's state, and shade the panels by state.
+    """
+    band.set_ylim(0.0, 2.0)
+    band.set_yticks([0.5, 1.5] if flight.state is not None else [], ["state", "plan"], fontsize=8.5)
+    band.tick_params(axis="both", length=0, labelbottom=False)
     for spine in band.spines.values():
         spine.set_visible(False)
     if flight.state is None or not len(flight):
         return
-    total_s = max(float(t_s[-1]), 1e-9)
-    for start, stop, number in _runs(flight.state):
-        name = flight.state_names.get(number, str(number))
-        left, right = float(t_s[start]), float(t_s[min(stop, len(t_s) - 1)])
+    stretches = [
+        (float(t_s[start]), float(t_s[min(stop, len(t_s) - 1)]), flight.state_names.get(number, str(number)))
+        for start, stop, number in _runs(flight.state)
+    ]
+    for left_s, right_s, name in stretches:
         colour = _STATE_COLOURS.get(name, "#dddddd")
-        band.axvspan(left, right, color=colour, lw=0)
-        if right - left > 0.012 * len(name) * total_s:
-            band.text((left + right) / 2, 0.5, name.replace("_", " "), ha="center", va="center", fontsize=9)
+        _block(band, (left_s, right_s, 0.0), name.replace("_", " "), colour, flight.duration_s)
         for panel in panels:
-            panel.axvspan(left, right, color=colour, alpha=0.28, lw=0, zorder=0)
+            panel.axvspan(left_s, right_s, color=colour, alpha=0.28, lw=0, zorder=0)
+    phases = [event for event in flight.events if event.name == PHASE_EVENT]
+    ends_s = [_moment_s(event, flight) for event in phases[1:]]
+    idle = [
+        left_s
+        for left_s, _, name in stretches
+        if name in ("idle", "fault") and phases and left_s > phases[-1].t_s
+    ]
+    ends_s.append(idle[0] if idle else flight.duration_s)
+    for event, end_s in zip(phases, ends_s, strict=True):
+        colour = "#f2f2f2" if event.text in (TAKE_OFF, LANDING) else "#c9d9ea"
+        _block(band, (_moment_s(event, flight), end_s, 1.0), event.text, colour, flight.duration_s)
+
+
+def _block(band: Axes, place: tuple[float, float, float], text: str, colour: str, total_s: float) -> None:
+    left_s, right_s, floor = place
+    band.fill_between([left_s, right_s], floor + 0.06, floor + 0.94, color=colour, lw=0)
+    if right_s - left_s > 0.0095 * len(text) * total_s:
+        band.text((left_s + right_s) / 2, floor + 0.47, text, ha="center", va="center", fontsize=8.5)
 
 
 def _draw_events(panels: Sequence[Axes], flight: Flight) -> None:
@@ -202,8 +231,6 @@ def _draw_events(panels: Sequence[Axes], flight: Flight) -> None:
     for event in phases:
         for panel in panels:
             panel.axvline(_moment_s(event, flight), color="#666666", lw=0.8, ls=":", zorder=2)
-        if event.text not in (TAKE_OFF, LANDING):
-            _label(panels[0], _moment_s(event, flight), event.text, "#333333")
     for event in loud[:40]:
         for panel in panels:
             panel.axvline(_moment_s(event, flight), color="#c0202a", lw=1.0, zorder=2)
@@ -245,7 +272,8 @@ def _runs(state: NDArray[np.uint8]) -> list[tuple[int, int, int]]:
 
 
 def _thinned(t_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[Any, Any]:
-    """Keep the least and the greatest of every bucket, so that a long flight draws fast and no peak is lost."""
+    """Keep the least and the greatest of every bucket, so that a long flight draws fast and no peak is lost.
+    """
     bucket = len(values) // _BUCKETS
     if bucket < 3:
         return t_s, values
