@@ -1,0 +1,170 @@
+// Valid frames with any content, in any order, between any movements of the rig: the input is a
+// list of steps, each one byte and its operands. The first byte says how far a host has already
+// come, so that flight is as near to the fuzzer as the handshake.
+#include <cstdint>
+#include <iterator>
+#include <vector>
+
+#include "desk.hpp"
+
+namespace {
+
+using heli::link::State;
+using heli_fuzz::Desk;
+using heli_fuzz::Input;
+using heli_fuzz::require;
+
+enum class Step : std::uint8_t {
+  frame,      // any id and payload
+  command,    // a known id with the request number counted on
+  setpoint,   // near level, due now
+  voltages,   // a few volts
+  hello,      // the right declaration, one of four sessions
+  wait,       // up to 255 ms
+  busy,       // up to 255 ms in which the idle loop does not turn
+  move,       // encoders go elsewhere
+  hardware,   // the stop input changes
+  noise,      // bytes that are no frame
+  line_full,  // the transmitter takes no more
+  boot,       // reset; flash stays
+  damage,     // one byte of flash changes
+  count,
+};
+
+constexpr std::uint8_t kCommandSizes[] = {0, 9, 9, 1, 1, 10, 1, 1, 26, 1, 6, 2, 1, 1, 2, 1, 1};
+
+class Story {
+ public:
+  explicit Story(Input input) : input_(input) {}
+
+  void tell() {
+    prologue(input_.byte() % 5U);
+    while (!input_.empty()) {
+      step(static_cast<Step>(input_.byte() % static_cast<unsigned>(Step::count)));
+      desk_.tick();
+    }
+    desk_.board.stop_input = false;
+    desk_.require_rest_without_host();
+    host_returns();
+  }
+
+ private:
+  void prologue(unsigned chapters) {
+    if (chapters > 0) hello(1);
+    if (chapters > 1) {
+      command(heli::link::ArmMessage{});
+      require(desk_.core->state() == State::armed, "a board at rest with a host can be armed");
+    }
+    heli::link::ControlMessage control;
+    if (chapters == 3) {
+      control.axes =
+          heli::link::axes::elevation | heli::link::axes::pitch | heli::link::axes::travel;
+      command(control);
+      require(desk_.core->state() == State::closed_loop, "an armed board closes its loops");
+    }
+    if (chapters == 4) {
+      control.front_V = 1.0F;
+      control.back_V = 1.0F;
+      command(control);
+      require(desk_.core->state() == State::open_loop, "an armed board takes fixed voltages");
+    }
+  }
+
+  void step(Step what) {
+    switch (what) {
+      case Step::frame: {
+        const std::uint8_t id = input_.byte();
+        return desk_.send(id, input_.take(input_.byte() % (heli::link::kMaxCommandPayload + 1)));
+      }
+      case Step::command: {
+        const std::size_t id = 1U + input_.byte() % (std::size(kCommandSizes) - 1);
+        std::vector<std::uint8_t> payload = input_.take(kCommandSizes[id]);
+        payload[0] = ++request_;
+        return desk_.send(static_cast<std::uint8_t>(id), payload);
+      }
+      case Step::setpoint: {
+        heli::link::SetpointMessage setpoint;
+        setpoint.elevation_rad = small(0.01F);
+        setpoint.pitch_rad = small(0.01F);
+        setpoint.travel_rad = small(0.01F);
+        return desk_.send(setpoint);
+      }
+      case Step::voltages: {
+        heli::link::VoltagesMessage voltages;
+        voltages.front_V = small(0.1F);
+        voltages.back_V = small(0.1F);
+        voltages.valid_ms = input_.byte();
+        return desk_.send(voltages);
+      }
+      case Step::hello:
+        return hello(input_.byte() % 4U);
+      case Step::wait:
+      case Step::busy:
+        for (std::size_t k = input_.byte(); k > 0; --k) desk_.tick(what == Step::wait);
+        return;
+      case Step::move:
+        for (std::int32_t& count : desk_.board.encoders.count) {
+          // Small steps for most bytes, the ends of the counter for some.
+          const std::uint8_t by = input_.byte();
+          count = by == 0x80 ? INT32_MIN : by == 0x7f ? INT32_MAX : count / 2 + (by - 128);
+        }
+        return;
+      case Step::hardware:
+        desk_.board.stop_input = !desk_.board.stop_input;
+        return;
+      case Step::noise: {
+        const auto bytes = input_.take(input_.byte() % 100U);
+        return desk_.board.will_receive(bytes.data(), bytes.size());
+      }
+      case Step::line_full:
+        desk_.board.room = 0;
+        return;
+      case Step::boot:
+        return desk_.boot();
+      default: {
+        const std::size_t page = input_.byte() % desk_.board.pages.size();
+        desk_.board.pages[page][input_.byte()] = input_.byte();
+        return;
+      }
+    }
+  }
+
+  void hello(std::uint32_t session) {
+    heli::link::HelloMessage message;
+    message.link_hash = heli::link::kLinkHash;
+    message.session = session;
+    command(message);
+  }
+
+  template <class Message>
+  void command(Message message) {
+    message.request = ++request_;
+    desk_.send(message);
+    for (int k = 0; k < 3; ++k) desk_.tick();
+  }
+
+  float small(float unit) { return static_cast<float>(input_.byte() - 128) * unit; }
+
+  // A board that has been through all this still hears a new host.
+  void host_returns() {
+    desk_.board.forget_received();
+    desk_.board.room = 1024;
+    const std::uint8_t delimiter = 0;
+    desk_.board.will_receive(&delimiter, 1);
+    for (int k = 0; k < 3; ++k) desk_.tick();
+    const std::size_t before = desk_.board.auditor.welcomes();
+    hello(99);
+    require(desk_.board.auditor.welcomes() == before + 1, "a new host is welcomed");
+  }
+
+  Input input_;
+  Desk desk_;
+  std::uint8_t request_ = 0;
+};
+
+}  // namespace
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t count) {
+  Story(Input(bytes, count)).tell();
+  return 0;
+}
