@@ -1,0 +1,214 @@
+"""``heli-host params``: the board's parameters."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from heli_host.cli.options import MAX_SPEED, PortOption, SilOption
+
+if TYPE_CHECKING:
+    from heli_host.heli import BoardInfo
+
+app = typer.Typer(
+    help="Read and set the board's parameters.\n\nExample: `heli-host params set hover_V 1.5 --save`",
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+)
+
+NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="Parameter, as params list shows it.")]
+SaveOption = Annotated[bool, typer.Option("--save", help="Write all parameters to the board's flash too.")]
+
+TABLE = "parameters"
+"""Table of a dump that holds the values."""
+
+
+@app.command("list")
+def list_parameters(
+    pattern: Annotated[str, typer.Argument(metavar="[TEXT]", help="Only names that contain it.")] = "",
+    port: PortOption = None,
+    sil: SilOption = False,
+) -> None:
+    """List names, values, units, ranges and meanings; a star marks what differs from the default.
+
+    Example: `heli-host params list pitch`
+    """
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from heli_host.cli.board import open_board
+
+    with open_board(port, sil, speed=MAX_SPEED) as heli:
+        values = heli.params.dump()
+        table = Table("name", "", "value", "unit", "range", "meaning", box=None, pad_edge=False)
+        for name, value in values.items():
+            spec = heli.params.spec(name)
+            if pattern in name:
+                mark = "" if abs(value - spec.default) <= 1e-6 * max(1.0, abs(value)) else "*"
+                limits = f"{spec.min:g} .. {spec.max:g}"
+                table.add_row(name, mark, f"{value:g}", spec.unit, limits, escape(spec.meaning))
+    if not table.row_count:
+        raise typer.BadParameter(f"no parameter's name contains '{pattern}'")
+    Console(highlight=False).print(table)
+
+
+@app.command("get")
+def get(name: NameArgument, port: PortOption = None, sil: SilOption = False) -> None:
+    """Print one parameter's value.
+
+    Example: `heli-host params get hover_V`
+    """
+    from heli_host.cli.board import open_board
+    from heli_host.parameters import spec_of
+
+    spec_of(name)
+    with open_board(port, sil, speed=MAX_SPEED) as heli:
+        print(f"{heli.params[name]:g}")
+
+
+@app.command("set", context_settings={"ignore_unknown_options": True})
+def set_parameter(
+    name: NameArgument,
+    value: Annotated[float, typer.Argument(metavar="VALUE", help="New value, in the parameter's unit.")],
+    save: SaveOption = False,
+    port: PortOption = None,
+    sil: SilOption = False,
+) -> None:
+    """Set one parameter, in the board's memory or for good.
+
+    Example: `heli-host params set hover_V 1.5 --save`
+    """
+    from heli_host.cli.board import open_board
+    from heli_host.parameters import checked
+
+    spec = checked(name, value)
+    with open_board(port, sil, speed=MAX_SPEED) as heli:
+        before = heli.params[name]
+        in_force = heli.params.set(name, value)
+        unit = f" {spec.unit}" if spec.unit else ""
+        print(f"{name}: {before:g} -> {in_force:g}{unit}{_saved(heli.params.save() if save else None)}")
+
+
+@app.command("save")
+def save_parameters(port: PortOption = None, sil: SilOption = False) -> None:
+    """Write all parameters to the board's flash; only while it is idle.
+
+    Example: `heli-host params save`
+    """
+    from heli_host.cli.board import open_board
+
+    with open_board(port, sil, speed=MAX_SPEED) as heli:
+        print(f"parameters saved, generation {heli.params.save()}")
+
+
+@app.command("dump")
+def dump(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="TOML file to write.")],
+    port: PortOption = None,
+    sil: SilOption = False,
+) -> None:
+    """Write all parameters into a TOML file.
+
+    Example: `heli-host params dump rig7.toml`
+    """
+    from heli_host.cli.board import open_board
+
+    with open_board(port, sil, speed=MAX_SPEED) as heli:
+        values = heli.params.dump()
+        text = dump_text(values, heli.info)
+    file.write_text(text, encoding="utf-8")
+    print(f"{len(values)} parameters -> {file}")
+
+
+@app.command("restore")
+def restore(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="TOML file that params dump wrote.")],
+    save: SaveOption = False,
+    port: PortOption = None,
+    sil: SilOption = False,
+) -> None:
+    """Set all parameters of a file; when one is refused, none is set.
+
+    Example: `heli-host params restore rig7.toml --save`
+    """
+    from heli_host.cli.board import open_board
+    from heli_host.parameters import checked
+
+    values = read_dump(file)
+    for name, value in values.items():
+        checked(name, value)
+    with open_board(port, sil, speed=MAX_SPEED) as heli:
+        changed = heli.params.restore(values)
+        for name, value in changed.items():
+            print(f"{name} -> {value:g}")
+        print(f"{len(changed)} of {len(values)} changed{_saved(heli.params.save() if save else None)}")
+
+
+def _saved(generation: int | None) -> str:
+    return ", not saved (lost when the board restarts)" if generation is None else ", saved to flash"
+
+
+def dump_text(values: Mapping[str, float], info: BoardInfo) -> str:
+    """Write parameters as TOML.
+
+    Parameters
+    ----------
+    values : Mapping of str to float
+        Values by name.
+    info : BoardInfo
+        Where they come from, for a comment.
+
+    Returns
+    -------
+    str
+        What `read_dump` reads.
+    """
+    from heli_host.parameters import spec_of
+
+    lines = [f"# {info.board}, firmware {info.firmware_version}, link {info.link_version}", "", f"[{TABLE}]"]
+    for name, value in values.items():
+        unit = spec_of(name).unit
+        lines.append(f"{name} = {value!r}" + (f"  # {unit}" if unit else ""))
+    return "\n".join(lines) + "\n"
+
+
+def read_dump(file: Path) -> dict[str, float]:
+    """Read parameters from TOML.
+
+    Parameters
+    ----------
+    file : Path
+        A file as `dump_text` writes it.
+
+    Returns
+    -------
+    dict of str to float
+        Values by name; not checked against the declaration.
+
+    Raises
+    ------
+    ParameterError
+        The file cannot be read, or holds anything but numbers.
+    """
+    from heli_host.errors import ParameterError
+
+    try:
+        content = tomllib.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ParameterError(f"cannot read {file}: {error.strerror or error}", "check the path") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ParameterError(f"{file} is not TOML: {error}", "give a file that params dump wrote") from error
+    table = content.get(TABLE)
+    if not isinstance(table, dict) or not table:
+        raise ParameterError(f"{file} has no table [{TABLE}]", "give a file that params dump wrote")
+    values: dict[str, float] = {}
+    for name, value in table.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ParameterError(f"{file}: {name} is not a number", "correct that line")
+        values[name] = float(value)
+    return values

@@ -1,0 +1,37 @@
+"""What a flight was, in the last lines that a person reads."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from heli_host.log.summary import FlightSummary
+
+
+def summary_lines(summary: FlightSummary) -> list[str]:
+    """Say what was flown, how well, and what was lost.
+
+    Parameters
+    ----------
+    summary : FlightSummary
+        The flight's numbers.
+
+    Returns
+    -------
+    list of str
+        A few lines.
+    """
+    what = " + ".join(summary.plans) or "no plan"
+    where = f" on {summary.board}" if summary.board else ""
+    errors = ", ".join(
+        f"{axis} {'not flown' if error is None else f'{error:.2f} deg'}"
+        for axis, error in summary.rms_error_deg.items()
+    )
+    link = summary.link
+    return [
+        f"{what}{where}: {summary.outcome}, {summary.duration_s:.1f} s",
+        f"tracking error (rms): {errors}",
+        f"{summary.ticks_logged} ticks logged, {summary.ticks_lost} lost; {link.get('frames_bad', 0)} bad "
+        f"frames, {link.get('retries', 0)} retries, {link.get('reconnects', 0)} reconnects",
+        *(f"note: {note}" for note in summary.notes),
+    ]

@@ -1,0 +1,129 @@
+"""What the documents tell a reader to type works.
+
+In a fence ```console every line that starts with ``$`` is a command: its verb and options must exist. A fence
+```console run, or ```python run, is run, each document in one empty folder from top to bottom.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer.main
+
+from heli_host.cli import app
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCUMENTS = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+FENCE = re.compile(r"^```(\w+)( run)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+RUN_TIMEOUT_S = 300
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fence of a document.
+
+    Parameters
+    ----------
+    language : str
+        What it is written in.
+    runs : bool
+        Whether it is to be run.
+    text : str
+        Its content.
+    """
+
+    language: str
+    runs: bool
+    text: str
+
+    @property
+    def commands(self) -> list[list[str]]:
+        lines = re.sub(r"\\\n", " ", self.text).splitlines()
+        return [shlex.split(line[2:], comments=True) for line in lines if line.startswith("$ ")]
+
+
+def blocks(path: Path) -> list[Block]:
+    return [Block(match[1], bool(match[2]), match[3]) for match in FENCE.finditer(path.read_text())]
+
+
+def commands() -> list[tuple[str, list[str]]]:
+    return [
+        (path.name, command)
+        for path in DOCUMENTS
+        for block in blocks(path)
+        if block.language == "console"
+        for command in block.commands
+    ]
+
+
+def make_targets() -> set[str]:
+    return set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+
+
+def verbs() -> dict[str, Any]:
+    return dict(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+
+
+def verb_table() -> set[str]:
+    """Verbs in the first column of the README's table."""
+    return set(re.findall(r"^\| `(\w+)[^`]*` \|", (ROOT / "README.md").read_text(), re.MULTILINE))
+
+
+def test_the_readme_lists_every_verb() -> None:
+    assert verb_table() == set(verbs())
+
+
+@pytest.mark.parametrize("verb", sorted(verbs()))
+def test_every_verb_has_an_example(verb: str) -> None:
+    command = verbs()[verb]
+    parts = list(getattr(command, "commands", {}).values()) or [command]
+    for part in parts:
+        assert "Example" in (part.help or ""), f"{verb} {part.name}: --help has no example"
+
+
+@pytest.mark.parametrize(("document", "command"), commands(), ids=lambda value: str(value)[:60])
+def test_command_in_a_document_exists(document: str, command: list[str]) -> None:
+    words = command[: command.index("&")] if "&" in command else command
+    program, *arguments = words
+    if program == "make":
+        targets = [word for word in arguments if "=" not in word]
+        assert set(targets) <= make_targets(), f"{document}: make {' '.join(targets)}"
+    elif Path(program).name == "heli-host":
+        # Parses every option and argument without running the verb.
+        group = typer.main.get_command(app)
+        context = group.make_context("heli-host", list(arguments), resilient_parsing=False)
+        remaining = [*context.protected_args, *context.args]
+        while remaining and hasattr(group, "commands"):
+            group = group.commands[remaining[0]]
+            context = group.make_context(remaining[0], remaining[1:], parent=context)
+            remaining = [*context.protected_args, *context.args]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [path for path in DOCUMENTS if any(block.runs for block in blocks(path))],
+    ids=lambda path: path.name,
+)
+def test_what_a_document_says_to_run_runs(path: Path, tmp_path: Path) -> None:
+    binaries = str(Path(sys.executable).parent)
+    environment = {**os.environ, "PATH": binaries + os.pathsep + os.environ["PATH"], "MPLBACKEND": "agg"}
+    for block in blocks(path):
+        if not block.runs:
+            continue
+        if block.language == "python":
+            runs = [[sys.executable, "-c", block.text]]
+        else:
+            runs = [["bash", "-c", shlex.join(command)] for command in block.commands]
+        for run in runs:
+            done = subprocess.run(
+                run, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=RUN_TIMEOUT_S
+            )
+            assert done.returncode == 0, f"{run[-1]}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
