@@ -94,5 +94,5 @@ def compile_function(function: ca.Function) -> Path | None:
         if result.returncode != 0:
             reason = (result.stderr.strip().splitlines() or ["no message"])[0]
             raise PlantError(f"{cc} cannot compile the plant: {reason}; set CC to a working C compiler")
-        os.replace(so_file, library)
+        so_file.replace(library)
     return library

@@ -23,8 +23,8 @@ def step_function(model: Model) -> ca.Function:
 
     A stop is inelastic: the angle stays at it and the rate outwards becomes 0. The table is the lower stop of
     the elevation; while the arm rests on it, pitch and travel rates die out with table_damping. A locked axis
-    (pinned for a bench test) keeps its angle with rate 0; a model with coupled axes then sees no reaction from
-    the pin.
+    (pinned for a bench test) keeps its angle with rate 0; a model with coupled axes then sees no
+    reaction from the pin.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class Plant:
             State a millisecond later and the angles that the encoders see, rad, shape (3,).
         """
         flags = [float(axis) for axis in locked]
-        after, measured = self.function(state, volts_V, flags, self.parameters)
+        after, measured = self.function(np.asarray(state), np.asarray(volts_V), flags, self.parameters)
         return np.asarray(after).ravel(), np.asarray(measured).ravel()
 
     def native_step(self) -> _native.PlantStep:

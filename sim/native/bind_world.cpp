@@ -53,12 +53,12 @@ class CallbackStep final : public PlantStep {
   void step(const double* state, const double* volts_V, const double* locked,
             const double* parameters, double* next_state, double* angles_rad) override {
     nb::gil_scoped_acquire gil;
-    const nb::object result =
-        callable_(std::vector<double>(state, state + state_count_),
-                  std::vector<double>(volts_V, volts_V + 2),
-                  std::vector<double>(locked, locked + heli::kAxisCount),
-                  std::vector<double>(parameters, parameters + parameter_count_));
-    const auto [next, angles] = nb::cast<std::pair<std::vector<double>, std::vector<double>>>(result);
+    const nb::object result = callable_(
+        std::vector<double>(state, state + state_count_), std::vector<double>(volts_V, volts_V + 2),
+        std::vector<double>(locked, locked + heli::kAxisCount),
+        std::vector<double>(parameters, parameters + parameter_count_));
+    const auto [next, angles] =
+        nb::cast<std::pair<std::vector<double>, std::vector<double>>>(result);
     if (next.size() != state_count_ || angles.size() != heli::kAxisCount) {
       throw std::invalid_argument("the plant returned vectors of another length");
     }
@@ -246,9 +246,10 @@ void bind_world(nb::module_& module) {
           &set_illegal)
       .def("line_counters", &line_counters);
 
-  module.def("encoder_edges", &encoder_edges, "from_rad"_a, "to_rad"_a, "counts_per_rad"_a,
-             "offset_count"_a,
-             "Edges (time_us, axis, direction) of a millisecond in which the angles move linearly.");
-  module.def("encoder_counts", &encoder_counts, "angle_rad"_a, "counts_per_rad"_a,
-             "offset_count"_a, "Counts of three encoders at these angles.");
+  module.def(
+      "encoder_edges", &encoder_edges, "from_rad"_a, "to_rad"_a, "counts_per_rad"_a,
+      "offset_count"_a,
+      "Edges (time_us, axis, direction) of a millisecond in which the angles move linearly.");
+  module.def("encoder_counts", &encoder_counts, "angle_rad"_a, "counts_per_rad"_a, "offset_count"_a,
+             "Counts of three encoders at these angles.");
 }

@@ -47,8 +47,8 @@ const std::vector<Edge>& Encoders::edges() {
     const std::int64_t last = up ? to : from;
     for (std::int64_t line = first; line <= last; ++line) {
       const double time_us = (static_cast<double>(line) - before_[axis]) * us_per_count;
-      edges_.push_back({std::clamp(time_us, 0.0, 999.999), axis_index,
-                        static_cast<std::int8_t>(up ? 1 : -1)});
+      edges_.push_back(
+          {std::clamp(time_us, 0.0, 999.999), axis_index, static_cast<std::int8_t>(up ? 1 : -1)});
     }
   }
   std::stable_sort(edges_.begin(), edges_.end(),

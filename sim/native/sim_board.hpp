@@ -11,9 +11,9 @@ namespace heli_sim {
 
 // One step of a quadrature encoder. Its A and B lines follow from the count modulo 4.
 struct Edge {
-  double time_us;          // since the start of the millisecond, 0 <= time_us < 1000
-  std::uint8_t axis;       // heli::kElevation, kPitch, kTravel
-  std::int8_t direction;   // +1 or -1
+  double time_us;         // since the start of the millisecond, 0 <= time_us < 1000
+  std::uint8_t axis;      // heli::kElevation, kPitch, kTravel
+  std::int8_t direction;  // +1 or -1
 };
 
 // What the encoders do during one millisecond of the board's time.

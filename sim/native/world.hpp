@@ -26,9 +26,8 @@ class World {
  public:
   // `state` begins with elevation, pitch, travel (rad) and their rates (rad/s).
   // Throws std::invalid_argument when the sizes do not fit the step.
-  World(std::unique_ptr<SimBoard> board, std::shared_ptr<PlantStep> step,
-        std::vector<double> state, std::vector<double> parameters, const PowerStage& power,
-        const EncoderConfig& encoders);
+  World(std::unique_ptr<SimBoard> board, std::shared_ptr<PlantStep> step, std::vector<double> state,
+        std::vector<double> parameters, const PowerStage& power, const EncoderConfig& encoders);
 
   // Lets up to `ticks` milliseconds pass. With `until_output` it ends early, after the first
   // `least` of them, as soon as bytes reached the host. Returns the milliseconds that passed.

@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from heli_sim.errors import PlantError
 from heli_sim.model.parts import friction_torque_Nm, thrust_N
-from heli_sim.rig.quantity import Quantity
 from heli_sim.rig import RIG_QUANTITIES, Rig
+from heli_sim.rig.quantity import Quantity
 
 STATES: Final[tuple[Quantity, ...]] = (
     Quantity("elevation_rad", "rad", "long arm above level, up positive"),
@@ -173,7 +173,7 @@ class Model(ABC):
         every = [s.name for s in self.states] + own
         twice = sorted({name for name in every if every.count(name) > 1 or (name in own and name in _RIG)})
         if twice:
-            raise PlantError(f"effects of model '{self.name}' share the names {', '.join(twice)}; rename them")
+            raise PlantError(f"effects of '{self.name}' share the names {', '.join(twice)}; rename them")
 
     @abstractmethod
     def acceleration(self, at: Situation, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:

@@ -10,8 +10,8 @@ import casadi as ca
 def thrust_N(volts_V: ca.SX, gain_N_per_V: ca.SX, dead_zone_V: ca.SX) -> ca.SX:
     """Thrust of rotors against voltage, F = k (V - V_0) above V_0 and none below (31).
 
-    The paper fits the straight line above the dead zone only; nothing is known of reversed rotors, so they give
-    no thrust.
+    The paper fits the straight line above the dead zone only; nothing is known of reversed rotors, so they
+    give no thrust.
 
     Parameters
     ----------

@@ -168,9 +168,7 @@ def _rig_from_table(path: Path, table: Mapping[str, Any]) -> Rig:
         if not isinstance(value, str):
             raise RigError(f'rig file {path} lacks {key} = "..."; add it at the top')
         texts[key] = value
-    numbers = {
-        name: _number(path, name, entry) for name, entry in table.items() if name not in _TEXTS
-    }
+    numbers = {name: _number(path, name, entry) for name, entry in table.items() if name not in _TEXTS}
     return Rig(texts["name"], texts["description"], numbers)
 
 

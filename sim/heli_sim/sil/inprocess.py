@@ -1,7 +1,7 @@
 """The simulated board as a transport of heli_host, in the same process and on simulated time.
 
-This file implements the protocol `heli_host.link.transport.Transport`, found through an entry point; it is the
-one place in heli_sim that raises heli_host's errors.
+This file implements the protocol `heli_host.link.transport.Transport`, found through an entry point; it is
+the one place in heli_sim that raises heli_host's errors.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import time
 from typing import Final
 
 from heli_host.errors import LinkLost, PortError
+
 from heli_sim.sil.options import parse_url
 from heli_sim.sil.world import SilWorld
 

@@ -134,9 +134,9 @@ class TimedPace:
 class LockstepPace:
     """As fast as the host keeps up.
 
-    Simulated time runs at most `window_ms` ahead of the last byte that came from the host, so a host that streams
-    setpoints by the board's clock is never overrun. It never runs slower than real time either: a host that is
-    silent, slow or dead sees what it would see with hardware, and the failsafe acts.
+    Simulated time runs at most `window_ms` ahead of the last byte that came from the host, so a host that
+    streams setpoints by the board's clock is never overrun. It never runs slower than real time either: a
+    host that is silent, slow or dead sees what it would see with hardware, and the failsafe acts.
 
     Parameters
     ----------

@@ -21,8 +21,8 @@ _STOP_s = 3.0
 class SilProcess:
     """A simulated board behind a pseudo-terminal, served by a child process; a context manager.
 
-    The child ends when this process does, however that ends: it watches its standard input. It is in a session
-    of its own, so that Ctrl-C reaches the host alone, which can then still land the rig.
+    The child ends when this process does, however that ends: it watches its standard input. It is in a
+    session of its own, so that Ctrl-C reaches the host alone, which can then still land the rig.
 
     Parameters
     ----------

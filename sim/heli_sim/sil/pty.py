@@ -16,8 +16,8 @@ _CHUNK: Final = 65536
 class PtyEndpoint:
     """The board's side of a pseudo-terminal.
 
-    A host opens the link like a device file. When it closes the port, what it has not read is thrown away, and
-    the terminal stays for the next one.
+    A host opens the link like a device file. When it closes the port, what it has not read is thrown away,
+    and the terminal stays for the next one.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class PtyEndpoint:
         """Take the terminal and its link away; a host that has it open gets an error."""
         if self._master < 0:
             return
-        if self._link is not None and self._link.is_symlink() and os.readlink(self._link) == self._name:
+        if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self._name:
             self._link.unlink()
         os.close(self._master)
         self._master = -1

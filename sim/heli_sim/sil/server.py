@@ -1,7 +1,7 @@
 """A simulated board behind a pseudo-terminal or a TCP port.
 
-``python -m heli_sim.sil.server --pty PATH --options 'rig=makki2024&seed=1&speed=1'`` serves until it is told to
-stop by a signal, or, with ``--watch-stdin``, by the end of its standard input.
+``python -m heli_sim.sil.server --pty PATH --options 'rig=makki2024&seed=1&speed=1'`` serves until it is told
+to stop by a signal, or, with ``--watch-stdin``, by the end of its standard input.
 """
 
 from __future__ import annotations
