@@ -65,11 +65,12 @@ void Core::zero(const EncoderReading& reading, std::uint8_t axes) {
 void Core::measure(const EncoderReading& reading, const Constants& c) {
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     // Unsigned, because a free-running counter may wrap.
-    const auto turned = static_cast<std::int32_t>(static_cast<std::uint32_t>(reading.count[axis]) -
-                                                  static_cast<std::uint32_t>(zero_count_[axis]));
-    count_[axis] = c.count_sign[axis] * turned;
+    const std::uint32_t turned = static_cast<std::uint32_t>(reading.count[axis]) -
+                                 static_cast<std::uint32_t>(zero_count_[axis]);
+    const std::uint32_t zero =
+        axis == kElevation ? static_cast<std::uint32_t>(c.elevation_rest_counts) : 0U;
+    count_[axis] = static_cast<std::int32_t>((c.count_sign[axis] < 0 ? 0U - turned : turned) + zero);
   }
-  count_[kElevation] += c.elevation_rest_counts;
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     angle_rad_[axis] = static_cast<float>(count_[axis]) * c.rad_per_count[axis];
     rate_rad_s_[axis] = filters_[axis].update(angle_rad_[axis], c.smoothing[axis]);
@@ -130,7 +131,10 @@ ControlOutput Core::drive(const Constants& c) {
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     in.angle_rad[axis] = angle_rad_[axis];
     in.rate_rad_s[axis] = rate_rad_s_[axis];
-    in.setpoint_rad[axis] = supervisor_.setpoint_rad()[axis];
+    const flight::Setpoint setpoint = supervisor_.setpoint(axis);
+    in.setpoint_rad[axis] = setpoint.angle_rad;
+    in.setpoint_rate_rad_s[axis] = setpoint.rate_rad_s;
+    in.setpoint_acceleration_rad_s2[axis] = setpoint.acceleration_rad_s2;
   }
   in.axes = supervisor_.axes();
   in.open_front_V = supervisor_.open_voltages().front_V;
@@ -163,11 +167,11 @@ void Core::log_tick(const ControlOutput& out, TickTiming timing) {
   put(Channel::pitch_count, count_[kPitch]);
   put(Channel::travel_count, count_[kTravel]);
   put(Channel::elevation_setpoint,
-      control::round_to_int(supervisor_.setpoint_rad()[kElevation] * link::kElevationSetpointPerUnit));
+      control::round_to_int(supervisor_.setpoint(kElevation).angle_rad * link::kElevationSetpointPerUnit));
   put(Channel::pitch_setpoint,
       control::round_to_int(out.pitch_setpoint_rad * link::kPitchSetpointPerUnit));
   put(Channel::travel_setpoint,
-      control::round_to_int(supervisor_.setpoint_rad()[kTravel] * link::kTravelSetpointPerUnit));
+      control::round_to_int(supervisor_.setpoint(kTravel).angle_rad * link::kTravelSetpointPerUnit));
   put(Channel::front, control::round_to_int(acted_.front_V * link::kFrontPerUnit));
   put(Channel::back, control::round_to_int(acted_.back_V * link::kBackPerUnit));
   put(Channel::state, static_cast<std::int32_t>(supervisor_.state()));

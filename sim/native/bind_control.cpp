@@ -49,6 +49,7 @@ class Law {
       : constants_(heli::control::constants_of(params_from(values))) {}
 
   auto update(const Triple& angle_rad, const Triple& rate_rad_s, const Triple& setpoint_rad,
+              const Triple& setpoint_rate_rad_s, const Triple& setpoint_acceleration_rad_s2,
               std::uint8_t axes, const std::array<float, 2>& open_V,
               const std::array<float, 2>& excitation_V) {
     heli::control::ControlInput in{};
@@ -56,6 +57,8 @@ class Law {
       in.angle_rad[axis] = angle_rad[axis];
       in.rate_rad_s[axis] = rate_rad_s[axis];
       in.setpoint_rad[axis] = setpoint_rad[axis];
+      in.setpoint_rate_rad_s[axis] = setpoint_rate_rad_s[axis];
+      in.setpoint_acceleration_rad_s2[axis] = setpoint_acceleration_rad_s2[axis];
     }
     in.axes = axes;
     in.open_front_V = open_V[0];
@@ -150,7 +153,9 @@ void bind_control(nb::module_& module) {
   nb::class_<Law>(m, "Law")
       .def(nb::init<const ParamValues&>(), nb::arg("params"))
       .def("update", &Law::update, nb::arg("angle_rad"), nb::arg("rate_rad_s"),
-           nb::arg("setpoint_rad"), nb::arg("axes"), nb::arg("open_V"), nb::arg("excitation_V"));
+           nb::arg("setpoint_rad"), nb::arg("setpoint_rate_rad_s"),
+           nb::arg("setpoint_acceleration_rad_s2"), nb::arg("axes"), nb::arg("open_V"),
+           nb::arg("excitation_V"));
   nb::class_<heli::control::RateFilter>(m, "RateFilter")
       .def(nb::init<>())
       .def("update", &heli::control::RateFilter::update, nb::arg("angle_rad"),
@@ -168,6 +173,7 @@ void bind_control(nb::module_& module) {
       nb::arg("differential_max_V"));
   m.def("motor_from_lift_V", &heli::control::motor_from_lift_V, nb::arg("lift_V"),
         nb::arg("dead_zone_V"));
+  m.def("square_root", &heli::control::square_root, nb::arg("value"));
   m.def("reciprocal", &heli::control::reciprocal, nb::arg("value"));
   m.def("excitation", &excitation, nb::arg("kind"), nb::arg("front_V"), nb::arg("back_V"),
         nb::arg("start_Hz"), nb::arg("stop_Hz"), nb::arg("duration_s"), nb::arg("seed"),

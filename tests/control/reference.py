@@ -71,6 +71,8 @@ class ReferenceLaw:
         angle_deg: tuple[float, float, float],
         rate_deg_s: tuple[float, float, float],
         setpoint_deg: tuple[float, float, float],
+        setpoint_rate_deg_s: tuple[float, float, float],
+        setpoint_acceleration_deg_s2: tuple[float, float, float],
         axes: int,
         open_V: tuple[float, float],
         excitation_V: tuple[float, float],
@@ -86,7 +88,11 @@ class ReferenceLaw:
             self.last["pitch_setpoint"] = angle_deg[1]
 
         fresh = (
-            self.travel.wanted(setpoint_deg[2] - angle_deg[2], rate_deg_s[2])
+            p["travel_acceleration_ff"] * setpoint_acceleration_deg_s2[2]
+            + self.travel.wanted(
+                setpoint_deg[2] - angle_deg[2],
+                rate_deg_s[2] - p["travel_rate_ff"] * setpoint_rate_deg_s[2],
+            )
             if axes & TRAVEL
             else setpoint_deg[1]
         )
@@ -99,7 +105,14 @@ class ReferenceLaw:
         lifts = [self._lift(v) for v in open_V]
         elevation_error = setpoint_deg[0] - angle_deg[0]
         pitch_error = pitch_setpoint - angle_deg[1]
-        plus = p["hover_V"] + self.elevation.wanted(elevation_error, rate_deg_s[0]) if axes & ELEVATION else sum(lifts)
+        braked_deg_s = rate_deg_s[0] - p["elevation_rate_ff"] * setpoint_rate_deg_s[0]
+        feed_forward_V = (
+            p["hover_V"]
+            + p["hover_slope"] * setpoint_deg[0]
+            + p["elevation_acceleration_ff"] * setpoint_acceleration_deg_s2[0]
+        )
+        closed_V = feed_forward_V + self.elevation.wanted(elevation_error, braked_deg_s)
+        plus = closed_V if axes & ELEVATION else sum(lifts)
         minus = self.pitch.wanted(pitch_error, rate_deg_s[1]) if axes & PITCH else lifts[0] - lifts[1]
         plus = self._without_jump("plus", plus, bool(changed & ELEVATION))
         minus = self._without_jump("minus", minus, bool(changed & PITCH))

@@ -36,12 +36,14 @@ def fly_both(seed: int, ticks: int, **changes: float) -> np.ndarray:
     angles = np.stack([wave(15), wave(25), wave(60)], axis=1)  # deg (ticks, 3)
     rates = np.gradient(angles, 0.001, axis=0)
     setpoints = np.stack([wave(10), wave(18), wave(40)], axis=1)
+    setpoint_rates = np.gradient(setpoints, 0.001, axis=0)
+    setpoint_accelerations = np.gradient(setpoint_rates, 0.001, axis=0)
     masks = rng.choice([ALL, 1, 2, 3, 6, 0], size=1 + ticks // 200).repeat(200)[:ticks]
     out = np.empty((ticks, 6))
     for k in range(ticks):
         open_V = (1.5 + rng.uniform(-1, 1), 1.5)
         excitation_V = (float(rng.normal(0, 0.2)), float(rng.normal(0, 0.2)))
-        state = (tuple(angles[k]), tuple(rates[k]), tuple(setpoints[k]))
+        state = tuple(tuple(x[k]) for x in (angles, rates, setpoints, setpoint_rates, setpoint_accelerations))
         front, back, pitch_rad, *_ = law.update(*(radians(x) for x in state), int(masks[k]), open_V, excitation_V)
         out[k] = (front, back, math.degrees(pitch_rad), *reference.update(*state, int(masks[k]), open_V, excitation_V))
     return out
@@ -88,7 +90,7 @@ def test_pitch_takes_voltage_from_the_collective_only_when_a_motor_is_at_its_lim
 
 def run_constant(law: control.Law, ticks: int, axes: int, setpoint_deg: tuple[float, float, float]) -> list[float]:
     zero = (0.0, 0.0, 0.0)
-    return [law.update(zero, zero, radians(setpoint_deg), axes, (0.0, 0.0), (0.0, 0.0))[0] for _ in range(ticks)]
+    return [law.update(zero, zero, radians(setpoint_deg), zero, zero, axes, (0.0, 0.0), (0.0, 0.0))[0] for _ in range(ticks)]
 
 
 def test_integrator_does_not_wind_up_while_the_mixer_is_saturated() -> None:
@@ -104,7 +106,7 @@ def test_integrator_does_not_wind_up_while_the_mixer_is_saturated() -> None:
 @pytest.mark.parametrize("before, after", [(0, ALL), (ALL, 0), (2, ALL), (ALL, 2), (3, 6)])
 def test_mode_changes_do_not_jump(before: int, after: int) -> None:
     law, _ = make_law()
-    state = (radians((-3.0, 2.0, 5.0)), (0.0, 0.0, 0.0), radians((4.0, -3.0, 9.0)))
+    state = (radians((-3.0, 2.0, 5.0)), (0.0, 0.0, 0.0), radians((4.0, -3.0, 9.0)), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     open_V, none = (1.8, 1.6), (0.0, 0.0)
     for _ in range(3000):
         last = law.update(*state, before, open_V, none)
@@ -115,7 +117,7 @@ def test_mode_changes_do_not_jump(before: int, after: int) -> None:
 
 
 def test_derivative_acts_on_the_measurement_not_on_the_setpoint() -> None:
-    law, _ = make_law(elevation_ki=0.0, pitch_ki=0.0, travel_ki=0.0)
+    law, _ = make_law(elevation_ki=0.0, pitch_ki=0.0, travel_ki=0.0, hover_slope=0.0)
     before = run_constant(law, 3000, 1, (0.0, 0.0, 0.0))[-1]
     after = run_constant(law, 1, 1, (1.0, 0.0, 0.0))[0]
     assert after - before == pytest.approx(DEFAULTS["elevation_kp"] * 1.0 / 2, abs=1e-3)
@@ -125,8 +127,13 @@ def test_open_loop_gives_the_voltages_that_were_asked_for_dead_zone_included() -
     law, _ = make_law()
     zero = (0.0, 0.0, 0.0)
     for _ in range(6000):
-        out = law.update(zero, zero, zero, 0, (0.4, 2.5), (0.0, 0.0))
+        out = law.update(zero, zero, zero, zero, zero, 0, (0.4, 2.5), (0.0, 0.0))
     assert out[:2] == pytest.approx((0.4, 2.5), abs=1e-4)
+
+
+@given(st.floats(2.0**-40, 2.0**20, width=32))
+def test_square_root_needs_no_division_and_is_right(value: float) -> None:
+    assert control.square_root(value) ** 2 == pytest.approx(value, rel=1e-5)
 
 
 @given(st.floats(2.0**-10, 2.0**20, width=32))

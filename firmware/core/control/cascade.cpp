@@ -48,8 +48,7 @@ ControlOutput Cascade::update(const ControlInput& in, const Constants& c) {
   const bool elevation_closed = (in.axes & axes::elevation) != 0U;
   const bool pitch_closed = (in.axes & axes::pitch) != 0U;
   const float collective_V = collective_fade_.apply(
-      elevation_closed ? c.hover_V + elevation_.output(c.elevation, elevation_error_rad,
-                                                       in.rate_rad_s[kElevation])
+      elevation_closed ? lift_for_elevation(in, c, elevation_error_rad)
                        : open_front_V + open_back_V,
       collective_V_, (changed & axes::elevation) != 0U, c.bumpless_keep);
   const float differential_V = differential_fade_.apply(
@@ -93,6 +92,22 @@ ControlOutput Cascade::update(const ControlInput& in, const Constants& c) {
   return out;
 }
 
+float Cascade::lift_for_elevation(const ControlInput& in, const Constants& c,
+                                  float error_rad) const {
+  const float braked_rad_s =
+      in.rate_rad_s[kElevation] - c.elevation_rate_ff * in.setpoint_rate_rad_s[kElevation];
+  return c.hover_V + c.hover_V_per_rad * in.setpoint_rad[kElevation] +
+         c.elevation_acceleration_ff * in.setpoint_acceleration_rad_s2[kElevation] +
+         elevation_.output(c.elevation, error_rad, braked_rad_s);
+}
+
+float Cascade::pitch_for_travel(const ControlInput& in, const Constants& c) const {
+  const float braked_rad_s =
+      in.rate_rad_s[kTravel] - c.travel_rate_ff * in.setpoint_rate_rad_s[kTravel];
+  return c.travel_acceleration_ff * in.setpoint_acceleration_rad_s2[kTravel] +
+         travel_.output(c.travel, in.setpoint_rad[kTravel] - in.angle_rad[kTravel], braked_rad_s);
+}
+
 // Without any closed loop the voltages are the caller's own, dead zone included: identification of
 // the thrust curve needs volts that mean what they say.
 ControlOutput Cascade::all_open(const ControlInput& in, const Constants& c, bool changed) {
@@ -116,9 +131,7 @@ ControlOutput Cascade::all_open(const ControlInput& in, const Constants& c, bool
 float Cascade::follow_pitch_setpoint(const ControlInput& in, const Constants& c, bool changed) {
   const bool travel_closed = (in.axes & axes::travel) != 0U;
   const float wanted_rad = pitch_setpoint_fade_.apply(
-      travel_closed ? travel_.output(c.travel, in.setpoint_rad[kTravel] - in.angle_rad[kTravel],
-                                     in.rate_rad_s[kTravel])
-                    : in.setpoint_rad[kPitch],
+      travel_closed ? pitch_for_travel(in, c) : in.setpoint_rad[kPitch],
       pitch_setpoint_rad_, changed, c.bumpless_keep);
   const float limited_rad =
       clamp(wanted_rad, -c.pitch_setpoint_max_rad, c.pitch_setpoint_max_rad);

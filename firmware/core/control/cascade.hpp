@@ -29,6 +29,8 @@ class Cascade {
 
  private:
   ControlOutput all_open(const ControlInput& in, const Constants& c, bool changed);
+  float lift_for_elevation(const ControlInput& in, const Constants& c, float error_rad) const;
+  float pitch_for_travel(const ControlInput& in, const Constants& c) const;
   float follow_pitch_setpoint(const ControlInput& in, const Constants& c, bool changed);
 
   Pid elevation_;

@@ -40,6 +40,11 @@ Constants constants_of(const params::Params& params) {
               params.get(Param::travel_kd),
               params.get(Param::travel_integral_max_deg) * kRadPerDeg};
   c.hover_V = params.get(Param::hover_V);
+  c.hover_V_per_rad = params.get(Param::hover_slope) * kDegPerRad;
+  c.elevation_rate_ff = params.get(Param::elevation_rate_ff);
+  c.travel_rate_ff = params.get(Param::travel_rate_ff);
+  c.elevation_acceleration_ff = params.get(Param::elevation_acceleration_ff) * kDegPerRad;
+  c.travel_acceleration_ff = params.get(Param::travel_acceleration_ff);
   c.pitch_setpoint_max_rad = params.get(Param::pitch_setpoint_max_deg) * kRadPerDeg;
   c.pitch_step_max_rad = params.get(Param::pitch_slew_deg_s) * kRadPerDeg * kTick_s;
   c.bumpless_keep = std::exp(-kTick_s / params.get(Param::bumpless_s));

@@ -20,6 +20,11 @@ struct Constants {
   PidGains pitch;
   PidGains travel;  // output is the pitch setpoint in rad
   float hover_V;
+  float hover_V_per_rad;
+  float elevation_rate_ff;
+  float travel_rate_ff;
+  float elevation_acceleration_ff;  // V per rad/s2
+  float travel_acceleration_ff;     // rad per rad/s2
   float pitch_setpoint_max_rad;
   float pitch_step_max_rad;  // per tick
   float bumpless_keep;       // share of the jump left after one tick

@@ -13,6 +13,8 @@ struct ControlInput {
   float angle_rad[kAxisCount];
   float rate_rad_s[kAxisCount];
   float setpoint_rad[kAxisCount];  // pitch counts only while travel is not closed
+  float setpoint_rate_rad_s[kAxisCount];
+  float setpoint_acceleration_rad_s2[kAxisCount];
   std::uint8_t axes;               // link::axes bits of the closed loops
   float open_front_V;              // motor volts for what is not closed
   float open_back_V;

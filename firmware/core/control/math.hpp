@@ -18,7 +18,13 @@ constexpr float clamp(float value, float least, float most) {
 
 constexpr float magnitude(float value) { return value < 0.0F ? -value : value; }
 
-constexpr std::int32_t round_to_int(float value) {
+inline std::int32_t round_to_int(float value) {
+  std::uint32_t bits = 0;
+  std::memcpy(&bits, &value, sizeof bits);
+  // 2^31 and beyond, infinity and NaN: to cast these is undefined, so the ends stand for them.
+  if ((bits & 0x7fffffffU) >= 0x4f000000U) {
+    return (bits >> 31U) != 0U ? INT32_MIN : INT32_MAX;
+  }
   return static_cast<std::int32_t>(value + (value < 0.0F ? -0.5F : 0.5F));
 }
 
@@ -34,6 +40,20 @@ inline float reciprocal(float value) {
   guess *= 2.0F - value * guess;
   guess *= 2.0F - value * guess;
   return guess;
+}
+
+// Square root of a positive normal number, by its reciprocal's root: multiplications only.
+inline float square_root(float value) {
+  std::uint32_t bits = 0;
+  std::memcpy(&bits, &value, sizeof bits);
+  bits = 0x5f375a86U - (bits >> 1U);
+  float guess = 0.0F;
+  std::memcpy(&guess, &bits, sizeof guess);
+  const float half = 0.5F * value;
+  guess *= 1.5F - half * guess * guess;
+  guess *= 1.5F - half * guess * guess;
+  guess *= 1.5F - half * guess * guess;
+  return value * guess;
 }
 
 }  // namespace heli::control

@@ -102,7 +102,7 @@ void Supervisor::enter(State next, Trigger cause) {
   if (next == State::landing && state_ != State::landing) {
     for (const std::size_t axis : {kElevation, kTravel}) {
       const bool closed = (axes() & (1U << axis)) != 0U;
-      setpoints_.hold_at(axis, closed ? setpoints_.value_rad()[axis] : seen_.angle_rad[axis]);
+      setpoints_.hold_at(axis, closed ? setpoints_.of(axis).angle_rad : seen_.angle_rad[axis]);
     }
     setpoints_.hold_at(kPitch, 0.0F);
     quiet_ticks_ = 0;

@@ -49,7 +49,7 @@ class Supervisor {
   // Axes that the control law closes now; none in open loop.
   std::uint8_t axes() const;
   OpenVoltages open_voltages() const { return open_; }
-  const float (&setpoint_rad() const)[kAxisCount] { return setpoints_.value_rad(); }
+  Setpoint setpoint(std::size_t axis) const { return setpoints_.of(axis); }
   bool link_alive() const { return seen_.link_age_ticks <= limits_.hold_ticks; }
   control::Exciter& exciter() { return exciter_; }
   std::uint32_t refused_streams() const { return refused_streams_; }

@@ -5,7 +5,6 @@
 #include "link/bytes.hpp"
 
 namespace heli::link {
-namespace {
 
 enum class Kind : std::uint8_t {
   local,   // answered here
@@ -22,6 +21,8 @@ struct CommandInfo {
   std::uint8_t float_field;  // position of the first among the message's fields
   std::uint8_t float_count;
 };
+
+namespace {
 
 template <class Message>
 constexpr CommandInfo entry(Kind kind, std::uint8_t offset = 0, std::uint8_t field = 0,
@@ -83,15 +84,26 @@ bool same(const Request& a, const Request& b) {
 
 }  // namespace
 
-void Dispatcher::handle(const Frame& frame, std::uint32_t tick) {
-  // A board whose line is looped back hears itself; to answer that would never end.
-  if (frame.id >= kFirstReplyId) return;
+bool Dispatcher::handle(const Frame& frame, std::uint32_t tick) {
+  // To answer what it said itself the board would never end.
+  if (frame.id >= kFirstReplyId) return false;
   const CommandInfo* info = find(frame.id);
-  if (info != nullptr && info->kind == Kind::stream) {
-    if (session_open_) stream(frame, tick);
-    return;
+  if (info == nullptr || info->kind != Kind::stream) {
+    command(info, frame);
+  } else if (session_open_) {
+    stream(*info, frame, tick);
   }
-  if (busy_ || reply_waits_) return;
+  return true;
+}
+
+void Dispatcher::command(const CommandInfo* info, const Frame& frame) {
+  const bool is_stop = info != nullptr && info->id == MessageId::stop;
+  if (busy_ && is_stop && session_open_ && frame.size == info->size) {
+    stop_waits_ = true;
+    stop_request_ = frame.payload[0];
+  }
+  // A stop takes the place of an answer that cannot leave: whoever stops has given up on that one.
+  if (busy_ || (reply_waits_ && !is_stop)) return;
   if (frame.size > 0) grow_old(frame.payload[0]);
 
   const bool is_hello = info != nullptr && info->id == MessageId::hello;
@@ -101,7 +113,7 @@ void Dispatcher::handle(const Frame& frame, std::uint32_t tick) {
   const std::uint8_t field = bad_float(*info, frame.payload);
   if (field != kNoField) return refuse(frame, Result::bad_value, field);
   if (info->kind == Kind::local) return local(frame);
-  remote(frame);
+  remote(info->id, frame.payload, frame.size);
 }
 
 void Dispatcher::local(const Frame& frame) {
@@ -167,10 +179,10 @@ void Dispatcher::params_read(const Frame& frame) {
   }
 }
 
-void Dispatcher::remote(const Frame& frame) {
-  pending_.id = static_cast<MessageId>(frame.id);
-  pending_.size = frame.size;
-  std::memcpy(pending_.payload, frame.payload, frame.size);
+void Dispatcher::remote(MessageId id, const std::uint8_t* payload, std::uint8_t size) {
+  pending_.id = id;
+  pending_.size = size;
+  std::memcpy(pending_.payload, payload, size);
   if (memory_.valid && same(memory_.request, pending_)) {
     ++duplicates_;
     return send(memory_.ack);
@@ -204,17 +216,21 @@ bool Dispatcher::collect(std::uint32_t tick) {
   memory_.ack.value = reply.value;
   busy_ = false;
   send(memory_.ack);
+  if (stop_waits_) {
+    stop_waits_ = false;
+    grow_old(stop_request_);
+    remote(MessageId::stop, &stop_request_, StopMessage::kSize);
+  }
   return true;
 }
 
-void Dispatcher::stream(const Frame& frame, std::uint32_t tick) {
-  const CommandInfo* info = find(frame.id);
+void Dispatcher::stream(const CommandInfo& info, const Frame& frame, std::uint32_t tick) {
   Result result = Result::ok;
   std::uint8_t field = kNoField;
-  if (frame.size != info->size) {
+  if (frame.size != info.size) {
     result = Result::bad_length;
   } else {
-    field = bad_float(*info, frame.payload);
+    field = bad_float(info, frame.payload);
     if (field != kNoField) result = Result::bad_value;
   }
   if (result != Result::ok) {
@@ -227,8 +243,8 @@ void Dispatcher::stream(const Frame& frame, std::uint32_t tick) {
     return;
   }
   pass_stream();
-  newest_stream_.id = info->id;
-  if (info->id == MessageId::setpoint) {
+  newest_stream_.id = info.id;
+  if (info.id == MessageId::setpoint) {
     newest_stream_.setpoint = SetpointMessage::read(frame.payload);
   } else {
     newest_stream_.voltages = VoltagesMessage::read(frame.payload);

@@ -33,16 +33,19 @@ struct Outgoing {
   std::uint8_t payload[kMost] = {};
 };
 
+struct CommandInfo;
+
 // Idle loop only. A command that changes something goes through the mailbox to the tick; at most
 // one is on its way. A command that arrives before the last one's answer has left is not answered:
-// the host, which sends one at a time, repeats it.
+// the host, which sends one at a time, repeats it. Only a stop is never passed over.
 class Dispatcher {
  public:
   Dispatcher(Board& board, const params::Params& params, params::Store& store, Mailbox& mailbox,
              StreamQueue& streams)
       : board_(board), params_(params), store_(store), mailbox_(mailbox), streams_(streams) {}
 
-  void handle(const Frame& frame, std::uint32_t tick);
+  // False for a frame that no host sends: a looped-back line brings the board its own.
+  bool handle(const Frame& frame, std::uint32_t tick);
 
   // Turns the tick's reply, when it has come, into an ack; writes the flash for params_save.
   // True when parameters may have changed.
@@ -70,11 +73,12 @@ class Dispatcher {
     AckMessage ack;
   };
 
+  void command(const CommandInfo* info, const Frame& frame);
   void hello(const Frame& frame);
   void local(const Frame& frame);
   void params_read(const Frame& frame);
-  void remote(const Frame& frame);
-  void stream(const Frame& frame, std::uint32_t tick);
+  void remote(MessageId id, const std::uint8_t* payload, std::uint8_t size);
+  void stream(const CommandInfo& info, const Frame& frame, std::uint32_t tick);
   void pass_stream();
   void grow_old(std::uint8_t request);
   void refuse(const Frame& frame, Result result, std::uint8_t detail = 0);
@@ -93,6 +97,8 @@ class Dispatcher {
 
   bool busy_ = false;  // `pending_` is with the tick
   Request pending_;
+  bool stop_waits_ = false;  // came while busy; goes to the tick next
+  std::uint8_t stop_request_ = 0;
   Memory memory_;
   std::uint8_t last_request_ = 0;
 

@@ -49,8 +49,9 @@ void Link::receive() {
 }
 
 void Link::accept(const Frame& frame) {
-  dispatcher_.handle(frame, now());
-  if (dispatcher_.session_open()) host_frame_tick_.store(now(), std::memory_order_relaxed);
+  const bool from_host = dispatcher_.handle(frame, now());
+  if (from_host && dispatcher_.session_open())
+    host_frame_tick_.store(now(), std::memory_order_relaxed);
   session_open_.store(dispatcher_.session_open(), std::memory_order_release);
   send_reply();
 }
