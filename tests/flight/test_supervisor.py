@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 
+import numpy as np
 import pytest
 from tests.flight.desk import REST_DEG, Desk
 from heli_host.link import declaration as d
