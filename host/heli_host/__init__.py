@@ -1,3 +1,58 @@
-"""Talks to a 3-DOF helicopter board, real or simulated, over one link."""
+"""Talks to a 3-DOF helicopter board, real or simulated, over one link.
+
+Ten lines fly it::
+
+    import heli_host
+
+    with heli_host.connect("sil://") as heli:
+        heli.take_off(elevation_deg=0.0)
+        heli.setpoint(travel_deg=20.0)
+        heli.wait(8.0)
+        heli.land()
+        flown = heli.samples()
+
+Names are loaded when first used, so that a program that only reads logs opens no serial library.
+"""
 
 from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from heli_host.errors import HeliError
+    from heli_host.heli import Heli, connect
+    from heli_host.link.declaration import Axes, Excitation, Fault, Flags, State
+    from heli_host.samples import Sample, Samples
+
+__all__ = [
+    "Axes",
+    "Excitation",
+    "Fault",
+    "Flags",
+    "Heli",
+    "HeliError",
+    "Sample",
+    "Samples",
+    "State",
+    "connect",
+]
+
+_WHERE = {
+    "HeliError": "heli_host.errors",
+    "Heli": "heli_host.heli",
+    "connect": "heli_host.heli",
+    "Axes": "heli_host.link.declaration",
+    "Excitation": "heli_host.link.declaration",
+    "Fault": "heli_host.link.declaration",
+    "Flags": "heli_host.link.declaration",
+    "State": "heli_host.link.declaration",
+    "Sample": "heli_host.samples",
+    "Samples": "heli_host.samples",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _WHERE:
+        return getattr(import_module(_WHERE[name]), name)
+    raise AttributeError(f"module {__name__} has no attribute {name}")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import random
 
-import host_reference as reference
 import pytest
 from heli_host.link.declaration import MAX_COMMAND_PAYLOAD, MAX_TELEMETRY_PAYLOAD, PROTOCOL
 from heli_host.link.frames import Frame, FrameParser, encode_frame
 from hypothesis import given
 from hypothesis import strategies as st
+
+from tests.link import host_reference as reference
 
 payloads = st.binary(max_size=MAX_TELEMETRY_PAYLOAD)
 ids = st.integers(128, 255)

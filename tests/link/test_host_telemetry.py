@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import host_reference as reference
 import numpy as np
 from heli_host.link.declaration import CHANNELS
 from heli_host.link.telemetry import EMPTY_TICKS, TelemetryDecoder
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from tests.link import host_reference as reference
 
 LIMITS = {"<i": (-(2**31), 2**31 - 1), "<h": (-(2**15), 2**15 - 1), "<B": (0, 255)}
 

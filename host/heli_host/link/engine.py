@@ -228,9 +228,9 @@ class Engine:
         return 1.0 if estimate is None else max(estimate.rate, 1.0)
 
     @property
-    def last_request(self) -> Request | None:
-        """The command on its way, or the last one that was."""
-        return self._request
+    def unreachable(self) -> bool:
+        """Whether a board that welcomed this session before does not answer now."""
+        return self.welcome is not None and self.phase is Phase.GREETING
 
     def counters(self) -> LinkCounters:
         """Return all counts since the first welcome.
@@ -335,8 +335,8 @@ class Engine:
             and now_s >= self._setpoints.sent_s + KEEP_ALIVE_S / speed
             and self.state in (State.CLOSED_LOOP, State.HOLD)
         ):
-            tick = (self.account.last or 0) & _TICK_MASK
-            out += self._release(self._setpoints, dataclasses.replace(self.kept, apply_tick=tick), now_s)
+            # Its tick may lie in the past: the board then goes on towards the same target.
+            out += self._release(self._setpoints, self.kept, now_s)
         idle_s, unpinged_s = now_s - self._last_sent_s, now_s - self._last_ping_s
         awaiting = request is not None and not request.done
         if not awaiting and (idle_s >= HEARTBEAT_S / speed or unpinged_s >= CLOCK_PING_S / speed):

@@ -1,8 +1,8 @@
 """A session with one board: handshake, commands, streams, samples, events, reconnect.
 
-Two drivers share one protocol (`heli_host.link.engine`). Over a port a thread reads all the time, and calls of the
-user wait for it. In lockstep with a simulation there is no thread: whatever waits reads, which makes time pass,
-and the same calls give the same bytes every time.
+Two drivers share one protocol (`heli_host.link.engine`). Over a port a thread reads all the time, and calls
+of the user wait for it. In lockstep with a simulation there is no thread: whatever waits reads, which makes
+time pass, and the same calls give the same bytes every time.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ HANDSHAKE_TIMEOUT_S = 5.0
 RECONNECT_TIMEOUT_S = 30.0
 
 _READ_TIMEOUT_S = 0.02
-# In lockstep, reading in long pieces is what makes a simulation fast: a batch costs 35 us alone, 3 us among many.
+# Reading in long pieces is what makes a simulation fast: a batch costs 35 us alone, 3 us among many.
 _LOCKSTEP_STEP_S = 0.1
 _LOCKSTEP_REPLY_STEP_S = 0.002
 _BACKOFF_S = (0.05, 0.1, 0.2, 0.5, 1.0)
@@ -327,8 +327,8 @@ class Session:
     def stream(self, message: SetpointMessage | VoltagesMessage) -> None:
         """Send a setpoint or a pair of voltages; not answered, the latest wins.
 
-        At most 200 setpoints and 500 pairs of voltages a second go out; what a later one replaced meanwhile is
-        counted as skipped.
+        At most 200 setpoints and 500 pairs of voltages a second go out; what a later one replaced meanwhile
+        is counted as skipped.
 
         Parameters
         ----------
@@ -375,6 +375,23 @@ class Session:
                 raise LinkError("no sample has come from the board yet", "wait a moment, then try again")
             tick = round(estimate.tick_at(self._transport.now_s()))
             return min(max(tick, last), last + _AHEAD_TICKS)
+
+    def ticks_counted_on(self, ticks: Ticks) -> npt.NDArray[np.int64]:
+        """Return the tick numbers of samples counted on over 2^32.
+
+        Parameters
+        ----------
+        ticks : Ticks
+            Samples just handed over.
+
+        Returns
+        -------
+        ndarray of int64, shape (n,)
+            Device time [tick].
+        """
+        last = self._engine.account.unwrap(int(ticks.tick[-1]))
+        behind = (ticks.tick[-1] - ticks.tick).astype(np.int64)
+        return np.asarray(last - behind, np.int64)
 
     def wait_for(
         self, predicate: Callable[[], bool], timeout_s: float | None = None, step_s: float = 0.02
@@ -531,11 +548,8 @@ class Session:
             self._reopen(lost)
         if engine.mismatch is not None:
             self._fail(engine.mismatch)
-        elif engine.phase is Phase.GREETING and transport.now_s() >= self._give_up_s():
-            if engine.welcome is not None:
-                self._fail(
-                    LinkLost("the board does not answer any more", "check its supply, then connect again")
-                )
+        elif engine.unreachable and transport.now_s() >= self._give_up_s():
+            self._fail(LinkLost("the board does not answer any more", "check its supply, then connect again"))
 
     def _send_due(self) -> None:
         # Whoever reads finds out by itself that the port is gone, and looks for it.
@@ -587,7 +601,7 @@ class Session:
         for callback in callbacks:
             try:
                 callback(value)
-            except Exception as error:  # noqa: BLE001: whatever a user's function raises, the link must live on
+            except Exception as error:  # noqa: BLE001
                 self._unsubscribe(callback)
                 failed = error if isinstance(error, HeliError) else None
                 if failed is None:
@@ -624,8 +638,9 @@ class Session:
                 "check power and cable, that it is the programming port, and that the firmware is flashed",
             )
         excerpt = (parser.excerpt + parser.pending)[-16:]
+        heard = f"{parser.bytes_received} bytes (the last: {excerpt.hex(' ')})"
         return WrongDevice(
-            f"{parser.bytes_received} bytes came from {url}, but no frame of this link (last: {excerpt.hex(' ')})",
+            f"{heard} came from {url}, but no frame of this link",
             "choose another port (heli-host ports lists them), or flash the firmware of this release",
             parser.bytes_received,
             excerpt,

@@ -1,0 +1,281 @@
+"""Flying a control law written in Python: called on device time, its voltages streamed, its timing measured.
+
+What a sample takes to become a voltage that acts is not guessed from clocks: telemetry says in which tick
+each voltage acted, so a voltage that differs from the one before can be found again there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from heli_host.errors import ControllerError, FlightAborted, HeliError, fault_text
+from heli_host.link.clock import TICK_S
+from heli_host.link.declaration import CHANNELS, PARAMS, Param, State
+from heli_host.link.telemetry import Ticks
+from heli_host.samples import Sample
+
+if TYPE_CHECKING:
+    from heli_host.heli import Heli
+
+ControlLaw = Callable[[Sample], tuple[float, float]]
+After = Literal["hold", "land", "stop"]
+
+_READ_INTERVAL_S = 0.001
+_LEAST_PERIOD_TICKS = int(PARAMS[Param.TELEMETRY_BATCH_TICKS].min)
+_MOST_BATCH_TICKS = int(PARAMS[Param.TELEMETRY_BATCH_TICKS].max)
+_MOST_TAKEOVERS = 5
+_NAMES = [channel.name for channel in CHANNELS]
+_FRONT, _BACK = _NAMES.index("front"), _NAMES.index("back")
+# A duty of 1/2100 of a supply of at most 24 V, and the rounding of telemetry.
+_SAME_V = 0.02
+_DIFFERENT_V = 0.05
+_LOOK_TICKS = 200
+
+
+@dataclass(frozen=True)
+class ControllerReport:
+    """How well a control law in Python kept time.
+
+    Parameters
+    ----------
+    calls : int
+        Times that the law was called.
+    rate_Hz : float
+        Achieved rate, on device time [Hz].
+    misses : int
+        Periods in which it was not called, because samples came late or the law took too long.
+    takeovers : int
+        Times that the board held level by itself because voltages came too late.
+    clipped : int
+        Calls whose voltages were brought back to the board's limits.
+    latency_p50_ms, latency_p95_ms, latency_max_ms : float
+        From the tick of a sample to the tick in which the voltage computed from it acted, device time [ms];
+        nan when no voltage could be found again in telemetry.
+    latency_count : int
+        Calls that these were measured on: those whose voltages differ enough from the ones before.
+    law_p50_ms, law_p95_ms, law_max_ms : float
+        Time that the law itself took on this computer [ms].
+    """
+
+    calls: int
+    rate_Hz: float
+    misses: int
+    takeovers: int
+    clipped: int
+    latency_p50_ms: float
+    latency_p95_ms: float
+    latency_max_ms: float
+    latency_count: int
+    law_p50_ms: float
+    law_p95_ms: float
+    law_max_ms: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.calls} calls at {self.rate_Hz:.1f} Hz, {self.misses} missed, {self.takeovers} takeovers; "
+            f"sample to voltage {self.latency_p50_ms:.1f} ms (95 %: {self.latency_p95_ms:.1f}, "
+            f"most: {self.latency_max_ms:.1f}); law {self.law_p50_ms:.2f} ms (95 %: {self.law_p95_ms:.2f})"
+        )
+
+
+@dataclass
+class _Run:
+    """What is written down while a law flies; one entry a call."""
+
+    period_ticks: int
+    duration_ticks: int
+    valid_s: float
+    tick: list[int] = field(default_factory=list)
+    front_V: list[float] = field(default_factory=list)
+    back_V: list[float] = field(default_factory=list)
+    law_s: list[float] = field(default_factory=list)
+    misses: int = 0
+    takeovers: int = 0
+    clipped: int = 0
+
+
+def run_controller(
+    heli: Heli,
+    law: ControlLaw,
+    *,
+    rate_Hz: float = 200.0,
+    duration_s: float,
+    valid_s: float = 0.05,
+    after: After = "hold",
+) -> ControllerReport:
+    """Fly a control law over streamed voltages.
+
+    The board must be armed or flying. While the law flies, telemetry comes in batches of one period and the
+    port is read every millisecond; both are put back afterwards. Whatever ends it early, the on-board loops
+    take over first.
+
+    Parameters
+    ----------
+    heli : Heli
+        The helicopter.
+    law : callable taking Sample, returning (front_V, back_V)
+        The control law; voltages beyond the board's limits are brought back to them.
+    rate_Hz : float
+        How often it is called, on device time [Hz]; at most 250.
+    duration_s : float
+        How long, in device time [s].
+    valid_s : float
+        How long voltages may act when no others follow [s].
+    after : {"hold", "land", "stop"}
+        What follows: the on-board loops hold the position, or it lands, or the motors go off.
+
+    Returns
+    -------
+    ControllerReport
+        Rate, misses and latencies.
+
+    Raises
+    ------
+    ControllerError
+        The rate cannot be had, the law raised, or returned no two finite voltages.
+    FlightAborted
+        A fault switched the motors off.
+    """
+    period_ticks = round(1.0 / (rate_Hz * TICK_S)) if rate_Hz > 0.0 else 0
+    if period_ticks < _LEAST_PERIOD_TICKS:
+        most_Hz = 1.0 / (_LEAST_PERIOD_TICKS * TICK_S)
+        raise ControllerError(f"a control law cannot run at {rate_Hz:g} Hz", f"give at most {most_Hz:g} Hz")
+    session, params = heli.session, heli.params
+    batch_ticks, read_interval_s = params["telemetry_batch_ticks"], session.read_interval_s
+    acted: list[Ticks] = []
+    run = _Run(period_ticks, round(duration_s / TICK_S), valid_s)
+    unsubscribe = session.subscribe_ticks(acted.append)
+    try:
+        params["telemetry_batch_ticks"] = min(period_ticks, _MOST_BATCH_TICKS)
+        session.read_interval_s = _READ_INTERVAL_S
+        _loop(heli, law, run)
+    except BaseException:
+        with contextlib.suppress(HeliError):
+            if heli.motors_may_run:
+                heli.control()
+        raise
+    finally:
+        unsubscribe()
+        session.read_interval_s = read_interval_s
+        with contextlib.suppress(HeliError):
+            params["telemetry_batch_ticks"] = batch_ticks
+    if after == "hold":
+        heli.control()
+    elif after == "land":
+        heli.land()
+    else:
+        heli.stop()
+    return _report(run, session.ticks_counted_on, acted)
+
+
+def _loop(heli: Heli, law: ControlLaw, run: _Run) -> None:
+    session = heli.session
+    low_V, high_V = heli.params["motor_min_V"], heli.params["motor_max_V"]
+    heli.stream()
+    first_tick = due_tick = heli.latest.tick + 1
+
+    def due() -> bool:
+        newest = session.latest
+        return newest is not None and (newest[0] >= due_tick or session.state is not State.STREAMED)
+
+    while True:
+        session.wait_for(due, step_s=TICK_S)
+        sample = heli.latest
+        if sample.state is State.FAULT:
+            raise FlightAborted(f"the board switched the motors off: {fault_text(sample.fault)}")
+        if sample.tick - first_tick >= run.duration_ticks:
+            return
+        if sample.state is not State.STREAMED:
+            run.takeovers += 1
+            if run.takeovers > _MOST_TAKEOVERS or sample.state is not State.HOLD:
+                raise ControllerError(
+                    f"the board took over ({sample.state.name.lower()}): voltages came too late",
+                    "make the law quicker, lower rate_Hz, or raise valid_s and voltage_valid_max_ms",
+                )
+            heli.stream()
+            continue
+        late_periods = max(sample.tick - due_tick, 0) // run.period_ticks
+        run.misses += late_periods
+        due_tick += (1 + late_periods) * run.period_ticks
+        began_s = time.perf_counter()
+        front_V, back_V = _two_voltages(law, sample)
+        run.law_s.append(time.perf_counter() - began_s)
+        clipped = min(max(front_V, low_V), high_V), min(max(back_V, low_V), high_V)
+        run.clipped += clipped != (front_V, back_V)
+        heli.voltages(*clipped, run.valid_s)
+        run.tick.append(sample.tick)
+        run.front_V.append(clipped[0])
+        run.back_V.append(clipped[1])
+
+
+def _two_voltages(law: ControlLaw, sample: Sample) -> tuple[float, float]:
+    try:
+        front_V, back_V = (float(value) for value in law(sample))
+    except Exception as error:
+        raise ControllerError(
+            f"the control law failed: {type(error).__name__}: {error}", "it must return (front_V, back_V)"
+        ) from error
+    if not (math.isfinite(front_V) and math.isfinite(back_V)):
+        raise ControllerError(
+            f"the control law returned {front_V:g} and {back_V:g} V", "it must return two finite voltages"
+        )
+    return front_V, back_V
+
+
+def _report(
+    run: _Run, counted_on: Callable[[Ticks], npt.NDArray[np.int64]], acted: list[Ticks]
+) -> ControllerReport:
+    latency_ms = np.array([math.nan])
+    count = 0
+    if acted and run.tick:
+        tick = np.concatenate([counted_on(ticks) for ticks in acted])
+        volts = np.concatenate([ticks.raw[:, (_FRONT, _BACK)] for ticks in acted]) * CHANNELS[_FRONT].scale
+        found = _latencies_ticks(run, tick, volts)
+        count = len(found)
+        if count:
+            latency_ms = found * (TICK_S * 1e3)
+    law_ms = np.array(run.law_s or [math.nan]) * 1e3
+    span_s = (run.tick[-1] - run.tick[0]) * TICK_S if len(run.tick) > 1 else 0.0
+    latency = [float(value) for value in np.percentile(latency_ms, (50, 95, 100))]
+    took = [float(value) for value in np.percentile(law_ms, (50, 95, 100))]
+    return ControllerReport(
+        calls=len(run.tick),
+        rate_Hz=(len(run.tick) - 1) / span_s if span_s > 0.0 else 0.0,
+        misses=run.misses,
+        takeovers=run.takeovers,
+        clipped=run.clipped,
+        latency_p50_ms=latency[0],
+        latency_p95_ms=latency[1],
+        latency_max_ms=latency[2],
+        latency_count=count,
+        law_p50_ms=took[0],
+        law_p95_ms=took[1],
+        law_max_ms=took[2],
+    )
+
+
+def _latencies_ticks(
+    run: _Run, tick: npt.NDArray[np.int64], volts: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Ticks from each sample to the first tick in which the voltages computed from it acted.
+
+    ``volts`` (n, 2) acted at ``tick`` (n,).
+    """
+    sent = np.column_stack([run.front_V, run.back_V])  # (calls, 2)
+    found = []
+    for call in range(1, len(sent)):
+        if np.abs(sent[call] - sent[call - 1]).max() < _DIFFERENT_V:
+            continue
+        start = int(np.searchsorted(tick, run.tick[call], side="right"))
+        same = np.abs(volts[start : start + _LOOK_TICKS] - sent[call]).max(axis=1) < _SAME_V
+        if same.any():
+            found.append(float(tick[start + int(np.argmax(same))] - run.tick[call]))
+    return np.array(found)

@@ -1,0 +1,590 @@
+"""The helicopter as a person uses it: degrees and volts in, samples out, in simulation as on hardware."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from heli_host.errors import FlightAborted, HeliError, ParameterError, SetpointError, fault_text
+from heli_host.link.clock import TICK_S
+from heli_host.link.declaration import (
+    BAUD,
+    ArmMessage,
+    Axes,
+    ClearFaultMessage,
+    ControlMessage,
+    Excitation,
+    ExciteMessage,
+    ExciteStopMessage,
+    LandMessage,
+    SetpointMessage,
+    State,
+    StopMessage,
+    StreamMessage,
+    VoltagesMessage,
+    ZeroMessage,
+)
+from heli_host.link.session import HANDSHAKE_TIMEOUT_S, RECONNECT_TIMEOUT_S, Session
+from heli_host.link.transport import open_transport
+from heli_host.samples import Sample
+from heli_host.view import HISTORY_S, BoardView
+
+if TYPE_CHECKING:
+    from heli_host.controller import After, ControlLaw, ControllerReport
+
+ALL_AXES = Axes.ELEVATION | Axes.PITCH | Axes.TRAVEL
+LEAD_S = 0.04
+MOST_LEAD_S = 0.5
+
+_STATE_TIMEOUT_S = 1.0
+_STOP_TRIES = 3
+# The board keeps these distances between setpoints and the limits that cut the motors.
+_ELEVATION_MARGIN_DEG = 2.0
+_TRAVEL_MARGIN_DEG = 5.0
+_REACHED_DEG = 2.0
+_REACHED_FOR_S = 0.3
+
+
+class Heli(BoardView):
+    """A helicopter behind an open session; `connect` makes one.
+
+    As a context manager it ends with the motors off: leaving the block while they may run sends ``stop``, and
+    an arm in the air falls. ``land_on_exit=True`` lands first, when the block ends without an error.
+
+    A method that changes the state returns when the board's telemetry shows it. Callbacks run in the reading
+    thread; they may read samples and send setpoints, but should not wait.
+
+    Parameters
+    ----------
+    session : Session
+        Connected; closed by `close`.
+    keep_alive : bool
+        Send the last setpoint again ten times a second. The board's failsafe is there for a host that died or
+        hangs, and a person between two cells of a notebook is neither. False: after ``setpoint_hold_s``
+        without a setpoint the board hovers level, after ``setpoint_land_s`` it lands.
+    land_on_exit : bool
+        Land before the motors are switched off at the end.
+    history_s : float
+        How much `samples` keeps [s].
+
+    Attributes
+    ----------
+    land_on_exit : bool
+        As above; may be changed.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        *,
+        keep_alive: bool = True,
+        land_on_exit: bool = False,
+        history_s: float = HISTORY_S,
+    ) -> None:
+        self.land_on_exit = land_on_exit
+        self._keep_alive = keep_alive
+        self._target: SetpointMessage | None = None
+        self._closed = False
+        super().__init__(session, history_s)
+
+    def __enter__(self) -> Heli:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if self.land_on_exit and kind is None and self.motors_may_run:
+                self.land()
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Switch the motors off if they may be on, and let go of the board; harmless when called twice."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            for _ in range(_STOP_TRIES):
+                if not self.motors_may_run:
+                    break
+                # An error of a callback that waits to be told must not keep the motors running.
+                with contextlib.suppress(HeliError):
+                    self.stop()
+        finally:
+            self.session.close()
+
+    @property
+    def motors_may_run(self) -> bool:
+        """Whether the motors are on, or may be, for all that is known."""
+        return self.session.state not in (State.IDLE, State.FAULT)
+
+    @property
+    def keep_alive(self) -> bool:
+        """Whether the last setpoint is sent again ten times a second; may be set."""
+        return self._keep_alive
+
+    @keep_alive.setter
+    def keep_alive(self, on: bool) -> None:
+        self._keep_alive = on
+        self.session.keep_alive(self._target if on else None)
+
+    def arm(self) -> None:
+        """Run the pre-flight checks and enable the motor drivers, at zero voltage.
+
+        Raises
+        ------
+        CommandRefused
+            A check failed, or the board is not idle; the message says which and what to do.
+        """
+        self.session.command(ArmMessage(0))
+        self._wait_for_state(State.ARMED)
+
+    def stop(self) -> None:
+        """Switch the motors off at once, in any state; an arm in the air falls.
+
+        Raises
+        ------
+        LinkError
+            The board did not answer.
+        """
+        self._forget_target()
+        self.session.command(StopMessage(0))
+        self._wait_for_state(State.IDLE, State.FAULT)
+
+    def control(self, axes: Axes = ALL_AXES, front_V: float = 0.0, back_V: float = 0.0) -> None:
+        """Close the on-board loops, where the arm is now: nothing moves until a setpoint says so.
+
+        Parameters
+        ----------
+        axes : Axes
+            Axes to close; travel needs pitch. ``Axes(0)`` is open loop.
+        front_V, back_V : float
+            Voltages for the axes that are not closed [V].
+
+        Raises
+        ------
+        CommandRefused
+            Not armed, or a value out of range.
+        """
+        was_flying = self.session.state is State.CLOSED_LOOP
+        self.session.command(ControlMessage(0, int(axes), front_V, back_V))
+        if not axes:
+            self._forget_target()
+            self._wait_for_state(State.OPEN_LOOP)
+            return
+        if self._target is None or not was_flying:
+            self._target = self._target_here()
+        self._send_target()
+        self._wait_for_state(State.CLOSED_LOOP)
+
+    def hold(self) -> None:
+        """Stay where the arm is now: makes its present position the setpoint."""
+        self._target = self._target_here()
+        self._send_target()
+
+    def setpoint(
+        self,
+        *,
+        elevation_deg: float | None = None,
+        travel_deg: float | None = None,
+        pitch_deg: float | None = None,
+        lead_s: float = LEAD_S,
+    ) -> None:
+        """Send a setpoint; what is not given stays as it was.
+
+        Parameters
+        ----------
+        elevation_deg, travel_deg : float or None
+            Targets [deg].
+        pitch_deg : float or None
+            Target [deg]; used only while travel is not closed.
+        lead_s : float
+            Device time from now in which the board ramps there, within its slew limits [s]; at most 0.5.
+
+        Raises
+        ------
+        SetpointError
+            A target lies outside the limits in force on the board; nothing was sent.
+        """
+        before = self._target if self._target is not None else self._target_here()
+        given = {"elevation": elevation_deg, "pitch": pitch_deg, "travel": travel_deg}
+        limits = self.setpoint_limits_deg()
+        for axis, value_deg in given.items():
+            if value_deg is None:
+                continue
+            least_deg, most_deg = limits[axis]
+            if not least_deg <= value_deg <= most_deg:
+                raise SetpointError(
+                    f"{axis} setpoint of {value_deg:g} degrees is outside the board's limits",
+                    f"give {least_deg:g} to {most_deg:g} degrees",
+                )
+        if not 0.0 <= lead_s <= MOST_LEAD_S:
+            raise SetpointError(f"a lead of {lead_s:g} s is too long", f"give 0 to {MOST_LEAD_S:g} s")
+        apply_tick = self.session.device_tick() + round(lead_s / TICK_S)
+        self._target = SetpointMessage(
+            apply_tick & 0xFFFFFFFF,
+            before.elevation_rad if elevation_deg is None else float(np.radians(elevation_deg)),
+            before.pitch_rad if pitch_deg is None else float(np.radians(pitch_deg)),
+            before.travel_rad if travel_deg is None else float(np.radians(travel_deg)),
+        )
+        self._send_target()
+
+    def setpoint_limits_deg(self) -> dict[str, tuple[float, float]]:
+        """Return the setpoints that the board takes, as its parameters say.
+
+        Returns
+        -------
+        dict of str to (float, float)
+            Least and most of ``elevation``, ``pitch`` and ``travel`` [deg].
+        """
+        params = self.params
+        pitch_deg = params["pitch_setpoint_max_deg"]
+        travel_deg = params["travel_max_deg"] - _TRAVEL_MARGIN_DEG
+        return {
+            "elevation": (params["elevation_rest_deg"], params["elevation_max_deg"] - _ELEVATION_MARGIN_DEG),
+            "pitch": (-pitch_deg, pitch_deg),
+            "travel": (-travel_deg, travel_deg),
+        }
+
+    def take_off(
+        self, elevation_deg: float = 0.0, *, axes: Axes = ALL_AXES, timeout_s: float = 20.0
+    ) -> Sample:
+        """Arm if idle, close the loops, climb, and wait until it is there.
+
+        Parameters
+        ----------
+        elevation_deg : float
+            Where to [deg].
+        axes : Axes
+            Axes to close.
+        timeout_s : float
+            Longest climb in device time [s].
+
+        Returns
+        -------
+        Sample
+            Of the moment at which the elevation had stayed within 2 degrees for 0.3 s.
+
+        Raises
+        ------
+        CommandRefused
+            A pre-flight check failed.
+        FlightAborted
+            A fault switched the motors off.
+        WaitTimeout
+            It did not get there in time.
+        """
+        if self.state is State.IDLE:
+            self.arm()
+        self.control(axes)
+        self.setpoint(elevation_deg=elevation_deg)
+        near_since_s: list[float] = []
+
+        def there_or_off(sample: Sample) -> bool:
+            if abs(sample.elevation_deg - elevation_deg) > _REACHED_DEG:
+                near_since_s.clear()
+            elif not near_since_s:
+                near_since_s.append(sample.t_s)
+            stayed = bool(near_since_s) and sample.t_s - near_since_s[0] >= _REACHED_FOR_S
+            return stayed or sample.state in (State.FAULT, State.IDLE)
+
+        sample = self.wait_until(there_or_off, timeout_s)
+        self._abort_on_fault(sample)
+        return sample
+
+    def land(self, *, wait: bool = True, timeout_s: float | None = None) -> None:
+        """Descend under control, then motors off.
+
+        Parameters
+        ----------
+        wait : bool
+            Return when the motors are off; otherwise at once.
+        timeout_s : float or None
+            Longest wait in device time [s]; None: the board's ``landing_timeout_s`` and some more.
+
+        Raises
+        ------
+        FlightAborted
+            A fault switched the motors off before the table was reached.
+        WaitTimeout
+            It takes too long.
+        """
+        if self.state is State.IDLE:
+            return
+        self._forget_target()
+        self.session.command(LandMessage(0))
+        if wait:
+            timeout_s = self.params["landing_timeout_s"] + 3.0 if timeout_s is None else timeout_s
+            sample = self.wait_until(lambda s: s.state in (State.IDLE, State.FAULT), timeout_s)
+            self._abort_on_fault(sample)
+
+    def stream(self) -> None:
+        """Hand the motor voltages to `voltages`; the first must follow within ``setpoint_hold_s``.
+
+        Raises
+        ------
+        CommandRefused
+            Not armed.
+        """
+        self._forget_target()
+        self.session.command(StreamMessage(0))
+        self._wait_for_state(State.STREAMED)
+
+    def voltages(self, front_V: float, back_V: float, valid_s: float = 0.05) -> None:
+        """Stream motor voltages.
+
+        Parameters
+        ----------
+        front_V, back_V : float
+            Voltages [V], between ``motor_min_V`` and ``motor_max_V``.
+        valid_s : float
+            How long they may act without others following [s]; then the board holds level by itself.
+
+        Raises
+        ------
+        SetpointError
+            A voltage outside the board's limits; nothing was sent.
+        """
+        least_V, most_V = self.params["motor_min_V"], self.params["motor_max_V"]
+        if not (least_V <= front_V <= most_V and least_V <= back_V <= most_V):
+            raise SetpointError(
+                f"voltages {front_V:g} and {back_V:g} V are outside the board's limits",
+                f"give {least_V:g} to {most_V:g} V, or set motor_min_V and motor_max_V",
+            )
+        valid_ms = min(max(round(valid_s * 1e3), 1), 0xFFFF)
+        self.session.stream(VoltagesMessage(front_V, back_V, valid_ms))
+
+    def excite(
+        self,
+        kind: Excitation | str,
+        front_V: float = 0.0,
+        back_V: float = 0.0,
+        *,
+        start_Hz: float = 0.1,
+        stop_Hz: float = 2.0,
+        duration_s: float = 10.0,
+        seed: int = 1,
+    ) -> None:
+        """Add an excitation, generated on the board, to whatever drives the motors.
+
+        Parameters
+        ----------
+        kind : Excitation or str
+            ``step``, ``doublet``, ``chirp``, ``multisine`` or ``prbs``.
+        front_V, back_V : float
+            Amplitudes on the motors [V].
+        start_Hz, stop_Hz : float
+            Lowest and highest frequency (chirp, multisine); ``stop_Hz`` is the switching rate of prbs [Hz].
+        duration_s : float
+            Length [s]; then it ends by itself.
+        seed : int
+            Seed of prbs, not 0.
+
+        Raises
+        ------
+        ParameterError
+            There is no such excitation.
+        CommandRefused
+            A value out of range, or the motors are off.
+        """
+        if isinstance(kind, str):
+            if kind.upper() not in Excitation.__members__:
+                names = ", ".join(one.name.lower() for one in Excitation if one)
+                raise ParameterError(f"there is no excitation {kind}", f"choose from {names}")
+            kind = Excitation[kind.upper()]
+        message = ExciteMessage(0, int(kind), front_V, back_V, start_Hz, stop_Hz, duration_s, seed)
+        self.session.command(message)
+
+    def excite_stop(self) -> None:
+        """End a running excitation."""
+        self.session.command(ExciteStopMessage(0))
+
+    def zero(self, axes: Axes = ALL_AXES) -> None:
+        """Take the present position as rest (elevation) or zero (pitch, travel); only while idle.
+
+        Parameters
+        ----------
+        axes : Axes
+            Axes to zero.
+
+        Raises
+        ------
+        CommandRefused
+            The board is not idle.
+        """
+        self.session.command(ZeroMessage(0, int(axes)))
+
+    def clear_fault(self) -> None:
+        """Leave the fault state for idle, once the cause is removed.
+
+        Raises
+        ------
+        CommandRefused
+            The board is in no fault.
+        """
+        self.session.command(ClearFaultMessage(0))
+        self._wait_for_state(State.IDLE)
+
+    def run_controller(
+        self,
+        law: ControlLaw,
+        *,
+        rate_Hz: float = 200.0,
+        duration_s: float,
+        valid_s: float = 0.05,
+        after: After = "hold",
+    ) -> ControllerReport:
+        """Fly a control law written in Python, over streamed voltages; see `heli_host.controller`.
+
+        Parameters
+        ----------
+        law : callable taking Sample, returning (front_V, back_V)
+            The control law.
+        rate_Hz : float
+            How often it is called, on device time [Hz]; at most 250.
+        duration_s : float
+            How long [s].
+        valid_s : float
+            How long voltages may act when no others follow [s].
+        after : {"hold", "land", "stop"}
+            What follows: the on-board loops hold the position, or it lands, or the motors go off.
+
+        Returns
+        -------
+        ControllerReport
+            Rate, misses and latencies.
+
+        Raises
+        ------
+        ControllerError
+            The law raised or returned no two finite voltages; the board holds its position.
+        FlightAborted
+            A fault switched the motors off.
+        """
+        from heli_host.controller import run_controller
+
+        return run_controller(self, law, rate_Hz=rate_Hz, duration_s=duration_s, valid_s=valid_s, after=after)
+
+    def fly(self, plan: Any, log: Path | str | None = None, **options: Any) -> Any:
+        """Fly a plan; see `heli_host.fly.runner.fly`, which this calls.
+
+        Parameters
+        ----------
+        plan : object
+            Plan, or the name or path of one.
+        log : path-like or None
+            Log file to write.
+        **options
+            As the runner takes them.
+
+        Returns
+        -------
+        object
+            What the runner returns.
+        """
+        from heli_host.fly.runner import fly
+
+        return fly(self, plan, log=log, **options)
+
+    def _target_here(self) -> SetpointMessage:
+        sample, limits = self.latest, self.setpoint_limits_deg()
+
+        def within(axis: str, angle_deg: float) -> float:
+            return float(np.radians(np.clip(angle_deg, *limits[axis])))
+
+        tick = self.session.device_tick() & 0xFFFFFFFF
+        elevation_rad = within("elevation", sample.elevation_deg)
+        return SetpointMessage(tick, elevation_rad, 0.0, within("travel", sample.travel_deg))
+
+    def _send_target(self) -> None:
+        if self._target is not None:
+            self.session.stream(self._target)
+            self.session.keep_alive(self._target if self._keep_alive else None)
+
+    def _forget_target(self) -> None:
+        self._target = None
+        self.session.keep_alive(None)
+
+    def _wait_for_state(self, *states: State) -> None:
+        # The ack has come; telemetry shows the state some batches later. A state that has already gone on,
+        # into a fault for example, is for the caller to see.
+        self.session.wait_for(lambda: self.session.state in states, _STATE_TIMEOUT_S)
+
+    def _abort_on_fault(self, sample: Sample) -> None:
+        if sample.state is State.FAULT:
+            raise FlightAborted(f"the board switched the motors off: {fault_text(sample.fault)}")
+
+
+def connect(
+    url: str = "sil://",
+    *,
+    baud: int = BAUD,
+    reset_board: bool = False,
+    keep_alive: bool = True,
+    land_on_exit: bool = False,
+    history_s: float = HISTORY_S,
+    handshake_timeout_s: float = HANDSHAKE_TIMEOUT_S,
+    reconnect_timeout_s: float = RECONNECT_TIMEOUT_S,
+    session_number: int | None = None,
+) -> Heli:
+    """Open a board, on hardware or in simulation, and greet it.
+
+    Parameters
+    ----------
+    url : str
+        ``/dev/ttyACM0``, ``COM3``, ``socket://host:port``, or ``sil://?rig=makki2024&seed=1&speed=max``.
+    baud : int
+        Rate of a serial port [baud].
+    reset_board : bool
+        Reset a Due after opening its port.
+    keep_alive : bool
+        Send the last setpoint again ten times a second; see `Heli`.
+    land_on_exit : bool
+        Land, instead of switching off in the air, when a ``with`` block ends.
+    history_s : float
+        How much `Heli.samples` keeps [s].
+    handshake_timeout_s : float
+        Longest wait for the board's welcome [s].
+    reconnect_timeout_s : float
+        How long a lost board is looked for [s].
+    session_number : int or None
+        Tells this session from others. None: random over a port, 1 in lockstep.
+
+    Returns
+    -------
+    Heli
+        Connected; use it in a ``with`` block.
+
+    Raises
+    ------
+    LinkError
+        The board cannot be reached: one of `PortError`, `BadBaud`, `HandshakeTimeout`, `WrongDevice`,
+        `LinkVersionMismatch`, `LinkLost`.
+
+    Examples
+    --------
+    >>> import heli_host
+    >>> with heli_host.connect("sil://") as heli:
+    ...     heli.take_off(elevation_deg=0.0)
+    ...     heli.setpoint(travel_deg=20.0)
+    ...     heli.wait(8.0)
+    ...     heli.land()
+    ...     flown = heli.samples()
+    """
+    session = Session(
+        open_transport(url, baud=baud, reset_board=reset_board),
+        session_number=session_number,
+        handshake_timeout_s=handshake_timeout_s,
+        reconnect_timeout_s=reconnect_timeout_s,
+    )
+    try:
+        session.connect()
+        return Heli(session, keep_alive=keep_alive, land_on_exit=land_on_exit, history_s=history_s)
+    except BaseException:
+        session.close()
+        raise

@@ -1,0 +1,271 @@
+"""The board's parameters, by name."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import math
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from heli_host.errors import CommandRefused, HeliError, LinkError, ParameterError, range_text
+from heli_host.link.declaration import (
+    PARAMS,
+    Param,
+    ParamsDefaultMessage,
+    ParamSetMessage,
+    ParamSpec,
+    ParamsSaveMessage,
+    Result,
+)
+from heli_host.link.events import BOARD_RESTARTED, LinkEvent
+from heli_host.link.session import Session
+
+_INDEX = {spec.name: spec.index for spec in PARAMS}
+
+
+class Parameters(Mapping[str, float]):
+    """The parameters in force on the board, read once and then kept in step.
+
+    ``heli.params["hover_V"]`` reads, ``heli.params["hover_V"] = 1.5`` sets, and ``save`` makes it last beyond
+    a restart of the board.
+
+    Parameters
+    ----------
+    session : Session
+        An open session.
+
+    Attributes
+    ----------
+    revision : int
+        Counts the changes that this host knows of.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self.revision = 0
+        self._values: list[float] = []
+        self._stale = True
+        session.subscribe_events(self._take_event)
+
+    def __getitem__(self, name: str) -> float:
+        index = spec_of(name).index
+        if self._stale:
+            self.refresh()
+        return self._values[index]
+
+    def __setitem__(self, name: str, value: float) -> None:
+        self.set(name, value)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_INDEX)
+
+    def __len__(self) -> int:
+        return len(PARAMS)
+
+    def refresh(self) -> None:
+        """Read all parameters from the board again."""
+        self._values = [_plain(value) for value in self._session.read_params()]
+        self._stale = False
+        self.revision += 1
+
+    def spec(self, name: str) -> ParamSpec:
+        """Return what the declaration says of a parameter: unit, range, default, meaning.
+
+        Parameters
+        ----------
+        name : str
+            Its name.
+
+        Returns
+        -------
+        ParamSpec
+            Its row of the table.
+
+        Raises
+        ------
+        ParameterError
+            There is no such parameter.
+        """
+        return spec_of(name)
+
+    def set(self, name: str, value: float) -> float:
+        """Set a parameter in the board's memory.
+
+        Parameters
+        ----------
+        name : str
+            Its name.
+        value : float
+            New value, in the unit of the declaration.
+
+        Returns
+        -------
+        float
+            The value now in force, in the board's single precision.
+
+        Raises
+        ------
+        ParameterError
+            There is no such parameter, or the value lies outside its range.
+        CommandRefused
+            The board does not take it in its present state.
+        """
+        spec = checked(name, value)
+        try:
+            ack = self._session.command(ParamSetMessage(0, spec.index, value))
+        except CommandRefused as error:
+            if error.result == Result.OUT_OF_RANGE:
+                raise ParameterError(
+                    f"the board refused {name} = {value:g}", f"give {_range(spec)}"
+                ) from error
+            raise
+        in_force = _plain(ack.value)
+        if not self._stale:
+            self._values[spec.index] = in_force
+            self.revision += 1
+        return in_force
+
+    def save(self) -> int:
+        """Write all parameters to the board's flash, so that they outlast a restart; only while idle.
+
+        Returns
+        -------
+        int
+            Generation of the stored set.
+
+        Raises
+        ------
+        CommandRefused
+            The board is not idle, or its flash could not be written and verified.
+        """
+        return round(self._session.command(ParamsSaveMessage(0)).value)
+
+    def defaults(self) -> None:
+        """Put the declared defaults into the board's memory; only while idle; does not save.
+
+        Raises
+        ------
+        CommandRefused
+            The board is not idle.
+        """
+        self._session.command(ParamsDefaultMessage(0))
+        self.refresh()
+
+    def dump(self) -> dict[str, float]:
+        """Return all parameters.
+
+        Returns
+        -------
+        dict of str to float
+            By name, in the declaration's order.
+        """
+        self.refresh()
+        return dict(self)
+
+    def restore(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Set the parameters of a dump: all of them or, when one is refused, none.
+
+        Parameters
+        ----------
+        values : Mapping of str to float
+            Values by name; parameters that it does not name stay as they are.
+
+        Returns
+        -------
+        dict of str to float
+            Those that changed, with their new values.
+
+        Raises
+        ------
+        ParameterError
+            A name is unknown or a value outside its range; nothing was sent.
+        CommandRefused
+            The board refused one; those set before it were put back.
+        """
+        for name, value in values.items():
+            checked(name, value)
+        before = self.dump()
+        changed: dict[str, float] = {}
+        for name, value in values.items():
+            if _plain(value) == before[name]:
+                continue
+            try:
+                changed[name] = self.set(name, value)
+            except HeliError:
+                with contextlib.suppress(LinkError):
+                    for undone in changed:
+                        self.set(undone, before[undone])
+                raise
+        return changed
+
+    def _take_event(self, event: LinkEvent) -> None:
+        if event.kind == BOARD_RESTARTED:
+            self._stale = True
+
+
+def spec_of(name: str) -> ParamSpec:
+    """Return what the declaration says of a parameter.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+
+    Returns
+    -------
+    ParamSpec
+        Its row of the table.
+
+    Raises
+    ------
+    ParameterError
+        There is no such parameter.
+    """
+    if name not in _INDEX:
+        near = difflib.get_close_matches(name, _INDEX, 3)
+        hint = f"did you mean {' or '.join(near)}?" if near else "heli-host params list shows all"
+        raise ParameterError(f"there is no parameter {name}", hint)
+    return PARAMS[_INDEX[name]]
+
+
+def checked(name: str, value: float) -> ParamSpec:
+    """Check a value against the declaration.
+
+    Parameters
+    ----------
+    name : str
+        Name of a parameter.
+    value : float
+        Value in the unit of the declaration.
+
+    Returns
+    -------
+    ParamSpec
+        The parameter's row of the table.
+
+    Raises
+    ------
+    ParameterError
+        There is no such parameter, or the value lies outside its range.
+    """
+    spec = spec_of(name)
+    good = (
+        math.isfinite(value)
+        and spec.min <= value <= spec.max
+        and not (spec.nonzero and value == 0.0)
+        and not (spec.integer and value != round(value))
+    )
+    if not good:
+        raise ParameterError(f"{name} = {value:g} is out of range", f"give {_range(spec)}")
+    return spec
+
+
+def _range(spec: ParamSpec) -> str:
+    return range_text(Param(spec.index))
+
+
+def _plain(value: float) -> float:
+    """Shortest decimal number that is the same in single precision: 0.35, not 0.3499999940395355."""
+    return float(str(np.float32(value)))
