@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-
 from heli_host.link.declaration import PARAMS, State
 from heli_host.log.writer import LogWriter
+from numpy.typing import NDArray
 
 PARAMETERS = {spec.name: spec.default for spec in PARAMS}
 RAD_PER_COUNT = np.full(3, 2.0 * np.pi / 4096.0)
@@ -16,7 +15,9 @@ WALL_NS = 1_700_000_000_000_000_000
 BATCH = 20
 
 
-def make_samples(n: int, first_tick: int = 5000, seed: int = 1) -> tuple[NDArray[np.uint32], NDArray[np.int32]]:
+def make_samples(
+    n: int, first_tick: int = 5000, seed: int = 1
+) -> tuple[NDArray[np.uint32], NDArray[np.int32]]:
     """Return ticks (n,) and channels (n, 11) of a flight: rest, arming, rise, a sine on two axes, landing."""
     rng = np.random.default_rng(seed)
     t_s = np.arange(n) * 1e-3
@@ -27,7 +28,11 @@ def make_samples(n: int, first_tick: int = 5000, seed: int = 1) -> tuple[NDArray
     sink = np.clip((t_s - edges_s[2]) / (0.1 * end_s), 0.0, 1.0)
     wave = np.sin(2.0 * np.pi * np.clip(t_s - 0.2 * end_s, 0.0, 0.6 * end_s) / (0.2 * end_s))
     setpoint_deg = np.column_stack(
-        (-25.0 * (1.0 - rise) - 25.0 * sink + 5.0 * wave * flying, 6.0 * np.roll(wave, 250) * flying, 20.0 * wave * flying)
+        (
+            -25.0 * (1.0 - rise) - 25.0 * sink + 5.0 * wave * flying,
+            6.0 * np.roll(wave, 250) * flying,
+            20.0 * wave * flying,
+        )
     )
     angle_deg = np.vstack([np.roll(setpoint_deg[:, axis], lag) for axis, lag in enumerate((60, 40, 300))]).T
     raw = np.zeros((n, 11), np.int32)
@@ -48,7 +53,12 @@ def open_writer(path: Path) -> LogWriter:
         path,
         start_wall_ns=WALL_NS,
         metadata={
-            "session": {"rig": "makki2024", "board": "native", "firmware": "0.1.0", "axes": "elevation pitch travel"},
+            "session": {
+                "rig": "makki2024",
+                "board": "native",
+                "firmware": "0.1.0",
+                "axes": "elevation pitch travel",
+            },
             "parameters": {name: repr(value) for name, value in PARAMETERS.items()},
             "plan": {"sine": 'title = "made"\n'},
         },
@@ -56,7 +66,9 @@ def open_writer(path: Path) -> LogWriter:
     )
 
 
-def write_made_log(path: Path, n: int = 5000, batch: int = BATCH) -> tuple[NDArray[np.uint32], NDArray[np.int32]]:
+def write_made_log(
+    path: Path, n: int = 5000, batch: int = BATCH
+) -> tuple[NDArray[np.uint32], NDArray[np.int32]]:
     """Write a whole made flight as a log, and return what went into it."""
     tick, raw = make_samples(n)
     writer = open_writer(path)

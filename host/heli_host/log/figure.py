@@ -185,8 +185,7 @@ def _finish(panel: Axes) -> None:
 
 
 def _draw_strips(band: Axes, panels: Sequence[Axes], flight: Flight, t_s: NDArray[np.float64]) -> None:
-    """Draw two strips above the panels, what was flown and the board's state, and shade the panels by state.
-    """
+    """Draw two strips, what was flown and the board's state; shade the panels by state."""
     band.set_ylim(0.0, 2.0)
     band.set_yticks([0.5, 1.5] if flight.state is not None else [], ["state", "plan"], fontsize=8.5)
     band.tick_params(axis="both", length=0, labelbottom=False)
@@ -204,16 +203,17 @@ def _draw_strips(band: Axes, panels: Sequence[Axes], flight: Flight, t_s: NDArra
         for panel in panels:
             panel.axvspan(left_s, right_s, color=colour, alpha=0.28, lw=0, zorder=0)
     phases = [event for event in flight.events if event.name == PHASE_EVENT]
-    ends_s = [_moment_s(event, flight) for event in phases[1:]]
-    idle = [
+    starts_s = [_moment_s(event, flight) for event in phases]
+    # The last phase, a landing as a rule, ends where the motors are off.
+    off_s = [
         left_s
         for left_s, _, name in stretches
-        if name in ("idle", "fault") and phases and left_s > phases[-1].t_s
+        if name in ("idle", "fault") and left_s > max(starts_s, default=0)
     ]
-    ends_s.append(idle[0] if idle else flight.duration_s)
-    for event, end_s in zip(phases, ends_s, strict=True):
+    ends_s = [*starts_s[1:], min(off_s, default=flight.duration_s)]
+    for event, start_s, end_s in zip(phases, starts_s, ends_s, strict=False):
         colour = "#f2f2f2" if event.text in (TAKE_OFF, LANDING) else "#c9d9ea"
-        _block(band, (_moment_s(event, flight), end_s, 1.0), event.text, colour, flight.duration_s)
+        _block(band, (start_s, end_s, 1.0), event.text, colour, flight.duration_s)
 
 
 def _block(band: Axes, place: tuple[float, float, float], text: str, colour: str, total_s: float) -> None:
@@ -272,8 +272,7 @@ def _runs(state: NDArray[np.uint8]) -> list[tuple[int, int, int]]:
 
 
 def _thinned(t_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[Any, Any]:
-    """Keep the least and the greatest of every bucket, so that a long flight draws fast and no peak is lost.
-    """
+    """Keep the least and the greatest of every bucket, so that a long flight draws fast and no peak is lost."""
     bucket = len(values) // _BUCKETS
     if bucket < 3:
         return t_s, values

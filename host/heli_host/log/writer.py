@@ -203,6 +203,8 @@ class LogWriter:
         if tick.size == 0:
             return
         with self._lock:
+            if self.failed is not None:
+                raise self.failed
             time_us, lost = self.clock.advance(tick)
             self.counters.ticks_logged += int(tick.size)
             self.counters.ticks_lost += lost
@@ -214,6 +216,17 @@ class LogWriter:
                 start = stop
                 if self._pending.tick_count >= CHUNK_TICKS:
                     self.flush()
+
+    def skip(self, gap_s: float) -> None:
+        """Leave time for a restart of the board, which begins to count its ticks anew.
+
+        Parameters
+        ----------
+        gap_s : float
+            Seconds from the last tick to the first of the restarted board.
+        """
+        with self._lock:
+            self.clock.skip(gap_s)
 
     def write_event(self, tick: int, name: str, text: str, level: int = LEVEL_INFO) -> None:
         """Take in an event.

@@ -1,0 +1,268 @@
+"""Writes everything that comes over a session into a log: ticks, events, counters."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import fields
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from heli_host.errors import HeliError, LogError
+from heli_host.link.declaration import LINK_HASH, LINK_VERSION, StatusMessage
+from heli_host.link.events import BOARD_RESTARTED, LINK_LOST, LINK_SILENT, LinkEvent
+from heli_host.log.schema import LEVEL_ERROR, LEVEL_INFO, LEVEL_WARNING
+from heli_host.log.summary import PHASE_EVENT
+from heli_host.log.writer import LogCounters, LogWriter
+
+if TYPE_CHECKING:
+    from heli_host.fly.plan import Plan
+    from heli_host.heli import Heli
+    from heli_host.link.accounting import LinkCounters
+    from heli_host.link.telemetry import Ticks
+
+_LEVELS = {
+    "fault": LEVEL_ERROR,
+    LINK_LOST: LEVEL_ERROR,
+    BOARD_RESTARTED: LEVEL_ERROR,
+    LINK_SILENT: LEVEL_WARNING,
+    "setpoint_stale": LEVEL_WARNING,
+    "setpoint_rejected": LEVEL_WARNING,
+}
+_URGENT = frozenset((LINK_LOST, LINK_SILENT, BOARD_RESTARTED, "fault"))
+_AXES = ("elevation", "pitch", "travel")
+
+
+class Recorder:
+    """A log of a session, from now until `close`; also without any plan, while somebody flies by hand.
+
+    It takes over what the reading thread delivers. When the disk is full it stops writing, keeps what it has,
+    and says so in `error`; flying goes on.
+
+    Parameters
+    ----------
+    heli : Heli
+        A connected board.
+    path : str or Path
+        Log to write; a file that exists is replaced.
+    rig_name : str
+        Name of the rig, for the log.
+    plans : sequence of Plan
+        Plans that will be flown; their text goes into the log.
+
+    Raises
+    ------
+    LogWriteError
+        If the log cannot be created.
+    """
+
+    def __init__(
+        self, heli: Heli, path: str | Path, *, rig_name: str = "", plans: Sequence[Plan] = ()
+    ) -> None:
+        self.path = Path(path)
+        self.error: LogError | None = None
+        self._heli = heli
+        self._closed = False
+        parameters = dict(heli.params)
+        self._parameters = parameters
+        self._writer = LogWriter(
+            self.path,
+            start_wall_ns=heli.session.transport.wall_ns(),
+            metadata={
+                "session": self._session(heli, rig_name, plans),
+                "parameters": {name: repr(value) for name, value in parameters.items()},
+                "plan": _texts(plans),
+            },
+            rad_per_count=np.array(
+                [2.0 * np.pi / abs(parameters[f"{axis}_counts_per_rev"]) for axis in _AXES]
+            ),
+        )
+        self._last_wall_ns = 0
+        self._unsubscribe = (
+            heli.session.subscribe_ticks(self._take_ticks),
+            heli.session.subscribe_events(self._take_event),
+            heli.session.subscribe_status(self._take_status),
+        )
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def counters(self) -> LogCounters:
+        """What the log has taken in so far."""
+        return self._writer.counters
+
+    def mark_phase(self, tick: int, phase: str) -> None:
+        """Note that a phase of the flight begins.
+
+        Parameters
+        ----------
+        tick : int
+            Device tick at which it begins.
+        phase : str
+            ``take-off``, the name of a plan, or ``landing``.
+        """
+        with self._guard():
+            self._writer.write_event(tick & 0xFFFFFFFF, PHASE_EVENT, phase)
+
+    def note(self, name: str, text: str, level: int = LEVEL_INFO) -> None:
+        """Write an event of the host's own, at the newest tick.
+
+        Parameters
+        ----------
+        name : str
+            Kind of event.
+        text : str
+            What happened and why.
+        level : int
+            Severity as in ``foxglove.Log``.
+        """
+        newest = self._heli.session.latest
+        with self._guard():
+            self._writer.write_event((newest[0] if newest else 0) & 0xFFFFFFFF, name, text, level)
+
+    def check(self) -> None:
+        """Raise what stopped the writing, if anything did.
+
+        Raises
+        ------
+        LogWriteError
+            The disk is full or gone.
+        """
+        if self.error is not None:
+            raise self.error
+
+    def close(self, outcome: str = "recorded") -> None:
+        """Write the last counters and the outcome, and close the log; a second call does nothing.
+
+        Parameters
+        ----------
+        outcome : str
+            ``completed``, or in one line what ended the flight.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        for unsubscribe in self._unsubscribe:
+            unsubscribe()
+        log = self._writer.counters
+        counters = _counts(self._heli.counters)
+        last = {
+            "counters": {name: str(value) for name, value in counters.items()},
+            "result": {
+                "outcome": outcome,
+                "ticks_logged": str(log.ticks_logged),
+                "ticks_lost": str(log.ticks_lost),
+                "events_logged": str(log.events_logged),
+            },
+        }
+        changed = {
+            name: repr(value) for name, value in self._values().items() if self._parameters.get(name) != value
+        }
+        if changed:
+            last["parameters_changed"] = changed
+        with self._guard():
+            self._writer.close(last)
+
+    def _values(self) -> dict[str, float]:
+        # A board that has restarted would be asked again, and may be gone.
+        with contextlib.suppress(HeliError):
+            return dict(self._heli.params)
+        return {}
+
+    def _take_ticks(self, ticks: Ticks) -> None:
+        if not len(ticks):
+            return
+        self._last_wall_ns = self._heli.session.transport.wall_ns()
+        with self._guard():
+            self._writer.write_ticks(ticks.tick, ticks.raw)
+
+    def _take_event(self, event: LinkEvent) -> None:
+        with self._guard():
+            if event.kind == BOARD_RESTARTED:
+                self._writer.skip(
+                    max(0, event.wall_ns - self._last_wall_ns) / 1e9 if self._last_wall_ns else 0.0
+                )
+            self._writer.write_event(
+                event.tick & 0xFFFFFFFF, event.kind, event.text, _LEVELS.get(event.kind, LEVEL_INFO)
+            )
+            if event.kind in _URGENT:
+                # What follows may be silence: nothing should wait in memory for a chunk to fill.
+                self._writer.flush()
+
+    def _take_status(self, status: StatusMessage) -> None:
+        with self._guard():
+            self._writer.write_link(status.tick, _counts(self._heli.counters))
+
+    @contextlib.contextmanager
+    def _guard(self) -> Iterator[None]:
+        """Keep the first failure and go on without a log: an error must not reach the reading thread."""
+        try:
+            yield
+        except LogError as error:
+            self.error = self.error or error
+
+    @staticmethod
+    def _session(heli: Heli, rig_name: str, plans: Sequence[Plan]) -> dict[str, str]:
+        info = heli.info
+        wall_ns = heli.session.transport.wall_ns()
+        return {
+            "rig": rig_name,
+            "board": info.board,
+            "firmware": info.firmware_version,
+            "link": info.link_version,
+            "link_hash": f"{info.link_hash:08x}",
+            "host": host_version(),
+            "host_link": LINK_VERSION,
+            "host_link_hash": f"{LINK_HASH:08x}",
+            "url": heli.session.transport.url,
+            "start": datetime.fromtimestamp(wall_ns / 1e9, UTC).isoformat(timespec="milliseconds"),
+            "boot_count": str(info.boot_count),
+            "reset": info.reset,
+            "boot_fault": info.boot_fault,
+            "params_source": info.params_source,
+            "axes": " ".join(plans[0].axes) if plans else "",
+        }
+
+
+def host_version() -> str:
+    """Return the version of this package, ``unknown`` when it is not installed."""
+    try:
+        return version("heli-host")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def _texts(plans: Sequence[Plan]) -> dict[str, str]:
+    """Return the plans' texts by name; a plan flown twice is named twice."""
+    texts: dict[str, str] = {}
+    for plan in plans:
+        name, number = plan.name, 2
+        while name in texts:
+            name, number = f"{plan.name} ({number})", number + 1
+        texts[name] = plan.text
+    return texts
+
+
+def _counts(counters: LinkCounters) -> dict[str, float]:
+    counted: dict[str, float] = {}
+    for entry in fields(counters):
+        value = getattr(counters, entry.name)
+        if isinstance(value, int):
+            counted[entry.name] = value
+    board = counters.board
+    if board is not None:
+        for entry in fields(board):
+            if entry.name not in ("request", "tick"):
+                counted[f"board_{entry.name}"] = getattr(board, entry.name)
+    return counted

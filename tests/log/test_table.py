@@ -1,0 +1,178 @@
+"""Tables: every measured flight reads; what no analysis could trust is refused with its place."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from heli_host.errors import FlightDataError, HeliError, LogWriteError
+from heli_host.flight import REQUIRED_COLUMNS, Flight
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.log.made import write_made_log
+
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
+SHARED_FILES = sorted(SHARED.glob("**/*.csv.gz"))
+HEADER = ",".join(REQUIRED_COLUMNS)
+
+
+def rows(n: int = 20, step_s: float = 0.002) -> list[str]:
+    return [f"{k * step_s:.3f},1.5,1.6,{0.001 * k:.6f},{-0.002 * k:.6f},{0.003 * k:.6f}" for k in range(n)]
+
+
+def write(path: Path, *lines: str) -> Path:
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.skipif(not SHARED_FILES, reason="skipped: no shared data")
+@pytest.mark.parametrize("path", SHARED_FILES, ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_every_shared_flight_reads(path: Path) -> None:
+    flight = Flight.read(path)
+    assert len(flight) > 5000 and flight.step_s == pytest.approx(0.002)
+    assert flight.meta and not flight.gaps.size
+    assert 10.0 < flight.duration_s < 120.0
+
+
+def test_columns_come_by_name_and_notes_into_meta(tmp_path: Path) -> None:
+    path = write(
+        tmp_path / "a.csv",
+        "# rig: left one",
+        "# free words",
+        "battery_V," + HEADER,
+        *(f"11.9,{row}" for row in rows(5)),
+        "# noticed: something",
+        *(f"11.8,{row}" for row in rows(20)[5:]),
+    )
+    flight = Flight.read(path)
+    assert flight.meta == {"rig": "left one", "noticed": "something", "notes": "free words"}
+    assert flight.extra["battery_V"][0] == 11.9 and flight.extra["battery_V"][-1] == 11.8
+    np.testing.assert_allclose(flight.travel_rad, 0.003 * np.arange(20))
+    assert flight.state is None and flight.setpoints_rad is None
+
+
+def test_a_column_of_words_is_left_out(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", HEADER + ",mood", *(row + ",good" for row in rows()))
+    assert Flight.read(path).extra == {}
+
+
+def test_a_flight_written_as_table_is_read_back(tmp_path: Path) -> None:
+    write_made_log(tmp_path / "a.mcap", 3000)
+    flight = Flight.read(tmp_path / "a.mcap")
+    for name in ("a.csv", "a.csv.gz"):
+        flight.write_csv(tmp_path / name)
+        again = Flight.read(tmp_path / name)
+        np.testing.assert_allclose(again.angles_rad, flight.angles_rad, atol=1e-9)
+        np.testing.assert_allclose(again.voltages_V, flight.voltages_V, atol=1e-9)
+        np.testing.assert_array_equal(again.state, flight.state)
+        assert again.parameters == flight.parameters and again.plan == flight.plan
+        assert again.state_names == flight.state_names and again.meta == flight.meta
+        assert [event.text for event in again.events] == [event.text for event in flight.events]
+    flight.write_csv(tmp_path / "b.csv.gz")
+    assert (tmp_path / "a.csv.gz").read_bytes() == (tmp_path / "b.csv.gz").read_bytes()
+
+
+def test_a_table_into_a_missing_folder_is_one_line(tmp_path: Path) -> None:
+    flight = Flight.read(write(tmp_path / "a.csv", HEADER, *rows()))
+    with pytest.raises(LogWriteError, match="choose another folder"):
+        flight.write_csv(tmp_path / "missing" / "a.csv")
+
+
+def replaced(line: int, column: int, value: str) -> list[str]:
+    table = [row.split(",") for row in rows()]
+    table[line][column] = value
+    return [",".join(row) for row in table]
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ([], "the file is empty"),
+        ([HEADER], "no rows below"),
+        ([HEADER, *rows(4)], "only 4 rows"),
+        ([HEADER.replace("pitch_rad", "pitch_deg"), *rows()], "convert pitch_deg to radians"),
+        ([HEADER.replace("front_V", "frontV"), *rows()], "column front_V is missing; rename 'frontV'"),
+        ([HEADER.replace(",", ";"), *rows()], "separate the columns by commas"),
+        (rows(), "put a first line with the column names"),
+        ([HEADER + ",t_s", *(row + ",1" for row in rows())], "column 't_s' is there twice"),
+        ([HEADER, *replaced(7, 3, "nan")], "elevation_rad is nan in line 9"),
+        (["# note", HEADER, "# note", *replaced(7, 1, "inf")], "front_V is inf in line 11"),
+        ([HEADER, *replaced(7, 4, "abc")], "pitch_rad is 'abc' in line 9, not a number"),
+        ([HEADER, *replaced(7, 4, "")], "pitch_rad is '' in line 9, not a number"),
+        ([HEADER, *rows()[:12], "0.024,1,1"], "line 14 has 3 columns, the header 6"),
+        ([HEADER, *replaced(7, 0, "0.001")], "t_s does not rise in line 9"),
+        ([HEADER, *rows()[:9], *rows()[12:]], "t_s jumps by 0.008 s in line 11"),
+        ([HEADER, *rows(20, 2.0)], "looks like milliseconds"),
+        ([HEADER, *replaced(7, 3, "-25.1")], "elevation_rad reaches 25.1, which looks like degrees"),
+        ([HEADER, *replaced(7, 2, "1500")], "back_V reaches 1500"),
+    ],
+)
+def test_what_cannot_be_trusted_is_refused_with_its_place(
+    tmp_path: Path, lines: list[str], said: str
+) -> None:
+    path = write(tmp_path / "a.csv", *lines)
+    with pytest.raises(FlightDataError) as raised:
+        Flight.read(path)
+    assert said in str(raised.value) and str(path) in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_gaps_are_taken_on_request(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", HEADER, *rows()[:9], *rows()[12:])
+    assert Flight.read(path, allow_gaps=True).gaps.tolist() == [8]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (lambda data: data[: len(data) // 2], "ends early"),
+        (lambda data: b"plain text", "not a gzip file"),
+        (lambda data: data[:40] + bytes(40) + data[80:], "damaged"),
+    ],
+)
+def test_a_broken_archive_is_one_line(tmp_path: Path, content: Callable[[bytes], bytes], said: str) -> None:
+    packed = gzip.compress("\n".join([HEADER, *rows(500)]).encode())
+    (tmp_path / "a.csv.gz").write_bytes(content(packed))
+    with pytest.raises(FlightDataError, match=said):
+        Flight.read(tmp_path / "a.csv.gz")
+
+
+def test_a_file_of_another_kind_or_none_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(FlightDataError, match=r"\.mcap, \.csv or \.csv\.gz"):
+        Flight.read(tmp_path / "a.xlsx")
+    with pytest.raises(FlightDataError, match="check the path"):
+        Flight.read(tmp_path / "a.csv")
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.one_of(st.binary(max_size=300), st.text(max_size=300).map(str.encode)), st.booleans())
+def test_bytes_of_any_kind_raise_nothing_but_flight_data_errors(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes, with_header: bool
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "any.csv"
+    path.write_bytes(HEADER.encode() + b"\n" + content if with_header else content)
+    try:
+        Flight.read(path)
+    except HeliError as error:
+        assert isinstance(error, FlightDataError)
+        assert "\n" not in str(error)
+
+
+def test_a_part_keeps_its_time_axis_and_its_events(tmp_path: Path) -> None:
+    write_made_log(tmp_path / "a.mcap", 3000)
+    flight = Flight.read(tmp_path / "a.mcap")
+    part = flight.between(0.5, 2.0)
+    assert len(part) == 1500 and part.t_s[0] == pytest.approx(0.5)
+    assert [event.text for event in part.events] == ["sine"]
+    with pytest.raises(FlightDataError, match="this flight spans"):
+        flight.between(50.0, 60.0)
+
+
+def test_columns_of_different_length_are_refused() -> None:
+    one, two = np.zeros(10), np.zeros(9)
+    with pytest.raises(FlightDataError, match="pitch_rad"):
+        Flight(np.arange(10) * 0.1, one, one, one, two, one)
