@@ -99,7 +99,7 @@ Reply Core::execute(const link::Request& request, const EncoderReading& reading)
     case MessageId::zero: {
       const auto message = request.as<link::ZeroMessage>();
       if (message.axes == 0U || (message.axes & ~kAllAxes) != 0U) {
-        return {Result::bad_value, 0, static_cast<float>(message.axes)};
+        return {Result::bad_value, 1, static_cast<float>(message.axes)};
       }
       if (!idle) {
         return not_idle;

@@ -364,7 +364,7 @@ def test_excitation_outside_its_bounds_is_refused_by_field(message: d.ExciteMess
     desk.arm()
     desk.ask(d.ControlMessage(0, 0, 1.5, 1.5))
     reply = desk.ask(message)
-    assert (reply.result, reply.detail) == (Result.BAD_VALUE, field)
+    assert (reply.result, reply.detail) == (Result.BAD_VALUE, 1 + field), "request is the first field on the wire"
 
 
 def test_excitation_adds_to_the_voltages_and_ends_by_itself() -> None:

@@ -41,8 +41,9 @@ std::uint8_t code(Enum value) {
   return static_cast<std::uint8_t>(value);
 }
 
+// `field`: its position in the declaration; on the wire `request` comes before the first.
 Reply bad_value(std::uint8_t field, float value = 0.0F) {
-  return {Result::bad_value, field, value};
+  return {Result::bad_value, static_cast<std::uint8_t>(field + 1U), value};
 }
 
 }  // namespace

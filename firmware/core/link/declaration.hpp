@@ -47,7 +47,7 @@ enum class Result : std::uint8_t {
   ok = 0,  // done
   unknown_command = 1,  // no such message id
   bad_length = 2,  // payload length does not fit the message
-  bad_value = 3,  // a field is out of range or not finite; detail says which field, counted from 0
+  bad_value = 3,  // a field is out of range or not finite; detail says which, by its position on the wire counted from 0
   bad_state = 4,  // not allowed in the present state; detail is the state
   check_failed = 5,  // a pre-flight check failed; detail is the fault code
   out_of_range = 6,  // parameter value outside its range; detail is the parameter

@@ -47,7 +47,7 @@ class Result(IntEnum):
     OK = 0  # done
     UNKNOWN_COMMAND = 1  # no such message id
     BAD_LENGTH = 2  # payload length does not fit the message
-    BAD_VALUE = 3  # a field is out of range or not finite; detail says which field, counted from 0
+    BAD_VALUE = 3  # a field is out of range or not finite; detail says which, by its position on the wire counted from 0
     BAD_STATE = 4  # not allowed in the present state; detail is the state
     CHECK_FAILED = 5  # a pre-flight check failed; detail is the fault code
     OUT_OF_RANGE = 6  # parameter value outside its range; detail is the parameter
