@@ -23,6 +23,7 @@ from heli_host.link.declaration import (
     PongMessage,
     Result,
     SetpointMessage,
+    StopMessage,
     VoltagesMessage,
 )
 from heli_host.link.frames import encode_frame
@@ -104,6 +105,24 @@ def test_a_board_that_hears_itself_does_not_answer_itself() -> None:
     desk = open_desk()
     for message_id in range(128, 256):
         assert desk.turn(desk.raw_frame(message_id, bytes(8)), ticks=2) == []
+
+
+def test_a_board_that_hears_itself_does_not_take_itself_for_a_host() -> None:
+    desk = open_desk()
+    desk.turn(ticks=400)
+    desk.turn(desk.raw_frame(MessageId.EVENT, bytes(11)))
+    assert desk.bench.ticks_since_host_frame() == 401
+
+
+def test_a_stop_is_executed_even_when_no_answer_can_leave() -> None:
+    desk = open_desk()
+    desk.room = 0
+    desk.ask(ArmMessage(1))
+    desk.ask(ArmMessage(2))
+    desk.ask(StopMessage(3))
+    assert [message_id for message_id, _ in desk.executed] == [MessageId.ARM, MessageId.STOP]
+    desk.room = 100
+    assert [ack.request for ack in acks_in(desk.turn())] == [3]
 
 
 def test_ping_returns_the_host_clock_and_the_tick_of_the_answer() -> None:

@@ -10,6 +10,7 @@ from heli_host.link.declaration import (
     LINK_HASH,
     ArmMessage,
     HelloMessage,
+    LandMessage,
     MessageId,
     ParamSetMessage,
     PingMessage,
@@ -144,11 +145,20 @@ def test_the_same_number_on_another_command_is_another_command() -> None:
 
 def test_one_command_at_a_time_the_second_waits_for_its_retry() -> None:
     desk = open_desk()
-    frames = desk.turn(desk.frame(ArmMessage(1)) + desk.frame(StopMessage(2)), ticks=3)
+    frames = desk.turn(desk.frame(ArmMessage(1)) + desk.frame(LandMessage(2)), ticks=3)
     assert [ack.request for ack in acks_in(frames)] == [1]
-    (ack,) = acks_in(desk.ask(StopMessage(2)))
+    (ack,) = acks_in(desk.ask(LandMessage(2)))
     assert ack.request == 2
+    assert [message_id for message_id, _ in desk.executed] == [MessageId.ARM, MessageId.LAND]
+
+
+def test_a_stop_on_the_heels_of_another_command_is_executed_without_a_retry() -> None:
+    desk = open_desk()
+    frames = desk.turn(desk.frame(ArmMessage(1)) + desk.frame(StopMessage(2)) * 3, ticks=4)
     assert [message_id for message_id, _ in desk.executed] == [MessageId.ARM, MessageId.STOP]
+    assert [ack.request for ack in acks_in(frames)] == [1, 2]
+    assert acks_in(desk.ask(StopMessage(2)))[0].request == 2
+    assert len(desk.executed) == 2
 
 
 @st.composite

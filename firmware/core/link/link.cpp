@@ -21,7 +21,8 @@ Link::Link(Board& board, params::Params& params, params::Store& store)
     : board_(board), params_(params), dispatcher_(board, params, store, mailbox_, streams_) {}
 
 void Link::poll() {
-  // Only a request changes parameters, and none is on its way when collect() has returned true.
+  // Parameters change by requests only, and none that changes one is with the tick just after
+  // collect() has returned true.
   if (dispatcher_.collect(now()) || batch_ticks_ == 0) read_batch_ticks();
   send_reply();
   receive();

@@ -105,8 +105,8 @@ class Link {
   std::size_t batch_ticks_ = 0;
   std::uint32_t ticks_dropped_ = 0;
   std::uint32_t status_tick_ = 0;
-  std::uint8_t payload_[kMaxTelemetryPayload];
-  std::uint8_t wire_[FrameWriter::wire_bytes(kMaxTelemetryPayload)];
+  std::uint8_t payload_[kMaxTelemetryPayload] = {};
+  std::uint8_t wire_[FrameWriter::wire_bytes(kMaxTelemetryPayload)] = {};
 };
 
 }  // namespace heli::link

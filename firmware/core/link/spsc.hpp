@@ -43,7 +43,7 @@ class Spsc {
 
   std::atomic<std::uint32_t> head_{0};
   std::atomic<std::uint32_t> tail_{0};
-  T slots_[kCapacity] = {};
+  T slots_[kCapacity];
 };
 
 }  // namespace heli::link
