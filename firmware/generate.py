@@ -254,7 +254,7 @@ def generate_python(d: Table) -> str:
         out.extend(f"    {k.upper()} = {v}  # {meaning}" for k, v, meaning in rows)
         out.append("")
         if base == "IntEnum":
-            out += ["    def __str__(self) -> str:", "        return self.name.lower()", ""]
+            out.extend(["    def __str__(self) -> str:", "        return self.name.lower()", ""])
 
     for name, entries in d["enums"].items():
         rows = [(k, e["value"], e["meaning"]) for k, e in entries.items() if k != "meaning"]

@@ -27,6 +27,9 @@ class Axis(IntEnum):
     PITCH = 1  # short arm about the long arm; positive when the front rotor pushes more
     TRAVEL = 2  # about the vertical; accelerates positive at positive pitch
 
+    def __str__(self) -> str:
+        return self.name.lower()
+
 
 class State(IntEnum):
     """State of the supervisor, sent with every tick."""
@@ -39,6 +42,9 @@ class State(IntEnum):
     HOLD = 5  # no fresh setpoint: hovering level in place
     LANDING = 6  # controlled descent to the table, then motors off
     FAULT = 7  # motors off and latched until clear_fault
+
+    def __str__(self) -> str:
+        return self.name.lower()
 
 
 class Result(IntEnum):
@@ -57,6 +63,9 @@ class Result(IntEnum):
     NO_HANDSHAKE = 10  # hello with a matching declaration must come first
     HASH_MISMATCH = 11  # the two ends were built from different declarations
 
+    def __str__(self) -> str:
+        return self.name.lower()
+
 
 class Reset(IntEnum):
     """Why the board last started."""
@@ -66,6 +75,9 @@ class Reset(IntEnum):
     WATCHDOG = 2  # the watchdog fired: control tick or idle loop had hung
     SOFTWARE = 3  # reset asked for by the firmware after it recorded a fault
 
+    def __str__(self) -> str:
+        return self.name.lower()
+
 
 class ParamsSource(IntEnum):
     """Where the parameters of this boot came from."""
@@ -74,6 +86,9 @@ class ParamsSource(IntEnum):
     STORED = 1  # the newest valid copy in flash
     FALLBACK = 2  # the newest copy was damaged; the older valid copy is used
     CORRUPT = 3  # both copies damaged or from another declaration: defaults, and arming is refused until a save
+
+    def __str__(self) -> str:
+        return self.name.lower()
 
 
 class Excitation(IntEnum):
@@ -85,6 +100,9 @@ class Excitation(IntEnum):
     CHIRP = 3  # sine whose frequency rises linearly from start_Hz to stop_Hz
     MULTISINE = 4  # eight sines spread evenly from start_Hz to stop_Hz, Schroeder phases; the back motor uses frequencies between those of the front
     PRBS = 5  # pseudo-random binary sequence that may switch every 1/stop_Hz, seeded
+
+    def __str__(self) -> str:
+        return self.name.lower()
 
 
 class Event(IntEnum):
@@ -99,6 +117,9 @@ class Event(IntEnum):
     EXCITATION_END = 6  # excitation finished or was stopped; detail = kind
     SETPOINT_REJECTED = 7  # a streamed value was refused; detail = result code
     ZEROED = 8  # encoder zeros taken; detail = axis mask
+
+    def __str__(self) -> str:
+        return self.name.lower()
 
 
 class Trigger(IntEnum):
@@ -116,6 +137,9 @@ class Trigger(IntEnum):
     TOUCHDOWN = 9  # at rest on the table while landing
     TRIP = 10  # a fault tripped
     CLEAR = 11  # clear_fault command
+
+    def __str__(self) -> str:
+        return self.name.lower()
 
 
 class Axes(IntFlag):
@@ -161,6 +185,9 @@ class Fault(IntEnum):
     WATCHDOG = 30  # the watchdog reset the board: control tick or idle loop had hung
     HARD_FAULT = 31  # the processor faulted; bridges were switched off and the board reset
     UNEXPECTED_INTERRUPT = 32  # an interrupt without a handler; bridges were switched off and the board reset
+
+    def __str__(self) -> str:
+        return self.name.lower()
 
 
 class Param(IntEnum):
@@ -225,6 +252,9 @@ class Param(IntEnum):
     EXCITATION_MAX_S = 56  # s: longest duration that excite accepts
     TELEMETRY_BATCH_TICKS = 57  # tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
 
+    def __str__(self) -> str:
+        return self.name.lower()
+
 
 class MessageId(IntEnum):
     """Second byte of a frame."""
@@ -254,6 +284,9 @@ class MessageId(IntEnum):
     STATUS = 132  # Counters since start; sent once a second with request = 0, and on status_read.
     TELEMETRY = 133  # A batch of consecutive ticks, delta-coded; layout below.
     EVENT = 134  # Something happened; also visible in telemetry, but with its reason here.
+
+    def __str__(self) -> str:
+        return self.name.lower()
 
 
 @dataclass(frozen=True, slots=True)
