@@ -3,44 +3,39 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from heli_host.errors import FlightAborted, HeliError, ParameterError, SetpointError, fault_text
+from heli_host.bench import ALL_AXES, BenchCommands
+from heli_host.errors import FlightAborted, HeliError, SetpointError, fault_text
 from heli_host.link.clock import TICK_S
 from heli_host.link.declaration import (
     BAUD,
     ArmMessage,
     Axes,
-    ClearFaultMessage,
     ControlMessage,
-    Excitation,
-    ExciteMessage,
-    ExciteStopMessage,
     LandMessage,
     SetpointMessage,
     State,
     StopMessage,
-    StreamMessage,
-    VoltagesMessage,
-    ZeroMessage,
 )
 from heli_host.link.session import HANDSHAKE_TIMEOUT_S, RECONNECT_TIMEOUT_S, Session
 from heli_host.link.transport import open_transport
 from heli_host.samples import Sample
-from heli_host.view import HISTORY_S, BoardView
+from heli_host.view import HISTORY_S
 
 if TYPE_CHECKING:
     from heli_host.controller import After, ControlLaw, ControllerReport
+    from heli_host.fly.runner import PlanLike
+    from heli_host.log.summary import FlightSummary
 
-ALL_AXES = Axes.ELEVATION | Axes.PITCH | Axes.TRAVEL
 LEAD_S = 0.04
 MOST_LEAD_S = 0.5
 
-_STATE_TIMEOUT_S = 1.0
 _STOP_TRIES = 3
 # The board keeps these distances between setpoints and the limits that cut the motors.
 _ELEVATION_MARGIN_DEG = 2.0
@@ -49,7 +44,7 @@ _REACHED_DEG = 2.0
 _REACHED_FOR_S = 0.3
 
 
-class Heli(BoardView):
+class Heli(BenchCommands):
     """A helicopter behind an open session; `connect` makes one.
 
     As a context manager it ends with the motors off: leaving the block while they may run sends ``stop``, and
@@ -323,113 +318,6 @@ class Heli(BoardView):
             sample = self.wait_until(lambda s: s.state in (State.IDLE, State.FAULT), timeout_s)
             self._abort_on_fault(sample)
 
-    def stream(self) -> None:
-        """Hand the motor voltages to `voltages`; the first must follow within ``setpoint_hold_s``.
-
-        Raises
-        ------
-        CommandRefused
-            Not armed.
-        """
-        self._forget_target()
-        self.session.command(StreamMessage(0))
-        self._wait_for_state(State.STREAMED)
-
-    def voltages(self, front_V: float, back_V: float, valid_s: float = 0.05) -> None:
-        """Stream motor voltages.
-
-        Parameters
-        ----------
-        front_V, back_V : float
-            Voltages [V], between ``motor_min_V`` and ``motor_max_V``.
-        valid_s : float
-            How long they may act without others following [s]; then the board holds level by itself.
-
-        Raises
-        ------
-        SetpointError
-            A voltage outside the board's limits; nothing was sent.
-        """
-        least_V, most_V = self.params["motor_min_V"], self.params["motor_max_V"]
-        if not (least_V <= front_V <= most_V and least_V <= back_V <= most_V):
-            raise SetpointError(
-                f"voltages {front_V:g} and {back_V:g} V are outside the board's limits",
-                f"give {least_V:g} to {most_V:g} V, or set motor_min_V and motor_max_V",
-            )
-        valid_ms = min(max(round(valid_s * 1e3), 1), 0xFFFF)
-        self.session.stream(VoltagesMessage(front_V, back_V, valid_ms))
-
-    def excite(
-        self,
-        kind: Excitation | str,
-        front_V: float = 0.0,
-        back_V: float = 0.0,
-        *,
-        start_Hz: float = 0.1,
-        stop_Hz: float = 2.0,
-        duration_s: float = 10.0,
-        seed: int = 1,
-    ) -> None:
-        """Add an excitation, generated on the board, to whatever drives the motors.
-
-        Parameters
-        ----------
-        kind : Excitation or str
-            ``step``, ``doublet``, ``chirp``, ``multisine`` or ``prbs``.
-        front_V, back_V : float
-            Amplitudes on the motors [V].
-        start_Hz, stop_Hz : float
-            Lowest and highest frequency (chirp, multisine); ``stop_Hz`` is the switching rate of prbs [Hz].
-        duration_s : float
-            Length [s]; then it ends by itself.
-        seed : int
-            Seed of prbs, not 0.
-
-        Raises
-        ------
-        ParameterError
-            There is no such excitation.
-        CommandRefused
-            A value out of range, or the motors are off.
-        """
-        if isinstance(kind, str):
-            if kind.upper() not in Excitation.__members__:
-                names = ", ".join(one.name.lower() for one in Excitation if one)
-                raise ParameterError(f"there is no excitation {kind}", f"choose from {names}")
-            kind = Excitation[kind.upper()]
-        message = ExciteMessage(0, int(kind), front_V, back_V, start_Hz, stop_Hz, duration_s, seed)
-        self.session.command(message)
-
-    def excite_stop(self) -> None:
-        """End a running excitation."""
-        self.session.command(ExciteStopMessage(0))
-
-    def zero(self, axes: Axes = ALL_AXES) -> None:
-        """Take the present position as rest (elevation) or zero (pitch, travel); only while idle.
-
-        Parameters
-        ----------
-        axes : Axes
-            Axes to zero.
-
-        Raises
-        ------
-        CommandRefused
-            The board is not idle.
-        """
-        self.session.command(ZeroMessage(0, int(axes)))
-
-    def clear_fault(self) -> None:
-        """Leave the fault state for idle, once the cause is removed.
-
-        Raises
-        ------
-        CommandRefused
-            The board is in no fault.
-        """
-        self.session.command(ClearFaultMessage(0))
-        self._wait_for_state(State.IDLE)
-
     def run_controller(
         self,
         law: ControlLaw,
@@ -470,26 +358,31 @@ class Heli(BoardView):
 
         return run_controller(self, law, rate_Hz=rate_Hz, duration_s=duration_s, valid_s=valid_s, after=after)
 
-    def fly(self, plan: Any, log: Path | str | None = None, **options: Any) -> Any:
-        """Fly a plan; see `heli_host.fly.runner.fly`, which this calls.
+    def fly(self, plans: PlanLike | Sequence[PlanLike], log: str | Path | None = None) -> FlightSummary:
+        """Take off, fly plans one after the other, land; `heli_host.fly.runner.fly` has more options.
 
         Parameters
         ----------
-        plan : object
-            Plan, or the name or path of one.
-        log : path-like or None
-            Log file to write.
-        **options
-            As the runner takes them.
+        plans : Plan, str or Path, or a sequence of them
+            Plans, names of built-in ones, or TOML files.
+        log : str or Path or None
+            Log to write.
 
         Returns
         -------
-        object
-            What the runner returns.
+        FlightSummary
+            What was flown, how well, and what ended it.
+
+        Raises
+        ------
+        PlanError
+            A plan cannot be flown on this board; nothing has moved.
+        LogWriteError
+            The log cannot be created; nothing has moved.
         """
         from heli_host.fly.runner import fly
 
-        return fly(self, plan, log=log, **options)
+        return fly(self, plans, log_path=log)
 
     def _target_here(self) -> SetpointMessage:
         sample, limits = self.latest, self.setpoint_limits_deg()
@@ -509,11 +402,6 @@ class Heli(BoardView):
     def _forget_target(self) -> None:
         self._target = None
         self.session.keep_alive(None)
-
-    def _wait_for_state(self, *states: State) -> None:
-        # The ack has come; telemetry shows the state some batches later. A state that has already gone on,
-        # into a fault for example, is for the caller to see.
-        self.session.wait_for(lambda: self.session.state in states, _STATE_TIMEOUT_S)
 
     def _abort_on_fault(self, sample: Sample) -> None:
         if sample.state is State.FAULT:

@@ -10,7 +10,8 @@ from heli_host.link.accounting import LinkCounters
 from heli_host.link.clock import TICK_S, ClockEstimate
 from heli_host.link.declaration import Fault, ParamsSource, Reset, State
 from heli_host.link.events import BOARD_RESTARTED, LinkEvent
-from heli_host.link.session import EventCallback, Session, Unsubscribe
+from heli_host.link.session import Session
+from heli_host.link.subscribers import EventCallback, Unsubscribe
 from heli_host.link.telemetry import Ticks
 from heli_host.parameters import Parameters
 from heli_host.samples import Sample, SampleRing, Samples, Scales

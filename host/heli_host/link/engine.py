@@ -11,12 +11,11 @@ import dataclasses
 import struct
 from dataclasses import dataclass, field
 from enum import Enum, auto
-from typing import ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from heli_host.errors import CommandTimeout, HeliError, LinkLost, LinkVersionMismatch, fault_text
+from heli_host.errors import LinkLost, LinkVersionMismatch, fault_text
 from heli_host.link.accounting import LinkCounters, TickAccount
 from heli_host.link.clock import ClockFit
 from heli_host.link.declaration import (
@@ -47,6 +46,8 @@ from heli_host.link.events import (
     event_text,
 )
 from heli_host.link.frames import Frame, FrameParser, encode_frame
+from heli_host.link.requests import Command, Request
+from heli_host.link.streams import SETPOINT_INTERVAL_S, VOLTAGES_INTERVAL_S, Stream
 from heli_host.link.telemetry import EMPTY_TICKS, TelemetryDecoder, Ticks
 
 HELLO_INTERVAL_S = 0.1
@@ -54,30 +55,10 @@ HEARTBEAT_S = 0.2
 CLOCK_PING_S = 1.0
 KEEP_ALIVE_S = 0.1
 SILENCE_S = 1.0
-SETPOINT_INTERVAL_S = 1.0 / 200.0
-VOLTAGES_INTERVAL_S = 1.0 / 500.0
 
 _STATE_CHANNEL = 8
-_FIRST_TRY_S = 0.06
-_LONGEST_TRY_S = 0.5
 _HELD_BATCHES = 500
 _TICK_MASK = 0xFFFFFFFF
-
-
-class Command(Protocol):
-    """A message that the board answers; every class of the declaration with a ``REPLY`` is one."""
-
-    ID: ClassVar[MessageId]
-    REPLY: ClassVar[MessageId]
-
-    @property
-    def request(self) -> int:
-        """Request number; the engine sets it."""
-        ...
-
-    def pack(self) -> bytes:
-        """Return the payload bytes."""
-        ...
 
 
 class Phase(Enum):
@@ -85,39 +66,6 @@ class Phase(Enum):
 
     GREETING = auto()
     OPEN = auto()
-
-
-@dataclass
-class Request:
-    """A command on its way.
-
-    Parameters
-    ----------
-    command : Command
-        What was asked, with its request number.
-    deadline_s : float
-        Host time at which it is given up [s].
-    next_try_s : float
-        Host time of the next try [s].
-    tries : int
-        How often it was sent.
-    reply : Frame or None
-        The answer.
-    error : HeliError or None
-        Why there will be none.
-    """
-
-    command: Command
-    deadline_s: float
-    next_try_s: float
-    tries: int = 0
-    reply: Frame | None = None
-    error: HeliError | None = None
-
-    @property
-    def done(self) -> bool:
-        """Whether it is answered or given up."""
-        return self.reply is not None or self.error is not None
 
 
 @dataclass
@@ -137,17 +85,6 @@ class Received:
     ticks: Ticks = EMPTY_TICKS
     events: list[LinkEvent] = field(default_factory=list)
     statuses: list[StatusMessage] = field(default_factory=list)
-
-
-@dataclass
-class _Slot:
-    """A stream's newest value, held back by the rate limit."""
-
-    interval_s: float
-    waiting: SetpointMessage | VoltagesMessage | None = None
-    sent_s: float = -1e9
-    sent: int = 0
-    skipped: int = 0
 
 
 class Engine:
@@ -202,8 +139,8 @@ class Engine:
         self._last_heard_s = 0.0
         self._last_ping_s = -1e9
         self._request: Request | None = None
-        self._setpoints = _Slot(SETPOINT_INTERVAL_S)
-        self._voltages = _Slot(VOLTAGES_INTERVAL_S)
+        self._setpoints = Stream[SetpointMessage](SETPOINT_INTERVAL_S)
+        self._voltages = Stream[VoltagesMessage](VOLTAGES_INTERVAL_S)
         self._held: list[bytes] = []
         self._retries = 0
         self._reconnects = 0
@@ -312,12 +249,10 @@ class Engine:
             To be sent at once; empty when nothing is due.
         """
         request = self._request
-        if request is not None and not request.done and now_s >= request.deadline_s:
-            name = request.command.ID.name.lower()
-            request.error = CommandTimeout(
-                f"the board did not answer {name} in {request.tries} tries",
-                "check the link with heli-host doctor",
-            )
+        if request is not None:
+            request.expire(now_s)
+            if request.done:
+                request = None
         if self.phase is Phase.GREETING:
             if now_s < self._next_hello_s:
                 return b""
@@ -325,39 +260,25 @@ class Engine:
             return self._frame(HelloMessage(self._hello_request, LINK_HASH, self._session_number), now_s)
         speed = self.speed
         out = b""
-        if request is not None and not request.done and now_s >= request.next_try_s:
-            out += self._try(request, now_s)
-        for slot in (self._setpoints, self._voltages):
-            if slot.waiting is not None and now_s >= slot.sent_s + slot.interval_s / speed:
-                out += self._release(slot, slot.waiting, now_s)
-        if (
-            self.kept is not None
-            and now_s >= self._setpoints.sent_s + KEEP_ALIVE_S / speed
-            and self.state in (State.CLOSED_LOOP, State.HOLD)
-        ):
+        if request is not None and now_s >= request.next_try_s:
+            self._retries += request.tries > 0
+            request.note_try(now_s, self._round_trip_s)
+            out += self._frame(request.command, now_s)
+        setpoint, voltages = self._setpoints.waiting, self._voltages.waiting
+        if setpoint is not None and self._setpoints.due(now_s, speed):
+            out += self._frame(self._setpoints.release(setpoint, now_s), now_s)
+        if voltages is not None and self._voltages.due(now_s, speed):
+            out += self._frame(self._voltages.release(voltages, now_s), now_s)
+        stale_s = now_s - self._setpoints.sent_s
+        flies = self.state in (State.CLOSED_LOOP, State.HOLD)
+        if self.kept is not None and flies and stale_s >= KEEP_ALIVE_S / speed:
             # Its tick may lie in the past: the board then goes on towards the same target.
-            out += self._release(self._setpoints, self.kept, now_s)
+            out += self._frame(self._setpoints.release(self.kept, now_s), now_s)
         idle_s, unpinged_s = now_s - self._last_sent_s, now_s - self._last_ping_s
-        awaiting = request is not None and not request.done
-        if not awaiting and (idle_s >= HEARTBEAT_S / speed or unpinged_s >= CLOCK_PING_S / speed):
+        if request is None and (idle_s >= HEARTBEAT_S / speed or unpinged_s >= CLOCK_PING_S / speed):
             self._last_ping_s = now_s
             out += self._frame(PingMessage(self._number(), round(now_s * 1e6)), now_s)
         return out
-
-    def next_stream_s(self) -> float | None:
-        """Return when a streamed value that waits may go.
-
-        Returns
-        -------
-        float or None
-            Host time [s]; None when none waits.
-        """
-        times = [
-            slot.sent_s + slot.interval_s / self.speed
-            for slot in (self._setpoints, self._voltages)
-            if slot.waiting is not None
-        ]
-        return min(times, default=None)
 
     def ask(self, command: Command, now_s: float, timeout_s: float) -> Request:
         """Start a command; `outgoing` sends it, and again until the answer comes.
@@ -388,9 +309,10 @@ class Engine:
         message : SetpointMessage or VoltagesMessage
             The value; it replaces one of its kind that waits.
         """
-        slot = self._setpoints if isinstance(message, SetpointMessage) else self._voltages
-        slot.skipped += slot.waiting is not None
-        slot.waiting = message
+        if isinstance(message, SetpointMessage):
+            self._setpoints.put(message)
+        else:
+            self._voltages.put(message)
 
     def cut(self, now_s: float, wall_ns: int, reason: str) -> LinkEvent:
         """Note that the line is cut; greeting starts again when bytes flow again.
@@ -433,22 +355,10 @@ class Engine:
                     if AckMessage.unpack(frame.payload).result == Result.NO_HANDSHAKE:
                         self._greet(now_s)
                         return
-            self._match(frame)
+            if self._request is not None:
+                self._request.match(frame)
         except struct.error:
             self._malformed += 1
-
-    def _match(self, frame: Frame) -> None:
-        request = self._request
-        if (
-            request is None
-            or request.done
-            or not frame.payload
-            or frame.payload[0] != request.command.request
-        ):
-            return
-        refused = frame.id == MessageId.ACK and frame.payload[1] == request.command.ID
-        if refused or frame.id == request.command.REPLY:
-            request.reply = frame
 
     def _take_welcome(self, welcome: WelcomeMessage, now_s: float, wall_ns: int, received: Received) -> None:
         if self.phase is Phase.OPEN or welcome.request != self._hello_request:
@@ -516,18 +426,6 @@ class Engine:
 
     def _event(self, kind: str, text: str, wall_ns: int) -> LinkEvent:
         return LinkEvent((self.account.last or 0) & _TICK_MASK, wall_ns, kind, text)
-
-    def _try(self, request: Request, now_s: float) -> bytes:
-        self._retries += request.tries > 0
-        patience_s = max(_FIRST_TRY_S, 2.0 * self._round_trip_s) * 1.5**request.tries
-        request.next_try_s = now_s + min(patience_s, _LONGEST_TRY_S)
-        request.tries += 1
-        return self._frame(request.command, now_s)
-
-    def _release(self, slot: _Slot, message: SetpointMessage | VoltagesMessage, now_s: float) -> bytes:
-        slot.waiting, slot.sent_s = None, now_s
-        slot.sent += 1
-        return self._frame(message, now_s)
 
     def _frame(self, message: Command | SetpointMessage | VoltagesMessage, now_s: float) -> bytes:
         self._last_sent_s = now_s

@@ -7,36 +7,23 @@ time pass, and the same calls give the same bytes every time.
 
 from __future__ import annotations
 
-import contextlib
 import secrets
 import struct
 import threading
-from collections import deque
 from collections.abc import Callable
 from types import TracebackType
-from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from heli_host.errors import (
-    CommandRefused,
-    HandshakeTimeout,
-    HeliError,
-    LinkError,
-    LinkLost,
-    WaitTimeout,
-    WrongDevice,
-)
+from heli_host.errors import HandshakeTimeout, LinkError, LinkLost, WaitTimeout, WrongDevice
 from heli_host.link.accounting import LinkCounters
 from heli_host.link.clock import TICK_S, ClockEstimate
 from heli_host.link.declaration import (
     PARAMS,
     AckMessage,
-    MessageId,
     ParamsMessage,
     ParamsReadMessage,
-    Result,
     SetpointMessage,
     State,
     StatusMessage,
@@ -44,31 +31,30 @@ from heli_host.link.declaration import (
     VoltagesMessage,
     WelcomeMessage,
 )
-from heli_host.link.engine import Command, Engine, Phase, Received, Request
-from heli_host.link.events import CALLBACK_FAILED, LinkEvent
+from heli_host.link.driver import READ_TIMEOUT_S, Driver
+from heli_host.link.engine import Engine, Phase
+from heli_host.link.events import LinkEvent
 from heli_host.link.frames import Frame
+from heli_host.link.requests import Command
+from heli_host.link.subscribers import (
+    EventCallback,
+    StatusCallback,
+    Subscribers,
+    TicksCallback,
+    Unsubscribe,
+)
 from heli_host.link.telemetry import Ticks
-from heli_host.link.transport import READ_INTERVAL_S, Transport, set_read_interval
+from heli_host.link.transport import Transport
 
 COMMAND_TIMEOUT_S = 2.0
 HANDSHAKE_TIMEOUT_S = 5.0
 RECONNECT_TIMEOUT_S = 30.0
 
-_READ_TIMEOUT_S = 0.02
 # Reading in long pieces is what makes a simulation fast: a batch costs 35 us alone, 3 us among many.
 _LOCKSTEP_STEP_S = 0.1
 _LOCKSTEP_REPLY_STEP_S = 0.002
-_BACKOFF_S = (0.05, 0.1, 0.2, 0.5, 1.0)
+_FIRST_SAMPLE_TIMEOUT_S = 5.0
 _AHEAD_TICKS = 250
-_EVENTS_KEPT = 1000
-_MOST_ATTEMPTS = 2000
-
-_T = TypeVar("_T")
-
-TicksCallback = Callable[[Ticks], None]
-EventCallback = Callable[[LinkEvent], None]
-StatusCallback = Callable[[StatusMessage], None]
-Unsubscribe = Callable[[], None]
 
 
 class Session:
@@ -97,21 +83,10 @@ class Session:
         if session_number is None:
             session_number = 1 if transport.lockstep else secrets.randbits(32)
         self.handshake_timeout_s = handshake_timeout_s
-        self.reconnect_timeout_s = reconnect_timeout_s
-        self._transport = transport
         self._engine = Engine(session_number)
-        self._condition = threading.Condition(threading.RLock())
+        self._subscribers = Subscribers()
+        self._driver = Driver(transport, self._engine, self._subscribers, reconnect_timeout_s)
         self._one_command = threading.RLock()
-        self._thread: threading.Thread | None = None
-        self._stop = threading.Event()
-        self._fatal: HeliError | None = None
-        self._callback_error: HeliError | None = None
-        self._handshake_deadline_s = 0.0
-        self._read_interval_s = READ_INTERVAL_S
-        self._events: deque[LinkEvent] = deque(maxlen=_EVENTS_KEPT)
-        self._on_ticks: tuple[TicksCallback, ...] = ()
-        self._on_event: tuple[EventCallback, ...] = ()
-        self._on_status: tuple[StatusCallback, ...] = ()
 
     def __enter__(self) -> Session:
         return self
@@ -124,12 +99,12 @@ class Session:
     @property
     def transport(self) -> Transport:
         """The board's bytes; another one after a reconnect."""
-        return self._transport
+        return self._driver.transport
 
     @property
     def lockstep(self) -> bool:
         """Whether time passes only while something waits."""
-        return self._transport.lockstep
+        return self._driver.transport.lockstep
 
     @property
     def welcome(self) -> WelcomeMessage:
@@ -141,30 +116,30 @@ class Session:
     @property
     def connected(self) -> bool:
         """Whether the board answers at present."""
-        return self._engine.phase is Phase.OPEN and self._fatal is None
+        return self._engine.phase is Phase.OPEN and self._driver.fatal is None
 
     @property
     def counters(self) -> LinkCounters:
         """All counts since the first welcome."""
-        with self._condition:
+        with self._driver.lock:
             return self._engine.counters()
 
     @property
     def clock(self) -> ClockEstimate | None:
         """Device time to host time; None before the first sample."""
-        with self._condition:
+        with self._driver.lock:
             return self._engine.clock.estimate()
 
     @property
     def events(self) -> tuple[LinkEvent, ...]:
         """The last thousand events of board and link, oldest first."""
-        with self._condition:
-            return tuple(self._events)
+        with self._driver.lock:
+            return tuple(self._subscribers.events)
 
     @property
     def latest(self) -> tuple[int, npt.NDArray[np.int32]] | None:
         """Newest tick, counted on over 2^32, and its sample (11,) in raw units; None before the first."""
-        with self._condition:
+        with self._driver.lock:
             tick, raw = self._engine.account.last, self._engine.latest_raw
             return None if tick is None or raw is None else (tick, raw)
 
@@ -175,12 +150,12 @@ class Session:
 
     @property
     def read_interval_s(self) -> float:
-        """How long a port collects bytes between two readings [s]; less costs processor time."""
-        return self._read_interval_s
+        """How long a port collects bytes between two readings [s]; less costs processor time; may be set."""
+        return self._driver.read_interval_s
 
     @read_interval_s.setter
     def read_interval_s(self, interval_s: float) -> None:
-        self._read_interval_s = interval_s
+        self._driver.read_interval_s = interval_s
 
     def connect(self) -> WelcomeMessage:
         """Greet the board until it answers, then keep the link alive until `close`.
@@ -201,25 +176,19 @@ class Session:
         LinkLost
             The port went away and did not come back in time.
         """
-        self._handshake_deadline_s = self._transport.now_s() + self.handshake_timeout_s
+        driver = self._driver
+        driver.handshake_deadline_s = driver.transport.now_s() + self.handshake_timeout_s
         while self._engine.phase is Phase.GREETING:
-            self._check()
-            if self._transport.now_s() >= self._handshake_deadline_s:
+            driver.check()
+            if driver.transport.now_s() >= driver.handshake_deadline_s:
                 raise self._handshake_error()
-            self._pump(_READ_TIMEOUT_S)
-        if not self.lockstep:
-            self._thread = threading.Thread(target=self._run, name="heli-host link", daemon=True)
-            self._thread.start()
+            driver.pump(READ_TIMEOUT_S)
+        driver.start()
         return self.welcome
 
     def close(self) -> None:
         """End the session and let go of the port; motors are the business of the caller."""
-        self._stop.set()
-        if self._thread is not None and self._thread is not threading.current_thread():
-            self._thread.join()
-        self._transport.close()
-        if self._fatal is None:
-            self._fail(LinkError("the session is closed", "connect again"))
+        self._driver.close()
 
     def request(self, command: Command, timeout_s: float = COMMAND_TIMEOUT_S) -> Frame:
         """Send a command and wait for its answer; it takes effect exactly once, however often it is sent.
@@ -246,17 +215,17 @@ class Session:
             The board is gone, or started anew before it answered.
         """
         # A callback runs in the reading thread: to wait there for another's command would be for ever.
-        if not self._one_command.acquire(blocking=threading.current_thread() is not self._thread):
+        if not self._one_command.acquire(blocking=not self._driver.in_reading_thread):
             raise LinkError("a callback cannot send a command while another is on its way", "send it later")
         try:
-            self._check()
-            with self._condition:
-                pending = self._engine.ask(command, self._transport.now_s(), timeout_s)
-                self._send_due()
+            self._driver.check()
+            with self._driver.lock:
+                pending = self._engine.ask(command, self.transport.now_s(), timeout_s)
+            self._driver.send_due()
             self.wait_for(lambda: pending.done, step_s=_LOCKSTEP_REPLY_STEP_S)
         finally:
             self._one_command.release()
-        return _answer(pending)
+        return pending.answer()
 
     def command(self, command: Command, timeout_s: float = COMMAND_TIMEOUT_S) -> AckMessage:
         """Send a command that is answered by an ack; see `request`.
@@ -340,10 +309,10 @@ class Session:
         LinkError
             The session is over.
         """
-        self._check()
-        with self._condition:
+        self._driver.check()
+        with self._driver.lock:
             self._engine.stream(message)
-            self._send_due()
+        self._driver.send_due()
 
     def keep_alive(self, setpoint: SetpointMessage | None) -> None:
         """Send a setpoint again ten times a second while the board flies on setpoints.
@@ -353,7 +322,7 @@ class Session:
         setpoint : SetpointMessage or None
             What to send; None ends it, and the board's failsafe is then the caller's business again.
         """
-        with self._condition:
+        with self._driver.lock:
             self._engine.kept = setpoint
 
     def device_tick(self) -> int:
@@ -369,11 +338,11 @@ class Session:
         LinkError
             No sample has come yet.
         """
-        with self._condition:
+        with self._driver.lock:
             last, estimate = self._engine.account.last, self._engine.clock.estimate()
             if last is None or estimate is None:
                 raise LinkError("no sample has come from the board yet", "wait a moment, then try again")
-            tick = round(estimate.tick_at(self._transport.now_s()))
+            tick = round(estimate.tick_at(self._driver.transport.now_s()))
             return min(max(tick, last), last + _AHEAD_TICKS)
 
     def ticks_counted_on(self, ticks: Ticks) -> npt.NDArray[np.int64]:
@@ -419,21 +388,7 @@ class Session:
         HeliError
             A callback failed.
         """
-        now_s = self._transport.now_s()
-        end_s = float("inf") if timeout_s is None else now_s + timeout_s
-        inline = self.lockstep or self._thread is None or threading.current_thread() is self._thread
-        with contextlib.nullcontext() if inline else self._condition:
-            while not predicate():
-                self._check()
-                left_s = end_s - self._transport.now_s()
-                if left_s <= 0.0:
-                    return False
-                if inline:
-                    self._pump(min(step_s, left_s))
-                else:
-                    self._condition.wait(min(left_s, 0.1))
-        self._check()
-        return True
+        return self._driver.wait_for(predicate, timeout_s, step_s)
 
     def wait(self, duration_s: float) -> None:
         """Wait in device time: until samples of this much later have come.
@@ -451,18 +406,19 @@ class Session:
             A callback failed.
         """
         account, engine = self._engine.account, self._engine
-        if account.last is None and not self.wait_for(lambda: account.last is not None, 5.0):
-            raise WaitTimeout("the board sends no samples", "check telemetry with heli-host doctor")
+        if account.last is None and not self.wait_for(
+            lambda: account.last is not None, _FIRST_SAMPLE_TIMEOUT_S
+        ):
+            raise WaitTimeout("the board sends no samples", "reset it, then connect again")
         restarts, goal = engine.restarts, (account.last or 0) + round(duration_s / TICK_S)
 
         def passed() -> bool:
             return engine.restarts != restarts or (account.last is not None and account.last >= goal)
 
-        if self.lockstep:
-            while not passed():
-                left_s = (goal - (account.last or 0)) * TICK_S
-                self.wait_for(passed, 0.0)
-                self._pump(min(max(left_s, TICK_S), _LOCKSTEP_STEP_S))
+        while self.lockstep and not passed():
+            self._driver.check()
+            left_s = (goal - (account.last or 0)) * TICK_S
+            self._driver.pump(min(max(left_s, TICK_S), _LOCKSTEP_STEP_S))
         self.wait_for(passed)
         if engine.restarts != restarts:
             raise LinkLost(
@@ -483,8 +439,8 @@ class Session:
         callable
             Ends the subscription.
         """
-        self._on_ticks = (*self._on_ticks, callback)
-        return lambda: self._unsubscribe(callback)
+        self._subscribers.on_ticks = (*self._subscribers.on_ticks, callback)
+        return lambda: self._subscribers.remove(callback)
 
     def subscribe_events(self, callback: EventCallback) -> Unsubscribe:
         """Have every event of board and link handed over, in the reading thread.
@@ -499,8 +455,8 @@ class Session:
         callable
             Ends the subscription.
         """
-        self._on_event = (*self._on_event, callback)
-        return lambda: self._unsubscribe(callback)
+        self._subscribers.on_event = (*self._subscribers.on_event, callback)
+        return lambda: self._subscribers.remove(callback)
 
     def subscribe_status(self, callback: StatusCallback) -> Unsubscribe:
         """Have the board's counters handed over, once a second, in the reading thread.
@@ -515,118 +471,11 @@ class Session:
         callable
             Ends the subscription.
         """
-        self._on_status = (*self._on_status, callback)
-        return lambda: self._unsubscribe(callback)
-
-    def _unsubscribe(self, callback: object) -> None:
-        self._on_ticks = tuple(one for one in self._on_ticks if one is not callback)
-        self._on_event = tuple(one for one in self._on_event if one is not callback)
-        self._on_status = tuple(one for one in self._on_status if one is not callback)
-
-    def _run(self) -> None:
-        while not self._stop.is_set() and self._fatal is None:
-            self._pump(_READ_TIMEOUT_S)
-
-    def _pump(self, timeout_s: float) -> None:
-        """Read once, take in what came, send what is due, and hand everything over."""
-        transport, engine = self._transport, self._engine
-        speed = engine.speed
-        interval_s = timeout_s if transport.lockstep else self._read_interval_s / speed
-        set_read_interval(transport, interval_s)
-        lost: LinkLost | None = None
-        received = Received()
-        try:
-            data = transport.read(timeout_s if transport.lockstep else timeout_s / speed)
-            with self._condition:
-                received = engine.receive(data, transport.now_s(), transport.wall_ns())
-                if due := engine.outgoing(transport.now_s()):
-                    transport.write(due)
-        except LinkLost as error:
-            lost = error
-        self._deliver(received)
-        if lost is not None:
-            self._reopen(lost)
-        if engine.mismatch is not None:
-            self._fail(engine.mismatch)
-        elif engine.unreachable and transport.now_s() >= self._give_up_s():
-            self._fail(LinkLost("the board does not answer any more", "check its supply, then connect again"))
-
-    def _send_due(self) -> None:
-        # Whoever reads finds out by itself that the port is gone, and looks for it.
-        with contextlib.suppress(LinkLost):
-            if due := self._engine.outgoing(self._transport.now_s()):
-                self._transport.write(due)
-
-    def _give_up_s(self) -> float:
-        since_s = self._engine.unreachable_since_s
-        if self._engine.welcome is None or since_s is None:
-            return self._handshake_deadline_s
-        return since_s + self.reconnect_timeout_s
-
-    def _reopen(self, error: LinkLost) -> None:
-        transport = self._transport
-        with self._condition:
-            event = self._engine.cut(transport.now_s(), transport.wall_ns(), error.cause)
-        self._deliver(Received(events=[event]))
-        transport.close()
-        for attempt in range(_MOST_ATTEMPTS):
-            if self._stop.is_set() or transport.now_s() >= self._give_up_s():
-                break
-            try:
-                reopened = transport.reopen()
-            except LinkError:
-                if not transport.lockstep:
-                    self._stop.wait(_BACKOFF_S[min(attempt, len(_BACKOFF_S) - 1)])
-                continue
-            with self._condition:
-                self._transport = reopened
-            return
-        if not self._stop.is_set():
-            self._fail(
-                LinkLost(f"{error.cause} and did not come back", "check cable and power, then connect again")
-            )
-
-    def _deliver(self, received: Received) -> None:
-        if len(received.ticks):
-            self._hand_over(self._on_ticks, received.ticks)
-        for event in received.events:
-            self._events.append(event)
-            self._hand_over(self._on_event, event)
-        for status in received.statuses:
-            self._hand_over(self._on_status, status)
-        with self._condition:
-            self._condition.notify_all()
-
-    def _hand_over(self, callbacks: tuple[Callable[[_T], None], ...], value: _T) -> None:
-        for callback in callbacks:
-            try:
-                callback(value)
-            except Exception as error:  # noqa: BLE001
-                self._unsubscribe(callback)
-                failed = error if isinstance(error, HeliError) else None
-                if failed is None:
-                    failed = HeliError(
-                        f"a callback failed: {type(error).__name__}: {error}", "mend it; it is called no more"
-                    )
-                    failed.__cause__ = error
-                self._callback_error = self._callback_error or failed
-                tick = (self._engine.account.last or 0) & 0xFFFFFFFF
-                self._events.append(LinkEvent(tick, self._transport.wall_ns(), CALLBACK_FAILED, str(failed)))
-
-    def _check(self) -> None:
-        if self._callback_error is not None:
-            error, self._callback_error = self._callback_error, None
-            raise error
-        if self._fatal is not None:
-            raise self._fatal
-
-    def _fail(self, error: HeliError) -> None:
-        with self._condition:
-            self._fatal = error
-            self._condition.notify_all()
+        self._subscribers.on_status = (*self._subscribers.on_status, callback)
+        return lambda: self._subscribers.remove(callback)
 
     def _handshake_error(self) -> LinkError:
-        parser, url = self._engine.parser, self._transport.url
+        parser, url = self._engine.parser, self._driver.transport.url
         if parser.frames_ok:
             return HandshakeTimeout(
                 f"frames come from {url}, but hello was not answered in {self.handshake_timeout_s:g} s",
@@ -645,13 +494,3 @@ class Session:
             parser.bytes_received,
             excerpt,
         )
-
-
-def _answer(pending: Request) -> Frame:
-    if pending.reply is None:
-        raise pending.error or LinkError("the command was given up", "try again")
-    if pending.reply.id == MessageId.ACK:
-        ack = AckMessage.unpack(pending.reply.payload)
-        if ack.result != Result.OK:
-            raise CommandRefused(ack.command, ack.result, ack.detail, ack.value)
-    return pending.reply

@@ -1,0 +1,205 @@
+"""Moves bytes between a transport and the protocol: by a thread over a port, by whoever waits in lockstep."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable
+
+from heli_host.errors import HeliError, LinkError, LinkLost
+from heli_host.link.engine import Engine, Received
+from heli_host.link.subscribers import Subscribers
+from heli_host.link.transport import READ_INTERVAL_S, Transport, set_read_interval
+
+READ_TIMEOUT_S = 0.02
+
+_BACKOFF_S = (0.05, 0.1, 0.2, 0.5, 1.0)
+# In lockstep a board that does not come back may take no time to say so.
+_MOST_ATTEMPTS = 2000
+
+
+class Driver:
+    """Reads, sends, waits, and finds a lost board again.
+
+    Parameters
+    ----------
+    transport : Transport
+        The board's bytes, open.
+    engine : Engine
+        The protocol.
+    subscribers : Subscribers
+        Who is told what came.
+    reconnect_timeout_s : float
+        How long a lost board is looked for [s].
+
+    Attributes
+    ----------
+    transport : Transport
+        The board's bytes; another one after a reconnect.
+    lock : threading.Condition
+        Held while the engine is touched; notified after every reading.
+    read_interval_s : float
+        How long a port collects bytes between two readings [s].
+    handshake_deadline_s : float
+        Until when the first welcome is waited for, in the transport's time [s].
+    fatal : HeliError or None
+        Why the session is over.
+    """
+
+    def __init__(
+        self, transport: Transport, engine: Engine, subscribers: Subscribers, reconnect_timeout_s: float
+    ) -> None:
+        self.transport = transport
+        self.lock = threading.Condition(threading.RLock())
+        self.read_interval_s = READ_INTERVAL_S
+        self.handshake_deadline_s = 0.0
+        self.fatal: HeliError | None = None
+        self._reconnect_timeout_s = reconnect_timeout_s
+        self._engine = engine
+        self._subscribers = subscribers
+        self._thread: threading.Thread | None = None
+        self._stop = threading.Event()
+
+    @property
+    def in_reading_thread(self) -> bool:
+        """Whether the caller is a callback of the reading thread."""
+        return threading.current_thread() is self._thread
+
+    def start(self) -> None:
+        """Start the reading thread; in lockstep there is none."""
+        if not self.transport.lockstep:
+            self._thread = threading.Thread(target=self._run, name="heli-host link", daemon=True)
+            self._thread.start()
+
+    def close(self) -> None:
+        """Stop reading and let go of the port."""
+        self._stop.set()
+        if self._thread is not None and not self.in_reading_thread:
+            self._thread.join()
+        self.transport.close()
+        if self.fatal is None:
+            self._fail(LinkError("the session is closed", "connect again"))
+
+    def check(self) -> None:
+        """Raise what a callback raised, or why the session is over.
+
+        Raises
+        ------
+        HeliError
+            Either of them.
+        """
+        error = self._subscribers.take_error() or self.fatal
+        if error is not None:
+            raise error
+
+    def send_due(self) -> None:
+        """Send what is due now; a lost port is left for the next reading to find."""
+        with self.lock, contextlib.suppress(LinkLost):
+            if due := self._engine.outgoing(self.transport.now_s()):
+                self.transport.write(due)
+
+    def wait_for(self, predicate: Callable[[], bool], timeout_s: float | None, step_s: float) -> bool:
+        """Wait until something is so.
+
+        Parameters
+        ----------
+        predicate : callable returning bool
+            Asked after every reading.
+        timeout_s : float or None
+            Longest wait in the transport's time [s]; None waits as long as the link lives.
+        step_s : float
+            In lockstep: simulated time between two askings [s].
+
+        Returns
+        -------
+        bool
+            False when time ran out.
+
+        Raises
+        ------
+        HeliError
+            The board is gone for good, or a callback failed.
+        """
+        end_s = float("inf") if timeout_s is None else self.transport.now_s() + timeout_s
+        inline = self._thread is None or self.in_reading_thread
+        with contextlib.nullcontext() if inline else self.lock:
+            while not predicate():
+                self.check()
+                left_s = end_s - self.transport.now_s()
+                if left_s <= 0.0:
+                    return False
+                if inline:
+                    self.pump(min(step_s, left_s))
+                else:
+                    self.lock.wait(min(left_s, 0.1))
+        self.check()
+        return True
+
+    def pump(self, timeout_s: float) -> None:
+        """Read once, take in what came, send what is due, and hand everything over.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest wait for bytes [s]; in lockstep the time that passes.
+        """
+        transport, engine = self.transport, self._engine
+        speed = 1.0 if transport.lockstep else engine.speed
+        set_read_interval(transport, timeout_s if transport.lockstep else self.read_interval_s / speed)
+        lost: LinkLost | None = None
+        received = Received()
+        try:
+            data = transport.read(timeout_s / speed)
+            with self.lock:
+                received = engine.receive(data, transport.now_s(), transport.wall_ns())
+                if due := engine.outgoing(transport.now_s()):
+                    transport.write(due)
+        except LinkLost as error:
+            lost = error
+        self._deliver(received)
+        if lost is not None:
+            self._reopen(lost)
+        if engine.mismatch is not None:
+            self._fail(engine.mismatch)
+        elif engine.unreachable and self.transport.now_s() >= self._give_up_s():
+            self._fail(LinkLost("the board does not answer any more", "check its supply, then connect again"))
+
+    def _run(self) -> None:
+        while not self._stop.is_set() and self.fatal is None:
+            self.pump(READ_TIMEOUT_S)
+
+    def _deliver(self, received: Received) -> None:
+        self._subscribers.deliver(received.ticks, received.events, received.statuses)
+        with self.lock:
+            self.lock.notify_all()
+
+    def _reopen(self, error: LinkLost) -> None:
+        transport = self.transport
+        with self.lock:
+            event = self._engine.cut(transport.now_s(), transport.wall_ns(), error.cause)
+        self._deliver(Received(events=[event]))
+        transport.close()
+        for attempt in range(_MOST_ATTEMPTS):
+            if self._stop.is_set() or transport.now_s() >= self._give_up_s():
+                break
+            try:
+                reopened = transport.reopen()
+            except LinkError:
+                if not transport.lockstep:
+                    self._stop.wait(_BACKOFF_S[min(attempt, len(_BACKOFF_S) - 1)])
+                continue
+            with self.lock:
+                self.transport = reopened
+            return
+        self._fail(LinkLost(f"{error.cause} and did not come back", "check cable and power, then connect again"))
+
+    def _give_up_s(self) -> float:
+        since_s = self._engine.unreachable_since_s
+        if self._engine.welcome is None or since_s is None:
+            return self.handshake_deadline_s
+        return since_s + self._reconnect_timeout_s
+
+    def _fail(self, error: HeliError) -> None:
+        with self.lock:
+            self.fatal = error
+            self.lock.notify_all()

@@ -1,0 +1,131 @@
+"""A command on its way: sent, sent again with the same number, answered or given up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+from heli_host.errors import CommandRefused, CommandTimeout, HeliError
+from heli_host.link.declaration import AckMessage, MessageId, Result
+from heli_host.link.frames import Frame
+
+# A reply takes 20 ms at most over a busy Due line. Tries grow apart, so that a slow simulation is not
+# flooded.
+_FIRST_TRY_S = 0.06
+_LONGEST_TRY_S = 0.5
+
+
+class Command(Protocol):
+    """A message that the board answers; every class of the declaration with a ``REPLY`` is one."""
+
+    ID: ClassVar[MessageId]
+    REPLY: ClassVar[MessageId]
+
+    @property
+    def request(self) -> int:
+        """Request number; the engine sets it."""
+        ...
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        ...
+
+
+@dataclass
+class Request:
+    """A command on its way.
+
+    Parameters
+    ----------
+    command : Command
+        What was asked, with its request number.
+    deadline_s : float
+        Host time at which it is given up [s].
+    next_try_s : float
+        Host time of the next try [s].
+    tries : int
+        How often it was sent.
+    reply : Frame or None
+        The answer.
+    error : HeliError or None
+        Why there will be none.
+    """
+
+    command: Command
+    deadline_s: float
+    next_try_s: float
+    tries: int = 0
+    reply: Frame | None = None
+    error: HeliError | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether it is answered or given up."""
+        return self.reply is not None or self.error is not None
+
+    def expire(self, now_s: float) -> None:
+        """Give up when the deadline has passed.
+
+        Parameters
+        ----------
+        now_s : float
+            Host time [s].
+        """
+        if not self.done and now_s >= self.deadline_s:
+            name = self.command.ID.name.lower()
+            self.error = CommandTimeout(
+                f"the board did not answer {name} in {self.tries} tries",
+                "check the link with heli-host doctor",
+            )
+
+    def note_try(self, now_s: float, round_trip_s: float) -> None:
+        """Note that it is sent now, and choose when to send it again.
+
+        Parameters
+        ----------
+        now_s : float
+            Host time [s].
+        round_trip_s : float
+            Time that an answer took lately [s].
+        """
+        patience_s = max(_FIRST_TRY_S, 2.0 * round_trip_s) * 1.5**self.tries
+        self.next_try_s = now_s + min(patience_s, _LONGEST_TRY_S)
+        self.tries += 1
+
+    def match(self, frame: Frame) -> None:
+        """Take a frame if it is the answer.
+
+        Parameters
+        ----------
+        frame : Frame
+            A reply from the board.
+        """
+        if self.done or not frame.payload or frame.payload[0] != self.command.request:
+            return
+        is_ack = frame.id == MessageId.ACK
+        mine = frame.payload[1] == self.command.ID if is_ack else frame.id == self.command.REPLY
+        if mine:
+            self.reply = frame
+
+    def answer(self) -> Frame:
+        """Return the answer.
+
+        Returns
+        -------
+        Frame
+            As it came.
+
+        Raises
+        ------
+        CommandRefused
+            The board said no.
+        HeliError
+            There is none, and this is why.
+        """
+        if self.reply is None:
+            raise self.error or CommandTimeout("the command was not answered", "try again")
+        if self.reply.id == MessageId.ACK:
+            ack = AckMessage.unpack(self.reply.payload)
+            if ack.result != Result.OK:
+                raise CommandRefused(ack.command, ack.result, ack.detail, ack.value)
+        return self.reply
