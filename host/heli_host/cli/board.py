@@ -85,7 +85,7 @@ def find_board() -> str:
 def open_board(
     port: str | None,
     sil: bool,
-    rig: str = DEFAULT_RIG,
+    rig: str | None = None,
     speed: str = "1",
     seed: int = 1,
 ) -> Iterator[Heli]:
@@ -97,8 +97,8 @@ def open_board(
         A pyserial URL; None looks for the only Due.
     sil : bool
         Start a simulated board instead and connect to that.
-    rig : str
-        Rig of the simulated board, by name or file.
+    rig : str or None
+        Rig of the simulated board, by name or file; None for the default.
     speed : str
         Simulated seconds a second, or ``max``.
     seed : int
@@ -118,6 +118,7 @@ def open_board(
 
     with contextlib.ExitStack() as stack:
         if sil:
+            rig = rig if rig is not None else DEFAULT_RIG
             factor = parse_speed(speed)
             if factor is None:
                 url = "sil://?" + urlencode({"rig": rig, "seed": seed, "speed": "max"})

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from heli_host.cli.options import DEFAULT_RIG, PortOption, RigOption, SilOption, SpeedOption, flight_folder
+from heli_host.cli.options import PortOption, RigOption, SilOption, SpeedOption, flight_folder, rig_name
 
 STEP_S = 0.25
 """Device time between two looks at the clock."""
@@ -23,10 +23,10 @@ def log(
     ] = None,
     port: PortOption = None,
     sil: SilOption = False,
-    rig: RigOption = DEFAULT_RIG,
+    rig: RigOption = None,
     speed: SpeedOption = "1",
 ) -> None:
-    """Record telemetry, every tick of it, without commanding anything: for flying by hand, or to check encoders.
+    """Record every tick without commanding anything: to check encoders, or what another program flies.
 
     Example: `heli-host log --for-s 30 -o turning-by-hand.mcap`
     """
@@ -39,7 +39,7 @@ def log(
 
     with open_board(port, sil, rig, speed) as heli:
         path = out if out is not None else flight_folder() / "flight.mcap"
-        recorder = Recorder(heli, path, rig_name=rig if sil else "")
+        recorder = Recorder(heli, path, rig_name=rig_name(rig, simulated=sil))
         try:
             with recorder, LiveLine() as live:
                 start_s = heli.latest.t_s

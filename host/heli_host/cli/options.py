@@ -20,7 +20,10 @@ PortOption = Annotated[
 ]
 SilOption = Annotated[bool, typer.Option("--sil", help="Fly the simulated board instead.")]
 RigOption = Annotated[
-    str, typer.Option("--rig", metavar="NAME|FILE", help="Rig of the simulated board: a name or a TOML file.")
+    str | None,
+    typer.Option(
+        "--rig", metavar="NAME|FILE", help="Rig simulated: a name or a TOML file; of a real board: its name."
+    ),
 ]
 SpeedOption = Annotated[
     str,
@@ -32,6 +35,26 @@ SeedOption = Annotated[
 
 DEFAULT_RIG = "makki2024"
 MAX_SPEED = "max"
+
+
+def rig_name(rig: str | None, *, simulated: bool) -> str:
+    """Name a rig for the log.
+
+    Parameters
+    ----------
+    rig : str or None
+        What was asked for.
+    simulated : bool
+        Whether the board is simulated; without a name it then is the default rig.
+
+    Returns
+    -------
+    str
+        Empty when nobody knows.
+    """
+    if rig is not None:
+        return Path(rig).stem
+    return DEFAULT_RIG if simulated else ""
 
 
 def parse_speed(text: str) -> float | None:

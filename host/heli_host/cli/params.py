@@ -12,7 +12,7 @@ import typer
 from heli_host.cli.options import MAX_SPEED, PortOption, SilOption
 
 if TYPE_CHECKING:
-    from heli_host.heli import BoardInfo
+    from heli_host.view import BoardInfo
 
 app = typer.Typer(
     help="Read and set the board's parameters.\n\nExample: `heli-host params set hover_V 1.5 --save`",

@@ -12,7 +12,7 @@ def plot(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="A .mcap log.")],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help="A .png, .pdf or .svg file; else figure.png beside."),
+        typer.Option("--out", "-o", metavar="FILE", help="A .png, .pdf or .svg; else figure.png beside it."),
     ] = None,
 ) -> None:
     """Draw setpoints, angles, voltages and events of a log.

@@ -22,7 +22,7 @@ def summary_lines(summary: FlightSummary) -> list[str]:
         A few lines.
     """
     what = " + ".join(summary.plans) or "no plan"
-    where = f" on {summary.board}" if summary.board else ""
+    where = f" on {summary.rig}" if summary.rig else ""
     errors = ", ".join(
         f"{axis} {'not flown' if error is None else f'{error:.2f} deg'}"
         for axis, error in summary.rms_error_deg.items()

@@ -19,7 +19,7 @@ def sil(
         str | None,
         typer.Option("--tcp", metavar="HOST:PORT", help="Serve TCP; hosts connect to socket://HOST:PORT."),
     ] = None,
-    rig: RigOption = DEFAULT_RIG,
+    rig: RigOption = None,
     speed: SpeedOption = "1",
     seed: SeedOption = 1,
 ) -> None:
@@ -32,11 +32,11 @@ def sil(
     from heli_sim.sil.options import SilOptions
     from heli_sim.sil.server import run_server
 
-    options = SilOptions(rig=rig, seed=seed, speed=parse_speed(speed))
+    options = SilOptions(rig=rig or DEFAULT_RIG, seed=seed, speed=parse_speed(speed))
 
     def say(url: str) -> None:
         pace = "as fast as the host keeps up" if options.speed is None else f"{options.speed:g} x real time"
-        print(f"simulated board on {url}, rig {rig}, {pace}; Ctrl-C ends it", flush=True)
+        print(f"simulated board on {url}, rig {options.rig}, {pace}; Ctrl-C ends it", flush=True)
 
     counters = run_server(options, pty=pty, tcp=tcp, on_ready=say)
     # Whoever started this may have gone, and its pipe with it.

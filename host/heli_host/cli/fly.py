@@ -1,0 +1,104 @@
+"""``heli-host fly``: fly plans, and leave a log, a summary and a figure."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from heli_host.cli.options import (
+    PortOption,
+    RigOption,
+    SeedOption,
+    SilOption,
+    SpeedOption,
+    flight_folder,
+    parse_speed,
+    rig_name,
+)
+
+FIGURE_ENDS = (".png", ".pdf", ".svg")
+
+
+def fly(
+    plans: Annotated[
+        list[str], typer.Argument(metavar="PLAN...", help="Built-in plans (hover, sine, ...) or TOML files.")
+    ],
+    port: PortOption = None,
+    sil: SilOption = False,
+    rig: RigOption = None,
+    speed: SpeedOption = "1",
+    seed: SeedOption = 1,
+    log: Annotated[Path | None, typer.Option("--log", metavar="FILE", help="Log, MCAP.")] = None,
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Summary.")] = None,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", metavar="FILE", help="Figure: .png, .pdf or .svg.")
+    ] = None,
+) -> None:
+    """Take off, fly plans one after the other, land. Ctrl-C lands too; a second Ctrl-C stops the motors.
+
+    Without --log, --json and --figure the three files go into a new folder, flights/<time>/. With any of them
+    only those are written, and the log always is.
+
+    Example: `heli-host fly hover sine --sil --speed 5`
+    """
+    from heli_host.cli.board import open_board
+    from heli_host.cli.progress import LiveLine
+    from heli_host.cli.report import summary_lines
+    from heli_host.errors import FlightAborted
+    from heli_host.fly.plan import load_plan
+    from heli_host.fly.runner import Progress
+    from heli_host.fly.runner import fly as fly_plans
+
+    parse_speed(speed)
+    loaded = [load_plan(plan) for plan in plans]
+    for target in (json, figure):
+        if target is not None:
+            _check_place(target)
+    if figure is not None and figure.suffix.lower() not in FIGURE_ENDS:
+        raise typer.BadParameter(f"--figure {figure}: give a file that ends in {', '.join(FIGURE_ENDS)}")
+    with open_board(port, sil, rig, speed, seed) as heli:
+        everything = log is None and json is None and figure is None
+        folder = flight_folder() if log is None else log.parent
+        log = log if log is not None else folder / "flight.mcap"
+        json, figure = (folder / "summary.json", folder / "figure.png") if everything else (json, figure)
+        board = f"{heli.info.board}, firmware {heli.info.firmware_version}, on {heli.session.transport.url}"
+        print(f"board: {board}; {' + '.join(plan.title for plan in loaded)}", flush=True)
+        with LiveLine() as live:
+
+            def show(progress: Progress) -> None:
+                live.show(
+                    progress.sample,
+                    progress.counters,
+                    t_s=progress.t_s,
+                    phase=progress.phase,
+                    left_s=progress.left_s,
+                )
+
+            summary = fly_plans(
+                heli,
+                loaded,
+                log_path=log,
+                json_path=json,
+                figure_path=figure,
+                on_progress=show,
+                rig_name=rig_name(rig, simulated=sil),
+            )
+    for line in summary_lines(summary):
+        print(line)
+    print(f"board: {board}")
+    print(f"files: {', '.join(str(path) for path in (log, json, figure) if path is not None)}")
+    if summary.outcome.startswith("aborted: Ctrl-C"):
+        raise KeyboardInterrupt
+    if not summary.completed:
+        raise FlightAborted(summary.outcome)
+
+
+def _check_place(path: Path) -> None:
+    """Refuse, before anything flies, a file that could not be written after it."""
+    folder = path.absolute().parent
+    folder.mkdir(parents=True, exist_ok=True)
+    if path.is_dir() or not os.access(path if path.exists() else folder, os.W_OK):
+        raise typer.BadParameter(f"{path} cannot be written; choose another place")

@@ -1,0 +1,103 @@
+"""``python -m tests.bench``: measure everything, write bench.json, print a table."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from tests.bench import decoding, line, reading, recording, simulation
+from tests.bench.result import PROMISES, Measured
+
+RESULT = Path("bench.json")
+
+
+def processor() -> str:
+    """Return the processor's name."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
+def measure_all(say: Callable[[str], None]) -> list[Measured]:
+    """Measure everything.
+
+    Parameters
+    ----------
+    say : callable
+        Told what is measured next, and how long that takes.
+    """
+    say("[1/5] flying in simulation as fast as possible (about 20 s)")
+    measured = simulation.measure()
+    say("[2/5] decoding, against pymavlink (about 10 s)")
+    sent, duration_s = line.flight_bytes()
+    measured += decoding.measure(sent)
+    say("[3/5] counting bytes on the line (about 5 s)")
+    measured += line.measure(sent, duration_s)
+    say("[4/5] reading a ten-minute log (about 10 s)")
+    measured += reading.measure()
+    say("[5/5] recording in real time (about 75 s)")
+    measured += recording.measure()
+    return measured
+
+
+def table(measured: list[Measured]) -> tuple[Table, bool]:
+    """Return the table, and whether every promise holds.
+
+    Parameters
+    ----------
+    measured : list of Measured
+        Every number.
+    """
+    values = {one.key: one for one in measured}
+    report = Table("number", "median", "worst .. best", "bound", "", "what", box=None, pad_edge=False)
+    all_hold = True
+    for promise in PROMISES:
+        one = values[promise.key]
+        holds = promise.holds(one.value)
+        all_hold &= holds
+        spread = sorted(one.repetitions, reverse=not promise.at_least)
+        bound = "" if promise.bound is None else f"{'>=' if promise.at_least else '<='} {promise.bound:g}"
+        report.add_row(
+            promise.key,
+            f"{one.value:.3g}",
+            f"{spread[0]:.3g} .. {spread[-1]:.3g}",
+            bound,
+            "[green]pass[/]" if holds else "[red]FAIL[/]",
+            promise.meaning,
+        )
+    return report, all_hold
+
+
+def main() -> int:
+    """Run the bench; 1 when a promise does not hold."""
+    console = Console(highlight=False)
+    measured = measure_all(lambda text: console.print(text, markup=False))
+    content = {
+        **{one.key: one.value for one in measured},
+        "repetitions": {one.key: list(one.repetitions) for one in measured},
+        "machine": {
+            "processor": processor(),
+            "cores": os.cpu_count(),
+            "python": platform.python_version(),
+            "system": platform.platform(),
+        },
+    }
+    RESULT.write_text(json.dumps(content, indent=2) + "\n")
+    report, all_hold = table(measured)
+    console.print(report)
+    console.print(f"-> {RESULT}")
+    return 0 if all_hold else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
