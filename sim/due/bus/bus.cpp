@@ -1,0 +1,219 @@
+#include "bus/bus.hpp"
+
+#include <algorithm>
+#include <cstring>
+
+#include "cpu/cpu.hpp"
+
+namespace heli_due {
+
+namespace {
+
+constexpr std::uint32_t kRamBitBand = 0x22000000;
+constexpr std::uint32_t kPeripheralBitBand = 0x42000000;
+constexpr std::uint32_t kBitBandSize = 0x02000000;
+
+// The APB bridge costs two cycles more than SRAM in the cycle model.
+constexpr std::uint32_t kApbCycles = 2;
+
+bool inside(std::uint32_t address, std::uint32_t base, std::uint32_t size) {
+  return address - base < size;
+}
+
+}  // namespace
+
+void Bus::add(std::uint32_t base, std::uint32_t size, Device* device) {
+  if (base < kSystemBase) {
+    for (std::uint32_t at = base; at < base + size; at += 0x4000) {
+      devices_[(at - kPeripheralBase) / 0x4000] = device;
+    }
+    return;
+  }
+  for (std::uint32_t at = base; at < base + size; at += 16) {
+    system_devices_[(at - kSystemBase) / 16] = device;
+  }
+}
+
+void Bus::add_unmodelled(std::uint32_t base, std::uint32_t size, std::string name) {
+  unmodelled_.push_back({base, size, std::move(name)});
+}
+
+Device* Bus::device_at(std::uint32_t address) const {
+  if (inside(address, kPeripheralBase, kSystemBase - kPeripheralBase)) {
+    return devices_[(address - kPeripheralBase) / 0x4000];
+  }
+  if (inside(address, kSystemBase, kSystemEnd - kSystemBase)) {
+    return system_devices_[(address - kSystemBase) / 16];
+  }
+  return nullptr;
+}
+
+void Bus::use_flash(std::uint32_t offset) {
+  if (flash_ != nullptr && cpu_->flash_busy) flash_->use(offset);
+}
+
+std::uint8_t* Bus::memory_at(std::uint32_t address, std::uint32_t size, bool for_write) {
+  if (inside(address, kRamBase, kRamSize - size + 1)) return memory_.ram.data() + (address - kRamBase);
+  if (inside(address, kRamAlias, kRamAliasSize - size + 1)) {
+    return memory_.ram.data() + (address - kRamAlias);
+  }
+  if (for_write) return nullptr;
+  if (inside(address, kFlashBase, kFlashSize - size + 1)) {
+    use_flash(address - kFlashBase);
+    return memory_.flash.data() + (address - kFlashBase);
+  }
+  if (inside(address, 0, kFlashSize - size + 1)) {
+    use_flash(address);
+    return memory_.flash.data() + address;
+  }
+  return nullptr;
+}
+
+void Bus::fail(std::uint32_t address, const char* verb) {
+  diagnostics_.report(Trouble::kUnmapped, address,
+                      std::string(verb) + " " + hex(address) + ", where there is nothing");
+  throw Fault{exc::kBusFault, cfsr::kPrecisErr, address, true};
+}
+
+void Bus::check_private(std::uint32_t address, const char* verb) {
+  if (cpu_->privileged()) return;
+  diagnostics_.report(Trouble::kUnmapped, address,
+                      std::string(verb) + " " + hex(address) + " by unprivileged code");
+  throw Fault{exc::kBusFault, cfsr::kPrecisErr, address, true};
+}
+
+std::uint32_t Bus::read(std::uint32_t address, std::uint32_t size) {
+  if ((address & (size - 1)) != 0) {
+    diagnostics_.report(Trouble::kUnaligned, address,
+                        "read of " + std::to_string(size) + " bytes from " + hex(address));
+    std::uint32_t value = 0;
+    for (std::uint32_t i = 0; i < size; ++i) value |= read(address + i, 1) << (8 * i);
+    return value;
+  }
+  if (const std::uint8_t* at = memory_at(address, size, false)) {
+    std::uint32_t value = 0;
+    std::memcpy(&value, at, size);
+    return value;
+  }
+  if (inside(address, kRamBitBand, kBitBandSize)) {
+    const std::uint32_t offset = address - kRamBitBand;
+    return (read(kRamAlias + offset / 32, 1) >> ((offset >> 2) & 7U)) & 1U;
+  }
+  if (inside(address, kPeripheralBitBand, kBitBandSize)) {
+    const std::uint32_t offset = address - kPeripheralBitBand;
+    const std::uint32_t target = kPeripheralBase + ((offset / 32) & ~3U);
+    return (read_peripheral(target, 4) >> ((offset >> 2) & 31U)) & 1U;
+  }
+  if (inside(address, kPeripheralBase, 0x20000000)) return read_peripheral(address, size);
+  if (inside(address, 0xE0000000, 0x00100000) && private_bus_ != nullptr) {
+    check_private(address, "read of");
+    return private_bus_->read_private(address, size);
+  }
+  fail(address, "read of");
+}
+
+void Bus::write(std::uint32_t address, std::uint32_t value, std::uint32_t size) {
+  if ((address & (size - 1)) != 0) {
+    diagnostics_.report(Trouble::kUnaligned, address,
+                        "write of " + std::to_string(size) + " bytes to " + hex(address));
+    for (std::uint32_t i = 0; i < size; ++i) write(address + i, (value >> (8 * i)) & 0xFFU, 1);
+    return;
+  }
+  if (std::uint8_t* at = memory_at(address, size, true)) {
+    std::memcpy(at, &value, size);
+    const auto offset = static_cast<std::uint32_t>(at - memory_.ram.data());
+    if (memory_.ram_code[offset / 64] != 0) memory_.forget_ram_code(offset, size);
+    return;
+  }
+  if (inside(address, kRamBitBand, kBitBandSize)) {
+    const std::uint32_t offset = address - kRamBitBand;
+    const std::uint32_t target = kRamAlias + offset / 32;
+    const std::uint32_t bit = 1U << ((offset >> 2) & 7U);
+    const std::uint32_t old = read(target, 1);
+    return write(target, (value & 1U) != 0 ? old | bit : old & ~bit, 1);
+  }
+  if (inside(address, kPeripheralBitBand, kBitBandSize)) {
+    const std::uint32_t offset = address - kPeripheralBitBand;
+    const std::uint32_t target = kPeripheralBase + ((offset / 32) & ~3U);
+    const std::uint32_t bit = 1U << ((offset >> 2) & 31U);
+    const std::uint32_t old = read_peripheral(target, 4);
+    return write_peripheral(target, (value & 1U) != 0 ? old | bit : old & ~bit, 4);
+  }
+  if (inside(address, kPeripheralBase, 0x20000000)) return write_peripheral(address, value, size);
+  if (inside(address, 0xE0000000, 0x00100000) && private_bus_ != nullptr) {
+    check_private(address, "write of");
+    return private_bus_->write_private(address, value, size);
+  }
+  if (inside(address, kFlashBase, kFlashSize) && flash_ != nullptr) {
+    return flash_->latch(address - kFlashBase, value, size);
+  }
+  fail(address, "write of");
+}
+
+bool Bus::report_unmodelled(std::uint32_t address, const char* verb) {
+  for (const Unmodelled& part : unmodelled_) {
+    if (!inside(address, part.base, part.size)) continue;
+    char offset[16];
+    std::snprintf(offset, sizeof offset, "+0x%x", static_cast<unsigned>(address - part.base));
+    diagnostics_.report(Trouble::kUnmodelled, address,
+                        std::string(verb) + " " + hex(address) + " " + part.name + offset +
+                            ": this peripheral is not modelled");
+    return true;
+  }
+  return false;
+}
+
+std::uint32_t Bus::read_peripheral(std::uint32_t address, std::uint32_t size) {
+  cpu_->stall(kApbCycles);
+  Device* device = device_at(address);
+  if (device == nullptr) {
+    if (report_unmodelled(address, "read of")) return 0;
+    fail(address, "read of");
+  }
+  if (size == 4) return device->read_register(address);
+  diagnostics_.report(Trouble::kNarrow, address,
+                      "read of " + std::to_string(size) + " bytes from " + hex(address) +
+                          ": registers of peripherals take words");
+  return device->read_register(address & ~3U) >> (8 * (address & 3U)) &
+         (size == 1 ? 0xFFU : 0xFFFFU);
+}
+
+void Bus::write_peripheral(std::uint32_t address, std::uint32_t value, std::uint32_t size) {
+  cpu_->stall(kApbCycles);
+  Device* device = device_at(address);
+  if (device == nullptr) {
+    if (report_unmodelled(address, "write of")) return;
+    fail(address, "write of");
+  }
+  if (size != 4) {
+    diagnostics_.report(Trouble::kNarrow, address,
+                        "write of " + std::to_string(size) + " bytes to " + hex(address) +
+                            ": registers of peripherals take words");
+    value <<= 8 * (address & 3U);
+  }
+  device->write_register(address & ~3U, value);
+}
+
+bool Bus::dma_read(std::uint32_t address, std::uint8_t& value) const {
+  if (inside(address, kRamBase, kRamSize)) {
+    value = memory_.ram[address - kRamBase];
+  } else if (inside(address, kRamAlias, kRamAliasSize)) {
+    value = memory_.ram[address - kRamAlias];
+  } else if (inside(address, kFlashBase, kFlashSize)) {
+    value = memory_.flash[address - kFlashBase];
+  } else {
+    return false;
+  }
+  return true;
+}
+
+bool Bus::dma_write(std::uint32_t address, std::uint8_t value) {
+  std::uint32_t offset = address - kRamBase;
+  if (offset >= kRamSize) offset = address - kRamAlias;
+  if (offset >= kRamSize || (address < kRamBase && offset >= kRamAliasSize)) return false;
+  memory_.ram[offset] = value;
+  if (memory_.ram_code[offset / 64] != 0) memory_.forget_ram_code(offset, 1);
+  return true;
+}
+
+}  // namespace heli_due

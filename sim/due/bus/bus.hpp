@@ -1,0 +1,95 @@
+// The address map behind the fast paths of the processor: aliases, bit bands, peripherals, faults.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "bus/diagnostics.hpp"
+#include "bus/memory.hpp"
+
+namespace heli_due {
+
+class Cpu;
+
+// Something with registers. Offsets are multiples of 4 below the size it was added with.
+class Device {
+ public:
+  virtual ~Device() = default;
+  virtual std::uint32_t read_register(std::uint32_t address) = 0;
+  virtual void write_register(std::uint32_t address, std::uint32_t value) = 0;
+};
+
+// The private peripheral bus takes bytes and halfwords in places.
+class PrivateBus {
+ public:
+  virtual ~PrivateBus() = default;
+  virtual std::uint32_t read_private(std::uint32_t address, std::uint32_t size) = 0;
+  virtual void write_private(std::uint32_t address, std::uint32_t value, std::uint32_t size) = 0;
+};
+
+// What the flash controllers have to say about accesses to flash.
+class FlashPort {
+ public:
+  virtual ~FlashPort() = default;
+  // A read or a fetch at `offset` while flash_busy is set.
+  virtual void use(std::uint32_t offset) = 0;
+  // A write into the page latches.
+  virtual void latch(std::uint32_t offset, std::uint32_t value, std::uint32_t size) = 0;
+};
+
+class Bus {
+ public:
+  Bus(Memory& memory, Diagnostics& diagnostics) : memory_(memory), diagnostics_(diagnostics) {}
+
+  void connect(Cpu* cpu, PrivateBus* private_bus, FlashPort* flash) {
+    cpu_ = cpu;
+    private_bus_ = private_bus;
+    flash_ = flash;
+  }
+  void add(std::uint32_t base, std::uint32_t size, Device* device);
+  // A peripheral of the chip that has no model, for the message.
+  void add_unmodelled(std::uint32_t base, std::uint32_t size, std::string name);
+
+  std::uint32_t read(std::uint32_t address, std::uint32_t size);
+  void write(std::uint32_t address, std::uint32_t value, std::uint32_t size);
+  // Words moved by a PDC: SRAM and flash only. False when there is no memory.
+  bool dma_read(std::uint32_t address, std::uint8_t& value) const;
+  bool dma_write(std::uint32_t address, std::uint8_t value);
+  void use_flash(std::uint32_t offset);
+
+  Diagnostics& diagnostics() { return diagnostics_; }
+
+ private:
+  struct Unmodelled {
+    std::uint32_t base;
+    std::uint32_t size;
+    std::string name;
+  };
+
+  // Peripherals below the system controller have 16 KiB each; in it the smallest has 16 bytes.
+  static constexpr std::uint32_t kPeripheralBase = 0x40000000;
+  static constexpr std::uint32_t kSystemBase = 0x400E0000;
+  static constexpr std::uint32_t kSystemEnd = 0x400E2000;
+
+  Device* device_at(std::uint32_t address) const;
+  std::uint8_t* memory_at(std::uint32_t address, std::uint32_t size, bool for_write);
+  std::uint32_t read_peripheral(std::uint32_t address, std::uint32_t size);
+  void write_peripheral(std::uint32_t address, std::uint32_t value, std::uint32_t size);
+  // True when an unmodelled peripheral is there, after reporting it.
+  bool report_unmodelled(std::uint32_t address, const char* verb);
+  [[noreturn]] void fail(std::uint32_t address, const char* verb);
+  void check_private(std::uint32_t address, const char* verb);
+
+  Memory& memory_;
+  Diagnostics& diagnostics_;
+  Cpu* cpu_ = nullptr;
+  PrivateBus* private_bus_ = nullptr;
+  FlashPort* flash_ = nullptr;
+  std::array<Device*, (kSystemBase - kPeripheralBase) / 0x4000> devices_{};
+  std::array<Device*, (kSystemEnd - kSystemBase) / 16> system_devices_{};
+  std::vector<Unmodelled> unmodelled_;
+};
+
+}  // namespace heli_due

@@ -1,0 +1,65 @@
+#include "bus/diagnostics.hpp"
+
+#include <cxxabi.h>
+
+#include <algorithm>
+#include <array>
+#include <cstdio>
+#include <cstdlib>
+
+namespace heli_due {
+
+const char* trouble_name(Trouble kind) {
+  static constexpr std::array<const char*, kTroubleCount> kNames = {
+      "unmapped", "unmodelled", "unclocked", "unaligned", "narrow", "direction", "misuse",
+      "contention"};
+  return kNames[static_cast<std::size_t>(kind)];
+}
+
+std::string hex(std::uint32_t value) {
+  char text[16];
+  std::snprintf(text, sizeof text, "0x%08x", static_cast<unsigned>(value));
+  return text;
+}
+
+void Symbols::add(std::uint32_t address, std::uint32_t size, std::string name) {
+  int status = 0;
+  if (char* plain = abi::__cxa_demangle(name.c_str(), nullptr, nullptr, &status)) {
+    name = plain;
+    std::free(plain);
+  } else {
+    name += "()";
+  }
+  const Entry entry{address & ~1U, size, std::move(name)};
+  entries_.insert(std::upper_bound(entries_.begin(), entries_.end(), entry), entry);
+}
+
+std::string Symbols::describe(std::uint32_t address) const {
+  const auto after = std::upper_bound(entries_.begin(), entries_.end(), Entry{address, 0, {}});
+  if (after == entries_.begin()) return {};
+  const Entry& entry = *(after - 1);
+  const std::uint32_t offset = address - entry.address;
+  if (entry.size != 0 && offset >= entry.size) return {};
+  char text[16];
+  std::snprintf(text, sizeof text, "+0x%x", static_cast<unsigned>(offset));
+  return entry.name + text;
+}
+
+void Diagnostics::set_strict(Trouble kind, bool strict) {
+  const std::uint32_t bit = 1U << static_cast<unsigned>(kind);
+  strict_mask_ = strict ? strict_mask_ | bit : strict_mask_ & ~bit;
+}
+
+void Diagnostics::report(Trouble kind, std::uint32_t address, const std::string& text) {
+  const std::uint32_t pc = pc_of != nullptr ? pc_of(pc_source) : 0;
+  if (!strict(kind) && !seen_.insert({kind, address, pc}).second) return;
+  std::string message = std::string(trouble_name(kind)) + ": " + text + "; at pc " + hex(pc);
+  const std::string function = symbols.describe(pc);
+  if (!function.empty()) message += " in " + function;
+  if (strict(kind)) throw Stop(message);
+  warnings_.push_back(std::move(message));
+}
+
+std::vector<std::string> Diagnostics::take_warnings() { return std::exchange(warnings_, {}); }
+
+}  // namespace heli_due

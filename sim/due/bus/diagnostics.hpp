@@ -1,0 +1,84 @@
+// What the emulator says when firmware does something that the chip does not promise to take.
+//
+// Strict: it stops the emulation. Lenient: it is a warning, once for each place in the program, and
+// the emulation goes on with what the chip would most likely do.
+#pragma once
+
+#include <cstdint>
+#include <exception>
+#include <set>
+#include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+namespace heli_due {
+
+enum class Trouble : std::uint8_t {
+  kUnmapped,    // no memory and no peripheral there
+  kUnmodelled,  // the chip has it, the emulator has not
+  kUnclocked,   // the PMC clock of the peripheral is off
+  kUnaligned,   // not a multiple of the access size
+  kNarrow,      // byte or halfword access to a 32-bit register
+  kDirection,   // write of a read-only register or read of a write-only one
+  kMisuse,      // a value or an order that the datasheet forbids
+  kContention,  // two strong drivers on one wire
+};
+inline constexpr int kTroubleCount = 8;
+
+// Name as the command line and the messages use it.
+const char* trouble_name(Trouble kind);
+
+// The emulation cannot go on. what() is one line.
+class Stop : public std::exception {
+ public:
+  explicit Stop(std::string message) : message_(std::move(message)) {}
+  const char* what() const noexcept override { return message_.c_str(); }
+
+ private:
+  std::string message_;
+};
+
+// Function names of the ELF, for messages and profiles.
+class Symbols {
+ public:
+  void add(std::uint32_t address, std::uint32_t size, std::string name);
+  // "name()+0x12", or "" when no function is there.
+  std::string describe(std::uint32_t address) const;
+
+ private:
+  struct Entry {
+    std::uint32_t address;
+    std::uint32_t size;
+    std::string name;
+    bool operator<(const Entry& other) const { return address < other.address; }
+  };
+  std::vector<Entry> entries_;
+};
+
+class Diagnostics {
+ public:
+  void set_all_strict(bool strict) { strict_mask_ = strict ? 0xFFU : 0U; }
+  void set_strict(Trouble kind, bool strict);
+  bool strict(Trouble kind) const { return ((strict_mask_ >> static_cast<unsigned>(kind)) & 1U) != 0; }
+
+  // Throws Stop when `kind` is strict; otherwise notes a warning.
+  void report(Trouble kind, std::uint32_t address, const std::string& text);
+  std::vector<std::string> take_warnings();
+
+  // Where the program is; the Cpu keeps it current.
+  std::uint32_t (*pc_of)(const void*) = nullptr;
+  const void* pc_source = nullptr;
+
+  Symbols symbols;
+
+ private:
+  std::uint32_t strict_mask_ = 0xFF;
+  std::set<std::tuple<Trouble, std::uint32_t, std::uint32_t>> seen_;
+  std::vector<std::string> warnings_;
+};
+
+// "0x400e0a04"
+std::string hex(std::uint32_t value);
+
+}  // namespace heli_due

@@ -1,0 +1,73 @@
+// When each model next wants to act by itself. A few dozen sources: a flat array beats a heap.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+namespace heli_due {
+
+inline constexpr std::uint64_t kNever = ~std::uint64_t{0};
+
+class EventSink {
+ public:
+  virtual ~EventSink() = default;
+  // Called once the time given to Scheduler::set is reached; `now` may be a few cycles later.
+  virtual void event(std::uint64_t now) = 0;
+};
+
+class Scheduler {
+ public:
+  using Id = std::size_t;
+
+  Id add(EventSink* sink) {
+    sources_.push_back({kNever, sink});
+    return sources_.size() - 1;
+  }
+
+  void set(Id id, std::uint64_t cycle) {
+    const std::uint64_t before = sources_[id].cycle;
+    sources_[id].cycle = cycle;
+    if (cycle < next_) {
+      next_ = cycle;
+      // The processor runs until *deadline_; an earlier event must cut that short.
+      if (deadline_ != nullptr && cycle < *deadline_) *deadline_ = cycle;
+    } else if (before == next_) {
+      find_next();
+    }
+  }
+
+  std::uint64_t at(Id id) const { return sources_[id].cycle; }
+  std::uint64_t next() const { return next_; }
+
+  void dispatch(std::uint64_t now) {
+    while (next_ <= now) {
+      for (Source& source : sources_) {
+        if (source.cycle > now) continue;
+        source.cycle = kNever;
+        source.sink->event(now);
+      }
+      find_next();
+    }
+  }
+
+  void watch(std::uint64_t* deadline) { deadline_ = deadline; }
+
+ private:
+  struct Source {
+    std::uint64_t cycle;
+    EventSink* sink;
+  };
+
+  void find_next() {
+    next_ = kNever;
+    for (const Source& source : sources_) {
+      if (source.cycle < next_) next_ = source.cycle;
+    }
+  }
+
+  std::vector<Source> sources_;
+  std::uint64_t next_ = kNever;
+  std::uint64_t* deadline_ = nullptr;
+};
+
+}  // namespace heli_due

@@ -1,0 +1,76 @@
+// What the peripherals of the chip share.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "bus/bus.hpp"
+#include "bus/clock.hpp"
+#include "bus/diagnostics.hpp"
+#include "bus/memory.hpp"
+#include "bus/scheduler.hpp"
+#include "cpu/cpu.hpp"
+#include "cpu/exceptions.hpp"
+
+namespace heli_due {
+
+class Peripheral;
+
+// Peripheral identifiers, which are also the interrupt numbers (datasheet, section 9.1).
+namespace id {
+inline constexpr int kRstc = 1;
+inline constexpr int kRtt = 3;
+inline constexpr int kWdt = 4;
+inline constexpr int kPmc = 5;
+inline constexpr int kEfc0 = 6;
+inline constexpr int kEfc1 = 7;
+inline constexpr int kUart = 8;
+inline constexpr int kPioA = 11;
+inline constexpr int kTc0 = 27;
+inline constexpr int kPwm = 36;
+}  // namespace id
+
+// RSTC_SR.RSTTYP
+enum class ResetType : std::uint8_t { kGeneral = 0, kBackup = 1, kWatchdog = 2, kSoftware = 3, kUser = 4 };
+
+struct System {
+  Memory memory;
+  Diagnostics diagnostics;
+  Scheduler scheduler;
+  Exceptions exceptions;
+  Clock clock;
+  Bus bus{memory, diagnostics};
+  Cpu cpu{memory, bus, scheduler, exceptions};
+  std::vector<Peripheral*> peripherals;
+
+  // PMC_PCSR0 and PCSR1.
+  std::uint64_t peripheral_clocks = 0;
+  // The RC oscillator of the slow clock: 20 to 44 kHz over parts and temperature.
+  std::uint32_t slow_Hz = 32000;
+  // Set by whoever wants the chip reset; carried out after the running instruction.
+  bool reset_wanted = false;
+  bool processor_only = false;
+  ResetType reset_type = ResetType::kGeneral;
+
+  std::uint64_t now() const { return cpu.cycles(); }
+  BoardTime board_now() const { return clock.time_at(cpu.cycles()); }
+  bool clocked(int identifier) const {
+    return ((peripheral_clocks >> static_cast<unsigned>(identifier)) & 1U) != 0;
+  }
+  void set_irq(int identifier, bool high) {
+    exceptions.set_line(static_cast<std::uint8_t>(identifier), high);
+  }
+  void request_reset(ResetType type, bool only_processor = false) {
+    reset_wanted = true;
+    processor_only = only_processor;
+    reset_type = type;
+    cpu.interrupt_run();
+  }
+  void change_mck(std::uint32_t mck_Hz);
+  // Board time of `count` periods of the slow clock.
+  BoardTime slow_periods(std::uint64_t count) const {
+    return count * kFull_Hz * kOneCycle / slow_Hz;
+  }
+};
+
+}  // namespace heli_due

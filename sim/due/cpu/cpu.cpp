@@ -1,0 +1,305 @@
+#include "cpu/cpu.hpp"
+
+#include <algorithm>
+
+#include "cpu/decoder.hpp"
+
+namespace heli_due {
+
+namespace {
+
+const Insn* decode_slot(Cpu& cpu, const Insn* insn) { return cpu.decode(insn); }
+const Insn* fetch_fails(Cpu& cpu, const Insn*) { return cpu.bad_fetch(); }
+
+Insn blank() {
+  Insn insn{};
+  insn.run = &decode_slot;
+  insn.length = 1;
+  return insn;
+}
+
+Insn past_end() {
+  Insn insn{};
+  insn.run = &fetch_fails;
+  return insn;
+}
+
+std::uint32_t pc_of_cpu(const void* cpu) { return static_cast<const Cpu*>(cpu)->pc(); }
+
+}  // namespace
+
+Cpu::Cpu(Memory& memory, Bus& bus, Scheduler& scheduler, Exceptions& exceptions)
+    : memory_(memory),
+      bus_(bus),
+      scheduler_(scheduler),
+      exceptions_(exceptions),
+      ram_(memory.ram.data()),
+      bad_slot_(past_end()) {
+  ip_ = &bad_slot_;
+  memory_.windows[0].open(blank(), past_end());
+  flash_slots_ = memory_.windows[0].slots();
+  scheduler_.watch(&stop_at_);
+  exceptions_.watch(&stop_at_);
+  bus_.diagnostics().pc_of = &pc_of_cpu;
+  bus_.diagnostics().pc_source = this;
+}
+
+void Cpu::reset() {
+  std::fill(std::begin(r), std::end(r), 0U);
+  r[14] = ~0U;
+  other_sp_ = 0;
+  spsel_ = uses_psp_ = unprivileged_thread_ = false;
+  ipsr_ = 0;
+  n_src = 0;
+  z_src = 1;
+  carry = v_src = q_flag = 0;
+  exclusive = false;
+  sleeping_ = waiting_for_event_ = false;
+  halt_ = Halt::kNone;
+  cfsr = hfsr = mmfar = bfar = scr = vtor = 0;
+  ccr = 0x200;
+  open_exceptions_.clear();
+  open_probes_.clear();
+  flush_ = false;
+  memory_.forget_flash_code();
+  memory_.windows[2].forget_all();
+  memory_.windows[3].forget_all();
+  ip_ = bad_slot(0);
+  set_sp(slow_load(vtor, 4));
+  const std::uint32_t start = slow_load(vtor + 4, 4);
+  thumb_ = (start & 1U) != 0;
+  ip_ = thumb_ ? slot(start & ~1U) : bad_slot(start & ~1U);
+}
+
+// -- running ----------------------------------------------------------------------------------
+
+// Lets events happen and exceptions be taken. False: no instruction may run now.
+bool Cpu::prepare(std::uint64_t until) {
+  if (cycles_ >= scheduler_.next()) scheduler_.dispatch(cycles_);
+  if (flush_) forget_flash_code();
+  if (leave_) return false;
+  if (held_) {
+    const std::uint64_t wake = std::min(until, scheduler_.next());
+    cycles_ = std::max(cycles_, wake);
+    return false;
+  }
+  if (sleeping_) {
+    const bool event = waiting_for_event_ && std::exchange(exceptions_.event, false);
+    if (!event && !exceptions_.wakes()) {
+      const std::uint64_t wake = std::max(cycles_, std::min(until, scheduler_.next()));
+      sleep_cycles_ += wake - cycles_;
+      cycles_ = wake;
+      return false;
+    }
+    sleeping_ = false;
+  }
+  if (exceptions_.next() != 0) enter_exception();
+  return halt_ == Halt::kNone && cycles_ < until;
+}
+
+void Cpu::burst() {
+  const Insn* ip = ip_;
+  while (cycles_ < stop_at_) {
+    cycles_ += ip->cycles;
+    ++instructions_;
+    ip_ = ip;
+    ip = ip->run(*this, ip);
+  }
+  ip_ = ip;
+}
+
+void Cpu::run(std::uint64_t until) {
+  leave_ = false;
+  while (cycles_ < until && halt_ == Halt::kNone && !leave_) {
+    if (!prepare(until)) continue;
+    stop_at_ = std::min(until, scheduler_.next());
+    if (exceptions_.next() != 0) continue;
+    try {
+      burst();
+    } catch (const Fault& fault) {
+      raise(fault, true);
+    }
+  }
+}
+
+void Cpu::step(std::uint64_t until) {
+  leave_ = false;
+  if (halt_ != Halt::kNone || !prepare(until)) return;
+  stop_at_ = kNever;
+  try {
+    const Insn* ip = ip_;
+    cycles_ += ip->cycles;
+    ++instructions_;
+    ip_ = ip->run(*this, ip);
+  } catch (const Fault& fault) {
+    raise(fault, true);
+  }
+}
+
+// -- decoded code -----------------------------------------------------------------------------
+
+const Insn* Cpu::decode(const Insn* at) {
+  const std::uint32_t address = pc_of(at);
+  resume_at(address, 0);
+  CodeWindow& window = *memory_.window_of(at);
+  const Insn* insn = window.slot(address);
+  cycles_ += insn->cycles;
+  return insn->run(*this, insn);
+}
+
+// Decodes the instruction at `address` with the ITSTATE `it` in front of it, and the whole IT block
+// that it stands in or opens: only the block's first instruction knows the others' conditions.
+void Cpu::resume_at(std::uint32_t address, std::uint8_t it) {
+  CodeWindow* window = memory_.window_of(address);
+  if (window == nullptr) return;
+  const bool in_ram = window->bytes() == memory_.ram.data();
+  do {
+    const Decoder decoder(*this, *window, address, it);
+    Insn& slot = *window->slot(address);
+    slot = decoder.insn();
+    window->note_decoded(address);
+    if (in_ram) {
+      const std::uint32_t offset = address - window->base();
+      memory_.ram_code[offset / 64] = 1;
+      memory_.ram_code[std::min(offset + 3, kRamSize - 1) / 64] = 1;
+    }
+    const auto mark = marks_.find(address);
+    if (mark != marks_.end()) {
+      mark->second.original = slot.run;
+      slot.run = [](Cpu& cpu, const Insn* i) { return cpu.marked(i); };
+    }
+    it = decoder.is_it()      ? decoder.opens_it()
+         : (it & 0x7U) == 0   ? std::uint8_t{0}
+                              : static_cast<std::uint8_t>((it & 0xE0U) | ((it << 1) & 0x1FU));
+    address += 2U * slot.length;
+  } while (it != 0 && window->holds(address));
+}
+
+void Cpu::forget_flash_code() {
+  flush_ = false;
+  const bool executing = memory_.windows[0].holds(ip_) || memory_.windows[1].holds(ip_);
+  const std::uint32_t address = pc();
+  const std::uint8_t it = ip_->it;
+  memory_.forget_flash_code();
+  if (executing && it != 0) resume_at(address, it);
+}
+
+void Cpu::set_flash_wait_states(std::uint32_t count) {
+  if (count == flash_wait_states_) return;
+  flash_wait_states_ = count;
+  flush_flash_code();
+}
+
+std::uint32_t Cpu::pc_of(const Insn* insn) const {
+  for (const CodeWindow& window : memory_.windows) {
+    if (window.holds(insn)) return window.address_of(insn);
+  }
+  return bad_pc_;
+}
+
+const Insn* Cpu::bad_slot(std::uint32_t address) {
+  bad_pc_ = address;
+  return &bad_slot_;
+}
+
+const Insn* Cpu::slow_slot(std::uint32_t address) {
+  CodeWindow* window = memory_.window_of(address);
+  if (window == nullptr) return bad_slot(address);
+  if (window->bytes() == memory_.flash.data()) bus_.use_flash(address - window->base());
+  if (window->slots() == nullptr) window->open(blank(), past_end());
+  return window->slot(address);
+}
+
+const Insn* Cpu::bad_fetch() {
+  const std::uint32_t address = pc();
+  if (!thumb_) throw Fault{exc::kUsageFault, cfsr::kInvState, 0, false};
+  bus_.diagnostics().report(Trouble::kUnmapped, address,
+                            "instruction fetch from " + hex(address) + ", where there is no memory");
+  const std::uint32_t region = address >> 29;
+  const bool never_executable = region == 2 || region >= 5;
+  if (never_executable) throw Fault{exc::kMemManage, cfsr::kIaccViol, 0, false};
+  throw Fault{exc::kBusFault, cfsr::kIbusErr, 0, false};
+}
+
+const Insn* Cpu::branch_exchange(std::uint32_t target) {
+  if (target >= 0xF0000000U && ipsr_ != 0) return return_from_exception(target);
+  if ((target & 1U) != 0) return slot(target & ~1U);
+  thumb_ = false;
+  return bad_slot(target);
+}
+
+// -- memory -----------------------------------------------------------------------------------
+
+std::uint32_t Cpu::slow_load(std::uint32_t address, std::uint32_t size) {
+  const std::uint32_t offset = address - kFlashBase;
+  if (offset < kFlashSize && (address & (size - 1)) == 0 && !flash_busy) {
+    std::uint32_t value = 0;
+    std::memcpy(&value, memory_.flash.data() + offset, size);
+    return value;
+  }
+  if ((address & (size - 1)) != 0 && (ccr & 8U) != 0) throw_unaligned(address);
+  return bus_.read(address, size);
+}
+
+void Cpu::slow_store(std::uint32_t address, std::uint32_t value, std::uint32_t size) {
+  if ((address & (size - 1)) != 0 && (ccr & 8U) != 0) throw_unaligned(address);
+  bus_.write(address, value, size);
+}
+
+void Cpu::throw_unaligned(std::uint32_t address) const {
+  bus_.diagnostics().report(Trouble::kUnaligned, address,
+                            "access to " + hex(address) + ", which this instruction cannot split");
+  throw Fault{exc::kUsageFault, cfsr::kUnaligned, 0, false};
+}
+
+void Cpu::undefined(const Insn*) const {
+  throw Fault{exc::kUsageFault, cfsr::kUndefInstr, 0, false};
+}
+
+// -- registers --------------------------------------------------------------------------------
+
+void Cpu::set_pc(std::uint32_t address) {
+  thumb_ = true;
+  ip_ = slot(address & ~1U);
+}
+
+void Cpu::set_reg(unsigned index, std::uint32_t value) {
+  if (index == 15) return set_pc(value);
+  if (index == 13) return set_sp(value);
+  r[index] = value;
+}
+
+std::uint32_t Cpu::xpsr() const {
+  const std::uint32_t it = ip_->it;
+  return (n_src & 0x80000000U) | (z_src == 0 ? 1U << 30 : 0U) | (carry << 29) |
+         ((v_src >> 31) << 28) | (q_flag << 27) | ((it & 3U) << 25) | ((it >> 2) << 10) |
+         (thumb_ ? 1U << 24 : 0U) | ipsr_;
+}
+
+void Cpu::set_apsr(std::uint32_t value) {
+  n_src = value & 0x80000000U;
+  z_src = (value & 0x40000000U) != 0 ? 0 : 1;
+  carry = (value >> 29) & 1U;
+  v_src = value << 3;
+  q_flag = (value >> 27) & 1U;
+}
+
+bool Cpu::passes(unsigned condition) const {
+  const bool n = (n_src >> 31) != 0;
+  const bool z = z_src == 0;
+  const bool v = (v_src >> 31) != 0;
+  bool result = true;
+  switch (condition >> 1) {
+    case 0: result = z; break;
+    case 1: result = carry != 0; break;
+    case 2: result = n; break;
+    case 3: result = v; break;
+    case 4: result = carry != 0 && !z; break;
+    case 5: result = n == v; break;
+    case 6: result = n == v && !z; break;
+    default: return true;
+  }
+  return result == ((condition & 1U) == 0);
+}
+
+}  // namespace heli_due

@@ -1,0 +1,425 @@
+// 16-bit Thumb encodings (ARMv7-M A5.2).
+#include "cpu/decoder.hpp"
+
+namespace heli_due {
+
+using ops::Alu;
+using ops::Mode;
+using ops::Op2;
+
+namespace {
+
+std::uint32_t field(std::uint32_t w, unsigned low, unsigned bits) {
+  return (w >> low) & ((1U << bits) - 1U);
+}
+
+std::uint32_t sign_extend(std::uint32_t value, unsigned bits) {
+  const std::uint32_t sign = 1U << (bits - 1);
+  return (value ^ sign) - sign;
+}
+
+// Pipeline refill after a taken branch: 1 to 3 cycles in the reference manual.
+constexpr std::uint32_t kRefill = 2;
+
+}  // namespace
+
+Decoder::Decoder(const Cpu& cpu, const CodeWindow& window, std::uint32_t address, std::uint8_t it)
+    : cpu_(cpu), window_(window), address_(address), it_(it) {
+  const std::uint8_t* bytes = window.bytes() + (address - window.base());
+  const auto first = static_cast<std::uint32_t>(bytes[0] | (bytes[1] << 8));
+  out_.it = it;
+  out_.length = 1;
+  out_.cycles = 1;
+  if (first < 0xE800U) {
+    decode16(first);
+    return;
+  }
+  out_.length = 2;
+  if (window.holds(address + 2)) {
+    decode32(first, static_cast<std::uint32_t>(bytes[2] | (bytes[3] << 8)));
+  } else {
+    undefined();
+  }
+}
+
+void Decoder::undefined() { put<&ops::undefined>(); }
+
+bool Decoder::near(std::uint32_t target) const {
+  // The two flash planes are programmed independently, so a branch across them goes the long way.
+  const bool same_plane = (target - kFlashBase) / kPlaneSize == (address_ - kFlashBase) / kPlaneSize;
+  return window_.holds(target) && (same_plane || !window_.holds(kFlashBase));
+}
+
+// Cycles on top of one: refill, and the wait states of a flash line that is not being read anyhow.
+std::uint8_t Decoder::taken_cycles(std::uint32_t target) const {
+  std::uint32_t count = kRefill;
+  const bool in_flash = window_.bytes() != nullptr && window_.size() == kFlashSize;
+  if (in_flash && (target >> 4) != (address_ >> 4)) count += cpu_.flash_wait_states();
+  return static_cast<std::uint8_t>(count);
+}
+
+void Decoder::set_target(std::uint32_t target) {
+  out_.imm = target;
+  out_.step = static_cast<std::int32_t>(target - address_) / 2;
+}
+
+void Decoder::branch_to(std::uint32_t target, bool link) {
+  set_target(target);
+  cycles(1U + taken_cycles(target));
+  if (link) {
+    if (!near(target)) return put<&ops::branch_link_far>();
+    out_.imm = (address_ + 4) | 1U;
+    put<&ops::branch_link_near>();
+  } else {
+    near(target) ? put<&ops::branch_near>() : put<&ops::branch_far>();
+  }
+}
+
+template <unsigned kCondition>
+static Handler conditional_branch(bool is_near) {
+  return is_near ? &ops::branch_if<kCondition, true> : &ops::branch_if<kCondition, false>;
+}
+
+void Decoder::branch_to_if(std::uint32_t condition, std::uint32_t target) {
+  if (in_it()) return undefined();
+  set_target(target);
+  extra(taken_cycles(target));
+  const bool is_near = near(target);
+  switch (condition) {
+    case 0: out_.run = conditional_branch<0>(is_near); return;
+    case 1: out_.run = conditional_branch<1>(is_near); return;
+    case 2: out_.run = conditional_branch<2>(is_near); return;
+    case 3: out_.run = conditional_branch<3>(is_near); return;
+    case 4: out_.run = conditional_branch<4>(is_near); return;
+    case 5: out_.run = conditional_branch<5>(is_near); return;
+    case 6: out_.run = conditional_branch<6>(is_near); return;
+    case 7: out_.run = conditional_branch<7>(is_near); return;
+    case 8: out_.run = conditional_branch<8>(is_near); return;
+    case 9: out_.run = conditional_branch<9>(is_near); return;
+    case 10: out_.run = conditional_branch<10>(is_near); return;
+    case 11: out_.run = conditional_branch<11>(is_near); return;
+    case 12: out_.run = conditional_branch<12>(is_near); return;
+    default: out_.run = conditional_branch<13>(is_near); return;
+  }
+}
+
+void Decoder::decode16(std::uint32_t w) {
+  switch (w >> 12) {
+    case 0: case 1: case 2: case 3: return shift_add_compare(w);
+    case 4:
+      if ((w & 0x0C00U) == 0) return data_processing16(w);
+      if ((w & 0x0C00U) == 0x0400U) return special_data(w);
+      rd(field(w, 8, 3));
+      return literal(4, false, (pc() & ~3U) + 4 * field(w, 0, 8));
+    case 5: case 6: case 7: case 8: case 9: return load_store16(w);
+    case 10:
+      rd(field(w, 8, 3));
+      if ((w & 0x0800U) == 0) {
+        out_.imm = (pc() & ~3U) + 4 * field(w, 0, 8);
+        return put_alu<Alu::kMov, Op2::kImm>(false);
+      }
+      rn(13);
+      out_.imm = 4 * field(w, 0, 8);
+      return put_alu<Alu::kAdd, Op2::kImm>(false);
+    case 11: return miscellaneous16(w);
+    case 12: return multiple16(w);
+    case 13: {
+      const std::uint32_t condition = field(w, 8, 4);
+      if (condition == 14) return undefined();
+      if (condition == 15) {
+        out_.imm = field(w, 0, 8);
+        return put<&ops::supervisor_call>();
+      }
+      return branch_to_if(condition, pc() + 2 * sign_extend(field(w, 0, 8), 8));
+    }
+    default:
+      if (in_it() && !last_in_it()) return undefined();
+      return branch_to(pc() + 2 * sign_extend(field(w, 0, 11), 11), false);
+  }
+}
+
+Op2 Decoder::immediate_shift(std::uint32_t type, std::uint32_t amount) {
+  extra(amount);
+  switch (type) {
+    case 0: return amount == 0 ? Op2::kReg : Op2::kLsl;
+    case 1:
+      extra(amount == 0 ? 32 : amount);
+      return Op2::kLsr;
+    case 2:
+      extra(amount == 0 ? 32 : amount);
+      return Op2::kAsr;
+    default: return amount == 0 ? Op2::kRrx : Op2::kRor;
+  }
+}
+
+void Decoder::shift_add_compare(std::uint32_t w) {
+  const bool flags = !in_it();
+  const std::uint32_t op = field(w, 11, 3);
+  if ((w >> 13) == 1) {
+    rd(field(w, 8, 3));
+    rn(field(w, 8, 3));
+    out_.imm = field(w, 0, 8);
+    switch (field(w, 11, 2)) {
+      case 0: return put_alu<Alu::kMov, Op2::kImm>(flags);
+      case 1: return put_alu<Alu::kCmp, Op2::kImm>(true);
+      case 2: return put_alu<Alu::kAdd, Op2::kImm>(flags);
+      default: return put_alu<Alu::kSub, Op2::kImm>(flags);
+    }
+  }
+  rd(field(w, 0, 3));
+  if (op < 3) {
+    rm(field(w, 3, 3));
+    return put_op2<Alu::kMov>(immediate_shift(op, field(w, 6, 5)), flags);
+  }
+  rn(field(w, 3, 3));
+  rm(field(w, 6, 3));
+  out_.imm = field(w, 6, 3);
+  switch (field(w, 9, 2)) {
+    case 0: return put_alu<Alu::kAdd, Op2::kReg>(flags);
+    case 1: return put_alu<Alu::kSub, Op2::kReg>(flags);
+    case 2: return put_alu<Alu::kAdd, Op2::kImm>(flags);
+    default: return put_alu<Alu::kSub, Op2::kImm>(flags);
+  }
+}
+
+void Decoder::data_processing16(std::uint32_t w) {
+  using ops::Shift;
+  const bool flags = !in_it();
+  const std::uint32_t low = field(w, 0, 3);
+  rd(low);
+  rn(low);
+  rm(field(w, 3, 3));
+  switch (field(w, 6, 4)) {
+    case 0: return put_alu<Alu::kAnd, Op2::kReg>(flags);
+    case 1: return put_alu<Alu::kEor, Op2::kReg>(flags);
+    case 2:
+      return flags ? put<&ops::shift_by_register<Shift::kLsl, true>>()
+                   : put<&ops::shift_by_register<Shift::kLsl, false>>();
+    case 3:
+      return flags ? put<&ops::shift_by_register<Shift::kLsr, true>>()
+                   : put<&ops::shift_by_register<Shift::kLsr, false>>();
+    case 4:
+      return flags ? put<&ops::shift_by_register<Shift::kAsr, true>>()
+                   : put<&ops::shift_by_register<Shift::kAsr, false>>();
+    case 5: return put_alu<Alu::kAdc, Op2::kReg>(flags);
+    case 6: return put_alu<Alu::kSbc, Op2::kReg>(flags);
+    case 7:
+      return flags ? put<&ops::shift_by_register<Shift::kRor, true>>()
+                   : put<&ops::shift_by_register<Shift::kRor, false>>();
+    case 8: return put_alu<Alu::kTst, Op2::kReg>(true);
+    case 9:
+      rn(field(w, 3, 3));
+      out_.imm = 0;
+      return put_alu<Alu::kRsb, Op2::kImm>(flags);
+    case 10: return put_alu<Alu::kCmp, Op2::kReg>(true);
+    case 11: return put_alu<Alu::kCmn, Op2::kReg>(true);
+    case 12: return put_alu<Alu::kOrr, Op2::kReg>(flags);
+    case 13: return flags ? put<&ops::multiply<true>>() : put<&ops::multiply<false>>();
+    case 14: return put_alu<Alu::kBic, Op2::kReg>(flags);
+    default: return put_alu<Alu::kMvn, Op2::kReg>(flags);
+  }
+}
+
+void Decoder::special_data(std::uint32_t w) {
+  const std::uint32_t d = field(w, 0, 3) | (field(w, 7, 1) << 3);
+  rd(d);
+  rn(d);
+  rm(field(w, 3, 4));
+  const std::uint32_t op = field(w, 8, 2);
+  if (op == 1) {
+    if (out_.rm == 15 || d == 15) return undefined();
+    return put_alu<Alu::kCmp, Op2::kReg>(true);
+  }
+  if (op == 3 || d == 15) {
+    if (in_it() && !last_in_it()) return undefined();
+    cycles(1U + taken_cycles(~0U));
+  }
+  if (op == 3) {
+    if (field(w, 0, 3) != 0 || out_.rm == 15) return undefined();
+    if (field(w, 7, 1) == 0) return put<&ops::branch_exchange>();
+    out_.imm = (address_ + 2) | 1U;
+    return put<&ops::branch_link_exchange>();
+  }
+  if (op == 0) {
+    if (d == 15) {
+      if (out_.rm == 15) return undefined();
+      out_.imm = pc();
+      return put<&ops::add_to_pc>();
+    }
+    if (out_.rm == 15) {
+      out_.imm = pc();
+      return put_alu<Alu::kAdd, Op2::kImm>(false);
+    }
+    return put_alu<Alu::kAdd, Op2::kReg>(false);
+  }
+  if (out_.rm == 15) {
+    if (d == 15) return undefined();
+    out_.imm = pc();
+    return put_alu<Alu::kMov, Op2::kImm>(false);
+  }
+  if (d == 15) return put<&ops::move_to_pc>();
+  put_alu<Alu::kMov, Op2::kReg>(false);
+}
+
+void Decoder::load_store16(std::uint32_t w) {
+  rd(field(w, 0, 3));
+  rn(field(w, 3, 3));
+  const std::uint32_t imm5 = field(w, 6, 5);
+  const bool is_load = field(w, 11, 1) != 0;
+  switch (w >> 12) {
+    case 5: {
+      rm(field(w, 6, 3));
+      extra(0);
+      switch (field(w, 9, 3)) {
+        case 0: return put_load_store<Mode::kRegister>(4, false, false);
+        case 1: return put_load_store<Mode::kRegister>(2, false, false);
+        case 2: return put_load_store<Mode::kRegister>(1, false, false);
+        case 3: return put_load_store<Mode::kRegister>(1, true, true);
+        case 4: return put_load_store<Mode::kRegister>(4, false, true);
+        case 5: return put_load_store<Mode::kRegister>(2, false, true);
+        case 6: return put_load_store<Mode::kRegister>(1, false, true);
+        default: return put_load_store<Mode::kRegister>(2, true, true);
+      }
+    }
+    case 6:
+      out_.imm = imm5 * 4;
+      return put_load_store<Mode::kOffset>(4, false, is_load);
+    case 7:
+      out_.imm = imm5;
+      return put_load_store<Mode::kOffset>(1, false, is_load);
+    case 8:
+      out_.imm = imm5 * 2;
+      return put_load_store<Mode::kOffset>(2, false, is_load);
+    default:
+      rd(field(w, 8, 3));
+      rn(13);
+      out_.imm = field(w, 0, 8) * 4;
+      return put_load_store<Mode::kOffset>(4, false, is_load);
+  }
+}
+
+void Decoder::miscellaneous16(std::uint32_t w) {
+  const std::uint32_t op = field(w, 8, 4);
+  switch (op) {
+    case 0:
+      rd(13);
+      rn(13);
+      out_.imm = field(w, 0, 7) * 4;
+      return field(w, 7, 1) == 0 ? put_alu<Alu::kAdd, Op2::kImm>(false)
+                                 : put_alu<Alu::kSub, Op2::kImm>(false);
+    case 1: case 3: case 9: case 11: {
+      if (in_it()) return undefined();
+      rn(field(w, 0, 3));
+      ra(field(w, 11, 1));
+      const std::uint32_t target = pc() + ((field(w, 9, 1) << 6) | (field(w, 3, 5) << 1));
+      set_target(target);
+      extra(taken_cycles(target));
+      return put<&ops::compare_and_branch>();
+    }
+    case 2:
+      rd(field(w, 0, 3));
+      rm(field(w, 3, 3));
+      switch (field(w, 6, 2)) {
+        case 0: return put<&ops::extend<ops::Extend::kSxth>>();
+        case 1: return put<&ops::extend<ops::Extend::kSxtb>>();
+        case 2: return put<&ops::extend<ops::Extend::kUxth>>();
+        default: return put<&ops::extend<ops::Extend::kUxtb>>();
+      }
+    case 4: case 5:
+      rn(13);
+      ra(1);
+      out_.imm = field(w, 0, 8) | (field(w, 8, 1) << 14);
+      if (out_.imm == 0) return undefined();
+      cycles(1U + static_cast<std::uint32_t>(__builtin_popcount(out_.imm)));
+      return put<&ops::store_multiple<true>>();
+    case 6:
+      if ((w & 0xE8U) != 0x60U || in_it()) return undefined();
+      ra(field(w, 4, 1) | (field(w, 1, 1) << 1) | (field(w, 0, 1) << 2));
+      return put<&ops::change_state>();
+    case 10:
+      rd(field(w, 0, 3));
+      rm(field(w, 3, 3));
+      switch (field(w, 6, 2)) {
+        case 0: return put<&ops::unary<ops::Unary::kRev>>();
+        case 1: return put<&ops::unary<ops::Unary::kRev16>>();
+        case 3: return put<&ops::unary<ops::Unary::kRevsh>>();
+        default: return undefined();
+      }
+    case 12: case 13:
+      rn(13);
+      ra(1);
+      out_.imm = field(w, 0, 8) | (field(w, 8, 1) << 15);
+      if (out_.imm == 0 || (op == 13 && in_it() && !last_in_it())) return undefined();
+      cycles(1U + static_cast<std::uint32_t>(__builtin_popcount(out_.imm)) +
+             (op == 13 ? taken_cycles(~0U) : 0U));
+      return put<&ops::load_multiple<false>>();
+    case 14:
+      out_.imm = field(w, 0, 8);
+      out_.run = &ops::breakpoint;
+      return;
+    case 15: return hints(w);
+    default: return undefined();
+  }
+}
+
+void Decoder::hints(std::uint32_t w) {
+  if ((w & 0xFU) != 0) {
+    const std::uint32_t condition = field(w, 4, 4);
+    // AL takes no else part, and the IT block may not nest.
+    const bool al_else = condition == 14 && (w & (w - 1) & 0xFU) != 0;
+    if (in_it() || condition == 15 || al_else) return undefined();
+    is_it_ = true;
+    out_.imm = w & 0xFFU;
+    out_.run = &ops::nop;
+    return;
+  }
+  switch (field(w, 4, 4)) {
+    case 2: return put<&ops::wait_for_event>();
+    case 3: return put<&ops::wait_for_interrupt>();
+    case 4: return put<&ops::send_event>();
+    default: return put<&ops::nop>();
+  }
+}
+
+void Decoder::multiple16(std::uint32_t w) {
+  rn(field(w, 8, 3));
+  out_.imm = field(w, 0, 8);
+  if (out_.imm == 0) return undefined();
+  cycles(1U + static_cast<std::uint32_t>(__builtin_popcount(out_.imm)));
+  const bool in_list = ((out_.imm >> out_.rn) & 1U) != 0;
+  if (field(w, 11, 1) != 0) {
+    ra(in_list ? 0 : 1);
+    return put<&ops::load_multiple<false>>();
+  }
+  ra(1);
+  // Storing a base that is written back is only defined for the lowest register of the list.
+  if (in_list && (out_.imm & ((1U << out_.rn) - 1U)) != 0) return undefined();
+  put<&ops::store_multiple<false>>();
+}
+
+void Decoder::literal(std::uint32_t size, bool sign, std::uint32_t address) {
+  cycles(2);
+  out_.imm = address;
+  if (size == 4 && out_.rd == 15) {
+    cycles(2U + taken_cycles(~0U));
+    return put<&ops::load_literal_pc>();
+  }
+  const bool in_flash = window_.size() == kFlashSize;
+  if (size == 4 && in_flash && near(address) && (address & 3U) == 0) {
+    // Flash only changes by programming, which empties the decoded copies.
+    const std::uint8_t* bytes = window_.bytes() + (address - window_.base());
+    std::memcpy(&out_.imm, bytes, 4);
+    return put_alu<Alu::kMov, Op2::kImm>(false);
+  }
+  if (size == 1) {
+    return sign ? put_rd<&ops::load_literal<std::uint8_t, true>>()
+                : put_rd<&ops::load_literal<std::uint8_t, false>>();
+  }
+  if (size == 2) {
+    return sign ? put_rd<&ops::load_literal<std::uint16_t, true>>()
+                : put_rd<&ops::load_literal<std::uint16_t, false>>();
+  }
+  put_rd<&ops::load_literal<std::uint32_t, false>>();
+}
+
+}  // namespace heli_due

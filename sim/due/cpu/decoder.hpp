@@ -1,0 +1,142 @@
+// Thumb-2 decoder of ARMv7-M. One object decodes one instruction.
+//
+// Encodings that the architecture leaves UNPREDICTABLE are refused like undefined ones wherever a
+// compiler would never write them, so that a firmware that runs into data is noticed.
+#pragma once
+
+#include <cstdint>
+
+#include "bus/memory.hpp"
+#include "cpu/cpu.hpp"
+#include "cpu/insn.hpp"
+#include "cpu/ops_branch.hpp"
+
+namespace heli_due {
+
+class Decoder {
+ public:
+  // `it` is ITSTATE in front of the instruction at `address`.
+  Decoder(const Cpu& cpu, const CodeWindow& window, std::uint32_t address, std::uint8_t it);
+
+  const Insn& insn() const { return out_; }
+  bool is_it() const { return is_it_; }
+  // ITSTATE that an IT instruction sets up.
+  std::uint8_t opens_it() const { return static_cast<std::uint8_t>(out_.imm); }
+
+ private:
+  void decode16(std::uint32_t w);
+  void shift_add_compare(std::uint32_t w);
+  void data_processing16(std::uint32_t w);
+  void special_data(std::uint32_t w);
+  void load_store16(std::uint32_t w);
+  void miscellaneous16(std::uint32_t w);
+  void multiple16(std::uint32_t w);
+  void hints(std::uint32_t w);
+
+  void decode32(std::uint32_t a, std::uint32_t b);
+  void multiple32(std::uint32_t a, std::uint32_t b);
+  void double_exclusive(std::uint32_t a, std::uint32_t b);
+  void shifted_register(std::uint32_t a, std::uint32_t b);
+  void modified_immediate(std::uint32_t a, std::uint32_t b);
+  void plain_immediate(std::uint32_t a, std::uint32_t b);
+  void branches(std::uint32_t a, std::uint32_t b);
+  void control(std::uint32_t a, std::uint32_t b);
+  void special_register(std::uint32_t a, std::uint32_t b);
+  void load_store32(std::uint32_t a, std::uint32_t b);
+  void register_operations(std::uint32_t a, std::uint32_t b);
+  void multiply32(std::uint32_t a, std::uint32_t b);
+  void multiply_long32(std::uint32_t a, std::uint32_t b);
+  void data_processing32(std::uint32_t op, bool flags, ops::Op2 op2, std::uint32_t rd,
+                         std::uint32_t rn);
+
+  template <Handler kHandler>
+  void put() {
+    out_.run = it_ != 0 ? &ops::conditional<kHandler> : kHandler;
+  }
+  // As put(), for handlers that write `rd`, which may be the stack pointer.
+  template <Handler kHandler>
+  void put_rd() {
+    if (out_.rd == 13) {
+      put<&ops::into_sp<kHandler>>();
+    } else {
+      put<kHandler>();
+    }
+  }
+  template <ops::Alu kAlu, ops::Op2 kOp>
+  void put_alu(bool flags) {
+    if (flags) {
+      put_rd<&ops::alu<kAlu, kOp, true>>();
+    } else {
+      put_rd<&ops::alu<kAlu, kOp, false>>();
+    }
+  }
+  template <ops::Alu kAlu>
+  void put_op2(ops::Op2 op2, bool flags);
+  template <ops::Mode kMode>
+  void put_load_store(std::uint32_t size, bool sign, bool is_load);
+  void literal(std::uint32_t size, bool sign, std::uint32_t address);
+  ops::Op2 immediate_shift(std::uint32_t type, std::uint32_t amount);
+
+  void undefined();
+  void branch_to(std::uint32_t target, bool link);
+  void branch_to_if(std::uint32_t condition, std::uint32_t target);
+  bool near(std::uint32_t target) const;
+  std::uint8_t taken_cycles(std::uint32_t target) const;
+  void set_target(std::uint32_t target);
+  std::uint32_t pc() const { return address_ + 4; }
+  bool in_it() const { return it_ != 0; }
+  bool last_in_it() const { return (it_ & 0xFU) == 0x8U; }
+  void rd(std::uint32_t value) { out_.rd = static_cast<std::uint8_t>(value); }
+  void rn(std::uint32_t value) { out_.rn = static_cast<std::uint8_t>(value); }
+  void rm(std::uint32_t value) { out_.rm = static_cast<std::uint8_t>(value); }
+  void ra(std::uint32_t value) { out_.ra = static_cast<std::uint8_t>(value); }
+  void extra(std::uint32_t value) { out_.extra = static_cast<std::uint8_t>(value); }
+  void cycles(std::uint32_t value) { out_.cycles = static_cast<std::uint8_t>(value); }
+
+  const Cpu& cpu_;
+  const CodeWindow& window_;
+  std::uint32_t address_;
+  std::uint8_t it_;
+  bool is_it_ = false;
+  Insn out_{};
+};
+
+template <ops::Alu kAlu>
+void Decoder::put_op2(ops::Op2 op2, bool flags) {
+  switch (op2) {
+    case ops::Op2::kImm: return put_alu<kAlu, ops::Op2::kImm>(flags);
+    case ops::Op2::kImmCarry: return put_alu<kAlu, ops::Op2::kImmCarry>(flags);
+    case ops::Op2::kReg: return put_alu<kAlu, ops::Op2::kReg>(flags);
+    case ops::Op2::kLsl: return put_alu<kAlu, ops::Op2::kLsl>(flags);
+    case ops::Op2::kLsr: return put_alu<kAlu, ops::Op2::kLsr>(flags);
+    case ops::Op2::kAsr: return put_alu<kAlu, ops::Op2::kAsr>(flags);
+    case ops::Op2::kRor: return put_alu<kAlu, ops::Op2::kRor>(flags);
+    case ops::Op2::kRrx: return put_alu<kAlu, ops::Op2::kRrx>(flags);
+  }
+}
+
+template <ops::Mode kMode>
+void Decoder::put_load_store(std::uint32_t size, bool sign, bool is_load) {
+  using u8 = std::uint8_t;
+  using u16 = std::uint16_t;
+  using u32 = std::uint32_t;
+  cycles(is_load ? 2 : 1);
+  if (!is_load) {
+    if (size == 1) return put<&ops::store<u8, kMode>>();
+    if (size == 2) return put<&ops::store<u16, kMode>>();
+    return put<&ops::store<u32, kMode>>();
+  }
+  if (size == 1) {
+    return sign ? put_rd<&ops::load<u8, true, kMode>>() : put_rd<&ops::load<u8, false, kMode>>();
+  }
+  if (size == 2) {
+    return sign ? put_rd<&ops::load<u16, true, kMode>>() : put_rd<&ops::load<u16, false, kMode>>();
+  }
+  if (out_.rd == 15) {
+    cycles(2U + taken_cycles(~0U));
+    return put<&ops::load_pc<kMode>>();
+  }
+  put_rd<&ops::load<u32, false, kMode>>();
+}
+
+}  // namespace heli_due

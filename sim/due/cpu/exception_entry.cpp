@@ -1,0 +1,295 @@
+// Exception entry, return, faults and their escalation (ARMv7-M B1.5.6 to B1.5.15).
+//
+// Stacking is one step of 12 cycles. What arrives during it takes over the handler fetch when it is
+// more urgent (late arrival); what pends at a return is entered without unstacking (tail-chaining).
+#include <algorithm>
+
+#include "cpu/cpu.hpp"
+
+namespace heli_due {
+
+namespace {
+
+constexpr std::uint32_t kEntryCycles = 12;
+constexpr std::uint32_t kReturnCycles = 10;
+constexpr std::uint32_t kTailChainCycles = 6;
+
+constexpr std::uint32_t kReturnHandler = 0xFFFFFFF1U;
+constexpr std::uint32_t kReturnThreadMain = 0xFFFFFFF9U;
+constexpr std::uint32_t kReturnThreadProcess = 0xFFFFFFFDU;
+
+constexpr std::uint32_t kHfsrVectorTable = 1U << 1;
+constexpr std::uint32_t kHfsrForced = 1U << 30;
+constexpr std::uint32_t kHfsrDebugEvent = 1U << 31;
+
+constexpr std::uint32_t kCcrNonBaseThread = 1U << 0;
+constexpr std::uint32_t kCcrStackAlign = 1U << 9;
+constexpr std::uint32_t kScrSleepOnExit = 1U << 1;
+
+}  // namespace
+
+void Cpu::use_psp(bool psp) {
+  if (psp == uses_psp_) return;
+  std::swap(r[13], other_sp_);
+  uses_psp_ = psp;
+}
+
+void Cpu::lock_up(const std::string& why) {
+  halt_ = Halt::kLockup;
+  const std::uint32_t at = pc();
+  std::string message = "lockup: " + why + "; at pc " + hex(at);
+  const std::string function = bus_.diagnostics().symbols.describe(at);
+  if (!function.empty()) message += " in " + function;
+  throw Stop(message);
+}
+
+// Notes the fault and makes its exception pend, escalated to HardFault when it cannot be taken.
+void Cpu::raise(const Fault& fault, bool synchronous) {
+  cfsr |= fault.cfsr;
+  if (fault.has_address && fault.exception == exc::kBusFault) {
+    bfar = fault.address;
+    cfsr |= cfsr::kBfarValid;
+  }
+  if (fault.has_address && fault.exception == exc::kMemManage) {
+    mmfar = fault.address;
+    cfsr |= cfsr::kMmarValid;
+  }
+  std::uint8_t number = fault.exception;
+  if (number != exc::kHardFault && !exceptions_.can_take(number)) {
+    number = exc::kHardFault;
+    hfsr |= kHfsrForced;
+  }
+  if (number == exc::kHardFault && !exceptions_.can_take(exc::kHardFault) && synchronous) {
+    lock_up("fault inside a handler of priority -1 or above, CFSR " + hex(cfsr) + ", HFSR " +
+            hex(hfsr));
+  }
+  exceptions_.pend(number);
+}
+
+void Cpu::push_frame() {
+  const bool align = (ccr & kCcrStackAlign) != 0;
+  const std::uint32_t padding = align && (r[13] & 4U) != 0 ? 4U : 0U;
+  const std::uint32_t frame = r[13] - 0x20U - padding;
+  const std::uint32_t return_address = pc();
+  const std::uint32_t saved_psr = xpsr() | (padding != 0 ? 1U << 9 : 0U);
+  r[13] = frame;
+  try {
+    const std::uint32_t words[8] = {r[0], r[1], r[2], r[3], r[12], r[14], return_address, saved_psr};
+    for (unsigned i = 0; i < 8; ++i) store<std::uint32_t>(frame + 4 * i, words[i]);
+  } catch (const Fault& fault) {
+    const bool bus = fault.exception == exc::kBusFault;
+    raise({fault.exception, bus ? cfsr::kStkErr : cfsr::kMstkErr, 0, false}, false);
+  }
+}
+
+void Cpu::enter_exception() {
+  if (stop_at_hardfault && exceptions_.next() == exc::kHardFault) {
+    halt_ = Halt::kHardFault;
+    return;
+  }
+  const std::uint32_t exc_return =
+      ipsr_ != 0 ? kReturnHandler : (uses_psp_ ? kReturnThreadProcess : kReturnThreadMain);
+  push_frame();
+  cycles_ += kEntryCycles;
+  if (cycles_ >= scheduler_.next()) scheduler_.dispatch(cycles_);
+  enter_handler(exc_return);
+}
+
+// Enters the most urgent pending exception, its frame being on the stack.
+void Cpu::enter_handler(std::uint32_t exc_return) {
+  const std::uint8_t number = exceptions_.next();
+  if (stop_at_hardfault && number == exc::kHardFault) {
+    halt_ = Halt::kHardFault;
+    return;
+  }
+  use_psp(false);
+  ipsr_ = number;
+  r[14] = exc_return;
+  exceptions_.activate(number);
+  exclusive = false;
+  exceptions_.event = true;
+  note_entry(number);
+  std::uint32_t vector = 0;
+  try {
+    vector = slow_load(vtor + 4U * number, 4);
+  } catch (const Fault&) {
+    if (number <= exc::kHardFault) lock_up("the vector of the fault handler cannot be read");
+    hfsr |= kHfsrVectorTable;
+    exceptions_.pend(exc::kHardFault);
+    ip_ = bad_slot(0);
+    return;
+  }
+  thumb_ = (vector & 1U) != 0;
+  ip_ = thumb_ ? slot(vector & ~1U) : bad_slot(vector & ~1U);
+}
+
+void Cpu::fail_return(std::uint32_t exc_return) {
+  note_return();
+  if (exceptions_.active(static_cast<std::uint8_t>(ipsr_))) {
+    exceptions_.deactivate(static_cast<std::uint8_t>(ipsr_));
+  }
+  r[14] = 0xF0000000U | exc_return;
+  raise({exc::kUsageFault, cfsr::kInvPc, 0, false}, true);
+  // The frame of the interrupted code is still on the stack: enter without another one.
+  enter_handler(r[14]);
+}
+
+const Insn* Cpu::return_from_exception(std::uint32_t exc_return) {
+  const auto number = static_cast<std::uint8_t>(ipsr_);
+  const int nesting = __builtin_popcountll(exceptions_.active_mask());
+  const bool base_only = (ccr & kCcrNonBaseThread) == 0 && nesting != 1;
+  const bool to_handler = exc_return == kReturnHandler;
+  const bool to_thread = exc_return == kReturnThreadMain || exc_return == kReturnThreadProcess;
+  stop_at_ = 0;
+  if (!exceptions_.active(number) || (!to_handler && !to_thread) || (to_handler && nesting == 1) ||
+      (to_thread && base_only)) {
+    fail_return(exc_return);
+    return ip_;
+  }
+  if (number != exc::kNmi) exceptions_.set_faultmask(false);
+  note_return();
+  exceptions_.deactivate(number);
+  exceptions_.event = true;
+  exclusive = false;
+  if (exceptions_.next() != 0) {
+    cycles_ += kTailChainCycles;
+    ip_ = bad_slot(exc_return);
+    enter_handler(exc_return);
+    return ip_;
+  }
+  pop_frame(exc_return);
+  return ip_;
+}
+
+void Cpu::pop_frame(std::uint32_t exc_return) {
+  cycles_ += kReturnCycles;
+  const bool process = exc_return == kReturnThreadProcess;
+  if (exc_return != kReturnHandler) spsel_ = process;
+  use_psp(process);
+  const std::uint32_t frame = r[13];
+  std::uint32_t words[8] = {};
+  try {
+    for (unsigned i = 0; i < 8; ++i) words[i] = load<std::uint32_t>(frame + 4 * i);
+  } catch (const Fault& fault) {
+    const bool bus = fault.exception == exc::kBusFault;
+    ip_ = bad_slot(exc_return);
+    use_psp(false);
+    raise({fault.exception, bus ? cfsr::kUnstkErr : cfsr::kMunstkErr, 0, false}, true);
+    enter_handler(exc_return);
+    return;
+  }
+  const std::uint32_t psr = words[7];
+  const bool padded = (ccr & kCcrStackAlign) != 0 && (psr & (1U << 9)) != 0;
+  const std::uint32_t new_ipsr = psr & 0x1FFU;
+  if ((exc_return == kReturnHandler) != (new_ipsr != 0)) {
+    use_psp(false);
+    r[14] = 0xF0000000U | exc_return;
+    ip_ = bad_slot(exc_return);
+    raise({exc::kUsageFault, cfsr::kInvPc, 0, false}, true);
+    enter_handler(r[14]);
+    return;
+  }
+  std::copy_n(words, 4, r);
+  r[12] = words[4];
+  r[14] = words[5];
+  r[13] = frame + 0x20U + (padded ? 4U : 0U);
+  ipsr_ = new_ipsr;
+  set_apsr(psr);
+  thumb_ = (psr & (1U << 24)) != 0;
+  const std::uint32_t target = words[6] & ~1U;
+  const auto it = static_cast<std::uint8_t>(((psr >> 25) & 3U) | ((psr >> 8) & 0xFCU));
+  ip_ = thumb_ ? slot(target) : bad_slot(target);
+  if (ip_ != &bad_slot_ && ip_->it != it) resume_at(target, it);
+  if (ipsr_ == 0 && (scr & kScrSleepOnExit) != 0) sleeping_ = true;
+}
+
+const Insn* Cpu::supervisor_call(const Insn* insn) {
+  if (!exceptions_.can_take(exc::kSvCall)) throw Fault{exc::kSvCall, 0, 0, false};
+  exceptions_.pend(exc::kSvCall);
+  return insn + insn->length;
+}
+
+const Insn* Cpu::breakpoint_instruction(const Insn*) {
+  // No debugger is attached to the core, so the event becomes a HardFault.
+  hfsr |= kHfsrDebugEvent;
+  throw Fault{exc::kHardFault, 0, 0, false};
+}
+
+const Insn* Cpu::wait_for_interrupt(const Insn* insn) {
+  sleeping_ = !exceptions_.wakes();
+  waiting_for_event_ = false;
+  stop_at_ = 0;
+  return insn + insn->length;
+}
+
+const Insn* Cpu::wait_for_event(const Insn* insn) {
+  if (std::exchange(exceptions_.event, false)) return insn + insn->length;
+  sleeping_ = waiting_for_event_ = true;
+  stop_at_ = 0;
+  return insn + insn->length;
+}
+
+// -- special registers ------------------------------------------------------------------------
+
+void Cpu::change_processor_state(bool disable, bool primask, bool faultmask) {
+  if (!privileged()) return;
+  if (primask) exceptions_.set_primask(disable);
+  if (faultmask && (!disable || exceptions_.execution_priority() > -1)) {
+    exceptions_.set_faultmask(disable);
+  }
+}
+
+std::uint32_t Cpu::read_special(unsigned sysm) const {
+  if (sysm <= 7) {
+    std::uint32_t value = 0;
+    if ((sysm & 1U) != 0) value |= ipsr_;
+    if ((sysm & 4U) == 0) value |= xpsr() & 0xF8000000U;
+    return value;  // EPSR reads as zero
+  }
+  if (sysm == 20) return control();
+  if (!privileged()) return 0;
+  switch (sysm) {
+    case 8: return msp();
+    case 9: return psp();
+    case 16: return exceptions_.primask() ? 1U : 0U;
+    case 17: case 18: return exceptions_.basepri();
+    case 19: return exceptions_.faultmask() ? 1U : 0U;
+    default: return 0;
+  }
+}
+
+void Cpu::write_special(unsigned sysm, std::uint32_t value, unsigned mask) {
+  if (sysm < 4) {
+    if ((mask & 8U) != 0) set_apsr(value);
+    return;
+  }
+  if (!privileged()) return;
+  switch (sysm) {
+    case 8: (uses_psp_ ? other_sp_ : r[13]) = value & ~3U; break;
+    case 9: (uses_psp_ ? r[13] : other_sp_) = value & ~3U; break;
+    case 16: exceptions_.set_primask((value & 1U) != 0); break;
+    case 17: exceptions_.set_basepri(static_cast<std::uint8_t>(value)); break;
+    case 18: {
+      const auto base = static_cast<std::uint8_t>(value & 0xF0U);
+      if (base != 0 && (exceptions_.basepri() == 0 || base < exceptions_.basepri())) {
+        exceptions_.set_basepri(base);
+      }
+      break;
+    }
+    case 19:
+      if ((value & 1U) == 0 || exceptions_.execution_priority() > -1) {
+        exceptions_.set_faultmask((value & 1U) != 0);
+      }
+      break;
+    case 20:
+      unprivileged_thread_ = (value & 1U) != 0;
+      if (ipsr_ == 0) {
+        spsel_ = (value & 2U) != 0;
+        use_psp(spsel_);
+      }
+      break;
+    default: break;
+  }
+}
+
+}  // namespace heli_due

@@ -1,0 +1,106 @@
+// Breakpoints, function probes and the cost of exception handlers. Marks replace the handler of a
+// decoded instruction, so that code without marks runs at full speed.
+#include <algorithm>
+
+#include "cpu/cpu.hpp"
+
+namespace heli_due {
+
+void Cpu::set_mark(std::uint32_t address, MarkKind kind) {
+  Mark& mark = marks_[address & ~1U];
+  if ((mark.kinds & kind) != 0) return;
+  mark.kinds = static_cast<std::uint8_t>(mark.kinds | kind);
+  CodeWindow* window = memory_.window_of(address);
+  if (window == nullptr) return;
+  if (window->slots() == nullptr) slow_slot(address & ~1U);
+  resume_at(address & ~1U, window->slot(address & ~1U)->it);
+}
+
+void Cpu::clear_mark(std::uint32_t address, MarkKind kind) {
+  const auto found = marks_.find(address & ~1U);
+  if (found == marks_.end()) return;
+  found->second.kinds = static_cast<std::uint8_t>(found->second.kinds & ~kind);
+  if (found->second.kinds != 0) return;
+  marks_.erase(found);
+  CodeWindow* window = memory_.window_of(address);
+  if (window != nullptr) resume_at(address & ~1U, window->slot(address & ~1U)->it);
+}
+
+void Cpu::add_breakpoint(std::uint32_t address) { set_mark(address, kStop); }
+void Cpu::remove_breakpoint(std::uint32_t address) { clear_mark(address, kStop); }
+
+void Cpu::add_probe(std::uint32_t address) {
+  probes_[address & ~1U];
+  set_mark(address, kProbe);
+}
+
+ProbeStats Cpu::probe(std::uint32_t address) const {
+  const auto found = probes_.find(address & ~1U);
+  return found == probes_.end() ? ProbeStats{} : found->second;
+}
+
+void Cpu::clear_stats() {
+  stats_.fill({});
+  for (auto& probe : probes_) probe.second = {};
+}
+
+const Insn* Cpu::marked(const Insn* insn) {
+  const std::uint32_t address = pc_of(insn);
+  const Mark mark = marks_.at(address);
+  if ((mark.kinds & kStop) != 0 && step_over_ != address) {
+    halt_ = Halt::kBreakpoint;
+    step_over_ = address;
+    stop_at_ = 0;
+    --instructions_;
+    cycles_ -= insn->cycles;
+    return insn;
+  }
+  step_over_ = 1;
+  if ((mark.kinds & kProbeReturn) != 0) close_probes(address);
+  if ((mark.kinds & kProbe) != 0) {
+    const std::uint32_t back = r[14] & ~1U;
+    const std::size_t depth = open_exceptions_.size();
+    open_probes_.push_back({address, back, r[13], instructions_ - 1, nested_[depth], depth});
+    set_mark(back, kProbeReturn);
+  }
+  return mark.original(*this, insn);
+}
+
+void Cpu::close_probes(std::uint32_t address) {
+  const std::size_t depth = open_exceptions_.size();
+  while (!open_probes_.empty()) {
+    const OpenProbe probe = open_probes_.back();
+    if (probe.return_address != address || probe.sp != r[13] || probe.depth != depth) return;
+    open_probes_.pop_back();
+    // The instruction at the return address has been counted already; it is not the function's.
+    const std::uint64_t own =
+        instructions_ - 1 - probe.instructions - (nested_[depth] - probe.nested);
+    ProbeStats& stats = probes_[probe.function];
+    ++stats.count;
+    stats.instructions += own;
+    stats.last_instructions = own;
+    stats.max_instructions = std::max(stats.max_instructions, own);
+  }
+}
+
+void Cpu::note_entry(std::uint8_t number) {
+  const std::size_t inner = std::min<std::size_t>(open_exceptions_.size() + 1, nested_.size() - 1);
+  open_exceptions_.push_back({number, instructions_, cycles_, nested_[inner]});
+}
+
+void Cpu::note_return() {
+  if (open_exceptions_.empty()) return;
+  const OpenException open = open_exceptions_.back();
+  const std::size_t inner = std::min(open_exceptions_.size(), nested_.size() - 1);
+  open_exceptions_.pop_back();
+  const std::uint64_t total = instructions_ - open.instructions;
+  const std::uint64_t own = total - (nested_[inner] - open.nested);
+  nested_[inner - 1] += total;
+  ExceptionStats& stats = stats_[open.number];
+  ++stats.count;
+  stats.instructions += own;
+  stats.max_instructions = std::max(stats.max_instructions, own);
+  stats.max_cycles = std::max(stats.max_cycles, cycles_ - open.cycles);
+}
+
+}  // namespace heli_due

@@ -1,0 +1,13 @@
+#include "bus/diagnostics.hpp"
+#include "python/bindings.hpp"
+
+namespace nb = nanobind;
+
+NB_MODULE(_due, module) {
+  module.doc() = "The emulated Arduino Due.";
+  nb::exception<heli_due::Stop>(module, "Stop");
+  bind_core(module);
+#ifdef HELI_DUE_BOARD
+  bind_due(module);
+#endif
+}
