@@ -223,7 +223,7 @@ def test_an_mcap_of_another_program_is_refused(tmp_path: Path) -> None:
     schema = other.register_schema("Pose", "jsonschema", b"{}")
     channel = other.register_channel("/pose", "json", schema)
     other.add_message(channel, 1, b"{}", 1)
-    other.finish()
+    other.finish()  # type: ignore[no-untyped-call]
     with pytest.raises(LogError, match="another program"):
         read_log(tmp_path / "other.mcap")
 

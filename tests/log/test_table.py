@@ -175,4 +175,4 @@ def test_a_part_keeps_its_time_axis_and_its_events(tmp_path: Path) -> None:
 def test_columns_of_different_length_are_refused() -> None:
     one, two = np.zeros(10), np.zeros(9)
     with pytest.raises(FlightDataError, match="pitch_rad"):
-        Flight(np.arange(10) * 0.1, one, one, one, two, one)
+        Flight(np.linspace(0.0, 0.9, 10), one, one, one, two, one)

@@ -211,23 +211,51 @@ def ramp(from_deg: Floats, to_deg: Floats, duration_s: float) -> Shape:
     return lambda t_s: from_deg + np.outer(np.clip(t_s / duration_s, 0.0, 1.0), to_deg - from_deg)
 
 
-def sine(from_deg: Floats, amplitude_deg: Floats, period_s: Floats) -> Shape:
-    """Return sines that begin at the present point.
+def sine(from_deg: Floats, amplitude_deg: Floats, period_s: Floats, duration_s: float) -> Shape:
+    """Return sines about the present point, faded in and out so that neither setpoint nor its rate jumps.
 
     Parameters
     ----------
     from_deg : ndarray (3,)
-        Where they begin, and their middle.
+        Where they begin and end, and their middle.
     amplitude_deg : ndarray (3,)
         Amplitude of each axis; 0 stays.
     period_s : ndarray (3,)
         Period of each axis.
+    duration_s : float
+        Length.
 
     Returns
     -------
     callable
     """
-    return lambda t_s: from_deg + amplitude_deg * np.sin(2.0 * np.pi * t_s[:, None] / period_s)
+    fades_s = fade_s(period_s, duration_s)
+
+    def shape(t_s: Floats) -> Floats:
+        column = t_s[:, None]
+        envelope = _blend(np.clip(np.minimum(column, duration_s - column) / fades_s, 0.0, 1.0))
+        return from_deg + amplitude_deg * envelope * np.sin(2.0 * np.pi * column / period_s)
+
+    return shape
+
+
+def fade_s(period_s: Floats, duration_s: float) -> Floats:
+    """Return how long a sine takes to reach its amplitude.
+
+    Over half a period the rate never exceeds that of the full sine, and its acceleration by a third at most.
+
+    Parameters
+    ----------
+    period_s : ndarray (3,)
+        Period of each axis.
+    duration_s : float
+        Length of the whole.
+
+    Returns
+    -------
+    ndarray (3,)
+    """
+    return np.minimum(0.5 * period_s, 0.5 * duration_s)
 
 
 def waypoints(at_s: Sequence[Floats], points_deg: Sequence[Floats], smooth: bool) -> Shape:
@@ -255,8 +283,12 @@ def waypoints(at_s: Sequence[Floats], points_deg: Sequence[Floats], smooth: bool
                 continue
             left = np.clip(np.searchsorted(times, t_s, side="right") - 1, 0, times.size - 2)
             share = np.clip((t_s - times[left]) / (times[left + 1] - times[left]), 0.0, 1.0)
-            share = share * share * (3.0 - 2.0 * share)
-            columns.append(values[left] + share * (values[left + 1] - values[left]))
+            columns.append(values[left] + _blend(share) * (values[left + 1] - values[left]))
         return np.column_stack(columns)
 
     return shape
+
+
+def _blend(share: Floats) -> Floats:
+    """Go from 0 to 1 with level ends."""
+    return share * share * (3.0 - 2.0 * share)

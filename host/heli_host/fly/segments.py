@@ -205,7 +205,9 @@ def _read_sine(table: Table, commanded: tuple[str, ...]) -> Segment:
     def motion(at: Floats) -> Motion:
         reach_deg = np.abs(amplitude_deg)
         rate_deg_s = reach_deg * 2.0 * np.pi / period_s
-        shape = route.sine(at, amplitude_deg, period_s)
+        fades_s = route.fade_s(period_s, duration_s)
+        rate_deg_s += np.where(fades_s < 0.5 * period_s, reach_deg * _SMOOTH_PEAK / fades_s, 0.0)
+        shape = route.sine(at, amplitude_deg, period_s, duration_s)
         return _motion(duration_s, shape, at - reach_deg, at + reach_deg, rate_deg_s=rate_deg_s)
 
     keys = (f"{AXES[0]}_amplitude_deg", f"{AXES[1]}_amplitude_deg", f"{AXES[2]}_amplitude_deg")

@@ -143,10 +143,11 @@ def _draw_axis(
         panel.plot(
             *_thinned(t_s, np.rad2deg(setpoints_rad[:, index])),
             color=_SETPOINT,
-            lw=1.0,
-            ls=(0, (5, 2)),
             label="setpoint",
-            zorder=4,
+            # The travel loop's pitch setpoint carries the encoder's steps: behind the angle it hides nothing.
+            **(
+                {"lw": 0.6, "zorder": 2.5} if axis == "pitch" else {"lw": 1.0, "ls": (0, (5, 2)), "zorder": 4}
+            ),
         )
     panel.set_ylabel(f"{axis} [°]")
     rms, worst = summary.rms_error_deg.get(axis), summary.max_error_deg.get(axis)
@@ -161,7 +162,7 @@ def _draw_axis(
 
 def _draw_voltages(panel: Axes, flight: Flight, t_s: NDArray[np.float64]) -> None:
     panel.plot(*_thinned(t_s, flight.front_V), color=_FRONT, lw=1.0, label="front", zorder=3)
-    panel.plot(*_thinned(t_s, flight.back_V), color=_BACK, lw=1.0, label="back", alpha=0.85, zorder=3)
+    panel.plot(*_thinned(t_s, flight.back_V), color=_BACK, lw=1.0, label="back", alpha=0.8, zorder=3)
     panel.set_ylabel("voltage [V]")
     panel.set_title("motor voltages that acted", fontsize=10, loc="left")
     _finish(panel)
@@ -219,7 +220,7 @@ def _draw_strips(band: Axes, panels: Sequence[Axes], flight: Flight, t_s: NDArra
 def _block(band: Axes, place: tuple[float, float, float], text: str, colour: str, total_s: float) -> None:
     left_s, right_s, floor = place
     band.fill_between([left_s, right_s], floor + 0.06, floor + 0.94, color=colour, lw=0)
-    if right_s - left_s > 0.0095 * len(text) * total_s:
+    if right_s - left_s > 0.0068 * len(text) * total_s:
         band.text((left_s + right_s) / 2, floor + 0.47, text, ha="center", va="center", fontsize=8.5)
 
 
@@ -272,7 +273,8 @@ def _runs(state: NDArray[np.uint8]) -> list[tuple[int, int, int]]:
 
 
 def _thinned(t_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[Any, Any]:
-    """Keep the least and the greatest of every bucket, so that a long flight draws fast and no peak is lost."""
+    """Keep the least and the greatest of every bucket, so that a long flight draws fast and no peak is lost.
+    """
     bucket = len(values) // _BUCKETS
     if bucket < 3:
         return t_s, values

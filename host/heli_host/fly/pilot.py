@@ -1,0 +1,316 @@
+"""Keeps a flight on its route: a setpoint every 20 ms of device time, commands when they are due, a way down.
+
+Setpoints go out from the callback that brings the samples, so they follow the device's time and not the
+host's, at any speed of a simulation. Commands, which wait for an answer, go out from the thread that called
+`Pilot.fly`. In lockstep both are the same thread, and the flight is the same every time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from heli_host.errors import FlightAborted, HeliError, LinkLost, fault_text
+from heli_host.fly.route import Piece, Route
+from heli_host.link.declaration import TICK_US, Axes, Fault, SetpointMessage, State
+from heli_host.log.summary import LANDING
+
+if TYPE_CHECKING:
+    from heli_host.fly.recorder import Recorder
+    from heli_host.heli import Heli
+    from heli_host.link.accounting import LinkCounters
+    from heli_host.link.telemetry import Ticks
+    from heli_host.samples import Sample
+
+TICK_S = TICK_US * 1e-6
+INTERVAL_TICKS = 20
+"""Device time between two setpoints: 50 a second."""
+LEAD_TICKS = 40
+"""How far ahead a setpoint lies: the board ramps to it, and a frame may be late by as much without a stop."""
+
+_LONGEST_LEAD_TICKS = 400
+_STALL_TICKS = 60
+_LOOK_S = 0.05
+_CLOSING_S = 2.0
+# The log begins and ends at rest: encoder offsets and noise can be told from these.
+_BEFORE_TICKS = 500
+_AFTER_TICKS = 200
+_LONGEST_REST_S = 2.0
+_FAULT_CHANNEL = 9
+_DOWN = (State.IDLE, State.FAULT)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a flight is.
+
+    Parameters
+    ----------
+    t_s : float
+        Device time since the loops were closed, in seconds.
+    left_s : float or None
+        Device time left until the landing; None during it.
+    phase : str
+        ``take-off``, the name of a plan, or ``landing``.
+    sample : Sample
+        The newest sample.
+    counters : LinkCounters
+        Counts of the link.
+    """
+
+    t_s: float
+    left_s: float | None
+    phase: str
+    sample: Sample
+    counters: LinkCounters
+
+
+class Pilot:
+    """One flight along a route.
+
+    Parameters
+    ----------
+    heli : Heli
+        A connected board.
+    route : Route
+        Where to fly, from the table on; checked against the board.
+    axes : tuple of str
+        Axes to close.
+    recorder : Recorder
+        Is told when phases begin; when it fails, the flight ends.
+    on_progress : callable taking Progress, optional
+        Called about twenty times a second in the thread of `fly`.
+
+    Attributes
+    ----------
+    outcome : str
+        ``completed``, or in one line what ended the flight.
+    """
+
+    def __init__(
+        self,
+        heli: Heli,
+        route: Route,
+        axes: tuple[str, ...],
+        recorder: Recorder,
+        on_progress: Callable[[Progress], None] | None = None,
+    ) -> None:
+        self.outcome = "not flown"
+        self._heli = heli
+        self._session = heli.session
+        self._route = route
+        self._axes = _mask(axes)
+        self._recorder = recorder
+        self._on_progress = on_progress
+        self._lock = threading.Lock()
+        self._streaming = False
+        self._start_tick = 0
+        self._sent_tick = 0
+        self._phases = _phases(route)
+        self._excitations = [piece for piece in route.pieces if piece.excitation is not None]
+        self._was_closed = False
+        self._restarts = 0
+        self._reconnects = 0
+
+    def fly(self) -> None:
+        """Arm, fly the route, land; afterwards `outcome` says how it went.
+
+        Errors of the link, the board and the log end the flight and are told there. Any other error, such as
+        one of ``on_progress``, is raised again after the landing.
+        """
+        unsubscribe = self._session.subscribe_ticks(self._take_ticks)
+        counters = self._session.counters
+        self._restarts, self._reconnects = counters.restarts, counters.reconnects
+        try:
+            self._fly_route()
+            self.outcome = "completed"
+        except KeyboardInterrupt:
+            self.outcome = "aborted: Ctrl-C"
+        except LinkLost as error:
+            self.outcome = f"link lost: {error.cause}; the board holds level, then lands by itself"
+        except HeliError as error:
+            self.outcome = f"aborted: {error}"
+        except BaseException as error:
+            self.outcome = f"aborted: {type(error).__name__} in this program"
+            raise
+        finally:
+            self._come_down()
+            unsubscribe()
+
+    def _fly_route(self) -> None:
+        self._wait_ticks(_BEFORE_TICKS)
+        self._heli.arm()
+        self._heli.control(self._axes)
+        with self._lock:
+            self._start_tick = self._tick()
+            self._sent_tick = self._start_tick - INTERVAL_TICKS
+            self._streaming = True
+        end_tick = self._start_tick + round(self._route.duration_s / TICK_S)
+        while self._tick() < end_tick:
+            self._check_up()
+            self._excite()
+            self._report()
+            due_tick = min([end_tick, *(self._tick_of(piece) for piece in self._excitations[:1])])
+            self._session.wait_for(lambda due=due_tick: self._tick() >= due or self._trouble(), _LOOK_S)  # type: ignore[misc]
+            self._bridge_a_stall()
+        self._check_up()
+
+    def _tick(self) -> int:
+        newest = self._session.latest
+        return newest[0] if newest is not None else 0
+
+    def _tick_of(self, piece: Piece) -> int:
+        return self._start_tick + round(piece.start_s / TICK_S)
+
+    def _take_ticks(self, ticks: Ticks) -> None:
+        tick = self._tick()
+        with self._lock:
+            if not self._streaming:
+                return
+            while self._phases and tick >= self._tick_of(self._phases[0]):
+                piece = self._phases.pop(0)
+                self._recorder.mark_phase(self._tick_of(piece), piece.phase)
+            if tick >= self._sent_tick + INTERVAL_TICKS:
+                self._send(tick)
+
+    def _bridge_a_stall(self) -> None:
+        """Send setpoints by the clock fit while samples do not come, so that a stall of telemetry is no
+        landing.
+        """
+        if not self._session.connected:
+            return
+        tick = self._session.device_tick()
+        with self._lock:
+            if self._streaming and tick >= self._sent_tick + _STALL_TICKS:
+                self._send(tick)
+
+    def _send(self, tick: int) -> None:
+        # Where samples come in larger portions than setpoints are due, the lead covers the time to the next
+        # one.
+        lead_ticks = min(max(LEAD_TICKS, tick - self._sent_tick + INTERVAL_TICKS), _LONGEST_LEAD_TICKS)
+        at_tick = tick + lead_ticks
+        target_rad = np.radians(self._route.evaluate(np.array([(at_tick - self._start_tick) * TICK_S]))[0])
+        message = SetpointMessage(at_tick & 0xFFFFFFFF, *(float(angle) for angle in target_rad))
+        self._sent_tick = tick
+        self._session.stream(message)
+        self._session.keep_alive(message if self._heli.keep_alive else None)
+
+    def _excite(self) -> None:
+        while self._excitations and self._tick() >= self._tick_of(self._excitations[0]):
+            excitation = self._excitations.pop(0).excitation
+            if excitation is not None:
+                self._heli.excite(
+                    excitation.signal,
+                    excitation.front_V,
+                    excitation.back_V,
+                    start_Hz=excitation.start_Hz,
+                    stop_Hz=excitation.stop_Hz,
+                    duration_s=excitation.duration_s,
+                    seed=excitation.seed,
+                )
+
+    def _trouble(self) -> bool:
+        state = self._session.state
+        self._was_closed = self._was_closed or state is State.CLOSED_LOOP
+        flying = (State.CLOSED_LOOP, State.HOLD) if self._was_closed else (State.CLOSED_LOOP, State.ARMED)
+        return (state is not None and state not in flying) or self._recorder.error is not None
+
+    def _check_up(self) -> None:
+        """Raise what ends the flight, if anything does."""
+        self._recorder.check()
+        counters = self._session.counters
+        if counters.restarts != self._restarts:
+            raise FlightAborted(
+                "the board started anew in flight", "check its supply and the log's last events"
+            )
+        slow = not self._was_closed and (self._tick() - self._start_tick) * TICK_S > _CLOSING_S
+        if not self._trouble() and not slow:
+            return
+        state = self._session.state
+        if state is State.FAULT:
+            raise FlightAborted(f"fault {fault_text(self._fault())}")
+        why = next((event.text for event in reversed(self._session.events) if event.kind == "state"), "")
+        lost = ", after the link was lost" if counters.reconnects != self._reconnects else ""
+        name = state.name.lower() if state is not None else "unknown"
+        raise FlightAborted(f"the board went to state {name}{lost} ({why})" if why else f"state {name}{lost}")
+
+    def _fault(self) -> int:
+        newest = self._session.latest
+        return int(newest[1][_FAULT_CHANNEL]) if newest is not None else int(Fault.NONE)
+
+    def _come_down(self) -> None:
+        """Land if anything may turn; a Ctrl-C meanwhile stops the motors at once."""
+        with self._lock:
+            self._streaming = False
+        try:
+            trouble = self._land()
+        except KeyboardInterrupt:
+            # At once means at once: an error that still waits to be told must not come in between.
+            for _ in range(3):
+                with contextlib.suppress(HeliError):
+                    self._heli.stop()
+                    break
+            trouble = "Ctrl-C again, motors stopped in the air"
+        except LinkLost as error:
+            trouble = f"link lost while landing: {error.cause}; the board lands by itself"
+        except HeliError as error:
+            trouble = f"while landing: {error}"
+        if trouble and self.outcome == "completed":
+            self.outcome = f"aborted: {trouble}"
+        elif trouble and not self.outcome.startswith("link lost"):
+            self.outcome += f"; {trouble}"
+
+    def _land(self) -> str:
+        if not self._session.connected and not self._was_closed:
+            return ""
+        if self._session.state in _DOWN:
+            return ""
+        self._recorder.mark_phase(self._tick(), LANDING)
+        if self._session.state is not State.LANDING:
+            self._heli.land(wait=False)
+        timeout_s = self._heli.params["landing_timeout_s"] + 3.0
+        until_tick = self._tick() + round(timeout_s / TICK_S)
+        while self._session.state not in _DOWN:
+            if self._tick() >= until_tick:
+                self._heli.stop()
+                return f"it did not land within {timeout_s:g} s; motors stopped"
+            self._report(landing=True)
+            self._session.wait_for(lambda: self._session.state in _DOWN, _LOOK_S)
+        if self._session.state is State.FAULT:
+            return f"fault {fault_text(self._fault())}"
+        self._wait_ticks(_AFTER_TICKS)
+        return ""
+
+    def _wait_ticks(self, count: int) -> None:
+        last_tick = self._tick() + count
+        self._session.wait_for(lambda: self._tick() >= last_tick, _LONGEST_REST_S)
+
+    def _report(self, *, landing: bool = False) -> None:
+        if self._on_progress is None:
+            return
+        t_s = (self._tick() - self._start_tick) * TICK_S
+        piece = self._route.piece_at(t_s)
+        phase = LANDING if landing or piece is None else piece.phase
+        left_s = None if landing else self._route.duration_s - t_s
+        self._on_progress(Progress(t_s, left_s, phase, self._heli.latest, self._session.counters))
+
+
+def _mask(axes: tuple[str, ...]) -> Axes:
+    mask = Axes(0)
+    for axis in axes:
+        mask |= Axes[axis.upper()]
+    return mask
+
+
+def _phases(route: Route) -> list[Piece]:
+    """Return the first piece of every phase, in order."""
+    firsts: list[Piece] = []
+    for piece in route.pieces:
+        if not firsts or firsts[-1].phase != piece.phase:
+            firsts.append(piece)
+    return firsts

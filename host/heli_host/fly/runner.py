@@ -1,0 +1,114 @@
+"""Flies plans: checks, take-off, setpoints on device time, landing, and a log of all of it whatever happens."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from heli_host.errors import PlanError
+from heli_host.fly.pilot import Pilot, Progress
+from heli_host.fly.plan import Plan, load_plan, take_off
+from heli_host.fly.recorder import Recorder
+from heli_host.log.figure import write_figure
+from heli_host.log.reader import Log, read_log
+from heli_host.log.summary import FlightSummary, summarise
+
+if TYPE_CHECKING:
+    from heli_host.heli import Heli
+
+PlanLike = Plan | str | Path
+
+
+def fly(
+    heli: Heli,
+    plans: PlanLike | Sequence[PlanLike],
+    *,
+    log_path: str | Path | None = None,
+    json_path: str | Path | None = None,
+    figure_path: str | Path | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+    rig_name: str = "",
+) -> FlightSummary:
+    """Take off, fly plans one after the other, land.
+
+    Whatever ends the flight, it ends in a landing as long as the board can be reached, and in a log: a fault,
+    a lost link, a full disk and Ctrl-C are told in the summary's outcome. A second Ctrl-C stops the motors at
+    once.
+
+    Parameters
+    ----------
+    heli : Heli
+        A connected board, idle, its arm at rest on the table.
+    plans : Plan, str or Path, or a sequence of them
+        What to fly: plans, names of built-in ones, or TOML files.
+    log_path : str or Path, optional
+        Log to write (``.mcap``); without it none is kept.
+    json_path, figure_path : str or Path, optional
+        Where to write ``summary.json`` and the figure.
+    on_progress : callable taking Progress, optional
+        Called in this thread about twenty times a second.
+    rig_name : str
+        Name of the rig, for the log.
+
+    Returns
+    -------
+    FlightSummary
+        ``outcome`` is ``completed``, or says what ended the flight.
+
+    Raises
+    ------
+    PlanError
+        If a plan cannot be flown on this board; nothing has moved.
+    LogWriteError
+        If the log cannot be created, and nothing has moved; or if summary or figure cannot be written.
+    """
+    loaded = _loaded(plans)
+    sample = heli.latest
+    start_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
+    route = take_off(loaded, dict(heli.params), start_deg)
+    with _place(log_path) as path:
+        recorder = Recorder(heli, path, rig_name=rig_name, plans=loaded)
+        pilot = Pilot(heli, route, loaded[0].axes, recorder, on_progress)
+        try:
+            pilot.fly()
+        finally:
+            recorder.close(pilot.outcome)
+        log = read_log(path)
+    summary = replace(summarise(log), outcome=pilot.outcome, log=str(log_path) if log_path else "")
+    if recorder.error is not None and str(recorder.error) not in summary.outcome:
+        summary = replace(summary, notes=(*summary.notes, str(recorder.error)))
+    if json_path is not None:
+        summary.write_json(json_path)
+    if figure_path is not None:
+        _draw(log, summary, figure_path)
+    return summary
+
+
+def _loaded(plans: PlanLike | Sequence[PlanLike]) -> list[Plan]:
+    listed = [plans] if isinstance(plans, Plan | str | Path) else list(plans)
+    if not listed:
+        raise PlanError("no plan is given", "name one, such as hover")
+    return [plan if isinstance(plan, Plan) else load_plan(plan) for plan in listed]
+
+
+@contextlib.contextmanager
+def _place(log_path: str | Path | None) -> Iterator[Path]:
+    if log_path is not None:
+        yield Path(log_path)
+        return
+    with tempfile.TemporaryDirectory(prefix="heli-") as folder:
+        yield Path(folder) / "flight.mcap"
+
+
+def _draw(log: Log, summary: FlightSummary, path: str | Path) -> None:
+    if len(log.ticks):
+        write_figure(log.flight(), summary, path)
+
+
+__all__ = ["Pilot", "Progress", "fly"]
