@@ -43,12 +43,11 @@ def test_edges_come_in_order_and_within_the_millisecond(
 
 def test_an_edge_comes_when_the_angle_crosses_the_line() -> None:
     half_count = 0.5 / PER_RAD[0]
-    up = _native.encoder_edges(
-        [0.5 * half_count] * 3, [4.5 * half_count, 0.0, 0.5 * half_count], PER_RAD, [0] * 3
-    )
+    low, high = 0.5 * half_count, 4.5 * half_count
+    up = _native.encoder_edges([low, 0, 0], [high, 0, 0], PER_RAD, [0] * 3)
     assert [(axis, direction) for _, axis, direction in up] == [(0, 1), (0, 1)]
     assert [time_us for time_us, _, _ in up] == pytest.approx([375.0, 875.0])
-    down = _native.encoder_edges([4.5 * half_count, 0, 0], [0.5 * half_count, 0, 0], PER_RAD, [0] * 3)
+    down = _native.encoder_edges([high, 0, 0], [low, 0, 0], PER_RAD, [0] * 3)
     assert [(axis, direction) for _, axis, direction in down] == [(0, -1), (0, -1)]
     assert [time_us for time_us, _, _ in down] == pytest.approx([125.0, 625.0])
 

@@ -194,7 +194,8 @@ def test_a_library_that_is_no_plant_is_refused(tmp_path: Path) -> None:
 
 def test_two_processes_may_compile_the_same_plant_at_once(tmp_path: Path) -> None:
     code = (
-        "from heli_sim.plant import Plant; from heli_sim.model import PaperModel; from heli_sim.rig import load_rig\n"
+        "from heli_sim.model import PaperModel; from heli_sim.plant import Plant; "
+        "from heli_sim.rig import load_rig; "
         "print(type(Plant(PaperModel(), load_rig('makki2024')).native_step()).__name__)"
     )
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}

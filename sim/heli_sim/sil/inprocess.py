@@ -122,6 +122,21 @@ class InProcessTransport:
         """Close the transport; the world stays as it is. Closing twice does nothing."""
         self._closed = True
 
+    def reopen(self) -> InProcessTransport:
+        """Open the port of the same board again.
+
+        Returns
+        -------
+        InProcessTransport
+            Another transport; this one stays closed.
+
+        Raises
+        ------
+        PortError
+            When the plan of faults has the cable out; 0.1 s of simulated time passes.
+        """
+        return InProcessTransport(self.world, self.url)
+
     def _check(self) -> None:
         if self._closed:
             raise LinkLost("the simulated port is closed", "open it again")

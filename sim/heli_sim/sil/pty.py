@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import termios
 import tty
@@ -112,7 +113,7 @@ class PtyEndpoint:
         """Take the terminal and its link away; a host that has it open gets an error."""
         if self._master < 0:
             return
-        if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self._name:
+        if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self.terminal:
             self._link.unlink()
         os.close(self._master)
         self._master = -1
@@ -132,7 +133,8 @@ class PtyEndpoint:
             self._master, slave = os.openpty()
         except OSError as error:
             raise EndpointError(f"no pseudo-terminal: {error.strerror}; close other programs") from None
-        self._name = os.ttyname(slave)
+        self.terminal = os.ttyname(slave)
+        """Name of the terminal itself, such as ``/dev/pts/3``."""
         # Without this a host sees its own bytes, and the board's zeros and returns changed, until it sets the
         # port up. The settings last as long as this side is open.
         tty.setraw(slave)
@@ -143,7 +145,7 @@ class PtyEndpoint:
         except EndpointError:
             self.unplug()
             raise
-        self.url = str(self._link) if self._link is not None else self._name
+        self.url = str(self._link) if self._link is not None else self.terminal
 
     def close(self) -> None:
         """Take the terminal and its link away for good."""
@@ -156,7 +158,7 @@ class PtyEndpoint:
             raise EndpointError(f"{self._link} exists and is no link; choose another path for the port")
         beside = self._link.with_name(f".{self._link.name}.{os.getpid()}")
         try:
-            beside.symlink_to(self._name)
+            beside.symlink_to(self.terminal)
             beside.replace(self._link)
         except OSError as error:
             raise EndpointError(
@@ -165,4 +167,10 @@ class PtyEndpoint:
 
     def _hang_up(self) -> None:
         self._open, self._kept = False, b""
-        termios.tcflush(self._master, termios.TCOFLUSH)
+        # Linux keeps up to 4095 unread bytes for the next host; only the other side can drop them.
+        with contextlib.suppress(OSError, termios.error):
+            slave = os.open(self.terminal, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            try:
+                termios.tcflush(slave, termios.TCIOFLUSH)
+            finally:
+                os.close(slave)

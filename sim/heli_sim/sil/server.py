@@ -12,6 +12,7 @@ import json
 import select
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -136,7 +137,7 @@ def run_server(
     stop_fd: int | None = None,
     on_ready: Callable[[str], None] = lambda url: None,
 ) -> dict[str, int]:
-    """Build a world and serve it until `stop_fd`, SIGINT (as KeyboardInterrupt) or an error ends it.
+    """Build a world and serve it until `stop_fd`, SIGINT, SIGTERM, SIGHUP or an error ends it.
 
     Parameters
     ----------
@@ -161,6 +162,10 @@ def run_server(
     SimError
         When the port cannot be opened, or the rig cannot be read.
     """
+    # The default of these two would leave the link to the terminal behind.
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.default_int_handler)
     world = SilWorld(options)
     endpoint: Endpoint = PtyEndpoint(pty) if tcp is None else TcpEndpoint(*_address(tcp))
     try:
@@ -209,8 +214,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--options", default="", help="rig=makki2024&seed=1&speed=max&...")
     parser.add_argument("--watch-stdin", action="store_true", help="stop when standard input ends")
     given = parser.parse_args(arguments)
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.default_int_handler)
     try:
         options = parse_options(dict(parse_qsl(given.options, keep_blank_values=True)))
         counters = run_server(

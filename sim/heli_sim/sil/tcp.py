@@ -9,8 +9,8 @@ from typing import Final
 from heli_sim.errors import EndpointError
 
 _CHUNK: Final = 65536
-# A host that does not read must see the bridge overflow after about a second, as with a serial driver, and
-# not after the megabytes that a system would buffer.
+# A host that does not read must see the bridge overflow in the end, as with a serial driver, and not only
+# after the megabytes that a system may buffer.
 _SEND_BUFFER: Final = 16384
 
 

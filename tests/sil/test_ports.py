@@ -1,0 +1,192 @@
+"""A simulated port may be opened, closed, opened again, pulled out and left unread, as a real one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from heli_host.link.declaration import MessageId
+from heli_host.link.frames import Frame, FrameParser
+from heli_sim.errors import EndpointError, OptionError
+from heli_sim.sil.endpoint import Endpoint
+from heli_sim.sil.options import SilOptions
+from heli_sim.sil.pty import PtyEndpoint
+from heli_sim.sil.server import run_server
+from heli_sim.sil.tcp import TcpEndpoint
+
+from tests.sil.desk import hello_frame, world
+from tests.sil.ports import Bench, PtyHost, TcpHost
+
+Opener = Callable[[str], PtyHost | TcpHost]
+
+
+@pytest.fixture(params=["pty", "tcp"])
+def port(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Endpoint, Opener]]:
+    endpoint: Endpoint = PtyEndpoint(tmp_path / "due") if request.param == "pty" else TcpEndpoint()
+    yield endpoint, (PtyHost if request.param == "pty" else TcpHost)
+    endpoint.close()
+
+
+def greet(bench: Bench, host: PtyHost | TcpHost, seq: int = 0) -> None:
+    """Open a session through the port."""
+    parser = FrameParser()
+    welcomed: list[Frame] = []
+
+    def hear() -> bool:
+        welcomed.extend(f for f in parser.feed(host.read()) if f.id == MessageId.WELCOME)
+        return bool(welcomed)
+
+    host.write(hello_frame(seq))
+    bench.until(hear)
+
+
+def test_a_host_opens_a_session(port: tuple[Endpoint, Opener]) -> None:
+    endpoint, open_port = port
+    greet(Bench(endpoint, world()), open_port(endpoint.url))
+
+
+def test_the_port_survives_hosts_that_come_and_go(port: tuple[Endpoint, Opener]) -> None:
+    endpoint, open_port = port
+    bench = Bench(endpoint, world())
+    for seq in range(5):
+        host = open_port(endpoint.url)
+        bench.until(lambda: endpoint.ready)
+        greet(bench, host, seq)
+        host.close()
+        bench.until(lambda: not endpoint.ready)
+    assert bench.world.native.boot_count == 1
+
+
+def test_the_next_host_hears_nothing_that_was_meant_for_the_last(port: tuple[Endpoint, Opener]) -> None:
+    endpoint, open_port = port
+    bench = Bench(endpoint, world())
+    first = open_port(endpoint.url)
+    greet(bench, first)
+    bench.turn(500)
+    first.close()
+    bench.until(lambda: not endpoint.ready)
+    bench.turn(500)
+    second = open_port(endpoint.url)
+    bench.until(lambda: endpoint.ready)
+    bench.turn(2)
+    # The bridge's ring and what the line carried since; two seconds of telemetry would be 5,000 bytes.
+    heard = b""
+    for _ in range(5):
+        heard += second.read()
+    assert len(heard) < 400
+
+
+def test_time_passes_while_nobody_is_there(port: tuple[Endpoint, Opener]) -> None:
+    endpoint, _ = port
+    bench = Bench(endpoint, world())
+    bench.turn(100)
+    assert bench.world.tick == pytest.approx(400, abs=8)
+
+
+def test_an_unread_port_overflows_the_bridge_and_recovers(port: tuple[Endpoint, Opener]) -> None:
+    endpoint, open_port = port
+    bench = Bench(endpoint, world())
+    host = open_port(endpoint.url)
+    greet(bench, host)
+    # The system's own buffers take tens of thousands of bytes, ten seconds of telemetry and more.
+    bench.until(lambda: bench.turn_all(100) and not endpoint.ready)
+    before = bench.world.native.line_counters()["to_host_overflow"]
+    bench.turn(100)
+    assert bench.world.native.line_counters()["to_host_overflow"] > before
+    bench.until(lambda: host.read() == b"" and endpoint.ready)
+    bench.until(host.read)
+
+
+@pytest.mark.parametrize("reset", [False, True])
+def test_opening_resets_the_board_only_when_asked_to(port: tuple[Endpoint, Opener], reset: bool) -> None:
+    endpoint, open_port = port
+    bench = Bench(endpoint, world(reset_on_open="1" if reset else "0"))
+    bench.turn(10)
+    host = open_port(endpoint.url)
+    bench.until(lambda: endpoint.ready)
+    bench.turn(80)
+    assert bench.world.native.boot_count == (2 if reset else 1)
+    host.close()
+
+
+def test_pulling_the_cable_takes_the_port_away_and_brings_it_back(port: tuple[Endpoint, Opener]) -> None:
+    endpoint, open_port = port
+    bench = Bench(endpoint, world(unplug="1:1"))
+    url = endpoint.url
+    host = open_port(url)
+    greet(bench, host)
+    bench.until(lambda: bench.world.tick >= 1010)
+    bench.until(host.gone)
+    with pytest.raises(OSError):
+        open_port(url)
+    bench.until(lambda: bench.world.tick >= 2010)
+    assert endpoint.url == url
+    again = open_port(url)
+    bench.until(lambda: endpoint.ready)
+    greet(bench, again, seq=1)
+    assert bench.world.native.boot_count == 1
+
+
+def test_a_terminal_is_raw_before_any_host_sets_it_up(tmp_path: Path) -> None:
+    endpoint = PtyEndpoint(tmp_path / "due")
+    bench = Bench(endpoint, world())
+    host = PtyHost(endpoint.url)
+    bench.until(lambda: endpoint.ready)
+    everything = bytes(range(256))
+    endpoint.send(everything)
+    heard = b""
+
+    def hear() -> bool:
+        nonlocal heard
+        heard += host.read()
+        return len(heard) >= 256
+
+    bench.until(hear)
+    assert heard[:256] == everything
+    assert endpoint.receive() == b""
+
+
+def test_the_link_goes_with_the_terminal_and_a_stale_one_is_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "due"
+    path.symlink_to("/dev/pts/no-such-terminal")
+    endpoint = PtyEndpoint(path)
+    assert str(path.readlink()) == endpoint.terminal
+    endpoint.close()
+    endpoint.close()
+    assert not path.is_symlink()
+
+
+def test_a_link_that_another_server_took_over_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "due"
+    first, second = PtyEndpoint(path), PtyEndpoint(path)
+    first.close()
+    assert path.is_symlink()
+    second.close()
+    assert not path.is_symlink()
+
+
+def test_a_file_in_the_links_place_is_not_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "due"
+    path.write_text("a student's homework")
+    with pytest.raises(EndpointError, match="no link"):
+        PtyEndpoint(path)
+    assert path.read_text() == "a student's homework"
+
+
+def test_a_link_in_no_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(EndpointError, match="cannot make the port"):
+        PtyEndpoint(tmp_path / "nowhere" / "due")
+
+
+def test_a_tcp_port_in_use_is_refused() -> None:
+    first = TcpEndpoint()
+    with pytest.raises(EndpointError, match="choose another port"):
+        TcpEndpoint("127.0.0.1", int(first.url.rpartition(":")[2]))
+    first.close()
+
+
+@pytest.mark.parametrize("address", ["nohost", "127.0.0.1:", "127.0.0.1:http"])
+def test_a_wrong_tcp_address_is_refused(address: str) -> None:
+    with pytest.raises(OptionError, match="HOST:PORT"):
+        run_server(SilOptions(), tcp=address)
