@@ -23,9 +23,9 @@ constexpr float kRestMargin_rad = 1.0F * kRadPerDeg;
 constexpr float kCloseIn = 0.01F;
 constexpr float kPerCloseInSquared = 1.0F / (kCloseIn * kCloseIn);
 
-// The host sends the path in 20 ms pieces; their corners are smoothed over about as long before
+// The host sends the path in 20 ms pieces; their corners are smoothed over five of them before
 // the control law sees an acceleration.
-constexpr float kSmoothing = 0.03F;
+constexpr float kSmoothing = 0.01F;
 
 
 // Fastest approach to a point this far away that can still brake in time.
