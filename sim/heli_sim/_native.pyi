@@ -33,6 +33,7 @@ class World:
         counts_per_rad: Sequence[float],
         offset_count: Sequence[float],
         flash_file: str = "",
+        from_edges: bool = False,
     ) -> None: ...
     def advance(
         self, ticks: int, rx: bytes, until_output: bool = False, least: int = 1
@@ -50,6 +51,8 @@ class World:
     def motors_enabled(self) -> bool: ...
     @property
     def volts_V(self) -> list[float]: ...
+    @property
+    def board_counts(self) -> list[int]: ...
     @property
     def counts(self) -> list[int]: ...
     @property

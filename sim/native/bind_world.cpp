@@ -86,9 +86,10 @@ class NativeWorld {
  public:
   NativeWorld(std::shared_ptr<PlantStep> step, std::vector<double> state,
               std::vector<double> parameters, double supply_V, double dead_band,
-              const Axes& counts_per_rad, const Axes& offset_count, const std::string& flash_file)
-      : NativeWorld(std::make_unique<NativeBoard>(flash_file), std::move(step), std::move(state),
-                    std::move(parameters), {supply_V, dead_band},
+              const Axes& counts_per_rad, const Axes& offset_count, const std::string& flash_file,
+              bool from_edges)
+      : NativeWorld(std::make_unique<NativeBoard>(flash_file, from_edges), std::move(step),
+                    std::move(state), std::move(parameters), {supply_V, dead_band},
                     encoder_config(counts_per_rad, offset_count)) {}
 
   nb::tuple advance(std::uint64_t ticks, const nb::bytes& rx, bool until_output,
@@ -185,9 +186,9 @@ void bind_world(nb::module_& module) {
   nb::class_<NativeWorld>(module, "World",
                           "Native board, serial line, power stage and rig on one 1 ms clock.")
       .def(nb::init<std::shared_ptr<PlantStep>, std::vector<double>, std::vector<double>, double,
-                    double, const Axes&, const Axes&, const std::string&>(),
+                    double, const Axes&, const Axes&, const std::string&, bool>(),
            "step"_a, "state"_a, "parameters"_a, nb::kw_only(), "supply_V"_a, "dead_band"_a,
-           "counts_per_rad"_a, "offset_count"_a, "flash_file"_a = "")
+           "counts_per_rad"_a, "offset_count"_a, "flash_file"_a = "", "from_edges"_a = false)
       .def("advance", &NativeWorld::advance, "ticks"_a, "rx"_a, "until_output"_a = false,
            "least"_a = 1,
            "Hand `rx` to the line and let time pass; (milliseconds passed, bytes at the host).")
@@ -213,6 +214,11 @@ void bind_world(nb::module_& module) {
             self.world().set_parameters(parameters);
           })
       .def_prop_ro("volts_V", [](NativeWorld& self) { return self.world().volts_V(); })
+      .def_prop_ro("board_counts",
+                   [](NativeWorld& self) {
+                     const std::int32_t* count = self.memory().encoders.count;
+                     return std::array<std::int32_t, 3>{count[0], count[1], count[2]};
+                   })
       .def_prop_ro("counts",
                    [](NativeWorld& self) {
                      const std::int32_t* count = self.world().encoders().count();

@@ -34,7 +34,7 @@ bool MemoryBoard::write_page(std::size_t page, const std::uint8_t* from) {
   return static_cast<bool>(file.flush());
 }
 
-NativeBoard::NativeBoard(const std::string& flash_file) {
+NativeBoard::NativeBoard(const std::string& flash_file, bool from_edges) : from_edges_(from_edges) {
   memory_.flash_file = flash_file;
   std::ifstream file(flash_file, std::ios::binary);
   if (!flash_file.empty() && file.is_open()) {
@@ -56,12 +56,22 @@ void NativeBoard::boot(heli::link::Reset cause) {
   core_->start();
 }
 
+void NativeBoard::count(const EncoderInput& encoders) {
+  if (!from_edges_) {
+    std::copy_n(encoders.count, heli::kAxisCount, memory_.encoders.count);
+    return;
+  }
+  for (std::size_t i = 0; i < encoders.edge_count; ++i) {
+    memory_.encoders.count[encoders.edges[i].axis] += encoders.edges[i].direction;
+  }
+}
+
 void NativeBoard::run(const EncoderInput& encoders) {
+  count(encoders);
   if (reset_ticks_ > 0) {
     --reset_ticks_;
     return;
   }
-  std::copy_n(encoders.count, heli::kAxisCount, memory_.encoders.count);
   if (!core_) boot(cause_);
   core_->tick();
   core_->poll();

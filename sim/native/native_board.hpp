@@ -50,10 +50,12 @@ class NativeBoard final : public SimBoard {
   // The 16U2 holds the reset line for about 205 ms when the port is opened.
   static constexpr std::uint32_t kResetTicks = 205;
 
+  // With `from_edges` the counters are this board's own and follow the edges, as they do on a
+  // board with registers; the tick then comes at the end of its millisecond.
   // Throws std::runtime_error when the flash file exists but cannot be read.
-  explicit NativeBoard(const std::string& flash_file);
+  NativeBoard(const std::string& flash_file, bool from_edges);
 
-  bool wants_edges() const override { return false; }
+  bool wants_edges() const override { return from_edges_; }
   void run(const EncoderInput& encoders) override;
   MotorOutput motors() const override;
   void reset(heli::link::Reset cause) override;
@@ -65,7 +67,9 @@ class NativeBoard final : public SimBoard {
 
  private:
   void boot(heli::link::Reset cause);
+  void count(const EncoderInput& encoders);
 
+  bool from_edges_;
   MemoryBoard memory_;
   std::optional<heli::Core> core_;
   std::uint32_t reset_ticks_ = 0;

@@ -17,6 +17,7 @@ from heli_host.link.declaration import (
     Result,
 )
 from heli_host.link.telemetry import TelemetryDecoder
+from heli_sim import _native
 from heli_sim.model import PaperModel
 from heli_sim.plant import Plant
 from heli_sim.rig import load_rig
@@ -158,3 +159,26 @@ def test_flash_can_be_taken_out_and_put_back() -> None:
     assert second.hello().params_source == ParamsSource.STORED
     with pytest.raises(ValueError, match="flash holds"):
         second.world.native.flash = b""
+
+
+def test_a_board_that_counts_edges_agrees_with_the_encoders_every_millisecond() -> None:
+    plant = Plant(PaperModel(), load_rig("makki2024"))
+    swinging = [0.3, 0.6, 0.1, 0.2, -1.0, 0.8]
+    native = _native.World(
+        plant.native_step(),
+        swinging,
+        plant.parameters.tolist(),
+        supply_V=12.0,
+        dead_band=0.06,
+        counts_per_rad=[4096 / (2 * np.pi)] * 3,
+        offset_count=[123.4, -55.5, 0.9],
+        from_edges=True,
+    )
+    start = np.array(native.counts)
+    moved = 0
+    for _ in range(3000):
+        native.advance(1, b"")
+        turned = np.array(native.counts) - start
+        assert native.board_counts == turned.tolist()
+        moved = max(moved, int(np.abs(turned).max()))
+    assert moved > 300
