@@ -161,7 +161,8 @@ class CommandRefused(LinkError):
             if detail in State._value2member_map_:
                 self.state = State(detail)
             name = self.state.name.lower() if self.state is not None else f"number {detail}"
-            return f"not allowed in state {name}", _STATE_REMEDIES.get(self.state, "")
+            unknown = "update heli_host: it does not know this state"
+            return f"not allowed in state {name}", _STATE_REMEDIES.get(self.state, unknown)
         if self.result == Result.CHECK_FAILED:
             spec = fault_spec(detail)
             if spec is None:

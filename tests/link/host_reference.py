@@ -5,6 +5,8 @@ The witness for heli_host.link: it shares no line, no table and no library with 
 
 from __future__ import annotations
 
+import struct
+
 BITS_OF_CODE = (0, 2, 4, 8, 16, 32)
 BASE_SIZES = (4, 4, 4, 4, 4, 4, 2, 2, 1, 1, 1)
 BASE_SIGNED = (True, True, True, True, True, True, True, True, False, False, False)
@@ -46,6 +48,11 @@ def frame(message_id: int, seq: int, payload: bytes) -> bytes:
     return cobs_encode(plain + crc32(plain).to_bytes(4, "little")) + b"\x00"
 
 
+def f32(value: float) -> bytes:
+    """IEEE 754 single precision, least significant byte first."""
+    return struct.pack("<f", value)
+
+
 def signed(value: int, bits: int) -> int:
     """Two's complement of the low ``bits`` bits."""
     value %= 1 << bits
@@ -64,7 +71,7 @@ def smallest_code(deltas: list[int]) -> int:
 
 
 def telemetry_payload(first_tick: int, samples: list[list[int]], codes: list[int] | None = None) -> bytes:
-    """Pack samples (a row a tick, 11 channels) into one telemetry payload, by default as narrow as they go."""
+    """Pack samples (a row a tick, 11 channels) into one telemetry payload, as narrow as they go."""
     count = len(samples)
     deltas = [
         [signed(samples[k][channel] - samples[k - 1][channel], 32) for k in range(1, count)]

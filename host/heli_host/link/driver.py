@@ -77,8 +77,7 @@ class Driver:
         if self._thread is not None and not self.in_reading_thread:
             self._thread.join()
         self.transport.close()
-        if self.fatal is None:
-            self._fail(LinkError("the session is closed", "connect again"))
+        self._fail(LinkError("the session is closed", "connect again"))
 
     def check(self) -> None:
         """Raise what a callback raised, or why the session is over.
@@ -201,5 +200,6 @@ class Driver:
 
     def _fail(self, error: HeliError) -> None:
         with self.lock:
-            self.fatal = error
+            if self.fatal is None:
+                self.fatal = error
             self.lock.notify_all()

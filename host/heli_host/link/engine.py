@@ -51,9 +51,11 @@ from heli_host.link.streams import SETPOINT_INTERVAL_S, VOLTAGES_INTERVAL_S, Str
 from heli_host.link.telemetry import EMPTY_TICKS, TelemetryDecoder, Ticks
 
 HELLO_INTERVAL_S = 0.1
-HEARTBEAT_S = 0.2
+# A little less than 5 and 10 Hz: in lockstep time passes in steps of 0.1 s, and a step must not be just too
+# short.
+HEARTBEAT_S = 0.199
+KEEP_ALIVE_S = 0.099
 CLOCK_PING_S = 1.0
-KEEP_ALIVE_S = 0.1
 SILENCE_S = 1.0
 
 _STATE_CHANNEL = 8
