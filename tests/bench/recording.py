@@ -7,29 +7,30 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import heli_host
-from heli_host.fly.runner import fly
+from heli_host.fly.recorder import Recorder
 from heli_sim.sil.process import SilProcess
 
-from tests.bench.flights import RIG, hover
+from tests.bench.flights import RIG
 from tests.bench.result import Measured, repeat
 
 REPETITIONS = 3
-FLIGHT_S = 12.0
-"""Take-off and landing come on top: about 22 s in all."""
+HOVER_S = 20.0
 
 
 def core_share() -> float:
-    """Fly in real time over a pseudo-terminal; processor time of this process over wall time."""
+    """Hover in real time over a pseudo-terminal; processor time of this process over wall time."""
     with (
         TemporaryDirectory() as folder,
         SilProcess(rig=RIG, speed=1.0) as board,
         heli_host.connect(board.url) as heli,
     ):
-        start_s, busy_s = time.perf_counter(), time.process_time()
-        fly(heli, [hover(FLIGHT_S)], log_path=Path(folder) / "flight.mcap")
-        return (time.process_time() - busy_s) / (time.perf_counter() - start_s)
+        heli.take_off()
+        with Recorder(heli, Path(folder) / "flight.mcap"):
+            start_s, busy_s = time.perf_counter(), time.process_time()
+            heli.wait(HOVER_S)
+            return (time.process_time() - busy_s) / (time.perf_counter() - start_s)
 
 
 def measure() -> list[Measured]:
-    """Record three flights."""
+    """Record three hovers."""
     return [repeat("host_cpu_at_1khz", REPETITIONS, core_share)]

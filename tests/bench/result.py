@@ -35,14 +35,15 @@ class Promise:
 
 
 PROMISES = (
-    Promise("sil_native_lockstep_x_realtime", "board, plant, bytes and decoding in process", 200.0),
-    Promise("sil_native_pty_x_realtime", "over a pseudo-terminal, with the log written", 50.0),
+    Promise("sil_native_lockstep_x_realtime", "in process: board, plant, bytes, session", 200.0),
+    Promise("sil_native_flight_x_realtime", "the same, steered at 50 Hz and logged", None),
+    Promise("sil_native_pty_x_realtime", "pseudo-terminal, steered and logged", 50.0),
     Promise("host_decode_ticks_per_s", "bytes to arrays", 1e6),
-    Promise("host_decode_ratio_to_pymavlink", "the same, against one MAVLink message a tick", 4.0),
+    Promise("host_decode_ratio_to_pymavlink", "against a MAVLink message a tick", 4.0),
     Promise("telemetry_line_use", "share of 250 kbaud, hover and sine", 0.60, at_least=False),
-    Promise("telemetry_line_use_worst", "the same, every voltage random", 1.0, at_least=False),
-    Promise("host_cpu_at_1khz", "share of a core, recording in real time", 0.05, at_least=False),
-    Promise("read_600k_ticks_s", "seconds to read a ten-minute log into numpy", 2.0, at_least=False),
+    Promise("telemetry_line_use_worst", "with every voltage random", 1.0, at_least=False),
+    Promise("host_cpu_at_1khz", "share of a core, recording", 0.05, at_least=False),
+    Promise("read_600k_ticks_s", "seconds to read a ten-minute log", 2.0, at_least=False),
 )
 
 
