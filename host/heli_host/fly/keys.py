@@ -193,7 +193,7 @@ def _short(value: object) -> str:
 
 
 def _suggestion(key: str, names: list[str]) -> str:
-    with_unit = [name for name in names if name.rpartition("_")[0] == key]
+    with_unit = [name for name in names if name.startswith(key + "_")]
     if with_unit:
         return f"name the unit: {' or '.join(with_unit)}"
     close = difflib.get_close_matches(key, names, n=1, cutoff=0.6)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 TICK_S = TICK_US * 1e-6
 INTERVAL_TICKS = 20
 """Device time between two setpoints: 50 a second."""
-LEAD_TICKS = 40
+LEAD_TICKS = 100
 """How far ahead a setpoint lies: the board ramps to it, and a frame may be late by as much without a stop."""
 
 _LONGEST_LEAD_TICKS = 400
@@ -143,6 +143,8 @@ class Pilot:
             unsubscribe()
 
     def _fly_route(self) -> None:
+        # The first evaluation takes 20 ms, most of it numpy's; at 50x real time that is a second of flight.
+        self._target_rad(self._tick())
         self._wait_ticks(_BEFORE_TICKS)
         self._heli.arm()
         self._heli.control(self._axes)
@@ -194,11 +196,15 @@ class Pilot:
         # one.
         lead_ticks = min(max(LEAD_TICKS, tick - self._sent_tick + INTERVAL_TICKS), _LONGEST_LEAD_TICKS)
         at_tick = tick + lead_ticks
-        target_rad = np.radians(self._route.evaluate(np.array([(at_tick - self._start_tick) * TICK_S]))[0])
-        message = SetpointMessage(at_tick & 0xFFFFFFFF, *(float(angle) for angle in target_rad))
+        message = SetpointMessage(at_tick & 0xFFFFFFFF, *self._target_rad(at_tick))
         self._sent_tick = tick
         self._session.stream(message)
         self._session.keep_alive(message if self._heli.keep_alive else None)
+
+    def _target_rad(self, tick: int) -> list[float]:
+        t_s = np.array([(tick - self._start_tick) * TICK_S])
+        angles_rad: list[float] = np.radians(self._route.evaluate(t_s)[0]).tolist()
+        return angles_rad
 
     def _excite(self) -> None:
         while self._excitations and self._tick() >= self._tick_of(self._excitations[0]):
@@ -266,13 +272,22 @@ class Pilot:
             self.outcome += f"; {trouble}"
 
     def _land(self) -> str:
+        """Land, or see to the end that the board has come to by itself; return what went wrong."""
         if not self._session.connected and not self._was_closed:
             return ""
-        if self._session.state in _DOWN:
-            return ""
-        self._recorder.mark_phase(self._tick(), LANDING)
+        trouble = ""
+        if self._session.state is State.ARMED:
+            self._heli.stop()
+        elif self._session.state not in _DOWN:
+            trouble = self._descend()
+        self._wait_ticks(_AFTER_TICKS)
+        return trouble
+
+    def _descend(self) -> str:
+        begin_tick = self._tick()
         if self._session.state is not State.LANDING:
             self._heli.land(wait=False)
+        self._recorder.mark_phase(begin_tick, LANDING)
         timeout_s = self._heli.params["landing_timeout_s"] + 3.0
         until_tick = self._tick() + round(timeout_s / TICK_S)
         while self._session.state not in _DOWN:
@@ -281,10 +296,7 @@ class Pilot:
                 return f"it did not land within {timeout_s:g} s; motors stopped"
             self._report(landing=True)
             self._session.wait_for(lambda: self._session.state in _DOWN, _LOOK_S)
-        if self._session.state is State.FAULT:
-            return f"fault {fault_text(self._fault())}"
-        self._wait_ticks(_AFTER_TICKS)
-        return ""
+        return f"fault {fault_text(self._fault())}" if self._session.state is State.FAULT else ""
 
     def _wait_ticks(self, count: int) -> None:
         last_tick = self._tick() + count

@@ -1,4 +1,4 @@
-"""Flies plans: checks, take-off, setpoints on device time, landing, and a log of all of it whatever happens."""
+"""Flies plans: checks, take-off, setpoints on device time, landing, and a log whatever happens."""
 
 from __future__ import annotations
 

@@ -1,0 +1,1 @@
+"""A flight on disk, and back; see the README beside this file."""

@@ -273,8 +273,7 @@ def _runs(state: NDArray[np.uint8]) -> list[tuple[int, int, int]]:
 
 
 def _thinned(t_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[Any, Any]:
-    """Keep the least and the greatest of every bucket, so that a long flight draws fast and no peak is lost.
-    """
+    """Keep least and greatest of every bucket: a long flight draws fast, and no peak is lost."""
     bucket = len(values) // _BUCKETS
     if bucket < 3:
         return t_s, values

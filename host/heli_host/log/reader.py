@@ -38,6 +38,7 @@ from heli_host.log.schema import (
     parse_layout,
     physical,
     raw_ticks,
+    tick_record,
 )
 
 _RECORD_HEADER = struct.Struct("<BQ")
@@ -283,18 +284,7 @@ def _add_channel(channel: Channel, parts: _Parts) -> None:
             f"{parts.path} has no field {missing[0]} in its ticks", "read it with the version that wrote it"
         )
     parts.layout, parts.tick_channel = layout, channel.id
-    parts.record = np.dtype(
-        [
-            ("opcode", "<u1"),
-            ("length", "<u8"),
-            ("channel", "<u2"),
-            ("sequence", "<u4"),
-            ("log_time_ns", "<u8"),
-            ("publish_time_ns", "<u8"),
-            ("cdr", "<u4"),
-            ("payload", layout.dtype),
-        ]
-    )
+    parts.record = tick_record(layout)
 
 
 def _read_chunk(chunk: Chunk, parts: _Parts) -> None:

@@ -196,6 +196,33 @@ def parse_layout(text: str) -> MessageLayout:
     return MessageLayout(np.dtype(layout), constants)  # type: ignore[call-overload]
 
 
+def tick_record(layout: MessageLayout) -> np.dtype[Any]:
+    """Return the layout of a whole MCAP message record that holds one tick.
+
+    Parameters
+    ----------
+    layout : MessageLayout
+        Layout of the tick itself.
+
+    Returns
+    -------
+    numpy.dtype
+        Structured, with the tick as ``payload``.
+    """
+    return np.dtype(
+        [
+            ("opcode", "<u1"),
+            ("length", "<u8"),
+            ("channel", "<u2"),
+            ("sequence", "<u4"),
+            ("log_time_ns", "<u8"),
+            ("publish_time_ns", "<u8"),
+            ("cdr", "<u4"),
+            ("payload", layout.dtype),
+        ]
+    )
+
+
 TICK_LAYOUT = parse_layout(TICK_SCHEMA)
 """Layout that this version writes."""
 

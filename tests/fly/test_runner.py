@@ -1,0 +1,351 @@
+"""A flight follows its plan, always comes down, and always leaves a log that says what happened."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from heli_host.errors import LogWriteError, PlanError
+from heli_host.flight import Flight
+from heli_host.fly.pilot import Pilot
+from heli_host.fly.plan import Plan, load_plan
+from heli_host.fly.recorder import Recorder
+from heli_host.fly.runner import Progress, fly
+from heli_host.heli import Heli, connect
+from heli_host.link.declaration import Flags, State
+from heli_host.link.telemetry import Ticks
+from heli_host.log.reader import Log, read_log
+from heli_host.log.summary import FlightSummary
+
+pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not built")
+
+SHORT = """
+title = "Short"
+[start]
+settle_s = 2
+[[segment]]
+kind = "ramp"
+travel_deg = 6
+elevation_deg = 3
+duration_s = 4
+[[segment]]
+kind = "hold"
+duration_s = 2
+"""
+
+
+def short(text: str = SHORT, name: str = "short") -> Plan:
+    return Plan.parse(text, f"{name}.toml")
+
+
+def flown(
+    path: Path,
+    *plans: Plan,
+    options: str = "",
+    on_progress: Callable[[Progress], None] | None = None,
+    prepare: Callable[[Heli], None] | None = None,
+    reconnect_timeout_s: float = 30.0,
+) -> tuple[FlightSummary, Log, State | None]:
+    """Fly in lockstep; return summary, log, and the state that the board is left in."""
+    url = f"sil://?rig=makki2024&seed=3&speed=max{options}"
+    with connect(url, reconnect_timeout_s=reconnect_timeout_s) as heli:
+        if prepare is not None:
+            prepare(heli)
+        summary = fly(heli, plans or short(), log_path=path, on_progress=on_progress, rig_name="makki2024")
+        state = heli.session.state
+    return summary, read_log(path), state
+
+
+def raising(error: BaseException, at_s: float, *more_at_s: float) -> Callable[[Progress], None]:
+    """Return a progress callback that raises at a time, and again at later ones."""
+    due_s = [at_s, *more_at_s]
+
+    def call(progress: Progress) -> None:
+        if due_s and progress.t_s >= due_s[0]:
+            due_s.pop(0)
+            raise error
+
+    return call
+
+
+def test_a_plan_is_flown_landed_and_logged(tmp_path: Path) -> None:
+    with connect("sil://?seed=3") as heli:
+        summary = fly(
+            heli,
+            short(),
+            log_path=tmp_path / "a.mcap",
+            json_path=tmp_path / "summary.json",
+            figure_path=tmp_path / "figure.png",
+            rig_name="makki2024",
+        )
+        assert heli.state is State.IDLE
+    assert summary.completed and summary.ticks_lost == 0
+    assert summary.plans == ("short",)
+    for axis in ("elevation", "travel"):
+        error_deg = summary.rms_error_deg[axis]
+        assert error_deg is not None and error_deg < 1.0
+    content = json.loads((tmp_path / "summary.json").read_text())
+    assert content["link"]["frames_bad"] == 0 and content["link"]["reconnects"] == 0
+    assert content["ticks_logged"] == summary.ticks_logged > 12_000
+    assert (tmp_path / "figure.png").stat().st_size > 20_000
+    log = read_log(tmp_path / "a.mcap")
+    assert log.complete and log.metadata["result"]["outcome"] == "completed"
+    assert log.metadata["plan"]["short"] == SHORT
+    assert log.metadata["session"]["rig"] == "makki2024" and log.metadata["session"]["firmware"]
+    assert len(log.metadata["session"]["link_hash"]) == 8 and log.metadata["session"]["host_link_hash"]
+    assert len(log.parameters) > 40
+    assert {"armed", "closed_loop", "landing", "idle"} <= {
+        event["message"].split()[1].rstrip(",") for event in log.events if event["name"] == "state"
+    }
+    assert len(log.link) >= 10 and log.link[-1]["board_frames_bad"] == 0
+
+
+def test_the_same_seed_gives_the_same_log_byte_for_byte(tmp_path: Path) -> None:
+    flown(tmp_path / "a.mcap")
+    flown(tmp_path / "b.mcap")
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_the_boards_setpoint_is_the_plan_on_device_time(tmp_path: Path) -> None:
+    plan = load_plan("sine")
+    _, log, _ = flown(tmp_path / "a.mcap", plan)
+    flight = log.flight()
+    start_s = next(event.t_s for event in flight.events if event.text == "sine")
+    flying = (flight.t_s > start_s) & (flight.t_s < start_s + plan.duration_s)
+    elevation_deg, _, travel_deg = plan.evaluate(flight.t_s[flying] - start_s)
+    setpoints = flight.setpoints_rad
+    assert setpoints is not None
+    # The board may lag its own slew and acceleration limits for a moment, never by a setpoint's interval.
+    assert np.max(np.abs(np.rad2deg(setpoints[flying, 0]) - elevation_deg)) < 0.25
+    assert np.max(np.abs(np.rad2deg(setpoints[flying, 2]) - travel_deg)) < 0.8
+    assert np.median(np.abs(np.rad2deg(setpoints[flying, 2]) - travel_deg)) < 0.1
+
+
+def test_plans_are_flown_one_after_the_other_in_one_flight(tmp_path: Path) -> None:
+    second = short(SHORT.replace("travel_deg = 6", "travel_deg = -6"), "back")
+    summary, log, _ = flown(tmp_path / "a.mcap", short(), second, short())
+    assert summary.completed and summary.plans == ("short", "back", "short (2)")
+    phases = [event["message"] for event in log.events if event["name"] == "phase"]
+    assert phases == ["take-off", "short", "back", "short", "landing"]
+    assert sum(event["message"].startswith("state armed") for event in log.events) == 1
+
+
+def test_an_excitation_acts_in_its_segment_and_nowhere_else(tmp_path: Path) -> None:
+    text = SHORT + (
+        '[[segment]]\nkind = "excite"\nsignal = "multisine"\nfront_V = 0.3\nback_V = 0.2\n'
+        "start_Hz = 0.5\nstop_Hz = 4\nduration_s = 3\n[[segment]]\nkind = 'hold'\nduration_s = 1\n"
+    )
+    summary, log, _ = flown(tmp_path / "a.mcap", short(text))
+    assert summary.completed
+    excited = (log.ticks["flags"] & int(Flags.EXCITATION)) > 0
+    phase_s = next(event["t_s"] for event in log.events if event["message"] == "short")
+    during_s = log.ticks["t_s"][excited]
+    assert during_s[0] == pytest.approx(phase_s + 6.0, abs=0.15)
+    assert during_s[-1] - during_s[0] == pytest.approx(3.0, abs=0.05)
+
+
+def test_a_plan_that_leaves_the_limits_moves_nothing(tmp_path: Path) -> None:
+    plan = short(SHORT.replace("travel_deg = 6", "travel_deg = 172"))
+    with connect("sil://?seed=3") as heli:
+        with pytest.raises(PlanError, match=r"short\.toml, segment 1 \(ramp\).*travel_max_deg - 5"):
+            fly(heli, plan, log_path=tmp_path / "a.mcap")
+        with pytest.raises(PlanError, match="did you mean hover"):
+            fly(heli, "hoover", log_path=tmp_path / "a.mcap")
+        assert heli.state is State.IDLE
+    assert not (tmp_path / "a.mcap").exists()
+
+
+def test_a_log_that_cannot_be_created_moves_nothing(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with connect("sil://?seed=3") as heli:
+        with pytest.raises(LogWriteError):
+            fly(heli, short(), log_path=tmp_path / "file" / "a.mcap")
+        assert heli.state is State.IDLE
+
+
+def test_a_fault_ends_the_flight_with_its_name_and_parameter(tmp_path: Path) -> None:
+    def tighten(heli: Heli) -> None:
+        heli.params["elevation_rate_max_deg_s"] = 10.0
+
+    fast = short(
+        SHORT.replace("elevation_deg = 3", "elevation_deg = 18").replace("duration_s = 4", "duration_s = 1.3")
+    )
+    summary, log, state = flown(tmp_path / "a.mcap", fast, prepare=tighten)
+    assert summary.outcome.startswith("aborted: fault elevation_rate")
+    assert "elevation_rate_max_deg_s" in summary.outcome and "\n" not in summary.outcome
+    assert state is State.FAULT and log.complete
+    assert log.metadata["result"]["outcome"] == summary.outcome
+    assert any(event["name"] == "fault" and event["level"] == 4 for event in log.events)
+
+
+def test_a_refused_arming_is_told_and_nothing_moves(tmp_path: Path) -> None:
+    summary, log, state = flown(tmp_path / "a.mcap", prepare=lambda heli: heli.arm())
+    assert summary.outcome.startswith("aborted: the board refused arm")
+    assert state is State.IDLE and not log.ticks["front_volt"].any()
+
+
+def test_ctrl_c_lands(tmp_path: Path) -> None:
+    summary, log, state = flown(tmp_path / "a.mcap", on_progress=raising(KeyboardInterrupt(), 4.0))
+    assert summary.outcome == "aborted: Ctrl-C"
+    assert state is State.IDLE and log.complete
+    assert any("touchdown" in event["message"] for event in log.events)
+
+
+def test_a_second_ctrl_c_stops_the_motors_at_once(tmp_path: Path) -> None:
+    summary, log, state = flown(tmp_path / "a.mcap", on_progress=raising(KeyboardInterrupt(), 4.0, 4.5))
+    assert summary.outcome == "aborted: Ctrl-C; Ctrl-C again, motors stopped in the air"
+    assert state is State.IDLE and log.complete
+    assert any("because of stop" in event["message"] for event in log.events)
+    assert log.ticks["t_s"][-1] < 6.5
+
+
+def test_an_error_of_the_callers_own_comes_back_after_the_landing(tmp_path: Path) -> None:
+    with connect("sil://?seed=3") as heli:
+        with pytest.raises(ZeroDivisionError):
+            fly(heli, short(), log_path=tmp_path / "a.mcap", on_progress=raising(ZeroDivisionError(), 4.0))
+        assert heli.state is State.IDLE
+    log = read_log(tmp_path / "a.mcap")
+    assert log.complete and "ZeroDivisionError" in log.metadata["result"]["outcome"]
+    assert any("touchdown" in event["message"] for event in log.events)
+
+
+def test_a_short_unplug_is_flown_through(tmp_path: Path) -> None:
+    summary, log, _ = flown(tmp_path / "a.mcap", options="&unplug=7:0.3")
+    assert summary.completed and summary.link["reconnects"] == 1
+    assert 200 < summary.ticks_lost < 1000
+    assert summary.ticks_lost == log.ticks_lost
+    assert {"link_lost", "link_restored"} <= {event["name"] for event in log.events}
+    assert np.all(np.diff(log.ticks["t_s"]) > 0)
+
+
+def test_after_a_long_unplug_the_board_has_landed_and_the_log_goes_on(tmp_path: Path) -> None:
+    summary, log, state = flown(tmp_path / "a.mcap", options="&unplug=7:9")
+    assert summary.outcome.startswith("aborted: the board went to state")
+    assert "after the link was lost" in summary.outcome
+    assert state is State.IDLE and log.ticks["t_s"][-1] > 16.0
+
+
+def test_a_link_that_stays_lost_is_the_outcome_and_the_log_is_closed(tmp_path: Path) -> None:
+    summary, log, _ = flown(tmp_path / "a.mcap", options="&unplug=7:900", reconnect_timeout_s=3.0)
+    assert summary.outcome.startswith("link lost:") and "lands by itself" in summary.outcome
+    assert log.complete and 6.0 < log.ticks["t_s"][-1] < 8.0
+
+
+def test_a_noisy_line_costs_ticks_that_are_all_counted(tmp_path: Path) -> None:
+    summary, log, _ = flown(tmp_path / "a.mcap", options="&flip=3e-5")
+    assert summary.completed
+    assert summary.link["frames_bad"] > 0 and summary.ticks_lost > 0
+    ticks = log.ticks["tick"].astype(np.int64)
+    assert summary.ticks_lost == ticks[-1] - ticks[0] + 1 - len(ticks)
+    with pytest.raises(Exception, match="gaps"):
+        Flight.read(tmp_path / "a.mcap")
+
+
+def test_a_full_disk_lands_the_rig_and_keeps_what_was_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import io
+
+    written = io.FileIO.write
+
+    class FullDisk(io.FileIO):
+        def write(self, data: object) -> int:
+            if self.tell() > 120_000:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return written(self, data)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("heli_host.log.writer.io.FileIO", FullDisk)
+    summary, log, state = flown(tmp_path / "a.mcap")
+    assert summary.outcome.startswith("aborted: cannot write the log")
+    assert "No space left" in summary.outcome and state is State.IDLE
+    assert not log.complete and len(log.ticks) >= 1000 and summary.notes
+
+
+def test_setpoints_go_on_by_the_clock_while_samples_do_not_come(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take = Pilot._take_ticks
+
+    def deaf(self: Pilot, ticks: Ticks) -> None:
+        if not 6000 < int(ticks.tick[-1]) < 9000:
+            take(self, ticks)
+
+    monkeypatch.setattr(Pilot, "_take_ticks", deaf)
+    with connect("sil://?seed=3", keep_alive=False) as heli:
+        summary = fly(heli, short(), log_path=tmp_path / "a.mcap")
+    assert summary.completed
+    assert not [event for event in summary.events if event["name"] == "setpoint_stale"]
+
+
+def test_without_a_log_path_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    with connect("sil://?seed=3") as heli:
+        summary = fly(heli, short())
+    assert summary.completed and summary.ticks_logged > 10_000 and summary.log == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recorder_without_a_plan_takes_what_comes(tmp_path: Path) -> None:
+    with connect("sil://?seed=3") as heli:
+        with Recorder(heli, tmp_path / "a.mcap", rig_name="bench") as recorder:
+            heli.take_off()
+            recorder.note("remark", "by hand")
+            heli.params["hover_V"] = 1.5
+            heli.land()
+        assert recorder.counters.ticks_lost == 0
+    log = read_log(tmp_path / "a.mcap")
+    assert log.complete and log.metadata["result"]["outcome"] == "recorded"
+    assert log.metadata["parameters_changed"] == {"hover_V": "1.5"}
+    assert len(log.ticks) == recorder.counters.ticks_logged
+    assert "by hand" in [event["message"] for event in log.events]
+
+
+def test_over_a_pseudo_terminal_it_flies_the_same(tmp_path: Path) -> None:
+    process = pytest.importorskip("heli_sim.sil.process", reason="skipped: no simulation")
+    with process.SilProcess(speed=10.0) as sil, connect(sil.url) as heli:
+        seen: list[Progress] = []
+        summary = fly(heli, short(), log_path=tmp_path / "a.mcap", on_progress=seen.append)
+        assert heli.state is State.IDLE
+    assert summary.completed and summary.ticks_lost == 0
+    assert {"take-off", "short", "landing"} <= {progress.phase for progress in seen}
+
+
+@pytest.mark.skipif(os.name != "posix", reason="skipped: kill -9 is POSIX")
+def test_after_kill_9_of_the_host_the_board_lands_and_the_log_opens(tmp_path: Path) -> None:
+    process = pytest.importorskip("heli_sim.sil.process", reason="skipped: no simulation")
+    path = tmp_path / "killed.mcap"
+    script = (
+        "import sys\n"
+        "from heli_host.heli import connect\n"
+        "from heli_host.fly.runner import fly\n"
+        "with connect(sys.argv[1]) as heli:\n"
+        "    fly(heli, 'hover', log_path=sys.argv[2], on_progress=lambda p: print(p.t_s, flush=True))\n"
+    )
+    with process.SilProcess(speed=5.0) as sil:
+        host = subprocess.Popen(
+            [sys.executable, "-c", script, sil.url, str(path)], stdout=subprocess.PIPE, text=True
+        )
+        assert host.stdout is not None
+        while float(host.stdout.readline()) < 8.0:
+            pass
+        host.send_signal(signal.SIGKILL)
+        host.wait(timeout=30)
+        with connect(sil.url) as heli:
+            deadline_s = time.monotonic() + 20.0
+            while heli.state is not State.IDLE and time.monotonic() < deadline_s:
+                heli.wait(0.2)
+            assert heli.state is State.IDLE
+            assert heli.latest.elevation_deg < -20.0
+    log = read_log(path)
+    assert not log.complete and log.notes
+    assert log.ticks["t_s"][-1] > 7.0 and log.ticks_lost == 0
