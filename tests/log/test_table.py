@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gzip
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -176,3 +178,17 @@ def test_columns_of_different_length_are_refused() -> None:
     one, two = np.zeros(10), np.zeros(9)
     with pytest.raises(FlightDataError, match="pitch_rad"):
         Flight(np.linspace(0.0, 0.9, 10), one, one, one, two, one)
+
+
+def test_studying_a_flight_imports_no_session_and_no_port(tmp_path: Path) -> None:
+    write_made_log(tmp_path / "a.mcap", 2000)
+    script = (
+        "import sys\n"
+        "from heli_host.flight import Flight\n"
+        f"Flight.read({str(tmp_path / 'a.mcap')!r}).write_csv({str(tmp_path / 'a.csv')!r})\n"
+        "print(*sorted(sys.modules))\n"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    loaded = set(run.stdout.split())
+    assert "heli_host.log.reader" in loaded
+    assert not loaded & {"serial", "heli_host.link.session", "heli_host.link.transport", "heli_host.heli"}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,6 +43,9 @@ _LOUD_EVENTS = frozenset(
     }
 )
 _BUCKETS = 3000
+_LEAST_SPAN_DEG = 1.0
+_MOST_GAPS = 200
+_GAP_COLOUR = "#e58b85"
 _DPI = 130
 
 
@@ -107,29 +110,37 @@ def draw(flight: Flight, summary: FlightSummary) -> Figure:
         volts.set_xlim(0.0, max(float(t_s[-1]), 1e-3))
     figure.align_ylabels([*panels, volts])
     figure.suptitle(_headline(summary), fontsize=15, fontweight="bold", x=0.012, ha="left")
-    band.set_title(
-        "\n".join(textwrap.wrap(_subtitle(summary), 150)), fontsize=9.5, loc="left", color="#444444"
-    )
+    colour = "#444444" if summary.completed or summary.outcome == "recorded" else "#a01820"
+    band.set_title(_subtitle(summary), fontsize=9.5, loc="left", color=colour)
     return figure
 
 
 def _headline(summary: FlightSummary) -> str:
     flown = " + ".join(summary.plans) if summary.plans else "flight"
     rig = f" on {summary.rig}" if summary.rig else ""
-    return f"{flown}{rig}: {summary.outcome if len(summary.outcome) < 60 else summary.outcome[:57] + '...'}"
+    short = summary.outcome.partition(":")[0]
+    return f"{flown}{rig}: {short}"
 
 
 def _subtitle(summary: FlightSummary) -> str:
-    lost = f"{summary.ticks_lost} lost" if summary.ticks_lost else "none lost"
+    lost = f"{summary.ticks_lost:,} lost" if summary.ticks_lost else "none lost"
     link = summary.link
     parts = [
         f"{summary.duration_s:.1f} s, {summary.ticks_logged:,} ticks logged, {lost}",
-        f"link: {link.get('frames_ok', 0):,} frames, {link.get('frames_bad', 0)} bad, "
-        f"{link.get('retries', 0)} retries, {link.get('reconnects', 0)} reconnects",
+        f"link: {_count(link, 'frames_ok', 'frame')}, {link.get('frames_bad', 0)} bad, "
+        f"{_count(link, 'retries', 'retry')}, {_count(link, 'reconnects', 'reconnect')}",
     ]
     if summary.board:
         parts.append(summary.board)
-    return "   ·   ".join([*parts, *summary.notes])
+    numbers = "   ·   ".join([*parts, *summary.notes])
+    why = [] if summary.completed or ":" not in summary.outcome else [summary.outcome]
+    return "\n".join(line for text in (*why, numbers) for line in textwrap.wrap(text, 150))
+
+
+def _count(link: Mapping[str, int], name: str, noun: str) -> str:
+    number = link.get(name, 0)
+    many = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
+    return f"{number:,} {noun if number == 1 else many}"
 
 
 def _draw_axis(
@@ -149,12 +160,15 @@ def _draw_axis(
                 {"lw": 0.6, "zorder": 2.5} if axis == "pitch" else {"lw": 1.0, "ls": (0, (5, 2)), "zorder": 4}
             ),
         )
+    middle_deg = float(measured_deg.max() + measured_deg.min()) / 2 if len(measured_deg) else 0.0
+    # Wide enough that a count of the encoder does not look like a motion.
+    panel.update_datalim([(0.0, middle_deg - _LEAST_SPAN_DEG), (0.0, middle_deg + _LEAST_SPAN_DEG)])
     panel.set_ylabel(f"{axis} [°]")
     rms, worst = summary.rms_error_deg.get(axis), summary.max_error_deg.get(axis)
     error = (
         f"error {rms:.2f}° rms, {worst:.2f}° at most"
         if rms is not None and worst is not None
-        else "not closed"
+        else "no closed loop to judge"
     )
     panel.set_title(f"{axis}: {error}", fontsize=10, loc="left")
     _finish(panel)
@@ -232,6 +246,10 @@ def _draw_events(panels: Sequence[Axes], flight: Flight) -> None:
     for event in phases:
         for panel in panels:
             panel.axvline(_moment_s(event, flight), color="#666666", lw=0.8, ls=":", zorder=2)
+    for row in flight.gaps[:_MOST_GAPS]:
+        for panel in panels:
+            left_s, right_s = (float(flight.t_s[at] - flight.t_s[0]) for at in (row, row + 1))
+            panel.axvspan(left_s, right_s, color=_GAP_COLOUR, alpha=0.5, lw=0, zorder=1)
     for event in loud[:40]:
         for panel in panels:
             panel.axvline(_moment_s(event, flight), color="#c0202a", lw=1.0, zorder=2)
