@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from heli_host.link.clock import TICK_S
 from heli_host.link.declaration import CHANNELS, Fault, Flags, State
-from heli_host.link.telemetry import CHANNEL_COUNT
+from heli_host.link.telemetry import CHANNEL_COUNT, Ticks
 
 Floats = npt.NDArray[np.float64]
 
@@ -204,7 +204,7 @@ class SampleRing:
     """
 
     def __init__(self, capacity: int) -> None:
-        self._tick = np.empty(capacity, np.int64)
+        self._tick = np.empty(capacity, np.uint32)
         self._raw = np.empty((capacity, CHANNEL_COUNT), np.int32)
         self._written = 0
         self._lock = threading.Lock()
@@ -214,25 +214,27 @@ class SampleRing:
         with self._lock:
             self._written = 0
 
-    def append(self, tick: npt.NDArray[np.int64], raw: npt.NDArray[np.int32]) -> None:
+    def append(self, ticks: Ticks) -> None:
         """Add samples.
 
         Parameters
         ----------
-        tick : ndarray of int64, shape (n,)
-            Device time [tick], counted on over 2^32.
-        raw : ndarray of int32, shape (n, 11)
-            Channels in the declaration's order.
+        ticks : Ticks
+            New samples; of more than fit, the newest stay.
         """
         capacity = len(self._tick)
-        tick, raw = tick[-capacity:], raw[-capacity:]
+        tick, raw = ticks.tick[-capacity:], ticks.raw[-capacity:]
         with self._lock:
-            index = (self._written + np.arange(len(raw))) % capacity
-            self._tick[index] = tick
-            self._raw[index] = raw
-            self._written += len(raw)
+            start = self._written % capacity
+            room = capacity - start
+            self._tick[start : start + len(tick)] = tick[:room]
+            self._raw[start : start + len(raw)] = raw[:room]
+            if len(tick) > room:
+                self._tick[: len(tick) - room] = tick[room:]
+                self._raw[: len(raw) - room] = raw[room:]
+            self._written += len(tick)
 
-    def newest(self, count: int | None = None) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+    def newest(self, count: int | None = None) -> Ticks:
         """Return the newest samples, oldest first.
 
         Parameters
@@ -242,14 +244,12 @@ class SampleRing:
 
         Returns
         -------
-        tick : ndarray of int64, shape (n,)
-            Device time [tick].
-        raw : ndarray of int32, shape (n, 11)
-            Channels in the declaration's order; a copy.
+        Ticks
+            Copies.
         """
         with self._lock:
             capacity = len(self._tick)
             kept = min(self._written, capacity)
             count = kept if count is None else min(max(count, 0), kept)
             index = (self._written - count + np.arange(count)) % capacity
-            return self._tick[index], self._raw[index]
+            return Ticks(self._tick[index], self._raw[index])

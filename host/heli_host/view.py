@@ -162,7 +162,7 @@ class BoardView:
             Oldest first; copies, not changed by what comes later.
         """
         count = None if last_s is None else round(last_s / TICK_S)
-        return self._convert().samples(*self._ring.newest(count))
+        return self._in_units(self._ring.newest(count))
 
     def on_ticks(self, callback: Callable[[Samples], None]) -> Unsubscribe:
         """Have new samples handed over as they come, some milliseconds' worth at a time.
@@ -179,7 +179,7 @@ class BoardView:
         """
 
         def convert(ticks: Ticks) -> None:
-            callback(self._convert().samples(self.session.ticks_counted_on(ticks), ticks.raw))
+            callback(self._in_units(ticks))
 
         return self.session.subscribe_ticks(convert)
 
@@ -255,13 +255,16 @@ class BoardView:
             )
         return found[0]
 
+    def _in_units(self, ticks: Ticks) -> Samples:
+        return self._convert().samples(self.session.ticks_counted_on(ticks), ticks.raw)
+
     def _convert(self) -> Scales:
         if self._scales_of != self.params.revision:
             self._scales, self._scales_of = Scales(self.params), self.params.revision
         return self._scales
 
     def _take_ticks(self, ticks: Ticks) -> None:
-        self._ring.append(self.session.ticks_counted_on(ticks), ticks.raw)
+        self._ring.append(ticks)
 
     def _take_event(self, event: LinkEvent) -> None:
         if event.kind == BOARD_RESTARTED:

@@ -149,6 +149,8 @@ def test_unplugged_and_plugged_in_again_the_session_goes_on_by_itself(rig: PtyBo
         session.wait(0.2)
         rig.unplug()
         assert session.wait_for(lambda: not session.connected, 30.0)
+        missed_from = rig.board.tick
+        assert session.wait_for(lambda: rig.board.tick > missed_from + 100, 30.0)
         rig.plug_in()
         assert session.wait_for(lambda: session.connected, 60.0)
         session.wait(0.2)

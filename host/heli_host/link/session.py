@@ -351,13 +351,15 @@ class Session:
         Parameters
         ----------
         ticks : Ticks
-            Samples just handed over.
+            Samples of this start of the board.
 
         Returns
         -------
         ndarray of int64, shape (n,)
             Device time [tick].
         """
+        if len(ticks) == 0:
+            return np.empty(0, np.int64)
         last = self._engine.account.unwrap(int(ticks.tick[-1]))
         behind = (ticks.tick[-1] - ticks.tick).astype(np.int64)
         return np.asarray(last - behind, np.int64)

@@ -24,14 +24,13 @@ _BASES_START = _HEADER_BYTES + _WIDTHS_BYTES
 _DELTAS_START = _BASES_START + sum(_BASE_BYTES)
 _PAD = b"\0\0\0\0"
 _WIDTH_BITS = np.array([0, 2, 4, 8, 16, 32], dtype=np.intp)
-_WIDTH_CODES = len(_WIDTH_BITS)
 _BASE_OFFSET = np.cumsum((_BASES_START, *_BASE_BYTES[:-1]))  # (11,)
-_BASE_SHIFT = np.array([32 - 8 * size for size in _BASE_BYTES], dtype=np.uint32)  # (11,)
-_UNSIGNED = tuple(i for i, channel in enumerate(CHANNELS) if channel.code[-1].isupper())
-_NIBBLE = np.arange(CHANNEL_COUNT) % 2 * 4
-_NIBBLE_BYTE = _HEADER_BYTES + np.arange(CHANNEL_COUNT) // 2
-# Above this many batches at once the intermediate arrays leave the second-level cache.
-_BATCHES_AT_ONCE = 128
+_BASE_SHIFT = np.array([32 - 8 * size for size in _BASE_BYTES])  # (11,)
+# The unsigned channels are the last ones.
+_UNSIGNED = slice(min(i for i, channel in enumerate(CHANNELS) if channel.code[-1].isupper()), None)
+_SHAPE = slice(4, _HEADER_BYTES + _WIDTHS_BYTES)
+# A flight uses some tens of them; each takes 4 KiB.
+_PLANS_KEPT = 512
 
 
 @dataclass(frozen=True)
@@ -56,6 +55,20 @@ class Ticks:
 EMPTY_TICKS = Ticks(np.empty(0, np.uint32), np.empty((0, CHANNEL_COUNT), np.int32))
 
 
+@dataclass(frozen=True)
+class _Plan:
+    """Where the numbers of a batch lie, for one count and one set of widths.
+
+    ``size`` is the length of such a payload, -1 when there can be none. ``index`` (n, 11) is the byte at
+    which each number's word begins, ``left`` and ``right`` (n, 11) the shifts that cut it out.
+    """
+
+    size: int
+    index: npt.NDArray[np.intp]
+    left: npt.NDArray[np.uint32]
+    right: npt.NDArray[np.int32]
+
+
 class TelemetryDecoder:
     """Unpacks telemetry payloads.
 
@@ -67,6 +80,7 @@ class TelemetryDecoder:
 
     def __init__(self) -> None:
         self.malformed = 0
+        self._plans: dict[bytes, _Plan] = {}
 
     def decode(self, payloads: Sequence[bytes]) -> Ticks:
         """Unpack batches.
@@ -81,60 +95,81 @@ class TelemetryDecoder:
         Ticks
             All their samples, in the same order; malformed payloads are left out and counted.
         """
-        parts: list[Ticks] = []
-        start = 0
-        while start < len(payloads):
-            count = payloads[start][4] if len(payloads[start]) >= _DELTAS_START else 0
-            end = start + 1
-            limit = min(len(payloads), start + _BATCHES_AT_ONCE)
-            while end < limit and len(payloads[end]) >= _DELTAS_START and payloads[end][4] == count:
-                end += 1
-            if count == 0:
-                self.malformed += 1
-                end = start + 1
+        plans: list[_Plan] = []
+        parts: list[bytes] = []
+        for payload in payloads:
+            shape = payload[_SHAPE]
+            plan = self._plans.get(shape)
+            if plan is None:
+                plan = self._remember(shape)
+            if plan.size == len(payload):
+                plans.append(plan)
+                parts.append(payload)
             else:
-                parts.append(self._decode_alike(payloads[start:end], count))
-            start = end
-        if len(parts) == 1:
-            return parts[0]
-        if not parts:
+                self.malformed += 1
+        if not plans:
             return EMPTY_TICKS
-        return Ticks(
-            np.concatenate([part.tick for part in parts]), np.concatenate([part.raw for part in parts])
-        )
-
-    def _decode_alike(self, payloads: Sequence[bytes], count: int) -> Ticks:
-        joined = b"".join((*payloads, _PAD))
-        data = np.frombuffer(joined, np.uint8)
+        parts.append(_PAD)
+        joined = b"".join(parts)
         words = np.ndarray((len(joined) - 3,), "<u4", joined, strides=(1,))
-        length = np.fromiter(map(len, payloads), np.intp, len(payloads))  # (f,)
-        start = np.cumsum(length) - length  # (f,)
+        if len(plans) == 1:
+            raw = _cut_out(words, plans[0].index, plans[0].left, plans[0].right)
+            raw[0, _UNSIGNED] &= 255
+            raw.cumsum(axis=0, dtype=np.int32, out=raw)
+            return Ticks(words[0] + np.arange(len(raw), dtype=np.uint32), raw)
+        return _unpack(words, plans)
 
-        code = (data[start[:, None] + _NIBBLE_BYTE] >> _NIBBLE) & 15  # (f, 11)
-        sound = code.max(axis=1) < _WIDTH_CODES  # (f,)
-        width = _WIDTH_BITS[np.minimum(code, _WIDTH_CODES - 1)]  # (f, 11)
-        end = np.cumsum((width * (count - 1) + 7) >> 3, axis=1)  # (f, 11), behind the channel's deltas
-        sound &= end[:, -1] == length - _DELTAS_START
-        if not sound.all():
-            self.malformed += int(len(payloads) - np.count_nonzero(sound))
-            kept = [payload for payload, good in zip(payloads, sound, strict=True) if good]
-            return self._decode_alike(kept, count) if kept else EMPTY_TICKS
+    def _remember(self, shape: bytes) -> _Plan:
+        if len(self._plans) >= _PLANS_KEPT:
+            self._plans.clear()
+        plan = self._plans[shape] = _plan(shape)
+        return plan
 
-        frames = len(payloads)
-        bit = width[:, None, :] * np.arange(count - 1)[:, None]  # (f, count - 1, 11)
-        index = np.empty((frames, count, CHANNEL_COUNT), np.intp)
-        index[:, 0] = start[:, None] + _BASE_OFFSET
-        np.right_shift(bit, 3, out=index[:, 1:])
-        delta_start = end - ((width * (count - 1) + 7) >> 3) + (start + _DELTAS_START)[:, None]  # (f, 11)
-        index[:, 1:] += delta_start[:, None, :]
-        right = np.empty((frames, count, CHANNEL_COUNT), np.uint32)
-        right[:, 0] = _BASE_SHIFT
-        right[:, 1:] = (32 - width)[:, None, :]
-        left = right.copy()
-        left[:, 1:] -= (bit & 7).astype(np.uint32)
-        raw = (words.take(index) << left).view(np.int32) >> right.view(np.int32)
-        raw[:, 0, _UNSIGNED] &= 255
-        np.cumsum(raw, axis=1, dtype=np.int32, out=raw)
-        first = words.take(start)
-        tick = first[:, None] + np.arange(count, dtype=np.uint32)
-        return Ticks(tick.reshape(-1), raw.reshape(-1, CHANNEL_COUNT))
+
+def _plan(shape: bytes) -> _Plan:
+    """Lay out a batch by its bytes from the count to the last width."""
+    codes = [nibble for byte in shape[1:] for nibble in (byte & 15, byte >> 4)][:CHANNEL_COUNT]
+    if len(codes) < CHANNEL_COUNT or shape[0] == 0 or max(codes) >= len(_WIDTH_BITS):
+        nothing = np.empty((0, CHANNEL_COUNT))
+        return _Plan(-1, nothing.astype(np.intp), nothing.astype(np.uint32), nothing.astype(np.int32))
+    count = shape[0]
+    width = _WIDTH_BITS[codes]  # (11,)
+    end = _DELTAS_START + np.cumsum((width * (count - 1) + 7) >> 3)  # (11,), behind each channel's deltas
+    bit = width * np.arange(count - 1)[:, None]  # (n - 1, 11), of each delta in its channel
+    begin = np.concatenate(([_DELTAS_START], end[:-1]))
+    right = np.vstack((_BASE_SHIFT, np.broadcast_to(32 - width, bit.shape)))
+    left = np.vstack((_BASE_SHIFT, 32 - width - (bit & 7)))
+    index = np.vstack((_BASE_OFFSET, begin + (bit >> 3)))
+    return _Plan(int(end[-1]), index, left.astype(np.uint32), right.astype(np.int32))
+
+
+def _cut_out(
+    words: npt.NDArray[np.uint32],
+    index: npt.NDArray[np.intp],
+    left: npt.NDArray[np.uint32],
+    right: npt.NDArray[np.int32],
+) -> npt.NDArray[np.int32]:
+    # A shift by 32, for a delta of no bits, gives 0 in numpy: it is defined there.
+    return np.asarray((words.take(index) << left).view(np.int32) >> right)
+
+
+def _unpack(words: npt.NDArray[np.uint32], plans: Sequence[_Plan]) -> Ticks:
+    size = np.array([plan.size for plan in plans])  # (f,)
+    count = np.array([len(plan.index) for plan in plans])  # (f,)
+    start = np.cumsum(size) - size  # (f,), first byte of each batch
+    row = np.cumsum(count) - count  # (f,), first row of each batch
+    index = np.concatenate([plan.index for plan in plans])  # (n, 11)
+    index += np.repeat(start, count)[:, None]
+    raw = _cut_out(
+        words,
+        index,
+        np.concatenate([plan.left for plan in plans]),
+        np.concatenate([plan.right for plan in plans]),
+    )
+    raw[row, _UNSIGNED] &= 255
+    # Each base is an absolute number: what the batches before have summed up to is taken off it first.
+    raw[row[1:]] -= np.add.reduceat(raw, row, axis=0, dtype=np.int32)[:-1]
+    raw.cumsum(axis=0, dtype=np.int32, out=raw)
+    first = words.take(start) - row.astype(np.uint32)
+    tick = np.repeat(first, count) + np.arange(len(raw), dtype=np.uint32)
+    return Ticks(tick, raw)
