@@ -61,7 +61,7 @@ class Log:
     layout : MessageLayout
         That schema.
     events : tuple of dict
-        Event messages in the order of the log: ``t_s``, ``tick``, ``name``, ``message``, ``level``.
+        Event messages in order of time: ``t_s``, ``tick``, ``name``, ``message``, ``level``.
     link : tuple of dict
         Link counters, about once a second.
     metadata : dict of dict
@@ -222,7 +222,7 @@ def read_log(path: str | Path) -> Log:
         path=path,
         ticks=ticks,
         layout=parts.layout,
-        events=tuple(parts.events),
+        events=tuple(sorted(parts.events, key=lambda event: float(event["t_s"]))),
         link=tuple(parts.link),
         metadata=parts.metadata,
         notes=tuple(notes),
