@@ -1,0 +1,407 @@
+"""The interface that people use: degrees, names, one-line errors; on a fake board and a simulated one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import heli_host
+import numpy as np
+import pytest
+from heli_host.errors import CommandRefused, ControllerError, ParameterError, SetpointError, WaitTimeout
+from heli_host.heli import Heli
+from heli_host.link.declaration import (
+    PARAMS,
+    Excitation,
+    ExciteMessage,
+    MessageId,
+    Param,
+    Result,
+    SetpointMessage,
+    State,
+    VoltagesMessage,
+)
+from heli_host.link.session import Session
+from heli_host.link.telemetry import Ticks
+from heli_host.samples import Sample, SampleRing, Samples
+
+from tests.link.fake_board import FakeBoard, FakeLine, truth
+
+RAD_PER_COUNT = 2.0 * math.pi / 4096.0
+
+
+def connected(board: FakeBoard, **options: bool) -> Heli:
+    session = Session(FakeLine(board))
+    session.connect()
+    return Heli(session, **options)
+
+
+def setpoints(board: FakeBoard) -> list[SetpointMessage]:
+    return [
+        SetpointMessage.unpack(frame.payload) for _, frame in board.heard if frame.id == MessageId.SETPOINT
+    ]
+
+
+def executed(board: FakeBoard) -> list[MessageId]:
+    return [MessageId(done[0]) for done in board.executed]
+
+
+def test_samples_are_the_raw_channels_in_units() -> None:
+    heli = connected(FakeBoard())
+    heli.wait(3.0)
+    samples = heli.samples(last_s=1.0)
+    assert len(samples) == 1000
+    assert (np.diff(samples.tick) == 1).all()
+    np.testing.assert_allclose(samples.t_s, samples.tick * 1e-3)
+    raw = np.array([truth(int(tick)) for tick in samples.tick])
+    np.testing.assert_allclose(samples.elevation_rad, raw[:, 0] * RAD_PER_COUNT)
+    np.testing.assert_allclose(samples.travel_rad, raw[:, 2] * RAD_PER_COUNT)
+    np.testing.assert_allclose(samples.pitch_setpoint_rad, raw[:, 4] * 1e-5)
+    np.testing.assert_allclose(samples.back_V, raw[:, 7] * 1e-3)
+    latest = heli.latest
+    assert latest.tick == samples.tick[-1]
+    assert latest.elevation_deg == pytest.approx(math.degrees(samples.elevation_rad[-1]))
+    assert latest.state is State.IDLE
+
+
+def test_a_negative_count_parameter_reverses_on_the_board_not_again_here() -> None:
+    board = FakeBoard()
+    board.params[Param.PITCH_COUNTS_PER_REV] = -2048.0
+    sample = connected(board).latest
+    assert sample.pitch_rad == pytest.approx(truth(sample.tick)[1] * 2.0 * math.pi / 2048.0)
+
+
+def test_the_ring_keeps_the_newest_whatever_the_pieces() -> None:
+    ring = SampleRing(100)
+    tick = 2**32 - 150
+    for size in (1, 99, 100, 30, 70, 250, 7):
+        numbers = (np.arange(size) + tick).astype(np.uint32)
+        ring.append(Ticks(numbers, np.repeat(numbers.view(np.int32)[:, None], 11, axis=1)))
+        tick += size
+    newest = ring.newest()
+    assert newest.tick.tolist() == [(tick - 100 + k) % 2**32 for k in range(100)]
+    assert (newest.raw == newest.tick.view(np.int32)[:, None]).all()
+    assert ring.newest(3).tick.tolist() == newest.tick.tolist()[-3:]
+
+
+def test_leaving_the_block_stops_motors_that_may_run() -> None:
+    board = FakeBoard()
+    with connected(board) as heli:
+        heli.arm()
+        heli.control()
+    assert executed(board)[-1] == MessageId.STOP
+    assert board.state is State.IDLE
+
+
+def test_leaving_the_block_by_an_error_stops_the_motors_too() -> None:
+    board = FakeBoard()
+    with pytest.raises(KeyboardInterrupt), connected(board, land_on_exit=True) as heli:
+        heli.arm()
+        raise KeyboardInterrupt
+    assert executed(board) == [MessageId.ARM, MessageId.STOP]
+
+
+def test_a_failed_callback_does_not_keep_the_motors_running() -> None:
+    board = FakeBoard()
+
+    def fail(_: Samples) -> None:
+        raise ValueError("full")
+
+    with pytest.raises(heli_host.HeliError, match="full"), connected(board) as heli:
+        heli.arm()
+        heli.on_ticks(fail)
+        heli.wait(1.0)
+    assert executed(board)[-1] == MessageId.STOP
+
+
+def test_leaving_the_block_lands_where_asked_to() -> None:
+    board = FakeBoard()
+    with connected(board, land_on_exit=True) as heli:
+        heli.arm()
+        heli.control()
+    assert executed(board)[-1] == MessageId.LAND
+
+
+def test_leaving_the_block_while_idle_commands_nothing() -> None:
+    board = FakeBoard()
+    with connected(board):
+        pass
+    assert board.executed == []
+
+
+def test_closing_the_loops_first_aims_where_the_arm_is() -> None:
+    board = FakeBoard()
+    heli = connected(board)
+    heli.arm()
+    heli.control()
+    limits = heli.setpoint_limits_deg()
+    aimed = setpoints(board)[0]
+    assert (
+        math.radians(limits["elevation"][0]) - 1e-6
+        <= aimed.elevation_rad
+        <= math.radians(limits["elevation"][1]) + 1e-6
+    )
+    assert aimed.pitch_rad == 0.0
+
+
+def test_a_setpoint_keeps_what_it_does_not_name_and_lies_ahead_in_device_time() -> None:
+    board = FakeBoard()
+    heli = connected(board)
+    heli.arm()
+    heli.control()
+    heli.setpoint(elevation_deg=10.0, travel_deg=-20.0)
+    heli.setpoint(travel_deg=30.0, lead_s=0.1)
+    heli.wait(0.05)
+    asked = next(
+        one for one in setpoints(board) if math.isclose(one.travel_rad, math.radians(30.0), rel_tol=1e-6)
+    )
+    assert asked.elevation_rad == pytest.approx(math.radians(10.0))
+    assert 0 < asked.apply_tick - board.tick < 100
+    heli.wait(1.0)
+    assert setpoints(board)[-1] == asked
+
+
+def test_without_keep_alive_the_board_is_left_to_its_failsafe() -> None:
+    board = FakeBoard()
+    heli = connected(board, keep_alive=False)
+    heli.arm()
+    heli.control()
+    heli.setpoint(elevation_deg=1.0)
+    heli.wait(0.1)
+    before = len(setpoints(board))
+    heli.wait(3.0)
+    assert len(setpoints(board)) == before
+    heli.keep_alive = True
+    heli.wait(1.0)
+    assert len(setpoints(board)) > before + 5
+
+
+@pytest.mark.parametrize(
+    ("axis", "value_deg", "range_text"),
+    [
+        ("elevation", 22.5, "-25 to 22"),
+        ("travel", -171.0, "-170 to 170"),
+        ("pitch", 21.0, "-20 to 20"),
+        ("travel", math.nan, "-170 to 170"),
+    ],
+)
+def test_a_setpoint_outside_the_boards_limits_is_not_sent(
+    axis: str, value_deg: float, range_text: str
+) -> None:
+    board = FakeBoard()
+    heli = connected(board)
+    with pytest.raises(
+        SetpointError, match=f"{axis} setpoint of .* is outside the board's limits; give {range_text}"
+    ):
+        heli.setpoint(**{f"{axis}_deg": value_deg})
+    heli.wait(0.5)
+    assert setpoints(board) == []
+
+
+def test_limits_are_those_of_the_boards_parameters() -> None:
+    board = FakeBoard()
+    board.params[Param.ELEVATION_MAX_DEG] = 12.0
+    with pytest.raises(SetpointError, match="-25 to 10 degrees"):
+        connected(board).setpoint(elevation_deg=11.0)
+
+
+def test_voltages_outside_the_boards_limits_are_not_sent() -> None:
+    board = FakeBoard()
+    heli = connected(board)
+    with pytest.raises(SetpointError, match="give 0 to 10 V"):
+        heli.voltages(11.0, 3.0)
+    heli.voltages(2.0, 3.0, valid_s=0.02)
+    heli.wait(0.01)
+    sent = [
+        VoltagesMessage.unpack(frame.payload) for _, frame in board.heard if frame.id == MessageId.VOLTAGES
+    ]
+    assert sent == [VoltagesMessage(2.0, 3.0, 20)]
+
+
+def test_excitations_go_by_name_and_a_wrong_name_lists_the_right_ones() -> None:
+    board = FakeBoard()
+    heli = connected(board)
+    heli.excite("chirp", 0.25, -0.5, start_Hz=0.5, stop_Hz=4.0, duration_s=8.0)
+    sent = ExciteMessage.unpack(b"\0" + board.executed[-1][1:])
+    assert sent == ExciteMessage(0, Excitation.CHIRP, 0.25, -0.5, 0.5, 4.0, 8.0, 1)
+    with pytest.raises(ParameterError, match="no excitation wobble; choose from step, doublet"):
+        heli.excite("wobble", 1.0)
+
+
+def test_waiting_for_what_does_not_happen_ends_in_device_time() -> None:
+    heli = connected(FakeBoard())
+    began = heli.latest.tick
+    with pytest.raises(WaitTimeout, match="did not happen in 2 s"):
+        heli.wait_until(lambda sample: sample.state is State.FAULT, 2.0)
+    assert 2000 <= heli.latest.tick - began <= 2100
+
+
+def test_parameters_read_set_and_save_by_name() -> None:
+    board = FakeBoard()
+    heli = connected(board)
+    assert heli.params["hover_V"] == PARAMS[Param.HOVER_V].default
+    heli.params["elevation_kd"] = 0.35
+    assert heli.params["elevation_kd"] == 0.35
+    assert board.params[Param.ELEVATION_KD] == pytest.approx(0.35)
+    heli.params.save()
+    assert executed(board) == [MessageId.PARAM_SET, MessageId.PARAMS_SAVE]
+    assert list(heli.params) == [spec.name for spec in PARAMS]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("hover_v", 1.0, "no parameter hover_v; did you mean hover_V"),
+        ("hover_V", 21.0, "hover_V = 21 is out of range; give a number from 0 to 20 V"),
+        ("hover_V", math.nan, "hover_V = nan is out of range"),
+        ("pitch_counts_per_rev", 0.0, "not 0"),
+        ("telemetry_batch_ticks", 4.5, "a whole number from 4 to 32"),
+    ],
+)
+def test_a_bad_parameter_is_one_line_with_the_range_and_nothing_is_sent(
+    name: str, value: float, words: str
+) -> None:
+    board = FakeBoard()
+    with pytest.raises(ParameterError) as caught:
+        connected(board).params[name] = value
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert board.executed == []
+
+
+def test_a_dump_restores_what_differs_and_only_that() -> None:
+    board = FakeBoard()
+    heli = connected(board)
+    dump = heli.params.dump()
+    heli.params["elevation_kp"] = 0.75
+    heli.params["hover_V"] = 2.0
+    assert heli.params.restore(dump) == {"elevation_kp": dump["elevation_kp"], "hover_V": dump["hover_V"]}
+    assert heli.params.dump() == dump
+
+
+def test_a_dump_of_which_one_value_is_refused_changes_nothing() -> None:
+    board = FakeBoard()
+    heli = connected(board)
+    before = heli.params.dump()
+    execute = board._execute
+
+    def refuse_supply(frame: object) -> bytes:
+        payload = frame.payload  # type: ignore[attr-defined]
+        if frame.id == MessageId.PARAM_SET and payload[1] == Param.SUPPLY_V:  # type: ignore[attr-defined]
+            board.refusals[MessageId.PARAM_SET] = (Result.UNSAFE_NOW, Param.SUPPLY_V, 0.0)
+        reply = execute(frame)  # type: ignore[arg-type]
+        board.refusals.clear()
+        return reply
+
+    board._execute = refuse_supply  # type: ignore[method-assign]
+    with pytest.raises(CommandRefused, match="supply_V may only be set while idle; land or stop first"):
+        heli.params.restore({"hover_V": 2.0, "pitch_kp": 0.5, "supply_V": 13.0, "pitch_kd": 0.5})
+    assert heli.params.dump() == before
+
+
+def test_a_control_law_faster_than_telemetry_allows_is_refused_before_anything_moves() -> None:
+    board = FakeBoard()
+    with pytest.raises(ControllerError, match="at most 250 Hz"):
+        connected(board).run_controller(lambda _: (0.0, 0.0), rate_Hz=500.0, duration_s=1.0)
+    assert board.executed == []
+
+
+def test_a_control_law_runs_on_device_time_and_hands_over_to_the_board_afterwards() -> None:
+    board = FakeBoard()
+    heli = connected(board)
+    heli.arm()
+    seen: list[int] = []
+
+    def law(sample: Sample) -> tuple[float, float]:
+        seen.append(sample.tick)
+        return 1.0, 99.0
+
+    report = heli.run_controller(law, rate_Hz=50.0, duration_s=2.0)
+    assert report.calls == len(seen) == 100
+    assert report.misses == 0
+    assert report.clipped == 100
+    assert report.rate_Hz == pytest.approx(50.0)
+    assert (np.diff(seen) == 20).all()
+    assert board.state is State.CLOSED_LOOP
+    assert board.params[Param.TELEMETRY_BATCH_TICKS] == PARAMS[Param.TELEMETRY_BATCH_TICKS].default
+    assert "100 calls at 50.0 Hz" in str(report)
+
+
+@pytest.mark.parametrize(
+    ("law", "words"),
+    [
+        (lambda _: 1 / 0, "the control law failed: ZeroDivisionError"),
+        (lambda _: 1.0, "must return"),
+        (lambda _: (math.nan, 0.0), "returned nan and 0 V"),
+    ],
+)
+def test_a_control_law_that_fails_leaves_the_board_holding_its_position(
+    law: Callable[[Sample], tuple[float, float]], words: str
+) -> None:
+    board = FakeBoard()
+    heli = connected(board)
+    heli.arm()
+    with pytest.raises(ControllerError, match=words):
+        heli.run_controller(law, duration_s=1.0)
+    assert board.state is State.CLOSED_LOOP
+    assert board.params[Param.TELEMETRY_BATCH_TICKS] == PARAMS[Param.TELEMETRY_BATCH_TICKS].default
+
+
+@pytest.fixture
+def simulated() -> str:
+    pytest.importorskip("heli_sim._native")
+    return "sil://?seed=3"
+
+
+def test_ten_lines_fly_a_simulated_board(simulated: str) -> None:
+    with heli_host.connect(simulated) as heli:
+        heli.take_off(elevation_deg=0.0)
+        heli.setpoint(travel_deg=20.0)
+        heli.wait(12.0)
+        reached = heli.latest
+        heli.land()
+        samples = heli.samples()
+        counters = heli.counters
+    assert abs(reached.elevation_deg) < 1.0
+    assert reached.travel_deg == pytest.approx(20.0, abs=1.0)
+    assert (counters.ticks_lost, counters.frames_bad, counters.retries) == (0, 0, 0)
+    assert samples.elevation_rad[-1] < math.radians(-20.0)
+    assert samples.front_V[-1] == 0.0
+
+
+def test_the_same_simulated_session_twice_is_the_same(simulated: str) -> None:
+    flown = []
+    for _ in range(2):
+        with heli_host.connect(simulated) as heli:
+            heli.take_off(elevation_deg=5.0)
+            heli.wait(2.0)
+            heli.land()
+            flown.append((heli.samples(), [event.text for event in heli.events], heli.counters))
+    assert flown[0][1:] == flown[1][1:]
+    for name in Samples.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(flown[0][0], name), getattr(flown[1][0], name))
+
+
+def test_a_200_Hz_law_in_python_flies_the_simulated_board_and_its_latency_is_measured(simulated: str) -> None:
+    with heli_host.connect(simulated) as heli:
+        heli.take_off()
+        before: list[Sample] = [heli.latest]
+
+        def law(sample: Sample) -> tuple[float, float]:
+            step_s = max(sample.t_s - before[0].t_s, 1e-3)
+            climb_deg_s = (sample.elevation_deg - before[0].elevation_deg) / step_s
+            roll_deg_s = (sample.pitch_deg - before[0].pitch_deg) / step_s
+            before[0] = sample
+            both_V = 3.4 - 0.5 * sample.elevation_deg - 0.2 * climb_deg_s
+            apart_V = -0.4 * sample.pitch_deg - 0.1 * roll_deg_s
+            return (both_V + apart_V) / 2.0, (both_V - apart_V) / 2.0
+
+        report = heli.run_controller(law, rate_Hz=200.0, duration_s=5.0)
+        assert abs(heli.latest.elevation_deg) < 5.0
+        heli.land()
+    assert report.rate_Hz == pytest.approx(200.0, abs=1.0)
+    assert report.misses == 0
+    assert report.takeovers == 0
+    assert report.latency_count > 20
+    # A batch of 5 ticks takes 4 ms to fill, 3 to send, and its bridge hands it over every 4 ms.
+    assert 4.0 <= report.latency_p50_ms <= 12.0
