@@ -128,9 +128,14 @@ class ClockFit:
             self._forget_before_a_step()
             self._best, self._stale = (tick, host_s), True
         elif host_s - best[1] < (tick - best[0]) * slope_s:
-            self._best, self._stale = (tick, host_s), True
-        if estimate is not None:
-            self._late_s.append(host_s - estimate.host_s_at(tick))
+            self._best = (tick, host_s)
+        if estimate is None:
+            self._stale = True
+        else:
+            late_s = host_s - estimate.host_s_at(tick)
+            self._late_s.append(late_s)
+            # What arrives on the line or above does not move it; arithmetic is good to a microsecond here.
+            self._stale |= late_s < estimate.round_trip_s / 2.0 - 1e-6
 
     def observe_pong(self, sent_s: float, tick: int, host_s: float) -> None:
         """Take the answer to a ping.

@@ -164,8 +164,12 @@ class Driver:
             self._fail(LinkLost("the board does not answer any more", "check its supply, then connect again"))
 
     def _run(self) -> None:
-        while not self._stop.is_set() and self.fatal is None:
-            self.pump(READ_TIMEOUT_S)
+        try:
+            while not self._stop.is_set() and self.fatal is None:
+                self.pump(READ_TIMEOUT_S)
+        # A thread that dies in silence would leave its user waiting for ever.
+        except Exception as error:  # noqa: BLE001
+            self._fail(LinkError(f"reading failed: {type(error).__name__}: {error}", "report it with the log"))
 
     def _deliver(self, received: Received) -> None:
         self._subscribers.deliver(received.ticks, received.events, received.statuses)
