@@ -142,3 +142,25 @@ def test_what_a_document_says_to_run_runs(path: Path, tmp_path: Path) -> None:
                 check=False,
             )
             assert done.returncode == 0, f"{run[-1]}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+
+
+def anchors(path: Path) -> set[str]:
+    """Anchors that GitHub makes of a document's headings."""
+    headings = re.findall(r"^#+ (.+)$", path.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def links() -> list[tuple[Path, str]]:
+    pattern = re.compile(r"\]\(([^)\s]+)\)")
+    return [
+        (path, link) for path in DOCUMENTS for link in pattern.findall(path.read_text()) if "://" not in link
+    ]
+
+
+@pytest.mark.parametrize(("document", "link"), links(), ids=lambda value: str(value)[-40:])
+def test_link_in_a_document_leads_somewhere(document: Path, link: str) -> None:
+    name, _, anchor = link.partition("#")
+    target = document.parent / name if name else document
+    assert target.exists()
+    if anchor:
+        assert anchor in anchors(target)

@@ -130,3 +130,24 @@ def open_board(
         else:
             url = port if port is not None else find_board()
         yield stack.enter_context(heli_host.connect(url))
+
+
+def clear_latched_fault(heli: Heli) -> None:
+    """Clear a fault that an earlier flight has left; no fault is no error.
+
+    Parameters
+    ----------
+    heli : Heli
+        A connected board.
+
+    Raises
+    ------
+    CommandRefused
+        The cause is still there.
+    """
+    from heli_host.errors import fault_text
+    from heli_host.link.declaration import State
+
+    if heli.state is State.FAULT:
+        print(f"cleared: {fault_text(heli.fault)}")
+        heli.clear_fault()

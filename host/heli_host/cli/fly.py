@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from heli_host.cli.options import (
+    ClearFaultOption,
     PortOption,
     RigOption,
     SeedOption,
@@ -31,6 +32,7 @@ def fly(
     rig: RigOption = None,
     speed: SpeedOption = "1",
     seed: SeedOption = 1,
+    clear_fault: ClearFaultOption = False,
     log: Annotated[Path | None, typer.Option("--log", metavar="FILE", help="Log, MCAP.")] = None,
     json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Summary.")] = None,
     figure: Annotated[
@@ -44,7 +46,7 @@ def fly(
 
     Example: `heli-host fly hover sine --sil --speed 5`
     """
-    from heli_host.cli.board import open_board
+    from heli_host.cli.board import clear_latched_fault, open_board
     from heli_host.cli.progress import LiveLine
     from heli_host.cli.report import summary_lines
     from heli_host.errors import FlightAborted
@@ -60,6 +62,8 @@ def fly(
     if figure is not None and figure.suffix.lower() not in FIGURE_ENDS:
         raise typer.BadParameter(f"--figure {figure}: give a file that ends in {', '.join(FIGURE_ENDS)}")
     with open_board(port, sil, rig, speed, seed) as heli:
+        if clear_fault:
+            clear_latched_fault(heli)
         everything = log is None and json is None and figure is None
         folder = flight_folder() if log is None else log.parent
         log = log if log is not None else folder / "flight.mcap"

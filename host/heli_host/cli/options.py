@@ -29,6 +29,7 @@ SpeedOption = Annotated[
     str,
     typer.Option("--speed", metavar="N|max", help="Simulated seconds a second, or max: as fast as possible."),
 ]
+ClearFaultOption = Annotated[bool, typer.Option("--clear-fault", help="Clear a latched fault first.")]
 SeedOption = Annotated[
     int, typer.Option("--seed", min=0, help="Seed of everything random in the simulation.")
 ]

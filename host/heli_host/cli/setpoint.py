@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from heli_host.cli.options import PortOption, RigOption, SilOption, SpeedOption, rig_name
+from heli_host.cli.options import ClearFaultOption, PortOption, RigOption, SilOption, SpeedOption, rig_name
 
 if TYPE_CHECKING:
     from heli_host.heli import Heli
@@ -29,6 +29,7 @@ def setpoint(
     ] = None,
     for_s: Annotated[float, typer.Option("--for-s", metavar="S", min=0.1, help="How long.")] = 10.0,
     take_off: Annotated[bool, typer.Option("--take-off", help="Arm and take off first, if idle.")] = False,
+    clear_fault: ClearFaultOption = False,
     keep: Annotated[
         bool,
         typer.Option("--keep", help="Do not land at the end; another command may take over."),
@@ -49,15 +50,17 @@ def setpoint(
         raise typer.BadParameter("give at least one of --elevation-deg, --travel-deg and --pitch-deg")
     if "pitch" in targets_deg and "travel" in targets_deg:
         raise typer.BadParameter("give --travel-deg or --pitch-deg: flying to a travel needs the pitch")
-    from heli_host.cli.board import open_board
+    from heli_host.bench import ALL_AXES
+    from heli_host.cli.board import clear_latched_fault, open_board
     from heli_host.fly.recorder import Recorder
-    from heli_host.heli import ALL_AXES
     from heli_host.link.declaration import Axes
 
     axes = Axes.ELEVATION | Axes.PITCH if "pitch" in targets_deg else ALL_AXES
     with contextlib.ExitStack() as stack:
         heli = stack.enter_context(open_board(port, sil, rig, speed))
         _check(heli, targets_deg)
+        if clear_fault:
+            clear_latched_fault(heli)
         if log is not None:
             stack.enter_context(Recorder(heli, log, rig_name=rig_name(rig, simulated=sil)))
         try:

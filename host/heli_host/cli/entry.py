@@ -1,0 +1,122 @@
+"""The command line: its verbs, and the one place where errors become a line and an exit code.
+
+Exit codes: 0 done; 1 ``doctor`` found something that needs a remedy; 2 what was asked for cannot be done
+(usage, plan, parameter, setpoint); 3 the board or the link; 4 a flight that ended before its plan did;
+5 a file that cannot be read or written; 70 a mistake of this program; 130 interrupted. An error is one line
+on stderr; ``HELI_DEBUG=1`` shows the traceback instead.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from typing import TYPE_CHECKING, NoReturn
+
+import typer
+
+from heli_host.cli import doctor, export, fly, info, log, params, plot, ports, setpoint, sil
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+app = typer.Typer(
+    name="heli-host",
+    help="Fly a 3-DOF laboratory helicopter: a board on a serial port, or the simulated one.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+)
+app.command("ports")(ports.ports)
+app.command("fly")(fly.fly)
+app.command("sil")(sil.sil)
+app.command("log")(log.log)
+app.command("setpoint")(setpoint.setpoint)
+app.add_typer(params.app, name="params")
+app.command("info")(info.info)
+app.command("export")(export.export)
+app.command("plot")(plot.plot)
+app.command("doctor")(doctor.doctor)
+
+# Typer raises its errors from click, or from its own copy of click since 0.25; this class is in both.
+_UsageError = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")
+
+EXIT_ASKED, EXIT_LINK, EXIT_ABORTED, EXIT_FILE, EXIT_BUG, EXIT_INTERRUPTED = 2, 3, 4, 5, 70, 130
+
+
+def main() -> NoReturn:
+    """Run the command line; ends the process."""
+    signal.signal(signal.SIGTERM, _interrupt)
+    sys.exit(run())
+
+
+def run(arguments: list[str] | None = None) -> int:
+    """Run the command line and say how it ended.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        What follows ``heli-host``; the process's own arguments by default.
+
+    Returns
+    -------
+    int
+        Exit code, as in the module's docstring.
+    """
+    try:
+        code = app(arguments, prog_name="heli-host", standalone_mode=False)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        # The reader of our output (`| head`) is gone; Python would complain about it once more at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_ASKED
+    except Exception as error:
+        if os.environ.get("HELI_DEBUG"):
+            raise
+        message, exit_code = _explain(error)
+        if message:
+            print(f"error: {message}", file=sys.stderr)
+        return exit_code
+    return code if isinstance(code, int) else 0
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def _explain(error: Exception) -> tuple[str, int]:
+    """One line and an exit code for any error."""
+    from heli_host.errors import FlightAborted, FlightDataError, HeliError, LinkError, LogError
+
+    if isinstance(error, _UsageError):
+        return _usage_text(error)
+    if isinstance(error, typer.Abort):
+        return "interrupted", EXIT_INTERRUPTED
+    if isinstance(error, HeliError):
+        if isinstance(error, FlightAborted):
+            return str(error), EXIT_ABORTED
+        if isinstance(error, (LogError, FlightDataError)):
+            return str(error), EXIT_FILE
+        return str(error), EXIT_LINK if isinstance(error, LinkError) else EXIT_ASKED
+    if type(error).__module__ == "heli_sim.errors":
+        return str(error), EXIT_ASKED
+    if isinstance(error, OSError):
+        name = f"{error.filename}: " if error.filename else ""
+        return f"{name}{error.strerror or error}; choose another place or make room for it", EXIT_FILE
+    if isinstance(error, ModuleNotFoundError):
+        return f"the Python package {error.name} is missing; run: pip install {error.name}", EXIT_ASKED
+    summary = " ".join(f"{type(error).__name__}: {error}".split())
+    return f"unexpected {summary}; please report it with what HELI_DEBUG=1 prints", EXIT_BUG
+
+
+def _usage_text(error: Exception) -> tuple[str, int]:
+    """Typer's own complaint, with the place where help is."""
+    message = " ".join(error.format_message().split()) if hasattr(error, "format_message") else str(error)
+    context = getattr(error, "ctx", None)
+    if not message:  # no_args_is_help has printed the help already
+        return "", EXIT_ASKED
+    command = context.command_path if context is not None else "heli-host"
+    return f"{message.rstrip('.')}; see {command} --help", EXIT_ASKED

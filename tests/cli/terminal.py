@@ -1,0 +1,75 @@
+"""Runs ``heli-host`` in this process, and in one of its own where signals or limits are meant."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from heli_host.cli import run
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended.
+
+    Parameters
+    ----------
+    code : int
+        Exit code.
+    out, err : str
+        What it printed.
+    """
+
+    code: int
+    out: str
+    err: str
+
+
+Terminal = Callable[..., Ended]
+
+
+@pytest.fixture
+def terminal(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Terminal:
+    """Run a command in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def type_in(*arguments: str | Path) -> Ended:
+        capsys.readouterr()
+        code = run([str(argument) for argument in arguments])
+        said = capsys.readouterr()
+        return Ended(code, said.out, said.err)
+
+    return type_in
+
+
+def command(*arguments: str | Path) -> list[str]:
+    """Return the command line of a process of its own."""
+    return [sys.executable, "-c", "from heli_host.cli import main; main()", *map(str, arguments)]
+
+
+def process(folder: Path, *arguments: str | Path) -> subprocess.Popen[str]:
+    """Start a command in a process of its own."""
+    return subprocess.Popen(
+        command(*arguments), cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def refusal(ended: Ended, *, code: int) -> str:
+    """Return the one line of a command that was refused.
+
+    Parameters
+    ----------
+    ended : Ended
+        How it ended.
+    code : int
+        Exit code that it must have.
+    """
+    assert ended.code == code, ended
+    lines = ended.err.splitlines()
+    assert len(lines) == 1, ended.err
+    assert lines[0].startswith("error: ")
+    return lines[0]

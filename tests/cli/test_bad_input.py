@@ -1,0 +1,180 @@
+"""Wrong input: one line that says what and what to do, and an exit code that is not zero."""
+
+from __future__ import annotations
+
+import os
+import threading
+from pathlib import Path
+
+import pytest
+from serial.tools import list_ports
+
+from tests.cli.terminal import Terminal, refusal
+
+ASKED, LINK, FILE = 2, 3, 5
+SIL = ("--sil", "--speed", "max")
+
+
+@pytest.fixture
+def no_ports(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(list_ports, "comports", list)
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    return tmp_path / "plan.toml"
+
+
+def test_missing_port_is_named(terminal: Terminal) -> None:
+    line = refusal(terminal("fly", "hover", "--port", "/dev/ttyNOWHERE"), code=LINK)
+    assert "/dev/ttyNOWHERE" in line
+
+
+def test_no_board_points_to_the_simulated_one(terminal: Terminal, no_ports: None) -> None:
+    line = refusal(terminal("fly", "hover"), code=LINK)
+    assert "--sil" in line
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals on this system")
+def test_a_device_that_speaks_something_else_is_told_apart(terminal: Terminal) -> None:
+    talker, port = os.openpty()
+    quiet = threading.Event()
+
+    def chatter() -> None:
+        while not quiet.wait(0.01):
+            os.write(talker, b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n")
+
+    thread = threading.Thread(target=chatter)
+    thread.start()
+    try:
+        line = refusal(terminal("params", "list", "--port", os.ttyname(port)), code=LINK)
+    finally:
+        quiet.set()
+        thread.join()
+        os.close(talker)
+        os.close(port)
+    assert "no frame of this link" in line
+
+
+def test_a_port_at_a_closed_address_is_refused(terminal: Terminal) -> None:
+    line = refusal(terminal("params", "list", "--port", "socket://127.0.0.1:9"), code=LINK)
+    assert "socket://127.0.0.1:9" in line
+
+
+def test_an_unknown_plan_lists_those_that_exist(terminal: Terminal) -> None:
+    line = refusal(terminal("fly", "hoover", *SIL), code=ASKED)
+    assert "hover" in line
+
+
+def test_an_unknown_key_in_a_plan_is_named(terminal: Terminal, plan: Path) -> None:
+    plan.write_text('[[segment]]\nkind = "step"\nelevaton_deg = 5\nduration_s = 3\n')
+    line = refusal(terminal("fly", plan, *SIL), code=ASKED)
+    assert "elevaton_deg" in line
+    assert "elevation_deg" in line
+
+
+def test_a_plan_beyond_the_limits_does_not_take_off(terminal: Terminal, plan: Path, tmp_path: Path) -> None:
+    plan.write_text('[[segment]]\nkind = "step"\nelevation_deg = 50\nduration_s = 3\n')
+    line = refusal(terminal("fly", plan, *SIL, "--log", tmp_path / "f.mcap"), code=ASKED)
+    assert "elevation_deg" in line
+    assert not (tmp_path / "f.mcap").exists()
+
+
+@pytest.mark.parametrize("option", ["--elevation-deg=80", "--travel-deg=-400", "--pitch-deg=60"])
+def test_a_setpoint_outside_the_limits_does_not_take_off(
+    terminal: Terminal, option: str, tmp_path: Path
+) -> None:
+    ended = terminal("setpoint", option, "--take-off", *SIL, "--log", tmp_path / "f.mcap")
+    assert "limits" in refusal(ended, code=ASKED)
+    assert not (tmp_path / "f.mcap").exists()
+
+
+def test_a_setpoint_of_nothing_is_refused(terminal: Terminal) -> None:
+    refusal(terminal("setpoint", "--take-off", *SIL), code=ASKED)
+
+
+def test_a_setpoint_on_a_board_at_rest_asks_for_take_off(terminal: Terminal) -> None:
+    assert "--take-off" in refusal(terminal("setpoint", "--elevation-deg", "2", *SIL), code=ASKED)
+
+
+def test_a_parameter_out_of_range_says_the_range(terminal: Terminal) -> None:
+    assert "0 to 20" in refusal(terminal("params", "set", "hover_V", "-5", "--sil"), code=ASKED)
+
+
+def test_an_unknown_parameter_is_guessed(terminal: Terminal) -> None:
+    assert "hover_V" in refusal(terminal("params", "get", "hover", "--sil"), code=ASKED)
+
+
+@pytest.mark.parametrize(
+    ("text", "hint"),
+    [
+        ("[parameters]\nhover_V = 99\n", "hover_V"),
+        ('[parameters]\nhover_V = "much"\n', "hover_V"),
+        ("[parameters]\nhovver_V = 1.5\n", "hover_V"),
+        ("hover_V = 1.5\n", "[parameters]"),
+        ("[parameters\n", "TOML"),
+    ],
+)
+def test_a_damaged_dump_sets_nothing(terminal: Terminal, tmp_path: Path, text: str, hint: str) -> None:
+    dump = tmp_path / "dump.toml"
+    dump.write_text(text)
+    assert hint in refusal(terminal("params", "restore", dump, "--sil"), code=ASKED)
+
+
+@pytest.mark.parametrize("speed", ["0", "-1", "fast", "nan"])
+def test_a_speed_that_is_none_is_refused(terminal: Terminal, speed: str) -> None:
+    assert "--speed" in refusal(terminal("fly", "hover", "--sil", "--speed", speed), code=ASKED)
+
+
+def test_an_unknown_rig_is_named(terminal: Terminal) -> None:
+    assert "mars" in refusal(terminal("fly", "hover", *SIL, "--rig", "mars"), code=ASKED)
+
+
+def test_an_unknown_verb_points_to_help(terminal: Terminal) -> None:
+    assert "--help" in refusal(terminal("flly"), code=ASKED)
+
+
+def test_an_unknown_option_points_to_help(terminal: Terminal) -> None:
+    assert "heli-host fly --help" in refusal(terminal("fly", "hover", "--fast"), code=ASKED)
+
+
+def test_a_figure_of_an_unknown_kind_is_refused_before_the_flight(terminal: Terminal, tmp_path: Path) -> None:
+    refusal(terminal("fly", "hover", *SIL, "--figure", tmp_path / "figure.gif"), code=ASKED)
+    assert not (tmp_path / "flights").exists()
+
+
+def test_a_log_that_cannot_be_written_does_not_take_off(terminal: Terminal) -> None:
+    line = refusal(terminal("fly", "hover", *SIL, "--log", "/dev/full"), code=FILE)
+    assert "/dev/full" in line
+
+
+@pytest.mark.parametrize("verb", ["info", "plot", "export"])
+@pytest.mark.parametrize("content", [None, b"", b"t_s,front_V\n0,1\n", os.urandom(1000)], ids=str)
+def test_a_file_that_is_no_log_is_refused(
+    terminal: Terminal, tmp_path: Path, verb: str, content: bytes | None
+) -> None:
+    log = tmp_path / "flight.mcap"
+    if content is not None:
+        log.write_bytes(content)
+    extra = ("--csv",) if verb == "export" else ()
+    assert "flight.mcap" in refusal(terminal(verb, log, *extra), code=FILE)
+
+
+def test_export_wants_one_format(terminal: Terminal, tmp_path: Path) -> None:
+    refusal(terminal("export", tmp_path / "flight.mcap"), code=ASKED)
+    refusal(terminal("export", tmp_path / "flight.mcap", "--csv", "--mat"), code=ASKED)
+
+
+def test_sil_wants_one_endpoint(terminal: Terminal, tmp_path: Path) -> None:
+    refusal(terminal("sil"), code=ASKED)
+    refusal(terminal("sil", "--pty", tmp_path / "due", "--tcp", "127.0.0.1:5000"), code=ASKED)
+
+
+def test_sil_refuses_an_address_without_a_port(terminal: Terminal) -> None:
+    refusal(terminal("sil", "--tcp", "localhost"), code=ASKED)
+
+
+def test_debug_shows_the_traceback(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HELI_DEBUG", "1")
+    with pytest.raises(Exception, match="no parameter"):
+        terminal("params", "get", "hover", "--sil")

@@ -1,0 +1,105 @@
+"""Whole flights from the command line, and what they leave."""
+
+from __future__ import annotations
+
+import json
+import resource
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+from heli_host.flight import Flight
+from heli_host.log.reader import read_log
+
+from tests.cli.terminal import Terminal, command, process
+
+SIL = ("--sil", "--speed", "max")
+
+
+def test_a_flight_leaves_log_summary_and_figure(terminal: Terminal, tmp_path: Path) -> None:
+    ended = terminal("fly", "hover", "sine", *SIL)
+    assert ended.code == 0
+    (folder,) = (tmp_path / "flights").iterdir()
+    assert sorted(path.name for path in folder.iterdir()) == ["figure.png", "flight.mcap", "summary.json"]
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["outcome"] == "completed"
+    assert summary["ticks_lost"] == 0
+    assert summary["ticks_logged"] == pytest.approx(1000 * summary["duration_s"], abs=2)
+    assert set(summary["rms_error_deg"]) == {"elevation", "pitch", "travel"}
+    assert {"frames_ok", "frames_bad", "retries", "reconnects"} <= set(summary["link"])
+    last = "\n".join(ended.out.splitlines()[-5:])
+    for expected in ("hover + sine", "elevation", "ticks logged, 0 lost", str(folder.name), "board:"):
+        assert expected in last
+
+
+def test_the_same_seed_gives_the_same_log(terminal: Terminal, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        assert terminal("fly", "hover", *SIL, "--seed", "7", "--log", tmp_path / f"{name}.mcap").code == 0
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_what_is_named_is_written_and_nothing_else(terminal: Terminal, tmp_path: Path) -> None:
+    files = ("--log", tmp_path / "a.mcap", "--json", tmp_path / "new" / "a.json")
+    assert terminal("fly", "hover", *SIL, *files).code == 0
+    written = [path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()]
+    assert sorted(map(str, written)) == ["a.mcap", "new/a.json"]
+
+
+def test_flights_of_one_second_do_not_overwrite_each_other(terminal: Terminal, tmp_path: Path) -> None:
+    for _ in range(2):
+        assert terminal("log", "--for-s", "0.5", *SIL).code == 0
+    assert len(list((tmp_path / "flights").iterdir())) == 2
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_flight_lands_and_keeps_its_log(tmp_path: Path, number: signal.Signals) -> None:
+    with process(tmp_path, "fly", "hover", "--sil", "--speed", "10", "--log", "f.mcap") as host:
+        assert host.stdout is not None
+        while "closed_loop" not in (line := host.stdout.readline()):
+            assert line, "it ended before it flew"
+        host.send_signal(number)
+        out, err = host.communicate(timeout=60)
+    assert host.returncode == 130, err
+    assert "Ctrl-C" in out
+    assert "Traceback" not in err
+    log = read_log(tmp_path / "f.mcap")
+    assert log.complete
+    assert log.layout.names("STATE")[int(log.ticks["state"][-1])] == "idle"
+    assert "landing" in {event["message"] for event in log.events}
+
+
+def test_a_full_disk_lands_and_keeps_what_was_logged(terminal: Terminal, tmp_path: Path) -> None:
+    # Compiles the plant into the cache, which the limit on file sizes would not let the next process do.
+    assert terminal("params", "get", "hover_V", "--sil").code == 0
+    limit_bytes = 200_000
+    done = subprocess.run(
+        command("fly", "hover", *SIL, "--log", "f.mcap"),
+        cwd=tmp_path,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, limit_bytes)),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 4, done.stderr
+    assert done.stderr.startswith("error: ")
+    assert len(done.stderr.splitlines()) == 1
+    log = read_log(tmp_path / "f.mcap")
+    assert len(log.ticks) > 2000
+    assert (tmp_path / "f.mcap").stat().st_size <= limit_bytes
+
+
+def test_a_log_cut_short_is_read_up_to_there(terminal: Terminal, tmp_path: Path) -> None:
+    whole, cut = tmp_path / "whole.mcap", tmp_path / "cut.mcap"
+    assert terminal("fly", "hover", *SIL, "--log", whole).code == 0
+    data = whole.read_bytes()
+    cut.write_bytes(data[: len(data) * 2 // 3])
+    ended = terminal("info", cut)
+    assert ended.code == 0
+    assert "not closed" in ended.out
+    assert terminal("plot", cut, "-o", tmp_path / "cut.png").code == 0
+    assert terminal("export", cut, "--csv").code == 0
+    flown, left = Flight.read(whole), Flight.read(tmp_path / "cut.csv")
+    assert 10_000 < len(left) < len(flown)
+    assert left.elevation_rad == pytest.approx(flown.elevation_rad[: len(left)], abs=1e-6)

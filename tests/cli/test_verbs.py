@@ -1,0 +1,137 @@
+"""Each verb that does not fly a plan, once."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from heli_host.cli import doctor
+from heli_host.flight import Flight
+from serial.tools import list_ports
+
+from tests.cli.terminal import Terminal, process
+
+SIL = ("--sil", "--speed", "max")
+DUE = SimpleNamespace(device="/dev/ttyDUE", description="n/a", vid=0x2341, pid=0x003D, serial_number=None)
+NATIVE = SimpleNamespace(device="/dev/ttyUSBX", description="n/a", vid=0x2341, pid=0x003E, serial_number=None)
+
+
+def test_ports_names_a_due(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(list_ports, "comports", lambda: [NATIVE, DUE])
+    out = terminal("ports").out
+    assert out.index("programming port") < out.index("native port")
+
+
+def test_params_survive_dump_and_restore(terminal: Terminal, tmp_path: Path) -> None:
+    dump = tmp_path / "rig.toml"
+    assert terminal("params", "dump", dump, "--sil").code == 0
+    assert "0 of" in terminal("params", "restore", dump, "--sil").out
+    dump.write_text(dump.read_text().replace("hover_V = 1.4", "hover_V = 1.625"))
+    assert "hover_V -> 1.625" in terminal("params", "restore", dump, "--sil", "--save").out
+
+
+def test_params_list_and_get_agree(terminal: Terminal) -> None:
+    value = terminal("params", "get", "hover_V", "--sil").out.strip()
+    rows = terminal("params", "list", "hover", "--sil").out.splitlines()
+    (row,) = [row for row in rows if row.startswith("hover_V ")]
+    assert value in row.split()
+
+
+def test_params_set_says_what_was_before(terminal: Terminal) -> None:
+    assert "1.4 -> 1.5 V" in terminal("params", "set", "hover_V", "1.5", "--sil").out
+    assert "not saved" in terminal("params", "set", "motor_min_V", "-2", "--sil").out
+
+
+def test_setpoint_holds_then_lands(terminal: Terminal, tmp_path: Path) -> None:
+    log = tmp_path / "f.mcap"
+    given = ("--elevation-deg", "4", "--travel-deg", "8", "--for-s", "12")
+    ended = terminal("setpoint", "--take-off", *given, *SIL, "--log", log)
+    assert ended.code == 0
+    assert ended.out.splitlines()[-1] == "landed"
+    flight = Flight.read(log)
+    assert flight.elevation_setpoint_rad is not None
+    assert flight.elevation_rad[-1] == pytest.approx(flight.elevation_rad[0], abs=0.02)
+    assert flight.travel_rad.max() > 0.12
+
+
+def test_log_records_as_long_as_told(terminal: Terminal, tmp_path: Path) -> None:
+    assert terminal("log", "--for-s", "3", "-o", tmp_path / "f.mcap", *SIL).code == 0
+    assert Flight.read(tmp_path / "f.mcap").duration_s == pytest.approx(3.0, abs=0.2)
+
+
+def test_info_reads_a_table_too(terminal: Terminal, tmp_path: Path) -> None:
+    rows = "".join(f"{k * 0.01:.2f},1,1,0,0,0\n" for k in range(50))
+    table = tmp_path / "t.csv"
+    table.write_text("# origin: a test\nt_s,front_V,back_V,elevation_rad,pitch_rad,travel_rad\n" + rows)
+    out = terminal("info", table).out
+    assert "50 rows" in out
+    assert "100 Hz" in out
+
+
+def test_export_does_not_overwrite_its_source(terminal: Terminal, tmp_path: Path) -> None:
+    table = tmp_path / "t.csv"
+    rows = "".join(f"{k * 0.01:.2f},1,1,0,0,0\n" for k in range(50))
+    table.write_text("t_s,front_V,back_V,elevation_rad,pitch_rad,travel_rad\n" + rows)
+    before = table.read_bytes()
+    assert terminal("export", table, "--csv").code == 2
+    assert table.read_bytes() == before
+
+
+def test_sil_serves_a_board_until_it_is_told_to_stop(terminal: Terminal, tmp_path: Path) -> None:
+    with process(tmp_path, "sil", "--pty", "due", "--speed", "20") as board:
+        assert board.stdout is not None
+        assert "due" in board.stdout.readline()
+        assert terminal("params", "get", "hover_V", "--port", tmp_path / "due").out.strip() == "1.4"
+        board.terminate()
+        out, err = board.communicate(timeout=30)
+    assert "bytes to the host" in out
+    assert err == ""
+
+
+def test_doctor_finds_this_computer_fit(terminal: Terminal) -> None:
+    ended = terminal("doctor")
+    assert ended.code == 0, ended.out
+
+
+def test_doctor_says_what_to_mend(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(list_ports, "comports", lambda: [NATIVE])
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file" / "below"))
+    (tmp_path / "file").write_text("")
+    ended = terminal("doctor")
+    assert ended.code == 1
+    assert "move the cable to the programming port" in ended.out
+    assert "XDG_CACHE_HOME" in ended.out
+
+
+def test_doctor_knows_an_old_python() -> None:
+    assert doctor.check_python((3, 10, 2)).verdict is doctor.Verdict.BAD
+    assert doctor.check_python((3, 11, 0)).verdict is doctor.Verdict.GOOD
+
+
+def test_doctor_names_a_missing_package() -> None:
+    finding = doctor.check_packages(lambda name: name != "cobs")
+    assert finding.verdict is doctor.Verdict.BAD
+    assert "cobs" in finding.what
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = (
+        "import sys; from heli_host.cli import run; run(['--help']); "
+        "heavy = {'numpy', 'matplotlib', 'casadi', 'scipy', 'serial', 'heli_sim'} & set(sys.modules); "
+        "sys.exit(', '.join(sorted(heavy)) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_folder_is_named_after_local_time(terminal: Terminal, tmp_path: Path) -> None:
+    day = time.strftime("%Y-%m-%d")
+    assert terminal("log", "--for-s", "0.5", *SIL).code == 0
+    (folder,) = (tmp_path / "flights").iterdir()
+    assert folder.name >= day
