@@ -1,0 +1,71 @@
+#include "flash.hpp"
+
+#include <cstring>
+
+#include "board.hpp"
+#include "registers.hpp"
+
+namespace heli::due::flash {
+namespace {
+
+constexpr std::uint32_t kBank = 0x000C0000;
+constexpr std::uint32_t kBankBytes = 256 * 1024;
+constexpr std::uint32_t kBankPages = kBankBytes / Board::kPageBytes;
+constexpr std::uint32_t kParameterPages = 2;
+// due.ld keeps the program out of these pages.
+constexpr std::uint32_t kFirstPage = kBankPages - kParameterPages;
+
+constexpr std::uint32_t kKey = EEFC_FCR_FKEY(0x5A);
+constexpr std::uint32_t kEraseAndWritePage = EEFC_FCR_FCMD(0x03);
+
+// Not checked on this chip: the SAM4S's errata, and Atmel's own driver for this family, ask for six
+// wait states while programming.
+constexpr std::uint32_t kProgrammingWaitStates = EEFC_FMR_FWS(6);
+
+// A page takes about 5 ms to erase and write; a turn of the loop takes 0.1 us or more.
+constexpr std::uint32_t kPatience = 1000000;
+
+volatile std::uint32_t* words_of(std::size_t page) {
+  return reinterpret_cast<volatile std::uint32_t*>(kBank + (kFirstPage + page) * Board::kPageBytes);
+}
+
+// Reading the status clears its error bits, so they are gathered on the way. 0 when the flash stays
+// busy.
+std::uint32_t status_when_ready() {
+  std::uint32_t seen = 0;
+  for (std::uint32_t i = 0; i < kPatience; ++i) {
+    seen |= EFC1->EEFC_FSR.read();
+    if ((seen & EEFC_FSR_FRDY) != 0U) return seen;
+  }
+  return 0;
+}
+
+}  // namespace
+
+void read_page(std::size_t page, std::uint8_t* to) {
+  const volatile std::uint32_t* from = words_of(page);
+  for (std::size_t i = 0; i < Board::kPageBytes / 4; ++i) {
+    const std::uint32_t word = from[i];
+    std::memcpy(to + 4 * i, &word, sizeof word);
+  }
+}
+
+bool write_page(std::size_t page, const std::uint8_t* from) {
+  if (page >= kParameterPages || status_when_ready() == 0U) return false;
+  const std::uint32_t reading_mode = EFC1->EEFC_FMR.read();
+  EFC1->EEFC_FMR.write(kProgrammingWaitStates);
+  // The page buffer takes whole words in ascending order.
+  volatile std::uint32_t* to = words_of(page);
+  for (std::size_t i = 0; i < Board::kPageBytes / 4; ++i) {
+    std::uint32_t word = 0;
+    std::memcpy(&word, from + 4 * i, sizeof word);
+    to[i] = word;
+  }
+  EFC1->EEFC_FCR.write(kKey | kEraseAndWritePage |
+                       EEFC_FCR_FARG(static_cast<std::uint32_t>(kFirstPage + page)));
+  const std::uint32_t status = status_when_ready();
+  EFC1->EEFC_FMR.write(reading_mode);
+  return (status & (EEFC_FSR_FRDY | EEFC_FSR_FCMDE | EEFC_FSR_FLOCKE)) == EEFC_FSR_FRDY;
+}
+
+}  // namespace heli::due::flash

@@ -1,0 +1,66 @@
+// Start of the board, its control tick and its idle loop.
+#include "main.hpp"
+
+#include <atomic>
+#include <cstdint>
+
+#include "clock.hpp"
+#include "core.hpp"
+#include "cortex_m3.hpp"
+#include "due_board.hpp"
+#include "encoders.hpp"
+#include "faults.hpp"
+#include "motors.hpp"
+#include "tick_timer.hpp"
+#include "uart.hpp"
+#include "vectors.hpp"
+#include "watchdog.hpp"
+
+namespace heli::due {
+namespace {
+
+Core* flying;
+TickTiming last_tick;
+std::atomic<std::uint32_t> ticks;
+
+// Sleeps until the next interrupt, unless a tick has come since `seen`: its work would wait for a
+// millisecond.
+void sleep_unless_ticked(std::uint32_t seen) {
+  mask_interrupts();
+  if (ticks.load(std::memory_order_relaxed) == seen) wait_for_interrupt();
+  unmask_interrupts();
+}
+
+}  // namespace
+
+[[noreturn]] void run() {
+  const BootReport boot = faults::read_boot_report();
+  if (!clock::start()) faults::give_up();
+  motors::start();
+  encoders::start();
+  uart::start();
+
+  static DueBoard board(boot);
+  static Core core(board);
+  core.start();
+  flying = &core;
+  tick_timer::start();
+
+  for (;;) {
+    const std::uint32_t seen = ticks.load(std::memory_order_relaxed);
+    core.poll();
+    uart::service();
+    watchdog::check_in(seen);
+    sleep_unless_ticked(seen);
+  }
+}
+
+}  // namespace heli::due
+
+extern "C" void tick_interrupt() {
+  using namespace heli::due;
+  tick_timer::acknowledge();
+  flying->tick(last_tick);
+  ticks.store(ticks.load(std::memory_order_relaxed) + 1U, std::memory_order_relaxed);
+  last_tick = tick_timer::timing();
+}

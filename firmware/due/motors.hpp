@@ -1,0 +1,26 @@
+// Two motor drivers of two half bridges each: PWM on four pins, enables on four more.
+#pragma once
+
+#include "board.hpp"
+
+namespace heli::due::motors {
+
+inline constexpr std::uint32_t kPwm_Hz = 20000;
+
+// Before anything else after a reset: enables low, PWM pins low.
+void hold_off();
+
+// PWM at duty zero with the outputs forced low; the enables stay low.
+void start();
+
+// Control tick.
+void write(const MotorCommand& command);
+
+// Control tick. True while the hardware stop forces the outputs low. It stays so until the input is
+// released and the motors have been commanded off.
+bool hardware_stop();
+
+// Any context, at any moment after a reset, even before start(): bridges off at once.
+void cut();
+
+}  // namespace heli::due::motors

@@ -1,0 +1,10 @@
+// Who may interrupt whom; smaller is more urgent.
+#pragma once
+
+namespace heli::due {
+
+// An edge that waits for the tick is an edge lost.
+inline constexpr unsigned kEncoderPriority = 0;
+inline constexpr unsigned kTickPriority = 8;
+
+}  // namespace heli::due

@@ -1,0 +1,416 @@
+"""Size, stack and calls of a linked firmware, read from its machine code and held against their bounds.
+
+Command line: ``python firmware/due/report.py ELF [--output FILE] [--cross PREFIX]``. Prints the report; ends
+with 1 when a bound does not hold.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+FLASH_MOST_BYTES = 48 * 1024
+RAM_MOST_BYTES = 24 * 1024
+FLASH_START = 0x00080000
+VECTORS = 16 + 45
+
+# Eight words and the one that aligns them.
+EXCEPTION_FRAME_BYTES = 36
+ENTRY = "reset_handler"
+# From the least to the most urgent: each may interrupt all before it.
+INTERRUPTS = ("tick_interrupt", "encoder_interrupt")
+
+HEAP = re.compile(
+    r"^_?(malloc|calloc|realloc|free|sbrk)(_r)?$|^_Zn[wa]|^_Zd[la]|^__libc_(init|fini)_array$|^_exit$"
+)
+# What the tick may not afford: soft-float division, anything in double, integer division by a routine.
+SLOW = re.compile(
+    r"^__aeabi_(fdiv|d(add|sub|rsub|mul|div|cmp.*)|[uil]*div(mod)?|[fuil]+2d|d2.*)$|^(exp|log|pow|sqrt|sin|cos)f?$"
+)
+
+_FUNCTION = re.compile(r"^([0-9a-f]+) <(.+)>:$")
+_INSTRUCTION = re.compile(r"^\s*([0-9a-f]+):\s+(\S+)(?:\s+(.*))?$")
+_TARGET = re.compile(r"\b([0-9a-f]+) <([^>+]+)(?:\+0x[0-9a-f]+)?>")
+_BRANCH = re.compile(r"^(bl|b|cbn?z|b(eq|ne|cs|cc|mi|pl|vs|vc|hi|ls|ge|lt|gt|le|hs|lo))(\.[nw])?$")
+
+
+class ReportError(Exception):
+    """The firmware cannot be judged; the message says why."""
+
+
+@dataclass(frozen=True)
+class Function:
+    """One function of the machine code.
+
+    Parameters
+    ----------
+    name : str
+        Linker symbol.
+    calls : frozenset of str
+        Functions that it calls or jumps to by name.
+    indirect : bool
+        Whether it calls through a pointer.
+    stack_bytes : int
+        What it puts on the stack itself, at most.
+    """
+
+    name: str
+    calls: frozenset[str]
+    indirect: bool
+    stack_bytes: int
+
+
+@dataclass(frozen=True)
+class Image:
+    """What is known of a linked firmware.
+
+    Parameters
+    ----------
+    flash_bytes, ram_bytes : int
+        Sizes; `ram_bytes` has the reserved stack in it.
+    stack_reserved_bytes : int
+        Stack that the linker script sets aside.
+    symbols : dict of str to int
+        Addresses of all symbols.
+    functions : dict of str to Function
+        The call graph.
+    pointed_at : frozenset of str
+        Functions whose address is stored somewhere, vectors apart: what a call through a pointer may reach.
+    vectors : tuple of int
+        The vector table as linked.
+    """
+
+    flash_bytes: int
+    ram_bytes: int
+    stack_reserved_bytes: int
+    symbols: dict[str, int]
+    functions: dict[str, Function]
+    pointed_at: frozenset[str]
+    vectors: tuple[int, ...]
+
+    def callees(self, name: str) -> frozenset[str]:
+        """Functions that one function may call.
+
+        Parameters
+        ----------
+        name : str
+            The caller.
+
+        Returns
+        -------
+        frozenset of str
+            Their names.
+        """
+        function = self.functions[name]
+        return function.calls | self.pointed_at if function.indirect else function.calls
+
+    def reachable(self, name: str) -> frozenset[str]:
+        """Every function that may run below one.
+
+        Parameters
+        ----------
+        name : str
+            Where to start; part of the answer.
+
+        Returns
+        -------
+        frozenset of str
+            Their names.
+        """
+        seen: set[str] = set()
+        waiting = [name]
+        while waiting:
+            here = waiting.pop()
+            if here not in seen:
+                seen.add(here)
+                waiting.extend(self.callees(here))
+        return frozenset(seen)
+
+    def deepest(self, name: str) -> tuple[int, list[str]]:
+        """The call chain below a function that takes the most stack.
+
+        Parameters
+        ----------
+        name : str
+            Where to start.
+
+        Returns
+        -------
+        int
+            Bytes.
+        list of str
+            The chain, from `name` down.
+
+        Raises
+        ------
+        ReportError
+            When a function may call itself.
+        """
+        known: dict[str, tuple[int, list[str]]] = {}
+
+        def measure(here: str, above: tuple[str, ...]) -> tuple[int, list[str]]:
+            if here in above:
+                raise ReportError(f"the stack has no bound: {here} may call itself by {' > '.join(above)}")
+            if here not in known:
+                below = [measure(callee, (*above, here)) for callee in self.callees(here)]
+                most, chain = max(below, default=(0, []), key=lambda pair: pair[0])
+                known[here] = (self.functions[here].stack_bytes + most, [here, *chain])
+            return known[here]
+
+        return measure(name, ())
+
+    def stack_needed_bytes(self) -> int:
+        """Most stack that the idle loop and all interrupts on top of each other may take.
+
+        Returns
+        -------
+        int
+            Bytes.
+        """
+        return self.deepest(ENTRY)[0] + sum(
+            EXCEPTION_FRAME_BYTES + self.deepest(name)[0] for name in INTERRUPTS
+        )
+
+
+def _run(cross: str, tool: str, *arguments: str | Path) -> str:
+    try:
+        done = subprocess.run([cross + tool, *arguments], capture_output=True, text=True, check=True)
+    except FileNotFoundError:
+        raise ReportError(
+            f"{cross}{tool} is not installed: on Debian, apt-get install gcc-arm-none-eabi"
+        ) from None
+    except subprocess.CalledProcessError as error:
+        raise ReportError(f"{cross}{tool}: {error.stderr.strip()}") from None
+    return done.stdout
+
+
+def _pushed_bytes(mnemonic: str, operands: str) -> int:
+    """Bytes by which an instruction moves the stack pointer down."""
+    if mnemonic == "push" or (mnemonic.startswith("stmdb") and operands.startswith("sp!")):
+        registers = operands[operands.index("{") + 1 : operands.index("}")].split(",")
+        total = 0
+        for item in registers:
+            first, _, last = item.strip().partition("-")
+            total += 4 * (int(last[1:]) - int(first[1:]) + 1 if last else 1)
+        return total
+    if mnemonic.startswith("sub") and operands.startswith("sp, "):
+        immediate = re.search(r"#(\d+)", operands)
+        if immediate is None:
+            raise ReportError(f"the stack has no bound: {mnemonic} {operands}")
+        return int(immediate[1])
+    pre_indexed = re.search(r"\[sp, #-(\d+)\]!", operands)
+    return int(pre_indexed[1]) if pre_indexed else 0
+
+
+def _goes_to_pointer(mnemonic: str, operands: str) -> bool:
+    if mnemonic in ("blx", "bx"):
+        return operands != "lr"
+    return mnemonic.startswith(("ldr", "mov")) and operands.startswith("pc,") and "[sp]" not in operands
+
+
+def _function(name: str, body: Iterable[tuple[str, str]]) -> tuple[Function, set[int]]:
+    """One function, and the constants in its code that may be addresses."""
+    calls: set[str] = set()
+    constants: set[int] = set()
+    lower: dict[str, int] = {}
+    indirect = False
+    stack_bytes = 0
+    for mnemonic, operands in body:
+        stack_bytes += _pushed_bytes(mnemonic, operands)
+        if _BRANCH.match(mnemonic):
+            target = _TARGET.search(operands)
+            if target and target[2] != name:
+                calls.add(target[2])
+        elif _goes_to_pointer(mnemonic, operands):
+            indirect = True
+        elif mnemonic == ".word":
+            constants.add(int(operands.split()[0], 16))
+        elif mnemonic in ("movw", "movt"):
+            register, _, value = operands.partition(", #")
+            half = int(value.split()[0])
+            if mnemonic == "movw":
+                lower[register] = half
+            else:
+                constants.add(half << 16 | lower.get(register, 0))
+    return Function(name, frozenset(calls), indirect, stack_bytes), constants
+
+
+def _disassembled(text: str) -> Iterable[tuple[str, list[tuple[str, str]]]]:
+    name = ""
+    body: list[tuple[str, str]] = []
+    for line in text.splitlines():
+        if head := _FUNCTION.match(line):
+            yield name, body
+            name, body = head[2], []
+        elif instruction := _INSTRUCTION.match(line):
+            body.append((instruction[2], re.split(r"\s*[;@]\s", instruction[3] or "")[0].strip()))
+    yield name, body
+
+
+def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
+    """Take a linked firmware apart.
+
+    Parameters
+    ----------
+    elf : Path
+        The linked file.
+    cross : str
+        Prefix of the names of the binary tools.
+
+    Returns
+    -------
+    Image
+        What is in it.
+
+    Raises
+    ------
+    ReportError
+        When a tool is missing or does not take the file.
+    """
+    sizes = {
+        fields[1]: int(fields[2], 16)
+        for line in _run(cross, "objdump", "-h", "-w", elf).splitlines()
+        if len(fields := line.split()) > 6 and fields[0].isdigit()
+    }
+    symbols = {}
+    code_at: dict[int, str] = {}
+    for line in _run(cross, "nm", elf).splitlines():
+        address, kind, name = line.split()[-3:] if len(line.split()) == 3 else ("0", "?", "")
+        if name and not name.startswith("$"):
+            symbols[name] = int(address, 16)
+            if kind in "tTwW":
+                code_at.setdefault(int(address, 16) & ~1, name)
+
+    functions = {}
+    constants: set[int] = set()
+    for name, body in _disassembled(_run(cross, "objdump", "-d", "--no-show-raw-insn", elf)):
+        if name:
+            functions[name], found = _function(name, body)
+            constants |= found
+    # One function may have several names; the disassembly shows one, calls may use another.
+    by_address = {symbols[name]: name for name in functions if name in symbols}
+    functions = {
+        name: Function(
+            name,
+            frozenset(by_address.get(symbols.get(callee, -1), callee) for callee in function.calls) - {name},
+            function.indirect,
+            function.stack_bytes,
+        )
+        for name, function in functions.items()
+    }
+
+    with tempfile.TemporaryDirectory() as folder:
+        flat = Path(folder) / "image.bin"
+        _run(cross, "objcopy", "-O", "binary", elf, flat)
+        image = flat.read_bytes()
+    words = [int.from_bytes(image[at : at + 4], "little") for at in range(0, len(image) - 3, 4)]
+    constants |= set(words[VECTORS:])
+    pointed_at = frozenset(
+        name
+        for name, address in symbols.items()
+        if address | 1 in constants and name in functions and address & ~1 in code_at
+    )
+    return Image(
+        flash_bytes=len(image),
+        ram_bytes=sum(sizes.get(section, 0) for section in (".stack", ".data", ".bss")),
+        stack_reserved_bytes=sizes.get(".stack", 0),
+        symbols=symbols,
+        functions=functions,
+        pointed_at=pointed_at,
+        vectors=tuple(words[:VECTORS]),
+    )
+
+
+def findings(image: Image) -> list[str]:
+    """Which bounds a firmware breaks.
+
+    Parameters
+    ----------
+    image : Image
+        The firmware.
+
+    Returns
+    -------
+    list of str
+        One line each; empty when all hold.
+    """
+    found = []
+    if image.flash_bytes > FLASH_MOST_BYTES:
+        found.append(f"flash: {image.flash_bytes} bytes are more than {FLASH_MOST_BYTES}")
+    if image.ram_bytes > RAM_MOST_BYTES:
+        found.append(f"RAM: {image.ram_bytes} bytes are more than {RAM_MOST_BYTES}")
+    needed = image.stack_needed_bytes()
+    if needed > image.stack_reserved_bytes:
+        found.append(
+            f"stack: {needed} bytes may be needed; due.ld sets {image.stack_reserved_bytes} aside in stack_bytes"
+        )
+    found += [f"heap: {name} is linked" for name in sorted(image.symbols) if HEAP.match(name)]
+    for interrupt in INTERRUPTS:
+        slow = sorted(name for name in image.reachable(interrupt) if SLOW.match(name))
+        found += [f"time: {interrupt} may reach {name}" for name in slow]
+    return found
+
+
+def report(image: Image, cross: str = "arm-none-eabi-") -> str:
+    """Sizes and stack as text.
+
+    Parameters
+    ----------
+    image : Image
+        The firmware.
+    cross : str
+        Prefix of the names of the binary tools.
+
+    Returns
+    -------
+    str
+        Several lines.
+    """
+    lines = [
+        f"flash {image.flash_bytes:6d} of {FLASH_MOST_BYTES} bytes",
+        f"RAM   {image.ram_bytes:6d} of {RAM_MOST_BYTES} bytes, with the stack",
+        f"stack {image.stack_needed_bytes():6d} of {image.stack_reserved_bytes} bytes, all interrupts at once",
+    ]
+    for name in (ENTRY, *INTERRUPTS):
+        most, chain = image.deepest(name)
+        readable = _run(cross, "c++filt", "-p", *chain).replace("(anonymous namespace)::", "").split("\n")
+        lines.append(f"  {most:4d} {' > '.join(readable[:-1])}")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    """Judge one firmware from the command line.
+
+    Returns
+    -------
+    int
+        Exit code: 0 when every bound holds.
+    """
+    parser = argparse.ArgumentParser(description="Size, stack and calls of a firmware, against their bounds.")
+    parser.add_argument("elf", type=Path)
+    parser.add_argument("--output", type=Path, help="file to write the report to as well")
+    parser.add_argument("--cross", default="arm-none-eabi-", help="prefix of the binary tools")
+    options = parser.parse_args()
+    try:
+        image = read_image(options.elf, options.cross)
+        text = report(image, options.cross)
+        broken = findings(image)
+    except ReportError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(text, end="")
+    for line in broken:
+        print(f"error: {line}", file=sys.stderr)
+    if options.output and not broken:
+        options.output.write_text(text)
+    return 1 if broken else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

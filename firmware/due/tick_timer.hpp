@@ -1,0 +1,16 @@
+// The interrupt of the control tick, every link::kTick_us.
+#pragma once
+
+#include "core.hpp"
+
+namespace heli::due::tick_timer {
+
+void start();
+
+// In the interrupt, first.
+void acknowledge();
+
+// In the interrupt, last: how long this tick took since it was due, and whether the next waits.
+TickTiming timing();
+
+}  // namespace heli::due::tick_timer

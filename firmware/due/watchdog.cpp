@@ -1,0 +1,32 @@
+#include "watchdog.hpp"
+
+#include "registers.hpp"
+
+namespace heli::due::watchdog {
+namespace {
+
+// In periods of 128 slow clocks, and that clock is an RC oscillator of 20 to 44 kHz: 76 to 166 ms.
+constexpr std::uint32_t kTimeout = 26;
+
+// Ticks between two restarts: a fifth of the shortest timeout. The restart crosses into the slow
+// clock's domain, which a write at every millisecond would only crowd.
+constexpr std::uint32_t kInterval = 16;
+
+std::uint32_t restarted_at;
+
+}  // namespace
+
+void start() {
+  // WDD = WDV: no forbidden window. Without WDRPROC, which is reported not to reset a Due, and
+  // without WDIDLEHLT: a processor that sleeps because its tick died must be reset.
+  WDT->WDT_MR.write(WDT_MR_WDV(kTimeout) | WDT_MR_WDD(kTimeout) | WDT_MR_WDRSTEN | WDT_MR_WDDBGHLT);
+}
+
+void check_in(std::uint32_t ticks) {
+  // That this runs shows the idle loop alive; that `ticks` has moved on, the tick.
+  if (ticks - restarted_at < kInterval) return;
+  restarted_at = ticks;
+  WDT->WDT_CR.write(WDT_CR_KEY(0xA5) | WDT_CR_WDRSTT);
+}
+
+}  // namespace heli::due::watchdog
