@@ -13,6 +13,8 @@ class EventSink {
   virtual ~EventSink() = default;
   // Called once the time given to Scheduler::set is reached; `now` may be a few cycles later.
   virtual void event(std::uint64_t now) = 0;
+  // MCK changed: cycles that stand for board time are wrong now.
+  virtual void clock_changed() {}
 };
 
 class Scheduler {
@@ -48,6 +50,10 @@ class Scheduler {
       }
       find_next();
     }
+  }
+
+  void clock_changed() {
+    for (const Source& source : sources_) source.sink->clock_changed();
   }
 
   void watch(std::uint64_t* deadline) { deadline_ = deadline; }

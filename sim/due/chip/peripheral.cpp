@@ -11,7 +11,7 @@ constexpr std::uint16_t kNone = 0xFFFF;
 void System::change_mck(std::uint32_t mck_Hz) {
   if (mck_Hz == clock.mck_Hz()) return;
   clock.set_mck(now(), mck_Hz);
-  for (Peripheral* peripheral : peripherals) peripheral->clock_changed();
+  scheduler.clock_changed();
   cpu.interrupt_run();
 }
 

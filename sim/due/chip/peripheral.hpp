@@ -48,8 +48,6 @@ class Peripheral : public Device, public EventSink {
   void write_register(std::uint32_t address, std::uint32_t value) final;
 
   virtual void reset() = 0;
-  // MCK changed: times in cycles that stand for board time are wrong now.
-  virtual void clock_changed() {}
   void event(std::uint64_t) override {}
 
  protected:

@@ -7,7 +7,5 @@ NB_MODULE(_due, module) {
   module.doc() = "The emulated Arduino Due.";
   nb::exception<heli_due::Stop>(module, "Stop");
   bind_core(module);
-#ifdef HELI_DUE_BOARD
   bind_due(module);
-#endif
 }

@@ -1,0 +1,108 @@
+#include "board/usb_bridge.hpp"
+
+#include <algorithm>
+#include <utility>
+
+namespace heli_due {
+
+UsbBridge::UsbBridge(Chip& chip) : chip_(chip), id_(chip.system.scheduler.add(this)) {
+  chip_.uart.set_peer(this);
+  plan();
+}
+
+void UsbBridge::set_line_coding(std::uint32_t baud) {
+  baud_ = baud;
+  // SERIAL_2X_UBBRVAL of LUFA: rounds to the nearest divider of 2 MHz.
+  divider_ = std::max((2000000U + baud / 2) / baud, 1U) - 1;
+}
+
+void UsbBridge::set_control_lines(bool dtr) {
+  const bool rising = dtr && !dtr_;
+  dtr_ = dtr;
+  if (baud_ == 1200) {
+    reset_timer_ = kEraseRounds;
+  } else if (rising) {
+    reset_timer_ = kResetRounds;
+  }
+}
+
+void UsbBridge::write(const std::uint8_t* bytes, std::size_t count) {
+  driver_.insert(driver_.end(), bytes, bytes + count);
+  fill_ring();
+  plan();
+}
+
+std::vector<std::uint8_t> UsbBridge::read() { return std::exchange(host_, {}); }
+
+void UsbBridge::byte_from_uart(std::uint8_t byte, std::uint32_t bit_cycles, std::uint64_t) {
+  const double own = static_cast<double>(bit_time()) / kOneCycle;
+  const double sender = static_cast<double>(bit_cycles) * kFull_Hz / chip_.system.clock.mck_Hz();
+  if (sender < 0.95 * own || sender > 1.05 * own) byte = static_cast<std::uint8_t>(byte ^ 0xA5U);
+  if (to_host_.size() >= kRing) {
+    ++to_host_lost_;
+    return;
+  }
+  to_host_.push_back(byte);
+  if (to_host_.size() > kNearlyFull) round();
+}
+
+void UsbBridge::flush() {
+  if (!host_reading_) return;
+  host_.insert(host_.end(), to_host_.begin(), to_host_.end());
+  to_host_.clear();
+}
+
+// What the 16U2's main loop does when the timer has run over or the ring is nearly full.
+void UsbBridge::round() {
+  flush();
+  run_reset_timer();
+}
+
+void UsbBridge::run_reset_timer() {
+  const bool erase = reset_timer_ >= kEraseFrom;
+  if (erasing_ && !erase) {
+    chip_.efc0.erase_all();
+    chip_.efc1.erase_all();
+    chip_.flash.gpnvm = 0;
+  }
+  erasing_ = erase;
+  chip_.set_nrst(reset_timer_ >= 1 && reset_timer_ <= kResetRounds);
+  if (reset_timer_ > 0) --reset_timer_;
+}
+
+void UsbBridge::fill_ring() {
+  while (!driver_.empty() && to_board_.size() < kRing) {
+    to_board_.push_back(driver_.front());
+    driver_.pop_front();
+  }
+  const BoardTime now = chip_.system.board_now();
+  if (byte_done_ != 0 || to_board_.empty()) return;
+  byte_ = to_board_.front();
+  to_board_.pop_front();
+  const BoardTime start = std::max(now, line_free_);
+  // The receiver samples the stop bit in its middle.
+  byte_done_ = start + bit_time() * 19 / 2;
+  line_free_ = start + bit_time() * 10;
+}
+
+void UsbBridge::plan() {
+  const BoardTime first = byte_done_ != 0 ? std::min(byte_done_, next_round_) : next_round_;
+  chip_.system.scheduler.set(id_, chip_.system.clock.cycle_at(first));
+}
+
+void UsbBridge::event(std::uint64_t) {
+  const BoardTime now = chip_.system.board_now();
+  if (byte_done_ != 0 && byte_done_ <= now) {
+    byte_done_ = 0;
+    const BoardTime cycle = BoardTime{kFull_Hz} * kOneCycle / chip_.system.clock.mck_Hz();
+    chip_.uart.receive(byte_, bit_time() / cycle);
+    fill_ring();
+  }
+  if (next_round_ <= now) {
+    next_round_ += kRound;
+    round();
+  }
+  plan();
+}
+
+}  // namespace heli_due

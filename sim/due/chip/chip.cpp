@@ -1,0 +1,139 @@
+#include "chip/chip.hpp"
+
+#include <algorithm>
+
+namespace heli_due {
+
+namespace {
+
+struct Block {
+  std::uint32_t base;
+  std::uint32_t size;
+  const char* name;
+};
+
+constexpr Block kUnmodelled[] = {
+    {0x40000000, 0x4000, "HSMCI"},    {0x40004000, 0x4000, "SSC"},      {0x40008000, 0x4000, "SPI0"},
+    {0x4008C000, 0x4000, "TWI0"},     {0x40090000, 0x4000, "TWI1"},     {0x40098000, 0x4000, "USART0"},
+    {0x4009C000, 0x4000, "USART1"},   {0x400A0000, 0x4000, "USART2"},   {0x400A4000, 0x4000, "USART3"},
+    {0x400AC000, 0x4000, "UOTGHS"},   {0x400B0000, 0x4000, "EMAC"},     {0x400B4000, 0x4000, "CAN0"},
+    {0x400B8000, 0x4000, "CAN1"},     {0x400BC000, 0x4000, "TRNG"},     {0x400C0000, 0x4000, "ADC"},
+    {0x400C4000, 0x4000, "DMAC"},     {0x400C8000, 0x4000, "DACC"},     {0x400E0000, 0x200, "SMC"},
+    {0x400E0200, 0x200, "SDRAMC"},    {0x400E0400, 0x200, "MATRIX"},    {0x400E1A60, 0x30, "RTC"},
+};
+
+// Pins of TIOA and TIOB (section 9.2); PB0 and PB1 of TC1 are not brought out on the Due.
+constexpr Tc::Wiring kTc0 = {{pin_of('B', 25), -1, -1}, {pin_of('B', 27), -1, -1}, true};
+constexpr Tc::Wiring kTc1 = {{pin_of('B', 0), pin_of('B', 2), pin_of('B', 4)},
+                             {pin_of('B', 1), pin_of('B', 3), pin_of('B', 5)}, true};
+constexpr Tc::Wiring kTc2 = {{pin_of('C', 25), pin_of('C', 28), pin_of('D', 7)},
+                             {pin_of('C', 26), pin_of('C', 29), pin_of('D', 8)}, true};
+
+// The reset controller holds the core for three periods of the slow clock.
+constexpr std::uint64_t kResetPeriods = 3;
+
+}  // namespace
+
+Chip::Chip()
+    : scs(system.cpu, system.exceptions, system.scheduler, system.diagnostics),
+      pins(system.diagnostics),
+      flash(system),
+      pmc(system),
+      efc0(system, flash, 0),
+      efc1(system, flash, 1),
+      wdt(system),
+      rstc(system),
+      supc(system),
+      rtt(system),
+      gpbr(system),
+      chipid(system),
+      pioa(system, pins, 0, "PIOA", 0x400E0E00),
+      piob(system, pins, 1, "PIOB", 0x400E1000),
+      pioc(system, pins, 2, "PIOC", 0x400E1200),
+      piod(system, pins, 3, "PIOD", 0x400E1400),
+      tc0(system, pins, 0, kTc0),
+      tc1(system, pins, 1, kTc1),
+      tc2(system, pins, 2, kTc2),
+      pwm(system, pins),
+      uart(system, pins),
+      id_(system.scheduler.add(this)) {
+  system.bus.connect(&system.cpu, &scs, &flash);
+  for (const Block& block : kUnmodelled) system.bus.add_unmodelled(block.base, block.size, block.name);
+  // The board joins D4's PC26 with PA29 and D10's PC29 with PA28.
+  pins.join(pin_of('C', 26), pin_of('A', 29));
+  pins.join(pin_of('C', 29), pin_of('A', 28));
+  system.exceptions.reset();
+  system.cpu.hold(true);
+}
+
+void Chip::power_on() {
+  std::fill(system.memory.ram.begin(), system.memory.ram.end(), std::uint8_t{0xA5});
+  system.memory.ram_code.fill(0);
+  gpbr.power_lost();
+  powered_ = true;
+  reset(ResetType::kGeneral, false);
+}
+
+void Chip::power_off() {
+  efc0.cut();
+  efc1.cut();
+  // Every output lets go of its pin.
+  for (Peripheral* peripheral : system.peripherals) peripheral->reset();
+  powered_ = false;
+  system.cpu.hold(true);
+}
+
+void Chip::reset(ResetType type, bool processor_only) {
+  system.reset_wanted = false;
+  scs.reset_requested = false;
+  ++resets_;
+  last_reset_ = type;
+  system.exceptions.reset();
+  scs.reset();
+  if (!processor_only) {
+    for (Peripheral* peripheral : system.peripherals) peripheral->reset();
+  }
+  rstc.note(type);
+  system.cpu.hold(true);
+  system.scheduler.set(id_, system.clock.cycle_at(system.board_now() + system.slow_periods(kResetPeriods)));
+}
+
+void Chip::event(std::uint64_t) {
+  if (rstc.nrst_low() || !powered_) return;
+  boot();
+}
+
+void Chip::boot() {
+  in_rom_ = (flash.gpnvm & 2U) == 0;
+  system.cpu.reset();
+  if (in_rom_) return;
+  system.cpu.hold(false);
+}
+
+void Chip::set_nrst(bool low) {
+  const bool was = rstc.nrst_low();
+  rstc.set_nrst(low);
+  if (was && !low && powered_) {
+    system.scheduler.set(id_, system.clock.cycle_at(system.board_now() + system.slow_periods(kResetPeriods)));
+  }
+}
+
+void Chip::carry_out_resets() {
+  if (scs.reset_requested && !system.reset_wanted) system.request_reset(ResetType::kSoftware);
+  if (system.reset_wanted && powered_) reset(system.reset_type, system.processor_only);
+  system.reset_wanted = false;
+}
+
+void Chip::run_until(BoardTime until) {
+  while (system.board_now() < until && system.cpu.halt() == Halt::kNone) {
+    system.cpu.run(system.clock.cycle_at(until));
+    carry_out_resets();
+  }
+}
+
+void Chip::step() {
+  system.cpu.step(kNever - 1);
+  carry_out_resets();
+}
+
+}  // namespace heli_due

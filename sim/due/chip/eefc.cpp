@@ -1,0 +1,247 @@
+#include "chip/eefc.hpp"
+
+#include <algorithm>
+#include <cstring>
+
+namespace heli_due {
+
+namespace {
+
+using access::kBoth;
+using access::kRead;
+using access::kWrite;
+
+constexpr Register kRegisters[] = {
+    {0x00, "EEFC_FMR", kBoth},
+    {0x04, "EEFC_FCR", kWrite},
+    {0x08, "EEFC_FSR", kRead},
+    {0x0C, "EEFC_FRR", kRead},
+};
+
+constexpr std::uint32_t kGetd = 0x00;
+constexpr std::uint32_t kWp = 0x01;
+constexpr std::uint32_t kWpl = 0x02;
+constexpr std::uint32_t kEwp = 0x03;
+constexpr std::uint32_t kEwpl = 0x04;
+constexpr std::uint32_t kEa = 0x05;
+constexpr std::uint32_t kSlb = 0x08;
+constexpr std::uint32_t kClb = 0x09;
+constexpr std::uint32_t kGlb = 0x0A;
+constexpr std::uint32_t kSgpb = 0x0B;
+constexpr std::uint32_t kCgpb = 0x0C;
+constexpr std::uint32_t kGgpb = 0x0D;
+
+constexpr std::uint32_t kFrdy = 1U << 0;
+constexpr std::uint32_t kFcmde = 1U << 1;
+constexpr std::uint32_t kFlocke = 1U << 2;
+constexpr std::uint32_t kKey = 0x5A;
+constexpr std::uint32_t kBusyMark = 0x80;  // distinguishes "busy with command 0" from idle
+
+}  // namespace
+
+Flash::Flash(System& system) : system_(system) {}
+
+void Flash::update_busy() {
+  system_.cpu.flash_busy = planes_[0]->busy() || planes_[1]->busy();
+}
+
+void Flash::use(std::uint32_t offset) {
+  FlashController& plane = plane_at(offset);
+  if (!plane.busy()) return;
+  system_.diagnostics.report(Trouble::kMisuse, kFlashBase + offset,
+                             "flash at " + hex(kFlashBase + offset) +
+                                 " is read or executed while its plane is being programmed");
+  const std::uint64_t ready = plane.ready_cycle();
+  if (ready > system_.now()) system_.cpu.stall(ready - system_.now());
+}
+
+void Flash::latch(std::uint32_t offset, std::uint32_t value, std::uint32_t size) {
+  if (size != 4) {
+    system_.diagnostics.report(Trouble::kNarrow, kFlashBase + offset,
+                               "write of " + std::to_string(size) +
+                                   " bytes to the page latches, which take words");
+  }
+  plane_at(offset).latch(offset, value);
+}
+
+FlashController::FlashController(System& system, Flash& flash, int index)
+    : Peripheral(system, index == 0 ? "EFC0" : "EFC1", index == 0 ? 0x400E0A00U : 0x400E0C00U, 0x200,
+                 kAlwaysClocked, kRegisters),
+      flash_(flash),
+      index_(index),
+      id_(system.scheduler.add(this)) {
+  latches_.fill(0xFF);
+  flash.attach(index, this);
+}
+
+void FlashController::reset() {
+  cut();
+  mode_ = errors_ = 0;
+  result_count_ = result_next_ = 0;
+  if (index_ == 0) system_.cpu.set_flash_wait_states(0);
+  update_irq();
+}
+
+std::uint8_t* FlashController::page_bytes(std::uint32_t page) const {
+  return system_.memory.flash.data() + static_cast<std::uint32_t>(index_) * kPlaneSize + page * kPage;
+}
+
+void FlashController::latch(std::uint32_t offset, std::uint32_t value) {
+  if (busy()) {
+    system_.diagnostics.report(Trouble::kMisuse, kFlashBase + offset,
+                               "write to the page latches while the plane is being programmed");
+  }
+  std::memcpy(latches_.data() + (offset % kPage & ~3U), &value, 4);
+}
+
+void FlashController::apply(BoardTime passed) {
+  const std::uint32_t code = command_ & 0xFU;
+  const bool writes = code == kWp || code == kWpl || code == kEwp || code == kEwpl;
+  const BoardTime write = end_ - begin_ - erase_;
+  std::uint8_t* page = code == kEa ? page_bytes(0) : page_bytes(page_);
+  const std::uint64_t size = code == kEa ? kPlaneSize : kPage;
+  if (erase_ != 0) {
+    const std::uint64_t erased = std::min(passed, erase_) * (size / 4) / erase_ * 4;
+    std::memset(page, 0xFF, erased);
+  }
+  if (writes && passed > erase_) {
+    const std::uint64_t written = (passed - erase_) * (kPage / 4) / write * 4;
+    for (std::uint64_t i = 0; i < written; ++i) page[i] &= latches_[i];
+  }
+  if (erase_ != 0 || writes) system_.cpu.flush_flash_code();
+}
+
+void FlashController::cut() {
+  if (!busy()) return;
+  apply(std::min(system_.board_now(), end_) - begin_);
+  command_ = 0;
+  latches_.fill(0xFF);
+  flash_.update_busy();
+  system_.scheduler.set(id_, kNever);
+}
+
+void FlashController::erase_all() {
+  std::memset(page_bytes(0), 0xFF, kPlaneSize);
+  locks_ = 0;
+  system_.cpu.flush_flash_code();
+}
+
+void FlashController::plan() {
+  system_.scheduler.set(id_, busy() ? system_.clock.cycle_at(end_) : kNever);
+}
+
+void FlashController::update_irq() {
+  system_.set_irq(index_ == 0 ? id::kEfc0 : id::kEfc1, !busy() && (mode_ & 1U) != 0);
+}
+
+void FlashController::event(std::uint64_t) {
+  if (!busy()) return;
+  if (system_.board_now() < end_) return plan();
+  apply(end_ - begin_);
+  const std::uint32_t code = command_ & 0xFU;
+  if (code == kWpl || code == kEwpl) locks_ |= 1U << (page_ * kPage / kLockRegion);
+  if (code <= kEa && code != kGetd) ++writes_;
+  command_ = 0;
+  latches_.fill(0xFF);
+  flash_.update_busy();
+  update_irq();
+}
+
+std::uint32_t FlashController::read(std::uint32_t offset) {
+  switch (offset) {
+    case 0x00: return mode_;
+    case 0x08: {
+      const std::uint32_t value = (busy() ? 0U : kFrdy) | errors_;
+      errors_ = 0;
+      return value;
+    }
+    default:
+      if (result_next_ >= result_count_) return 0;
+      return results_[result_next_++];
+  }
+}
+
+void FlashController::write(std::uint32_t offset, std::uint32_t value) {
+  if (offset == 0x04) return command(value);
+  if (busy()) misuse(offset, "write while the plane is being programmed");
+  mode_ = value & 0x01010F01U;
+  update_irq();
+  // The slower plane decides for the cycle model.
+  if (index_ == 0) system_.cpu.set_flash_wait_states((value >> 8) & 0xFU);
+}
+
+void FlashController::result(std::uint32_t word) {
+  results_[result_count_++ % results_.size()] = word;
+}
+
+// Code that runs from a plane cannot program it: the fetch behind the command would already fail.
+void FlashController::check_caller() const {
+  const std::uint32_t pc = system_.cpu.pc();
+  const std::uint32_t offset = pc >= kFlashBase ? pc - kFlashBase : pc;
+  if (offset >= kFlashSize || offset / kPlaneSize != static_cast<std::uint32_t>(index_)) return;
+  misuse(0x04, "a plane is programmed by code that runs from it");
+  system_.cpu.stall(ready_cycle() - system_.now());
+}
+
+void FlashController::start(std::uint32_t code, std::uint32_t page, BoardTime erase, BoardTime write) {
+  const std::uint32_t region = page * kPage / kLockRegion;
+  const bool locked = code == kEa ? locks_ != 0 : ((locks_ >> region) & 1U) != 0;
+  if (code <= kEa && locked) {
+    errors_ |= kFlocke;
+    return;
+  }
+  if (code <= kEa && ((mode_ >> 8) & 0xFU) < kWriteWaitStates) {
+    misuse(0x04, "flash is written with FWS = " + std::to_string((mode_ >> 8) & 0xFU) +
+                     "; the errata ask for 6");
+  }
+  command_ = code | kBusyMark;
+  page_ = page;
+  begin_ = system_.board_now();
+  erase_ = erase;
+  end_ = begin_ + erase + write;
+  flash_.update_busy();
+  plan();
+  update_irq();
+  check_caller();
+}
+
+void FlashController::command(std::uint32_t value) {
+  const std::uint32_t code = value & 0xFFU;
+  const std::uint32_t argument = (value >> 8) & 0xFFFFU;
+  if ((value >> 24) != kKey) {
+    errors_ |= kFcmde;
+    return misuse(0x04, "command without the key 0x5A");
+  }
+  if (busy()) return misuse(0x04, "command while EEFC_FSR.FRDY is 0");
+  errors_ = 0;
+  result_count_ = result_next_ = 0;
+  switch (code) {
+    case kGetd:
+      for (const std::uint32_t word : {0x000F0940U, kPlaneSize, kPage, 1U, kPlaneSize, 16U}) result(word);
+      for (int i = 0; i < 10; ++i) result(kLockRegion);
+      return;
+    case kWp: case kWpl: case kEwp: case kEwpl:
+      if (argument >= kPages) {
+        errors_ |= kFcmde;
+        return misuse(0x04, "page " + std::to_string(argument) + " is outside of the plane");
+      }
+      return start(code, argument, code >= kEwp ? kEraseTime : 0, kWriteTime);
+    case kEa: return start(code, 0, kEraseAllTime, 0);
+    case kSlb: locks_ |= 1U << (argument * kPage / kLockRegion & 31U); return;
+    case kClb: locks_ &= ~(1U << (argument * kPage / kLockRegion & 31U)); return;
+    case kGlb: return result(locks_);
+    case kSgpb: case kCgpb:
+      if (argument > 2) {
+        errors_ |= kFcmde;
+        return;
+      }
+      flash_.gpnvm = code == kSgpb ? flash_.gpnvm | (1U << argument) : flash_.gpnvm & ~(1U << argument);
+      return;
+    case kGgpb: return result(flash_.gpnvm);
+    default:
+      errors_ |= kFcmde;
+      return not_modelled(0x04, "command " + std::to_string(code) + " is not modelled");
+  }
+}
+
+}  // namespace heli_due

@@ -1,0 +1,107 @@
+// The wires at the chip's pins: who drives them, and who listens.
+//
+// A level follows from all drivers: strong ones first (the chip's own output stages, external
+// sources), then external resistors (a few kilohms), then the chip's pull-up (100 k).
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "bus/diagnostics.hpp"
+
+namespace heli_due {
+
+inline constexpr int kPorts = 4;
+inline constexpr int kPins = kPorts * 32;
+
+// Pin number as port * 32 + bit.
+constexpr int pin_of(char port, int bit) { return (port - 'A') * 32 + bit; }
+
+enum class External : std::uint8_t { kOpen, kPullDown, kPullUp, kLow, kHigh };
+
+// Somebody inside of the chip who puts a signal on a pin.
+class PinDriver {
+ public:
+  virtual ~PinDriver() = default;
+  // False: the peripheral leaves the pin alone, as an input function does.
+  virtual bool drives(int signal) const = 0;
+  virtual bool level(int signal) const = 0;
+};
+
+class PinListener {
+ public:
+  virtual ~PinListener() = default;
+  virtual void pin_changed(int signal, bool level, std::uint64_t now) = 0;
+};
+
+// What the PIO controller has made of one pin.
+struct PinSetting {
+  bool given_to_peripheral = false;
+  bool peripheral_b = false;
+  bool output = false;
+  bool open_drain = false;
+  bool high = false;
+  bool pull_up = true;
+};
+
+class Pins {
+ public:
+  explicit Pins(Diagnostics& diagnostics) : diagnostics_(diagnostics) {}
+
+  void connect_driver(int pin, bool peripheral_b, PinDriver* driver, int signal);
+  void connect_listener(int pin, PinListener* listener, int signal);
+  // Two pins that the board joins.
+  void join(int first, int second);
+
+  void set_external(int pin, External state, std::uint64_t now);
+  External external(int pin) const { return wires_[index(pin)].external; }
+  void set_setting(int pin, const PinSetting& setting, std::uint64_t now);
+  const PinSetting& setting(int pin) const { return wires_[index(pin)].setting; }
+  // A peripheral changed its mind about a signal.
+  void refresh(int pin, std::uint64_t now);
+
+  // Level on the wire now.
+  bool level(int pin) const;
+  // The level as of the last change that was told to listeners.
+  std::uint32_t seen(int port) const { return seen_[index(port)]; }
+  void set_port_listener(int port, PinListener* listener) { ports_[static_cast<std::size_t>(port)] = listener; }
+
+  // Whether the chip itself drives this pin, and how.
+  bool driven(int pin, bool& level) const;
+
+ private:
+  struct Driver {
+    PinDriver* source = nullptr;
+    int signal = 0;
+  };
+  struct Listener {
+    PinListener* sink;
+    int signal;
+  };
+  struct Wire {
+    PinSetting setting;
+    External external = External::kOpen;
+    Driver drivers[2];
+    std::vector<Listener> listeners;
+    int joined = -1;
+  };
+
+  static std::size_t index(int pin) { return static_cast<std::size_t>(pin); }
+  struct Votes {
+    bool strong_low = false;
+    bool strong_high = false;
+    bool weak_low = false;
+    bool weak_high = false;
+    bool pull_up = false;
+  };
+  void vote(int pin, Votes& votes) const;
+  void tell(int pin, bool level, std::uint64_t now);
+
+  Diagnostics& diagnostics_;
+  std::array<Wire, kPins> wires_;
+  std::array<PinListener*, kPorts> ports_{};
+  std::array<std::uint32_t, kPorts> seen_{};
+};
+
+}  // namespace heli_due

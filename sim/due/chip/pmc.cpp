@@ -1,0 +1,263 @@
+#include "chip/pmc.hpp"
+
+#include <algorithm>
+
+namespace heli_due {
+
+namespace {
+
+using access::kBoth;
+using access::kProtected;
+using access::kRead;
+using access::kUnmodelled;
+using access::kWrite;
+
+constexpr Register kRegisters[] = {
+    {0x000, "PMC_SCER", kWrite | kProtected},   {0x004, "PMC_SCDR", kWrite | kProtected},
+    {0x008, "PMC_SCSR", kRead},                 {0x010, "PMC_PCER0", kWrite | kProtected},
+    {0x014, "PMC_PCDR0", kWrite | kProtected},  {0x018, "PMC_PCSR0", kRead},
+    {0x01C, "CKGR_UCKR", kBoth | kUnmodelled},  {0x020, "CKGR_MOR", kBoth | kProtected},
+    {0x024, "CKGR_MCFR", kRead},                {0x028, "CKGR_PLLAR", kBoth | kProtected},
+    {0x030, "PMC_MCKR", kBoth | kProtected},    {0x038, "PMC_USB", kBoth | kUnmodelled},
+    {0x040, "PMC_PCK0", kBoth | kUnmodelled},   {0x044, "PMC_PCK1", kBoth | kUnmodelled},
+    {0x048, "PMC_PCK2", kBoth | kUnmodelled},   {0x060, "PMC_IER", kWrite},
+    {0x064, "PMC_IDR", kWrite},                 {0x068, "PMC_SR", kRead},
+    {0x06C, "PMC_IMR", kRead},                  {0x070, "PMC_FSMR", kBoth | kProtected},
+    {0x074, "PMC_FSPR", kBoth | kProtected},    {0x078, "PMC_FOCR", kWrite},
+    {0x0E4, "PMC_WPMR", kBoth},                 {0x0E8, "PMC_WPSR", kRead},
+    {0x100, "PMC_PCER1", kWrite | kProtected},  {0x104, "PMC_PCDR1", kWrite | kProtected},
+    {0x108, "PMC_PCSR1", kRead},                {0x10C, "PMC_PCR", kBoth},
+};
+
+constexpr std::uint32_t kMoscXtEn = 1U << 0;
+constexpr std::uint32_t kMoscRcEn = 1U << 3;
+constexpr std::uint32_t kMoscSel = 1U << 24;
+
+constexpr std::uint32_t kMoscXtS = 1U << 0;
+constexpr std::uint32_t kLockA = 1U << 1;
+constexpr std::uint32_t kMckRdy = 1U << 3;
+constexpr std::uint32_t kMoscSelS = 1U << 16;
+constexpr std::uint32_t kMoscRcS = 1U << 17;
+
+constexpr std::uint32_t kCrystal_Hz = 12000000;
+constexpr std::uint32_t kMorKey = 0x37;
+constexpr std::uint32_t kProtectKey = 0x504D43;
+// Peripherals 8 to 44 have a clock that can be switched; RSTC to EEFC always run.
+constexpr std::uint64_t kSwitchable = ((std::uint64_t{1} << 45) - 1) & ~std::uint64_t{0xFF};
+// A change of prescaler or source settles within a few cycles of the slower clock.
+constexpr std::uint64_t kSwitchCycles = 8;
+// PLLA runs from 84 to 192 MHz.
+constexpr std::uint32_t kPllaLowest_Hz = 84000000;
+constexpr std::uint32_t kPllaHighest_Hz = 192000000;
+// Flash needs one more wait state every 16.8 MHz: FWS = 4 at 84 MHz, which is what is documented.
+constexpr std::uint32_t kFlashStep_Hz = 16800000;
+
+}  // namespace
+
+Pmc::Pmc(System& system)
+    : Peripheral(system, "PMC", 0x400E0600, 0x200, kAlwaysClocked, kRegisters),
+      id_(system.scheduler.add(this)) {}
+
+void Pmc::reset() {
+  main_oscillator_ = kMoscRcEn;
+  plla_ = 0x3F00;
+  master_ = 1;
+  status_ = kMckRdy | kMoscSelS | kMoscRcS;
+  interrupts_ = protect_ = pcr_ = fast_startup_ = fast_polarity_ = 0;
+  crystal_ready_ = plla_ready_ = master_ready_ = 0;
+  system_.peripheral_clocks = 0;
+  apply_master_clock();
+  plan();
+  update_irq();
+}
+
+std::uint32_t Pmc::main_Hz() const {
+  if ((main_oscillator_ & kMoscSel) != 0) return kCrystal_Hz;
+  static constexpr std::uint32_t kRc_Hz[] = {4000000, 8000000, 12000000, 12000000};
+  return kRc_Hz[(main_oscillator_ >> 4) & 3U];
+}
+
+std::uint32_t Pmc::plla_Hz() const {
+  const std::uint32_t divider = plla_ & 0xFFU;
+  const std::uint32_t multiplier = (plla_ >> 16) & 0x7FFU;
+  if (divider == 0 || multiplier == 0) return 0;
+  return main_Hz() / divider * (multiplier + 1);
+}
+
+std::uint32_t Pmc::master_Hz(std::uint32_t mckr) const {
+  std::uint32_t hz = 0;
+  switch (mckr & 3U) {
+    case 0: hz = system_.slow_Hz; break;
+    case 1: hz = main_Hz(); break;
+    case 2: hz = plla_Hz() / ((mckr & (1U << 12)) != 0 ? 2U : 1U); break;
+    default: break;
+  }
+  const std::uint32_t prescaler = (mckr >> 4) & 7U;
+  return prescaler == 7 ? hz / 3 : hz >> prescaler;
+}
+
+void Pmc::apply_master_clock() {
+  const std::uint32_t hz = master_Hz(master_);
+  if (hz == 0) {
+    misuse(0x30, "the source of the master clock is not running");
+    return;
+  }
+  if (hz > kFull_Hz) misuse(0x30, "a master clock of " + std::to_string(hz) + " Hz is above 84 MHz");
+  const std::uint32_t limit = kFlashStep_Hz * (system_.cpu.flash_wait_states() + 1);
+  if (hz > limit) {
+    misuse(0x30, "a master clock of " + std::to_string(hz) + " Hz needs more flash wait states than FWS = " +
+                     std::to_string(system_.cpu.flash_wait_states()));
+  }
+  system_.change_mck(hz);
+}
+
+// Moves what has become ready by now into the status register.
+void Pmc::settle() {
+  const BoardTime now = system_.board_now();
+  const auto due = [now](BoardTime& ready) {
+    if (ready == 0 || now < ready) return false;
+    ready = 0;
+    return true;
+  };
+  if (due(crystal_ready_)) status_ |= kMoscXtS;
+  if (due(plla_ready_)) status_ |= kLockA;
+  if (due(master_ready_)) status_ |= kMckRdy;
+  update_irq();
+}
+
+void Pmc::plan() {
+  BoardTime first = ~BoardTime{0};
+  for (const BoardTime ready : {crystal_ready_, plla_ready_, master_ready_}) {
+    if (ready != 0) first = std::min(first, ready);
+  }
+  system_.scheduler.set(id_, first == ~BoardTime{0} ? kNever : system_.clock.cycle_at(first));
+}
+
+void Pmc::event(std::uint64_t) {
+  settle();
+  plan();
+}
+
+void Pmc::update_irq() { system_.set_irq(id::kPmc, (status_ & interrupts_) != 0); }
+
+std::uint32_t Pmc::read(std::uint32_t offset) {
+  settle();
+  switch (offset) {
+    case 0x008: return 1;
+    case 0x018: return static_cast<std::uint32_t>(system_.peripheral_clocks);
+    case 0x108: return static_cast<std::uint32_t>(system_.peripheral_clocks >> 32);
+    case 0x020: return main_oscillator_;
+    // Main clock cycles in 16 periods of the slow clock, and that the count is complete.
+    case 0x024: return (1U << 16) | static_cast<std::uint32_t>(std::uint64_t{main_Hz()} * 16 / system_.slow_Hz);
+    case 0x028: return plla_;
+    case 0x030: return master_;
+    case 0x068: return status_;
+    case 0x06C: return interrupts_;
+    case 0x070: return fast_startup_;
+    case 0x074: return fast_polarity_;
+    case 0x0E4: return protect_;
+    case 0x10C: return pcr_;
+    default: return 0;
+  }
+}
+
+void Pmc::write_main_oscillator(std::uint32_t value) {
+  if (((value >> 16) & 0xFFU) != kMorKey) return misuse(0x20, "write without the key 0x37");
+  const std::uint32_t before = main_oscillator_;
+  main_oscillator_ = value & ~0x00FF0000U;
+  if ((value & kMoscXtEn) != 0 && (before & kMoscXtEn) == 0) {
+    const std::uint32_t startup = 8 * ((value >> 8) & 0xFFU);
+    crystal_ready_ = system_.board_now() + system_.slow_periods(startup + 1);
+  }
+  if ((value & kMoscXtEn) == 0) {
+    crystal_ready_ = 0;
+    status_ &= ~kMoscXtS;
+  }
+  status_ = (value & kMoscRcEn) != 0 ? status_ | kMoscRcS : status_ & ~kMoscRcS;
+  const bool crystal = (value & kMoscSel) != 0;
+  if (crystal && (status_ & kMoscXtS) == 0) {
+    misuse(0x20, "the crystal is chosen before PMC_SR.MOSCXTS says that it runs");
+  }
+  if (!crystal && (value & kMoscRcEn) == 0) misuse(0x20, "no oscillator is left for the main clock");
+  plan();
+  apply_master_clock();
+}
+
+void Pmc::write_plla(std::uint32_t value) {
+  if ((value & (1U << 29)) == 0) return misuse(0x28, "write without bit 29, which must be 1");
+  if ((master_ & 3U) == 2) misuse(0x28, "PLLA is changed while the master clock runs from it");
+  plla_ = value & ~(1U << 29);
+  status_ &= ~kLockA;
+  const std::uint32_t hz = plla_Hz();
+  plla_ready_ = 0;
+  if (hz != 0) {
+    if (hz < kPllaLowest_Hz || hz > kPllaHighest_Hz) {
+      misuse(0x28, "PLLA at " + std::to_string(hz) + " Hz is outside of 84 to 192 MHz");
+    }
+    plla_ready_ = system_.board_now() + system_.slow_periods(((value >> 8) & 0x3FU) + 1);
+  }
+  plan();
+}
+
+void Pmc::write_master_clock(std::uint32_t value) {
+  if ((status_ & kMckRdy) == 0) misuse(0x30, "write before PMC_SR.MCKRDY is set");
+  if ((value & 3U) == 2 && (status_ & kLockA) == 0) {
+    return misuse(0x30, "PLLA is chosen before PMC_SR.LOCKA says that it is stable");
+  }
+  if ((value & 3U) == 3) return not_modelled(0x30, "the UPLL clock is not modelled");
+  const bool source = ((value ^ master_) & 3U) != 0;
+  const bool prescaler = ((value ^ master_) & 0x1070U) != 0;
+  if (source && prescaler && (value & 3U) >= 2 && (value & 0x1070U) < (master_ & 0x1070U)) {
+    misuse(0x30, "the prescaler must be set before the source is changed to a PLL");
+  }
+  master_ = value & 0x3073U;
+  apply_master_clock();
+  status_ &= ~kMckRdy;
+  master_ready_ = system_.board_now() + kSwitchCycles * kOneCycle * (kFull_Hz / system_.clock.mck_Hz());
+  plan();
+}
+
+void Pmc::write_peripheral(std::uint32_t offset, std::uint32_t value) {
+  const unsigned shift = offset >= 0x100 ? 32 : 0;
+  const std::uint64_t bits = std::uint64_t{value} << shift;
+  if ((bits & ~kSwitchable) != 0) misuse(offset, "bits of peripherals that have no clock to switch");
+  if ((offset & 4U) == 0) {
+    system_.peripheral_clocks |= bits & kSwitchable;
+  } else {
+    system_.peripheral_clocks &= ~bits;
+  }
+}
+
+void Pmc::write_pcr(std::uint32_t value) {
+  pcr_ = value & 0x1003103FU;
+  if ((value & (1U << 12)) == 0) return;
+  if ((value & 0x30000U) != 0) return not_modelled(0x10C, "divided peripheral clocks are not modelled");
+  const std::uint64_t bit = (std::uint64_t{1} << (value & 0x3FU)) & kSwitchable;
+  const bool on = (value & (1U << 28)) != 0;
+  system_.peripheral_clocks = on ? system_.peripheral_clocks | bit : system_.peripheral_clocks & ~bit;
+}
+
+void Pmc::write(std::uint32_t offset, std::uint32_t value) {
+  settle();
+  switch (offset) {
+    case 0x000: case 0x004:
+      if (value != 0) not_modelled(offset, "USB and programmable clocks are not modelled");
+      return;
+    case 0x010: case 0x014: case 0x100: case 0x104: return write_peripheral(offset, value);
+    case 0x020: return write_main_oscillator(value);
+    case 0x028: return write_plla(value);
+    case 0x030: return write_master_clock(value);
+    case 0x060: interrupts_ |= value; return update_irq();
+    case 0x064: interrupts_ &= ~value; return update_irq();
+    case 0x070: fast_startup_ = value; return;
+    case 0x074: fast_polarity_ = value; return;
+    case 0x0E4:
+      if ((value >> 8) != kProtectKey) return misuse(offset, "write without the key 0x504D43");
+      protect_ = value & 1U;
+      return;
+    case 0x10C: return write_pcr(value);
+    default: return;
+  }
+}
+
+}  // namespace heli_due

@@ -1,0 +1,51 @@
+// Power management controller (section 28): oscillators, PLLA, master clock, peripheral clocks.
+#pragma once
+
+#include "chip/peripheral.hpp"
+
+namespace heli_due {
+
+class Pmc final : public Peripheral {
+ public:
+  explicit Pmc(System& system);
+
+  void reset() override;
+  void clock_changed() override { plan(); }
+  void event(std::uint64_t now) override;
+
+ protected:
+  std::uint32_t read(std::uint32_t offset) override;
+  void write(std::uint32_t offset, std::uint32_t value) override;
+  bool write_protected() const override { return (protect_ & 1U) != 0; }
+
+ private:
+  void write_main_oscillator(std::uint32_t value);
+  void write_plla(std::uint32_t value);
+  void write_master_clock(std::uint32_t value);
+  void write_peripheral(std::uint32_t offset, std::uint32_t value);
+  void write_pcr(std::uint32_t value);
+  std::uint32_t main_Hz() const;
+  std::uint32_t plla_Hz() const;
+  std::uint32_t master_Hz(std::uint32_t mckr) const;
+  void apply_master_clock();
+  void settle();
+  void plan();
+  void update_irq();
+
+  Scheduler::Id id_;
+  std::uint32_t main_oscillator_ = 1;
+  std::uint32_t plla_ = 0x3F00;
+  std::uint32_t master_ = 1;
+  std::uint32_t status_ = 0;
+  std::uint32_t interrupts_ = 0;
+  std::uint32_t protect_ = 0;
+  std::uint32_t pcr_ = 0;
+  std::uint32_t fast_startup_ = 0;
+  std::uint32_t fast_polarity_ = 0;
+  // Board times at which the crystal, PLLA and the master clock are ready; 0: not on their way.
+  BoardTime crystal_ready_ = 0;
+  BoardTime plla_ready_ = 0;
+  BoardTime master_ready_ = 0;
+};
+
+}  // namespace heli_due

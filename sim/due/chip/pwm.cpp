@@ -1,0 +1,471 @@
+#include "chip/pwm.hpp"
+
+#include <algorithm>
+
+namespace heli_due {
+
+namespace {
+
+using access::kBoth;
+using access::kRead;
+using access::kUnmodelled;
+using access::kWrite;
+
+constexpr std::uint8_t kLater = kUnmodelled;
+
+constexpr Register kRegisters[] = {
+    {0x00, "PWM_CLK", kBoth}, {0x04, "PWM_ENA", kWrite}, {0x08, "PWM_DIS", kWrite},
+    {0x0C, "PWM_SR", kRead}, {0x10, "PWM_IER1", kWrite}, {0x14, "PWM_IDR1", kWrite},
+    {0x18, "PWM_IMR1", kRead}, {0x1C, "PWM_ISR1", kRead}, {0x20, "PWM_SCM", kBoth},
+    {0x28, "PWM_SCUC", kBoth}, {0x2C, "PWM_SCUP", kBoth}, {0x30, "PWM_SCUPUPD", kWrite},
+    {0x34, "PWM_IER2", kWrite}, {0x38, "PWM_IDR2", kWrite}, {0x3C, "PWM_IMR2", kRead},
+    {0x40, "PWM_ISR2", kRead}, {0x44, "PWM_OOV", kBoth}, {0x48, "PWM_OS", kBoth},
+    {0x4C, "PWM_OSS", kWrite}, {0x50, "PWM_OSC", kWrite}, {0x54, "PWM_OSSUPD", kWrite},
+    {0x58, "PWM_OSCUPD", kWrite}, {0x5C, "PWM_FMR", kBoth}, {0x60, "PWM_FSR", kRead},
+    {0x64, "PWM_FCR", kWrite}, {0x68, "PWM_FPV", kBoth}, {0x6C, "PWM_FPE1", kBoth},
+    {0x70, "PWM_FPE2", kBoth}, {0x7C, "PWM_ELMR0", kBoth | kLater}, {0x80, "PWM_ELMR1", kBoth | kLater},
+    {0xB0, "PWM_SMMR", kBoth | kLater}, {0xE4, "PWM_WPCR", kWrite}, {0xE8, "PWM_WPSR", kRead},
+    {0x108, "PWM_TPR", kBoth | kLater}, {0x10C, "PWM_TCR", kBoth | kLater},
+    {0x118, "PWM_TNPR", kBoth | kLater}, {0x11C, "PWM_TNCR", kBoth | kLater},
+    {0x120, "PWM_PTCR", kWrite | kLater}, {0x124, "PWM_PTSR", kRead | kLater},
+#define COMPARISON(n) \
+    {0x130 + 16 * (n), "PWM_CMPV" #n, kBoth | kLater}, {0x134 + 16 * (n), "PWM_CMPVUPD" #n, kWrite | kLater}, \
+    {0x138 + 16 * (n), "PWM_CMPM" #n, kBoth | kLater}, {0x13C + 16 * (n), "PWM_CMPMUPD" #n, kWrite | kLater}
+    COMPARISON(0), COMPARISON(1), COMPARISON(2), COMPARISON(3),
+    COMPARISON(4), COMPARISON(5), COMPARISON(6), COMPARISON(7),
+#undef COMPARISON
+#define CHANNEL(n) \
+    {0x200 + 32 * (n), "PWM_CMR" #n, kBoth}, {0x204 + 32 * (n), "PWM_CDTY" #n, kBoth}, \
+    {0x208 + 32 * (n), "PWM_CDTYUPD" #n, kWrite}, {0x20C + 32 * (n), "PWM_CPRD" #n, kBoth}, \
+    {0x210 + 32 * (n), "PWM_CPRDUPD" #n, kWrite}, {0x214 + 32 * (n), "PWM_CCNT" #n, kRead}, \
+    {0x218 + 32 * (n), "PWM_DT" #n, kBoth | kLater}, {0x21C + 32 * (n), "PWM_DTUPD" #n, kWrite | kLater}
+    CHANNEL(0), CHANNEL(1), CHANNEL(2), CHANNEL(3), CHANNEL(4), CHANNEL(5), CHANNEL(6), CHANNEL(7),
+#undef CHANNEL
+};
+
+constexpr std::uint32_t kProtectKey = 0x50574D;
+constexpr std::uint32_t kOverrideBits = 0x00FF00FFU;
+constexpr std::uint32_t kDeadTime = 1U << 16;
+constexpr std::uint32_t kBothEnds = 1U << 10;  // CES
+
+struct PwmPin {
+  int pin;
+  int signal;
+};
+
+// Where the outputs come out, all on peripheral B.
+constexpr PwmPin kPwmPins[] = {
+    {pin_of('A', 8), 0}, {pin_of('A', 19), 1}, {pin_of('A', 13), 2}, {pin_of('A', 9), 3},
+    {pin_of('A', 21), 8}, {pin_of('A', 12), 9}, {pin_of('A', 20), 10}, {pin_of('A', 0), 11},
+    {pin_of('B', 12), 0}, {pin_of('B', 13), 1}, {pin_of('B', 14), 2}, {pin_of('B', 15), 3},
+    {pin_of('B', 16), 8}, {pin_of('B', 17), 9}, {pin_of('B', 18), 10}, {pin_of('B', 19), 11},
+    {pin_of('C', 3), 0}, {pin_of('C', 5), 1}, {pin_of('C', 7), 2}, {pin_of('C', 9), 3},
+    {pin_of('C', 2), 8}, {pin_of('C', 4), 9}, {pin_of('C', 6), 10}, {pin_of('C', 8), 11},
+    {pin_of('C', 20), 4}, {pin_of('C', 19), 5}, {pin_of('C', 18), 6},
+    {pin_of('C', 21), 12}, {pin_of('C', 22), 13}, {pin_of('C', 23), 14}, {pin_of('C', 24), 15},
+};
+
+constexpr PwmPin kFaultPins[] = {{pin_of('A', 5), 0}, {pin_of('A', 3), 1}, {pin_of('D', 6), 2}};
+
+}  // namespace
+
+Pwm::Pwm(System& system, Pins& pins)
+    : Peripheral(system, "PWM", 0x40094000, 0x4000, id::kPwm, kRegisters),
+      pins_(pins),
+      id_(system.scheduler.add(this)) {
+  for (const PwmPin& pin : kPwmPins) pins.connect_driver(pin.pin, true, this, pin.signal);
+  for (const PwmPin& pin : kFaultPins) pins.connect_listener(pin.pin, this, pin.signal);
+}
+
+void Pwm::reset() {
+  const std::uint64_t now = system_.now();
+  integrate_all();
+  for (Channel& channel : channels_) {
+    const std::uint64_t high[2] = {channel.high[0], channel.high[1]};
+    channel = {};
+    channel.counted = channel.origin = channel.events_seen = now;
+    channel.high[0] = high[0];
+    channel.high[1] = high[1];
+  }
+  clock_ = interrupts1_ = interrupts2_ = status1_ = sync_ = 0;
+  update_unlocked_ = override_waiting_ = write_ready_ = false;
+  update_period_ = update_count_ = 0;
+  override_value_ = override_ = override_next_ = 0;
+  fault_mode_ = faults_ = fault_values_ = 0;
+  fault_enable_.fill(0);
+  faulted_.fill(false);
+  protect_software_ = protect_hardware_ = 0;
+  update_faults();
+  plan();
+  update_irq();
+}
+
+// -- enabling and updating --------------------------------------------------------------------
+
+void Pwm::start(int channel) {
+  Channel& own = channels_[index(channel)];
+  if (own.enabled) return;
+  own.enabled = true;
+  const std::uint64_t now = system_.now();
+  // A synchronous channel joins the counter of channel 0.
+  if (!synchronous(channel) || channel == 0) own.origin = now;
+  own.events_seen = now;
+  if (own.duty > counter_of(channel).period) {
+    misuse(0x204U + 32U * static_cast<std::uint32_t>(channel), "CDTY is above CPRD");
+  }
+}
+
+void Pwm::enable(std::uint32_t mask) {
+  if ((mask & 1U) != 0 && synchronous(0)) mask |= sync_ & 0xFFU;
+  for (int channel = 0; channel < kPwmChannels; ++channel) {
+    if (((mask >> channel) & 1U) != 0) start(channel);
+  }
+}
+
+void Pwm::disable(std::uint32_t mask) {
+  if ((mask & 1U) != 0 && synchronous(0)) mask |= sync_ & 0xFFU;
+  for (int channel = 0; channel < kPwmChannels; ++channel) {
+    if (((mask >> channel) & 1U) != 0) channels_[index(channel)].enabled = false;
+  }
+}
+
+void Pwm::load_updates(int channel) {
+  Channel& own = channels_[index(channel)];
+  if (own.period_waiting) own.period = own.period_update;
+  if (own.duty_waiting) own.duty = own.duty_update;
+  own.period_waiting = own.duty_waiting = false;
+}
+
+// Asynchronous channels take new values at the end of the period in which they were written.
+void Pwm::update_single(int channel, std::uint64_t now) {
+  Channel& own = channels_[index(channel)];
+  const std::uint64_t begun = now - (now - own.origin) % period_of(channel);
+  if ((!own.duty_waiting && !own.period_waiting) || begun < own.update_since) return;
+  integrate(channel, begun);
+  own.origin = begun;
+  load_updates(channel);
+}
+
+// The group takes them together, once UPDULOCK is written (UPDM = 0) or every UPR + 1 periods.
+void Pwm::update_group(std::uint64_t now) {
+  const bool manual = ((sync_ >> 16) & 3U) == 0;
+  Channel& zero = channels_[0];
+  const std::uint64_t begun = now - (now - zero.origin) % period_of(0);
+  const bool unlocked = update_unlocked_ && begun >= unlocked_since_;
+  const bool due = !manual && begun != zero.origin && ++update_count_ > (update_period_ & 0xFU);
+  integrate_all(begun);
+  zero.origin = begun;
+  for (int channel = 0; channel < kPwmChannels; ++channel) {
+    if (!synchronous(channel)) continue;
+    Channel& own = channels_[index(channel)];
+    if (unlocked && manual) load_updates(channel);
+    if (unlocked && own.period_waiting) {
+      own.period = own.period_update;
+      own.period_waiting = false;
+    }
+    if (due && own.duty_waiting) {
+      own.duty = own.duty_update;
+      own.duty_waiting = false;
+    }
+  }
+  if (unlocked) update_unlocked_ = false;
+  if (due) {
+    update_count_ = 0;
+    write_ready_ = true;
+  }
+}
+
+// Runs at period boundaries while something waits for one.
+void Pwm::event(std::uint64_t now) {
+  for (int channel = 0; channel < kPwmChannels; ++channel) {
+    if (!synchronous(channel) && counts(channel)) update_single(channel, now);
+  }
+  if (synchronous(0) && counts(0)) update_group(now);
+  if (override_waiting_) {
+    integrate_all();
+    override_ = override_next_;
+    override_waiting_ = false;
+    outputs_changed();
+  }
+  plan();
+  update_irq();
+}
+
+void Pwm::plan() {
+  std::uint64_t when = kNever;
+  const std::uint64_t now = system_.now();
+  const bool automatic = ((sync_ >> 16) & 3U) == 1;
+  for (int channel = 0; channel < kPwmChannels; ++channel) {
+    if (!counts(channel)) continue;
+    const Channel& own = channels_[index(channel)];
+    const bool in_group = synchronous(channel);
+    const bool waits = in_group ? channel == 0 && (update_unlocked_ || automatic)
+                                : own.duty_waiting || own.period_waiting;
+    const bool interrupts = ((interrupts1_ >> channel) & 1U) != 0;
+    if (waits || interrupts || override_waiting_) when = std::min(when, next_period(channel, now));
+  }
+  system_.scheduler.set(id_, when);
+}
+
+// CHIDx: a period ended since the last look; with CES also when a centre-aligned one was half over.
+std::uint32_t Pwm::take_period_events() {
+  const std::uint64_t now = system_.now();
+  for (int channel = 0; channel < kPwmChannels; ++channel) {
+    Channel& own = channels_[index(channel)];
+    if (!counts(channel)) continue;
+    const std::uint64_t whole = period_of(channel);
+    const bool half = center(channel) && (own.mode & kBothEnds) != 0;
+    const std::uint64_t interval = half ? whole / 2 : whole;
+    const std::uint64_t origin = counter_of(channel).origin;
+    const std::uint64_t seen = std::max(own.events_seen, origin);
+    const bool ended = own.events_seen < origin || (now - origin) / interval != (seen - origin) / interval;
+    if (ended) status1_ |= 1U << channel;
+    own.events_seen = now;
+  }
+  return status1_;
+}
+
+void Pwm::update_irq() {
+  const std::uint32_t one = interrupts1_ != 0 ? take_period_events() & interrupts1_ : 0;
+  const bool two = write_ready_ && (interrupts2_ & 1U) != 0;
+  system_.set_irq(id::kPwm, one != 0 || two);
+}
+
+void Pwm::outputs_changed() {
+  for (const PwmPin& pin : kPwmPins) {
+    const PinSetting& setting = pins_.setting(pin.pin);
+    if (setting.given_to_peripheral && setting.peripheral_b) pins_.refresh(pin.pin, system_.now());
+  }
+}
+
+// -- faults -----------------------------------------------------------------------------------
+
+void Pwm::pin_changed(int, bool, std::uint64_t) { update_faults(); }
+
+void Pwm::update_faults() {
+  integrate_all();
+  // Inputs 3 to 5 come from inside of the chip and are quiet.
+  fault_inputs_ = 0;
+  for (const PwmPin& pin : kFaultPins) {
+    if (((pins_.seen(pin.pin / 32) >> (pin.pin % 32)) & 1U) != 0) fault_inputs_ |= 1U << pin.signal;
+  }
+  const std::uint32_t polarity = fault_mode_ & 0xFFU;
+  const std::uint32_t present = ~(fault_inputs_ ^ polarity) & 0x3FU;
+  const std::uint32_t latched = (fault_mode_ >> 8) & 0xFFU;
+  faults_ = present | (faults_ & latched);
+  bool changed = false;
+  for (int channel = 0; channel < kPwmChannels; ++channel) {
+    const bool now_faulted = faults_active(channel) != 0;
+    if (now_faulted == faulted_[index(channel)]) continue;
+    changed = true;
+    faulted_[index(channel)] = now_faulted;
+    if (!now_faulted) continue;
+    // The protection resets the counter of the channel it strikes.
+    channels_[index(channel)].origin = system_.now();
+    status1_ |= 1U << (16 + channel);
+  }
+  if (changed) outputs_changed();
+  plan();
+}
+
+void Pwm::write_fault(std::uint32_t offset, std::uint32_t value) {
+  switch (offset) {
+    case 0x5C: fault_mode_ = value & 0x00FFFFFFU; break;
+    case 0x64: faults_ &= ~value; break;
+    case 0x68: fault_values_ = value & kOverrideBits; break;
+    default:
+      for (unsigned i = 0; i < 4; ++i) {
+        fault_enable_[(offset - 0x6C) + i] = static_cast<std::uint8_t>(value >> (8 * i));
+      }
+      break;
+  }
+  update_faults();
+}
+
+// -- registers --------------------------------------------------------------------------------
+
+bool Pwm::group_protected(int group) const {
+  return (((protect_software_ | protect_hardware_) >> group) & 1U) != 0;
+}
+
+bool Pwm::check_group(int group, std::uint32_t offset) {
+  if (!group_protected(group)) return true;
+  misuse(offset, "write while write protection of group " + std::to_string(group) + " is on");
+  return false;
+}
+
+void Pwm::write_protection(std::uint32_t value) {
+  if ((value >> 8) != kProtectKey) return misuse(0xE4, "write without the key 0x50574D");
+  const std::uint32_t groups = (value >> 2) & 0x3FU;
+  switch (value & 3U) {
+    case 0: protect_software_ &= ~groups; return;
+    case 1: protect_software_ |= groups; return;
+    case 2: protect_hardware_ |= groups; return;
+    default: return;
+  }
+}
+
+void Pwm::write_sync_mode(std::uint32_t value) {
+  const std::uint32_t joining = (value & ~sync_) & 0xFFU;
+  for (int channel = 0; channel < kPwmChannels; ++channel) {
+    const bool changes = (((value ^ sync_) >> channel) & 1U) != 0;
+    if (changes && channels_[index(channel)].enabled) {
+      misuse(0x20, "channel " + std::to_string(channel) + " joins or leaves the group while enabled");
+    }
+  }
+  if (joining != 0 && (value & 1U) == 0) misuse(0x20, "channel 0 must belong to the synchronous group");
+  if (((value >> 16) & 3U) == 2) not_modelled(0x20, "UPDM = 2, duty values by PDC");
+  sync_ = value & 0x00F300FFU;
+}
+
+void Pwm::write_update(int channel, std::uint32_t offset, std::uint32_t value) {
+  Channel& own = channels_[index(channel)];
+  const std::uint32_t reg = 0x200U + 32U * static_cast<std::uint32_t>(channel) + offset;
+  if (offset == 0x08) {
+    if (value > counter_of(channel).period && !counter_of(channel).period_waiting && own.enabled) {
+      misuse(reg, "a duty of " + std::to_string(value) + " is above CPRD = " +
+                      std::to_string(counter_of(channel).period));
+    }
+    own.duty_update = value & 0xFFFFFFU;
+    own.duty_waiting = true;
+    own.update_since = system_.now();
+    write_ready_ = false;
+  } else {
+    if (!check_group(5, reg)) return;
+    own.period_update = value & 0xFFFFFFU;
+    own.period_waiting = true;
+    own.update_since = system_.now();
+  }
+  // A channel that does not run takes the value at once.
+  if (!own.enabled && !synchronous(channel)) load_updates(channel);
+  plan();
+}
+
+void Pwm::write_channel(int channel, std::uint32_t offset, std::uint32_t value) {
+  Channel& own = channels_[index(channel)];
+  const std::uint32_t reg = 0x200U + 32U * static_cast<std::uint32_t>(channel) + offset;
+  if (offset == 0x08 || offset == 0x10) return write_update(channel, offset, value);
+  integrate_all();
+  if (own.enabled) misuse(reg, "write while the channel is enabled; use the update register");
+  switch (offset) {
+    case 0x00:
+      if (!check_group(2, reg)) return;
+      if ((value & kDeadTime) != 0) not_modelled(reg, "the dead-time generator is not modelled");
+      own.mode = value & 0x00070F0FU;
+      outputs_changed();
+      return;
+    case 0x04: own.duty = value & 0xFFFFFFU; return;
+    case 0x0C:
+      if (!check_group(3, reg)) return;
+      own.period = value & 0xFFFFFFU;
+      return;
+    default: return;
+  }
+}
+
+std::uint32_t Pwm::read_channel(int channel, std::uint32_t offset) const {
+  const Channel& own = channels_[index(channel)];
+  switch (offset) {
+    case 0x00: return own.mode;
+    case 0x04: return own.duty;
+    case 0x0C: return own.period;
+    case 0x14: {
+      if (!counts(channel)) return 0;
+      const std::uint64_t whole = period_of(channel);
+      const std::uint64_t phase = (system_.now() - counter_of(channel).origin) % whole;
+      const std::uint64_t up = center(channel) && phase > whole / 2 ? whole - phase : phase;
+      return static_cast<std::uint32_t>(up / step_cycles(channel));
+    }
+    default: return 0;
+  }
+}
+
+std::uint32_t Pwm::read(std::uint32_t offset) {
+  if (offset >= 0x200) return read_channel(static_cast<int>((offset - 0x200) / 32), offset % 32);
+  switch (offset) {
+    case 0x00: return clock_;
+    case 0x0C: {
+      std::uint32_t value = 0;
+      for (int i = 0; i < kPwmChannels; ++i) value |= channels_[index(i)].enabled ? 1U << i : 0U;
+      return value;
+    }
+    case 0x18: return interrupts1_;
+    case 0x1C: {
+      const std::uint32_t value = take_period_events();
+      status1_ = 0;
+      update_irq();
+      return value;
+    }
+    case 0x20: return sync_;
+    case 0x28: return update_unlocked_ ? 1U : 0U;
+    case 0x2C: return update_period_ | (update_count_ << 4);
+    case 0x3C: return interrupts2_;
+    case 0x40: {
+      const std::uint32_t value = write_ready_ ? 1U : 0U;
+      write_ready_ = false;
+      update_irq();
+      return value;
+    }
+    case 0x44: return override_value_;
+    case 0x48: return override_;
+    case 0x5C: return fault_mode_;
+    case 0x60: return fault_inputs_ | (faults_ << 8);
+    case 0x68: return fault_values_;
+    case 0x6C: case 0x70: {
+      std::uint32_t value = 0;
+      for (unsigned i = 0; i < 4; ++i) value |= std::uint32_t{fault_enable_[(offset - 0x6C) + i]} << (8 * i);
+      return value;
+    }
+    case 0xE8: return protect_software_ | (protect_hardware_ << 8);
+    default: return 0;
+  }
+}
+
+void Pwm::write(std::uint32_t offset, std::uint32_t value) {
+  if (offset >= 0x200) return write_channel(static_cast<int>((offset - 0x200) / 32), offset % 32, value);
+  integrate_all();
+  switch (offset) {
+    case 0x00:
+      if (check_group(0, offset)) clock_ = value & 0x0FFF0FFFU;
+      break;
+    case 0x04: enable(value); break;
+    case 0x08:
+      if (check_group(1, offset)) disable(value);
+      break;
+    case 0x10: interrupts1_ |= value; take_period_events(); break;
+    case 0x14: interrupts1_ &= ~value; break;
+    case 0x20:
+      if (check_group(2, offset)) write_sync_mode(value);
+      break;
+    case 0x28:
+      if ((value & 1U) == 0) break;
+      if (!update_unlocked_) unlocked_since_ = system_.now();
+      update_unlocked_ = true;
+      break;
+    case 0x2C: update_period_ = value & 0xFU; break;
+    case 0x30: update_period_ = value & 0xFU; break;
+    case 0x34: interrupts2_ |= value; break;
+    case 0x38: interrupts2_ &= ~value; break;
+    case 0x44: override_value_ = value & kOverrideBits; break;
+    case 0x48: override_ = value & kOverrideBits; break;
+    case 0x4C: override_ |= value & kOverrideBits; break;
+    case 0x50: override_ &= ~value; break;
+    case 0x54: override_next_ = (override_waiting_ ? override_next_ : override_) | (value & kOverrideBits);
+      override_waiting_ = true;
+      break;
+    case 0x58: override_next_ = (override_waiting_ ? override_next_ : override_) & ~value;
+      override_waiting_ = true;
+      break;
+    case 0x5C: case 0x68: case 0x6C: case 0x70:
+      if (check_group(5, offset)) write_fault(offset, value);
+      break;
+    case 0x64: write_fault(offset, value); break;
+    case 0xE4: write_protection(value); break;
+    default: break;
+  }
+  outputs_changed();
+  plan();
+  update_irq();
+}
+
+}  // namespace heli_due

@@ -1,0 +1,152 @@
+// What the PWM outputs do over time: the comparator's waveform, overrides, faults, mean duty.
+#include <algorithm>
+
+#include "chip/pwm.hpp"
+
+namespace heli_due {
+
+namespace {
+
+constexpr std::uint32_t kPolarity = 1U << 9;
+constexpr std::uint32_t kInvertHigh = 1U << 17;
+constexpr std::uint32_t kInvertLow = 1U << 18;
+
+}  // namespace
+
+bool Pwm::synchronous(int channel) const {
+  // Any synchronous channel makes channel 0 one.
+  return ((sync_ >> channel) & 1U) != 0 || (channel == 0 && (sync_ & 0xFFU) != 0);
+}
+
+std::uint64_t Pwm::step_cycles(int channel) const {
+  const std::uint32_t prescaler = counter_of(channel).mode & 0xFU;
+  if (prescaler <= 10) return std::uint64_t{1} << prescaler;
+  const std::uint32_t half = prescaler == 11 ? clock_ & 0xFFFFU : clock_ >> 16;
+  const std::uint32_t divider = half & 0xFFU;
+  return divider == 0 ? 0 : std::uint64_t{divider} << std::min((half >> 8) & 0xFU, 10U);
+}
+
+std::uint64_t Pwm::period_of(int channel) const {
+  const std::uint64_t counts = counter_of(channel).period;
+  return counts * step_cycles(channel) * (center(channel) ? 2 : 1);
+}
+
+std::uint32_t Pwm::period_cycles(int channel) const {
+  return static_cast<std::uint32_t>(period_of(channel));
+}
+
+bool Pwm::counts(int channel) const {
+  return channels_[index(channel)].enabled && period_of(channel) != 0 && system_.clocked(clock_id_);
+}
+
+// With CPOL = 0 the comparator output is low while the counter is below CDTY.
+bool Pwm::comparator_level(int channel, std::uint64_t now) const {
+  const Channel& own = channels_[index(channel)];
+  const bool start_level = (own.mode & kPolarity) != 0;
+  if (!counts(channel)) return start_level;
+  const std::uint64_t whole = period_of(channel);
+  const std::uint64_t phase = (now - counter_of(channel).origin) % whole;
+  const std::uint64_t edge = std::min(own.duty * step_cycles(channel), whole);
+  const std::uint64_t back = center(channel) ? whole - std::min(edge, whole) : whole;
+  const bool beyond = phase >= edge && phase < back;
+  return beyond != start_level;
+}
+
+// Cycles in [from, to) during which the comparator output is high.
+std::uint64_t Pwm::comparator_high(int channel, std::uint64_t from, std::uint64_t to) const {
+  const Channel& own = channels_[index(channel)];
+  const bool start_level = (own.mode & kPolarity) != 0;
+  if (!counts(channel)) return start_level ? to - from : 0;
+  const std::uint64_t whole = period_of(channel);
+  const std::uint64_t edge = std::min(own.duty * step_cycles(channel), whole);
+  const std::uint64_t back = center(channel) ? whole - edge : whole;
+  const std::uint64_t width = back > edge ? back - edge : 0;
+  const std::uint64_t origin = counter_of(channel).origin;
+  const auto beyond_until = [&](std::uint64_t time) {
+    const std::uint64_t since = time - origin;
+    const std::uint64_t phase = since % whole;
+    const std::uint64_t part = phase > edge ? std::min(phase - edge, width) : 0;
+    return since / whole * width + part;
+  };
+  const std::uint64_t beyond = beyond_until(to) - beyond_until(from);
+  return start_level ? (to - from) - beyond : beyond;
+}
+
+std::uint32_t Pwm::faults_active(int channel) const {
+  // Synchronous channels take the enable bits of channel 0 instead of their own.
+  return faults_ & fault_enable_[synchronous(channel) ? 0 : index(channel)];
+}
+
+// Whether a fault or an override holds the output.
+bool Pwm::forced(int channel, bool low_side, bool& level) const {
+  const unsigned bit = static_cast<unsigned>(channel) + (low_side ? 16U : 0U);
+  if (faults_active(channel) != 0) {
+    level = ((fault_values_ >> bit) & 1U) != 0;
+    return true;
+  }
+  if (((override_ >> bit) & 1U) != 0) {
+    level = ((override_value_ >> bit) & 1U) != 0;
+    return true;
+  }
+  return false;
+}
+
+bool Pwm::level(int signal) const {
+  const int channel = signal % kLowSide;
+  const bool low_side = signal >= kLowSide;
+  bool value = false;
+  if (forced(channel, low_side, value)) return value;
+  const std::uint32_t mode = channels_[index(channel)].mode;
+  const bool inverted = (mode & (low_side ? kInvertLow : kInvertHigh)) != 0;
+  return (comparator_level(channel, system_.now()) != low_side) != inverted;
+}
+
+void Pwm::integrate(int channel, std::uint64_t until) {
+  Channel& own = channels_[index(channel)];
+  if (until <= own.counted) return;
+  const std::uint64_t span = until - own.counted;
+  const std::uint64_t high = comparator_high(channel, own.counted, until);
+  for (const bool low_side : {false, true}) {
+    bool value = false;
+    const bool inverted = (own.mode & (low_side ? kInvertLow : kInvertHigh)) != 0;
+    if (forced(channel, low_side, value)) {
+      own.high[low_side] += value ? span : 0;
+    } else {
+      own.high[low_side] += low_side != inverted ? span - high : high;
+    }
+  }
+  own.counted = until;
+}
+
+void Pwm::integrate_all(std::uint64_t until) {
+  for (int channel = 0; channel < kPwmChannels; ++channel) integrate(channel, until);
+}
+
+std::uint64_t Pwm::high_cycles(int channel, bool low_side) {
+  integrate(channel, system_.now());
+  return channels_[index(channel)].high[low_side];
+}
+
+double Pwm::duty(int channel, bool low_side) const {
+  bool value = false;
+  if (forced(channel, low_side, value)) return value ? 1.0 : 0.0;
+  const Channel& own = channels_[index(channel)];
+  const bool inverted = (own.mode & (low_side ? kInvertLow : kInvertHigh)) != 0;
+  double high = (own.mode & kPolarity) != 0 ? 1.0 : 0.0;
+  if (counts(channel)) {
+    const std::uint64_t origin = counter_of(channel).origin;
+    const std::uint64_t whole = period_of(channel);
+    high = static_cast<double>(comparator_high(channel, origin, origin + whole)) /
+           static_cast<double>(whole);
+  }
+  return low_side != inverted ? 1.0 - high : high;
+}
+
+std::uint64_t Pwm::next_period(int channel, std::uint64_t after) const {
+  const std::uint64_t whole = period_of(channel);
+  const std::uint64_t origin = counter_of(channel).origin;
+  if (after < origin) return origin;
+  return origin + ((after - origin) / whole + 1) * whole;
+}
+
+}  // namespace heli_due

@@ -1,0 +1,126 @@
+// The small blocks of the backup area and the system controller: WDT, RSTC, SUPC, RTT, GPBR,
+// CHIPID.
+#pragma once
+
+#include <array>
+
+#include "chip/peripheral.hpp"
+
+namespace heli_due {
+
+// Watchdog (section 15): 12 bits downwards by the slow clock / 128, with a window.
+class Wdt final : public Peripheral {
+ public:
+  explicit Wdt(System& system);
+  void reset() override;
+  void clock_changed() override { plan(); }
+  void event(std::uint64_t now) override;
+
+ protected:
+  std::uint32_t read(std::uint32_t offset) override;
+  void write(std::uint32_t offset, std::uint32_t value) override;
+
+ private:
+  BoardTime passed() const;
+  std::uint32_t value() const { return mode_ & 0xFFFU; }
+  std::uint32_t window() const { return (mode_ >> 16) & 0xFFFU; }
+  void restart();
+  void fail(std::uint32_t error);
+  void plan();
+
+  Scheduler::Id id_;
+  std::uint32_t mode_ = 0;
+  bool written_ = false;
+  std::uint32_t status_ = 0;
+  BoardTime start_ = 0;
+  std::uint64_t sleep_at_start_ = 0;
+};
+
+// Reset controller (section 14).
+class Rstc final : public Peripheral {
+ public:
+  explicit Rstc(System& system);
+  void reset() override {}
+  // `type` of the reset that is over.
+  void note(ResetType type);
+  void set_nrst(bool low);
+  bool nrst_low() const { return nrst_low_; }
+
+ protected:
+  std::uint32_t read(std::uint32_t offset) override;
+  void write(std::uint32_t offset, std::uint32_t value) override;
+
+ private:
+  std::uint32_t mode_ = 1;
+  ResetType type_ = ResetType::kGeneral;
+  bool user_seen_ = false;
+  bool nrst_low_ = false;
+};
+
+// Supply controller (section 16), as far as choosing the slow clock goes.
+class Supc final : public Peripheral {
+ public:
+  explicit Supc(System& system);
+  void reset() override {}
+
+ protected:
+  std::uint32_t read(std::uint32_t offset) override;
+  void write(std::uint32_t offset, std::uint32_t value) override;
+
+ private:
+  std::uint32_t monitor_ = 0;
+  std::uint32_t mode_ = 0x5A00;
+  bool crystal_ = false;
+};
+
+// Real-time timer (section 13): 32 bits upwards by the slow clock / RTPRES.
+class Rtt final : public Peripheral {
+ public:
+  explicit Rtt(System& system);
+  void reset() override;
+  void clock_changed() override { plan(); }
+  void event(std::uint64_t now) override;
+
+ protected:
+  std::uint32_t read(std::uint32_t offset) override;
+  void write(std::uint32_t offset, std::uint32_t value) override;
+
+ private:
+  std::uint32_t ticks() const;
+  void settle();
+  void plan();
+
+  Scheduler::Id id_;
+  std::uint32_t mode_ = 0x8000;
+  std::uint32_t alarm_ = ~0U;
+  std::uint32_t status_ = 0;
+  std::uint32_t seen_ = 0;
+  BoardTime start_ = 0;
+};
+
+// Eight words that survive every reset but not the loss of power (section 17).
+class Gpbr final : public Peripheral {
+ public:
+  explicit Gpbr(System& system);
+  void reset() override {}
+  void power_lost() { words_.fill(0); }
+
+ protected:
+  std::uint32_t read(std::uint32_t offset) override { return words_[offset / 4]; }
+  void write(std::uint32_t offset, std::uint32_t value) override { words_[offset / 4] = value; }
+
+ private:
+  std::array<std::uint32_t, 8> words_{};
+};
+
+class ChipId final : public Peripheral {
+ public:
+  explicit ChipId(System& system);
+  void reset() override {}
+
+ protected:
+  std::uint32_t read(std::uint32_t offset) override { return offset == 0 ? 0x285E0A60U : 0U; }
+  void write(std::uint32_t, std::uint32_t) override {}
+};
+
+}  // namespace heli_due

@@ -1,0 +1,320 @@
+#include <algorithm>
+
+#include "chip/tc.hpp"
+
+namespace heli_due {
+
+namespace {
+
+constexpr std::uint32_t kCovfs = 1U << 0;
+constexpr std::uint32_t kLovrs = 1U << 1;
+constexpr std::uint32_t kCpas = 1U << 2;
+constexpr std::uint32_t kCpbs = 1U << 3;
+constexpr std::uint32_t kCpcs = 1U << 4;
+constexpr std::uint32_t kLdras = 1U << 5;
+constexpr std::uint32_t kLdrbs = 1U << 6;
+constexpr std::uint32_t kEtrgs = 1U << 7;
+
+constexpr std::uint64_t kWhole = std::uint64_t{1} << 32;
+
+// Offsets of a channel's registers.
+constexpr std::uint32_t kCcr = 0x00;
+constexpr std::uint32_t kCmr = 0x04;
+constexpr std::uint32_t kCv = 0x10;
+constexpr std::uint32_t kRa = 0x14;
+constexpr std::uint32_t kRb = 0x18;
+constexpr std::uint32_t kRc = 0x1C;
+constexpr std::uint32_t kSr = 0x20;
+constexpr std::uint32_t kIer = 0x24;
+constexpr std::uint32_t kIdr = 0x28;
+constexpr std::uint32_t kImr = 0x2C;
+
+}  // namespace
+
+TcChannel::TcChannel(System& system, Tc& block, int index, int identifier)
+    : system_(system),
+      block_(block),
+      index_(index),
+      identifier_(identifier),
+      id_(system.scheduler.add(this)) {}
+
+void TcChannel::reset() {
+  mode_ = ra_ = rb_ = rc_ = status_ = interrupts_ = held_ = 0;
+  enabled_ = running_ = captured_a_ = level_a_ = level_b_ = false;
+  plan();
+  update_irq();
+}
+
+// Processor cycles for one step of the counter, 0 when it counts something else than time.
+std::uint64_t TcChannel::step() const {
+  switch (mode_ & 7U) {
+    case 0: return 2;
+    case 1: return 8;
+    case 2: return 32;
+    case 3: return 128;
+    case 4: return std::max<std::uint64_t>(system_.clock.mck_Hz() / system_.slow_Hz, 1);
+    default: return 0;
+  }
+}
+
+// The prescaler runs freely; the counter moves on its edges.
+std::uint64_t TcChannel::ticks(std::uint64_t now) const { return now / step() - start_step_; }
+
+bool TcChannel::resets_at_rc() const {
+  if (!is_wave()) return (mode_ & (1U << 14)) != 0;
+  return (mode_ & (1U << 14)) != 0;  // WAVSEL 2 and 3
+}
+
+// Steps after which the counter repeats itself.
+std::uint64_t TcChannel::period() const {
+  const std::uint64_t top = resets_at_rc() && rc_ != 0 ? rc_ : kWhole;
+  return updown() ? 2 * top : top;
+}
+
+std::uint32_t TcChannel::value() const {
+  if (!running_ || step() == 0) return held_;
+  const std::uint64_t phase = ticks(system_.now()) % period();
+  const std::uint64_t top = period() / 2;
+  return static_cast<std::uint32_t>(updown() && phase > top ? period() - phase : phase);
+}
+
+// First tick after `after` at which the counter becomes `compare`.
+std::uint64_t TcChannel::next_match(std::uint64_t after, std::uint32_t compare) const {
+  const std::uint64_t whole = period();
+  const std::uint64_t top = updown() ? whole / 2 : whole;
+  if (compare > top) return kNever;
+  const auto next = [after, whole](std::uint64_t phase) {
+    phase %= whole;
+    const std::uint64_t here = after % whole;
+    return after + (phase > here ? phase - here : phase + whole - here);
+  };
+  std::uint64_t match = next(compare);
+  if (updown()) match = std::min(match, next(whole - compare));
+  return match;
+}
+
+void TcChannel::effect(bool& level, std::uint32_t code, bool is_a) {
+  const bool before = level;
+  switch (code & 3U) {
+    case 1: level = true; break;
+    case 2: level = false; break;
+    case 3: level = !level; break;
+    default: break;
+  }
+  if (level != before) block_.output_changed(index_, is_a);
+}
+
+void TcChannel::matched(std::uint32_t flag, std::uint32_t a_effect, std::uint32_t b_effect) {
+  status_ |= flag;
+  if (!is_wave()) return;
+  effect(level_a_, a_effect, true);
+  effect(level_b_, b_effect, false);
+}
+
+// Works off the compares and overflows between the last look and now, in their order.
+void TcChannel::settle() {
+  if (!running_ || step() == 0) return;
+  const std::uint64_t now = ticks(system_.now());
+  while (running_) {
+    const std::uint64_t a = is_wave() ? next_match(seen_ticks_, ra_) : kNever;
+    const std::uint64_t b = is_wave() ? next_match(seen_ticks_, rb_) : kNever;
+    const std::uint64_t c = next_match(seen_ticks_, rc_ == 0 && resets_at_rc() ? 0 : rc_);
+    const std::uint64_t overflow = (seen_ticks_ / kWhole + 1) * kWhole;
+    const bool overflows = !resets_at_rc() && !updown();
+    const std::uint64_t first = std::min({a, b, c, overflows ? overflow : kNever});
+    if (first > now) break;
+    // A long wait with nobody looking: only the last rounds can still be told apart.
+    if (now - first > 4 * period()) {
+      seen_ticks_ = now - now % period() - 2 * period();
+      status_ |= (is_wave() ? kCpas | kCpbs : 0U) | kCpcs | (overflows ? kCovfs : 0U);
+      continue;
+    }
+    seen_ticks_ = first;
+    if (a == first) matched(kCpas, mode_ >> 16, 0);
+    if (b == first) matched(kCpbs, 0, mode_ >> 24);
+    if (overflows && overflow == first) status_ |= kCovfs;
+    if (c == first) {
+      matched(kCpcs, mode_ >> 18, mode_ >> 26);
+      const bool stops = is_wave() && (mode_ & (1U << 6)) != 0;
+      const bool disables = is_wave() && (mode_ & (1U << 7)) != 0;
+      if (stops || disables) {
+        held_ = resets_at_rc() ? 0 : rc_;
+        running_ = false;
+        if (disables) enabled_ = false;
+      }
+    }
+  }
+  seen_ticks_ = std::max(seen_ticks_, now);
+}
+
+void TcChannel::plan() {
+  std::uint64_t when = kNever;
+  if (running_ && step() != 0) {
+    const bool drives = is_wave() && (mode_ & 0xFFFF0000U) != 0;
+    const bool stops = is_wave() && (mode_ & 0xC0U) != 0;
+    const auto wanted = [&](std::uint32_t flag, std::uint32_t effects) {
+      return (interrupts_ & flag) != 0 || (drives && (mode_ & effects) != 0);
+    };
+    if (is_wave() && wanted(kCpas, 3U << 16)) when = std::min(when, next_match(seen_ticks_, ra_));
+    if (is_wave() && wanted(kCpbs, 3U << 24)) when = std::min(when, next_match(seen_ticks_, rb_));
+    if (wanted(kCpcs, (3U << 18) | (3U << 26)) || stops) {
+      when = std::min(when, next_match(seen_ticks_, rc_));
+    }
+    if ((interrupts_ & kCovfs) != 0) when = std::min(when, (seen_ticks_ / kWhole + 1) * kWhole);
+    if (when != kNever) when = (when + start_step_) * step();
+  }
+  system_.scheduler.set(id_, when);
+}
+
+void TcChannel::event(std::uint64_t) {
+  settle();
+  update_irq();
+  plan();
+}
+
+void TcChannel::update_irq() {
+  const bool quadrature = index_ == 0 && block_.quadrature_irq();
+  system_.set_irq(identifier_, (status_ & interrupts_) != 0 || quadrature);
+}
+
+void TcChannel::restart(std::uint32_t from) {
+  running_ = enabled_;
+  held_ = from;
+  if (step() != 0) start_step_ = system_.now() / step() - from;
+  seen_ticks_ = from;
+}
+
+void TcChannel::stop() {
+  held_ = value();
+  running_ = enabled_ = false;
+}
+
+void TcChannel::count(int direction) {
+  const std::uint32_t before = held_;
+  held_ += static_cast<std::uint32_t>(direction);
+  if (direction > 0 && before == ~0U) status_ |= kCovfs;
+  if (held_ == rc_) status_ |= kCpcs;
+  if ((status_ & interrupts_) != 0) update_irq();
+}
+
+void TcChannel::software_trigger() {
+  settle();
+  restart(0);
+  if (is_wave()) {
+    effect(level_a_, mode_ >> 22, true);
+    effect(level_b_, mode_ >> 30, false);
+  }
+  captured_a_ = false;
+  plan();
+}
+
+void TcChannel::input_changed(bool is_a, bool level) {
+  if (is_wave() || !enabled_) return;
+  settle();
+  const auto edge = [level](std::uint32_t code) {
+    return code == 3 || (code == 1 && level) || (code == 2 && !level);
+  };
+  const bool trigger_is_a = (mode_ & (1U << 10)) != 0;
+  if (is_a && running_) {
+    if (captured_a_ && edge((mode_ >> 18) & 3U)) {
+      if ((status_ & kLdrbs) != 0) status_ |= kLovrs;
+      rb_ = value();
+      status_ |= kLdrbs;
+      captured_a_ = false;
+      if ((mode_ & 0x80U) != 0) {
+        stop();
+      } else if ((mode_ & 0x40U) != 0) {
+        held_ = value();
+        running_ = false;
+      }
+    } else if (!captured_a_ && edge((mode_ >> 16) & 3U)) {
+      if ((status_ & kLdras) != 0) status_ |= kLovrs;
+      ra_ = value();
+      status_ |= kLdras;
+      captured_a_ = ((mode_ >> 18) & 3U) != 0;
+    }
+  }
+  if (trigger_is_a == is_a && edge((mode_ >> 8) & 3U)) {
+    status_ |= kEtrgs;
+    if (enabled_) restart(0);
+  }
+  update_irq();
+  plan();
+}
+
+std::uint32_t TcChannel::read(std::uint32_t offset) {
+  settle();
+  plan();
+  switch (offset) {
+    case kCmr: return mode_;
+    case kCv: return value();
+    case kRa: return ra_;
+    case kRb: return rb_;
+    case kRc: return rc_;
+    case kImr: return interrupts_;
+    case kSr: {
+      const bool a = is_wave() ? level_a_ : block_.pin_level(index_, true);
+      const bool b = is_wave() ? level_b_ : block_.pin_level(index_, false);
+      const std::uint32_t value = status_ | (enabled_ ? 1U << 16 : 0U) | (a ? 1U << 17 : 0U) |
+                                  (b ? 1U << 18 : 0U);
+      status_ = 0;
+      update_irq();
+      return value;
+    }
+    default: return 0;
+  }
+}
+
+void TcChannel::write_control(std::uint32_t value) {
+  if ((value & 2U) != 0) {
+    stop();
+  } else if ((value & 1U) != 0) {
+    enabled_ = true;
+  }
+  if ((value & 4U) != 0) software_trigger();
+}
+
+void TcChannel::write_mode(std::uint32_t value) {
+  const std::uint32_t at = value != 0 || running_ ? this->value() : 0;
+  const bool quadrature = (value & 7U) == 5 && index_ == 0;
+  if ((value & 7U) > 4 && !quadrature) {
+    block_.not_modelled_in(index_, kCmr, "external clocks other than the decoder's are not modelled");
+  }
+  if ((value & 0x30U) != 0) block_.not_modelled_in(index_, kCmr, "BURST is not modelled");
+  if ((value & (1U << 15)) != 0 && (value & 0x300U) != 0) {
+    block_.not_modelled_in(index_, kCmr, "external events in waveform mode are not modelled");
+  }
+  mode_ = value;
+  if (running_) restart(at);
+}
+
+void TcChannel::write(std::uint32_t offset, std::uint32_t value) {
+  settle();
+  switch (offset) {
+    case kCcr: write_control(value); break;
+    case kCmr: write_mode(value); break;
+    case kRa:
+      if (!is_wave()) block_.misuse_in(index_, offset, "RA is read-only in capture mode");
+      ra_ = value;
+      break;
+    case kRb:
+      if (!is_wave()) block_.misuse_in(index_, offset, "RB is read-only in capture mode");
+      rb_ = value;
+      break;
+    case kRc: {
+      const std::uint32_t at = this->value();
+      rc_ = value;
+      if (!running_ || !resets_at_rc()) break;
+      if (at >= value) block_.misuse_in(index_, offset, "RC is set below the running counter");
+      restart(at);
+      break;
+    }
+    case kIer: interrupts_ |= value & 0xFFU; break;
+    case kIdr: interrupts_ &= ~value; break;
+    default: break;
+  }
+  update_irq();
+  plan();
+}
+
+}  // namespace heli_due

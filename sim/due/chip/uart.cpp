@@ -1,0 +1,267 @@
+#include "chip/uart.hpp"
+
+#include <algorithm>
+
+namespace heli_due {
+
+namespace {
+
+using access::kBoth;
+using access::kRead;
+using access::kWrite;
+
+constexpr Register kRegisters[] = {
+    {0x000, "UART_CR", kWrite},  {0x004, "UART_MR", kBoth},   {0x008, "UART_IER", kWrite},
+    {0x00C, "UART_IDR", kWrite}, {0x010, "UART_IMR", kRead},  {0x014, "UART_SR", kRead},
+    {0x018, "UART_RHR", kRead},  {0x01C, "UART_THR", kWrite}, {0x020, "UART_BRGR", kBoth},
+    {0x100, "UART_RPR", kBoth},  {0x104, "UART_RCR", kBoth},  {0x108, "UART_TPR", kBoth},
+    {0x10C, "UART_TCR", kBoth},  {0x110, "UART_RNPR", kBoth}, {0x114, "UART_RNCR", kBoth},
+    {0x118, "UART_TNPR", kBoth}, {0x11C, "UART_TNCR", kBoth}, {0x120, "UART_PTCR", kWrite},
+    {0x124, "UART_PTSR", kRead},
+};
+
+constexpr std::uint32_t kRxRdy = 1U << 0;
+constexpr std::uint32_t kTxRdy = 1U << 1;
+constexpr std::uint32_t kEndRx = 1U << 3;
+constexpr std::uint32_t kEndTx = 1U << 4;
+constexpr std::uint32_t kOvre = 1U << 5;
+constexpr std::uint32_t kFrame = 1U << 6;
+constexpr std::uint32_t kTxEmpty = 1U << 9;
+constexpr std::uint32_t kTxBufE = 1U << 11;
+constexpr std::uint32_t kRxBufF = 1U << 12;
+
+constexpr int kTxPin = pin_of('A', 9);
+// Half a bit of drift over the ten bits of a frame: beyond that the stop bit is missed.
+constexpr double kLargestMismatch = 0.05;
+
+}  // namespace
+
+void PdcHalf::advance() {
+  ++pointer;
+  if (--count != 0) return;
+  ended = true;
+  pointer = next_count != 0 ? next_pointer : pointer;
+  count = next_count;
+  next_count = 0;
+}
+
+void PdcHalf::set_count(std::uint32_t value) {
+  count = value & 0xFFFFU;
+  if (count != 0) ended = false;
+}
+
+// Writing the next buffer while the current one is used up starts it at once.
+void PdcHalf::set_next_count(std::uint32_t value) {
+  next_count = value & 0xFFFFU;
+  if (next_count == 0) return;
+  ended = false;
+  if (count == 0) {
+    pointer = next_pointer;
+    count = next_count;
+    next_count = 0;
+  }
+}
+
+Uart::Uart(System& system, Pins& pins)
+    : Peripheral(system, "UART", 0x400E0800, 0x130, id::kUart, kRegisters),
+      pins_(pins),
+      id_(system.scheduler.add(this)) {
+  pins.connect_driver(kTxPin, false, this, 1);
+}
+
+void Uart::reset() {
+  mode_ = interrupts_ = divider_ = errors_ = 0;
+  rx_enabled_ = tx_enabled_ = rx_ready_ = shifting_ = holding_full_ = false;
+  rx_byte_ = 0;
+  rx_ = {};
+  tx_ = {};
+  system_.scheduler.set(id_, kNever);
+  update_irq();
+}
+
+std::uint32_t Uart::status() const {
+  std::uint32_t value = errors_;
+  if (rx_ready_) value |= kRxRdy;
+  if (tx_enabled_ && !holding_full_) value |= kTxRdy;
+  if (tx_enabled_ && !holding_full_ && !shifting_) value |= kTxEmpty;
+  if (rx_.ended) value |= kEndRx;
+  if (tx_.ended) value |= kEndTx;
+  if (rx_.empty()) value |= kRxBufF;
+  if (tx_.empty()) value |= kTxBufE;
+  return value;
+}
+
+void Uart::update_irq() { system_.set_irq(id::kUart, (status() & interrupts_) != 0); }
+
+// Start bit, eight data bits, parity if any, one stop bit.
+std::uint64_t Uart::frame_cycles() const {
+  return std::uint64_t{bit_cycles()} * (has_parity() ? 11U : 10U);
+}
+
+// -- transmitter ------------------------------------------------------------------------------
+
+void Uart::begin_shift(std::uint8_t byte, std::uint64_t from) {
+  shifting_ = true;
+  shift_byte_ = byte;
+  shift_end_ = from + frame_cycles();
+  system_.scheduler.set(id_, shift_end_);
+}
+
+void Uart::transmit(std::uint8_t byte) {
+  if (divider_ == 0) return misuse(0x1C, "a byte is sent while BRGR.CD is 0");
+  if (!shifting_) return begin_shift(byte, system_.now());
+  holding_ = byte;
+  holding_full_ = true;
+}
+
+void Uart::feed_transmitter() {
+  while (tx_enabled_ && tx_.ready() && !holding_full_) {
+    std::uint8_t byte = 0;
+    if (!system_.bus.dma_read(tx_.pointer, byte)) {
+      misuse(0x108, "the PDC reads from " + hex(tx_.pointer) + ", where there is no memory");
+      tx_.enabled = false;
+      return;
+    }
+    tx_.advance();
+    transmit(byte);
+  }
+}
+
+void Uart::event(std::uint64_t) {
+  if (!shifting_) return;
+  const std::uint64_t end = shift_end_;
+  const std::uint8_t byte = shift_byte_;
+  shifting_ = false;
+  if (holding_full_) {
+    holding_full_ = false;
+    begin_shift(holding_, end);
+  }
+  feed_transmitter();
+  update_irq();
+  const std::uint32_t loop = (mode_ >> 14) & 3U;
+  if (loop == 2) return receive(byte, bit_cycles());
+  const PinSetting& pin = pins_.setting(kTxPin);
+  if (!pin.given_to_peripheral || pin.peripheral_b) {
+    return misuse(0x1C, "a byte is sent while PA9 is not given to the UART (PIO_PDR, PIO_ABSR)");
+  }
+  if (peer_ != nullptr) peer_->byte_from_uart(byte, bit_cycles(), end);
+}
+
+// -- receiver ---------------------------------------------------------------------------------
+
+void Uart::receive(std::uint8_t byte, std::uint64_t sender_bit_cycles) {
+  if (!rx_enabled_ || divider_ == 0 || !system_.clocked(clock_id_)) return;
+  const double ratio = static_cast<double>(sender_bit_cycles) / bit_cycles();
+  if (ratio < 1.0 - kLargestMismatch || ratio > 1.0 + kLargestMismatch) {
+    errors_ |= kFrame;
+    byte = static_cast<std::uint8_t>(byte ^ 0xA5U);  // any wrong value will do
+  }
+  if (rx_ready_) {
+    errors_ |= kOvre;
+    ++overruns_;
+  }
+  rx_byte_ = byte;
+  rx_ready_ = true;
+  drain_receiver();
+  update_irq();
+}
+
+void Uart::drain_receiver() {
+  if (!rx_ready_ || !rx_.ready()) return;
+  if (!system_.bus.dma_write(rx_.pointer, rx_byte_)) {
+    misuse(0x100, "the PDC writes to " + hex(rx_.pointer) + ", where there is no SRAM");
+    rx_.enabled = false;
+    return;
+  }
+  rx_ready_ = false;
+  rx_.advance();
+}
+
+// -- registers --------------------------------------------------------------------------------
+
+void Uart::control(std::uint32_t value) {
+  if ((value & (1U << 2)) != 0) rx_enabled_ = rx_ready_ = false;
+  if ((value & (1U << 3)) != 0) {
+    tx_enabled_ = shifting_ = holding_full_ = false;
+    system_.scheduler.set(id_, kNever);
+  }
+  if ((value & (1U << 4)) != 0) rx_enabled_ = true;
+  if ((value & (1U << 5)) != 0) rx_enabled_ = false;
+  if ((value & (1U << 6)) != 0) tx_enabled_ = true;
+  if ((value & (1U << 7)) != 0) tx_enabled_ = false;
+  if ((value & (1U << 8)) != 0) errors_ = 0;
+  feed_transmitter();
+}
+
+std::uint32_t Uart::read_pdc(std::uint32_t offset) const {
+  switch (offset) {
+    case 0x100: return rx_.pointer;
+    case 0x104: return rx_.count;
+    case 0x108: return tx_.pointer;
+    case 0x10C: return tx_.count;
+    case 0x110: return rx_.next_pointer;
+    case 0x114: return rx_.next_count;
+    case 0x118: return tx_.next_pointer;
+    case 0x11C: return tx_.next_count;
+    default: return (rx_.enabled ? 1U : 0U) | (tx_.enabled ? 1U << 8 : 0U);
+  }
+}
+
+void Uart::write_pdc(std::uint32_t offset, std::uint32_t value) {
+  switch (offset) {
+    case 0x100: rx_.pointer = value; break;
+    case 0x104: rx_.set_count(value); break;
+    case 0x108: tx_.pointer = value; break;
+    case 0x10C: tx_.set_count(value); break;
+    case 0x110: rx_.next_pointer = value; break;
+    case 0x114: rx_.set_next_count(value); break;
+    case 0x118: tx_.next_pointer = value; break;
+    case 0x11C: tx_.set_next_count(value); break;
+    default:
+      if ((value & 1U) != 0) rx_.enabled = true;
+      if ((value & 2U) != 0) rx_.enabled = false;
+      if ((value & (1U << 8)) != 0) tx_.enabled = true;
+      if ((value & (1U << 9)) != 0) tx_.enabled = false;
+      break;
+  }
+  drain_receiver();
+  feed_transmitter();
+}
+
+std::uint32_t Uart::read(std::uint32_t offset) {
+  if (offset >= 0x100) return read_pdc(offset);
+  switch (offset) {
+    case 0x04: return mode_;
+    case 0x10: return interrupts_;
+    case 0x14: return status();
+    case 0x18:
+      rx_ready_ = false;
+      update_irq();
+      return rx_byte_;
+    case 0x20: return divider_;
+    default: return 0;
+  }
+}
+
+void Uart::write(std::uint32_t offset, std::uint32_t value) {
+  switch (offset) {
+    case 0x00: control(value); break;
+    case 0x04:
+      mode_ = value & 0xCE00U;
+      if (((value >> 14) & 1U) != 0) not_modelled(offset, "this channel mode is not modelled");
+      break;
+    case 0x08: interrupts_ |= value; break;
+    case 0x0C: interrupts_ &= ~value; break;
+    case 0x1C:
+      if ((status() & kTxRdy) == 0) {
+        misuse(offset, "write while UART_SR.TXRDY is 0: a byte is lost");
+      }
+      transmit(static_cast<std::uint8_t>(value));
+      break;
+    case 0x20: divider_ = value & 0xFFFFU; break;
+    default: write_pdc(offset, value); break;
+  }
+  update_irq();
+}
+
+}  // namespace heli_due

@@ -1,0 +1,89 @@
+// UART and its peripheral DMA controller (sections 34 and 26).
+#pragma once
+
+#include "chip/peripheral.hpp"
+#include "chip/pins.hpp"
+
+namespace heli_due {
+
+// The other end of the wire.
+class SerialPeer {
+ public:
+  virtual ~SerialPeer() = default;
+  // A byte that the UART has sent, at the end of its stop bit; `bit_cycles` is the sender's bit.
+  virtual void byte_from_uart(std::uint8_t byte, std::uint32_t bit_cycles, std::uint64_t now) = 0;
+};
+
+// One direction of a PDC: a running buffer and the next one.
+struct PdcHalf {
+  std::uint32_t pointer = 0;
+  std::uint32_t count = 0;
+  std::uint32_t next_pointer = 0;
+  std::uint32_t next_count = 0;
+  bool enabled = false;
+  bool ended = true;  // ENDRX, ENDTX
+
+  bool ready() const { return enabled && count != 0; }
+  bool empty() const { return count == 0 && next_count == 0; }
+  // One byte was moved.
+  void advance();
+  void set_count(std::uint32_t value);
+  void set_next_count(std::uint32_t value);
+};
+
+class Uart final : public Peripheral, public PinDriver {
+ public:
+  Uart(System& system, Pins& pins);
+
+  void set_peer(SerialPeer* peer) { peer_ = peer; }
+  void reset() override;
+  void event(std::uint64_t now) override;
+
+  // A byte arrives from the wire, at the middle of its stop bit, sent with bits of `bit_cycles`.
+  void receive(std::uint8_t byte, std::uint64_t bit_cycles);
+
+  bool drives(int signal) const override { return signal == 1; }
+  bool level(int) const override { return true; }  // idle line; bits are not modelled one by one
+
+  std::uint32_t bit_cycles() const { return 16 * (divider_ & 0xFFFFU); }
+  std::uint64_t overruns() const { return overruns_; }
+
+ protected:
+  std::uint32_t read(std::uint32_t offset) override;
+  void write(std::uint32_t offset, std::uint32_t value) override;
+
+ private:
+  std::uint32_t status() const;
+  std::uint64_t frame_cycles() const;
+  bool has_parity() const { return ((mode_ >> 9) & 7U) != 4; }
+  void control(std::uint32_t value);
+  void transmit(std::uint8_t byte);
+  void begin_shift(std::uint8_t byte, std::uint64_t from);
+  void feed_transmitter();
+  void drain_receiver();
+  std::uint32_t read_pdc(std::uint32_t offset) const;
+  void write_pdc(std::uint32_t offset, std::uint32_t value);
+  void update_irq();
+
+  Pins& pins_;
+  SerialPeer* peer_ = nullptr;
+  Scheduler::Id id_;
+  std::uint32_t mode_ = 0;
+  std::uint32_t interrupts_ = 0;
+  std::uint32_t divider_ = 0;
+  bool rx_enabled_ = false;
+  bool tx_enabled_ = false;
+  bool rx_ready_ = false;
+  std::uint8_t rx_byte_ = 0;
+  std::uint32_t errors_ = 0;
+  bool shifting_ = false;
+  std::uint8_t shift_byte_ = 0;
+  std::uint64_t shift_end_ = 0;
+  bool holding_full_ = false;
+  std::uint8_t holding_ = 0;
+  PdcHalf rx_;
+  PdcHalf tx_;
+  std::uint64_t overruns_ = 0;
+};
+
+}  // namespace heli_due
