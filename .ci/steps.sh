@@ -62,7 +62,7 @@ run_step() { # run_step COMMAND...
     ticker "$label" &
     ticker_pid=$!
   fi
-  "$@" >"$log" 2>&1 </dev/null || status=$?
+  ("$@") >"$log" 2>&1 </dev/null || status=$?
   if [ -n "$ticker_pid" ]; then
     kill "$ticker_pid" 2>/dev/null
     wait "$ticker_pid" 2>/dev/null || true
