@@ -6,6 +6,7 @@
     ├── RigError            a rig file is missing, incomplete or holds something it may not
     ├── PlantError          the plant cannot be put together, compiled or loaded
     ├── EndpointError       the simulated serial port cannot be opened or did not appear
+    ├── IdentifyError       a flight and a model from which nothing can be identified
     └── OptionError         an option of a sil:// address or of the server is unknown or out of range
 """
 
@@ -30,3 +31,7 @@ class EndpointError(SimError):
 
 class OptionError(SimError):
     """An option of a ``sil://`` address or of the server is unknown or out of range."""
+
+
+class IdentifyError(SimError):
+    """A flight and a model from which nothing can be identified."""

@@ -98,3 +98,17 @@ def test_an_effect_may_change_what_an_encoder_sees() -> None:
 def test_effects_that_share_a_name_are_refused() -> None:
     with pytest.raises(PlantError, match="front_N"):
         PaperModel((FirstOrderLag(0.1), FirstOrderLag(0.2)))
+
+
+def test_a_reversed_rotor_pushes_down_only_on_a_rig_whose_drivers_reverse() -> None:
+    model = PaperModel()
+    one_way, two_way = paper_rig(), paper_rig(reverse_thrust=0.6)
+    backwards = rates(model, two_way, LEVEL, (-3.0, -3.0))[3] - rates(model, one_way, LEVEL, (-3.0, -3.0))[3]
+    forwards = rates(model, two_way, LEVEL, (3.0, 3.0))[3] - rates(model, two_way, LEVEL, (0.0, 0.0))[3]
+    assert backwards == pytest.approx(-0.6 * forwards)
+
+
+def test_a_constant_torque_accelerates_its_own_axis() -> None:
+    still = rates(PaperModel(), paper_rig(), LEVEL, (HOVER_V, HOVER_V))
+    pulled = rates(PaperModel(), paper_rig(torque_travel=0.05), LEVEL, (HOVER_V, HOVER_V))
+    assert pulled - still == pytest.approx([0, 0, 0, 0, 0, 0.05 / 0.8195], abs=1e-4)

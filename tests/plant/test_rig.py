@@ -97,3 +97,10 @@ def test_a_rig_cannot_be_changed_in_place() -> None:
         rig.numbers["M_w"] = rig["M_f"]  # type: ignore[index]
     with pytest.raises(AttributeError):
         rig["M_w"].value = 2.0  # type: ignore[misc]
+
+
+def test_a_rig_that_states_no_cable_torque_has_none_and_says_so() -> None:
+    number = load_rig("makki2024")["torque_travel"]
+    assert number.value == 0.0
+    assert number.tolerance > 0.0
+    assert number.source.startswith("not stated")

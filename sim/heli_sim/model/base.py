@@ -19,7 +19,7 @@ import numpy.typing as npt
 from heli_sim.errors import PlantError
 from heli_sim.model.parts import friction_torque_Nm, thrust_N
 from heli_sim.rig import RIG_QUANTITIES, Rig
-from heli_sim.rig.quantity import Quantity
+from heli_sim.rig.quantity import Prior, Quantity
 
 STATES: Final[tuple[Quantity, ...]] = (
     Quantity("elevation_rad", "rad", "long arm above level, up positive"),
@@ -32,6 +32,11 @@ STATES: Final[tuple[Quantity, ...]] = (
 INPUTS: Final[tuple[Quantity, ...]] = (
     Quantity("front_V", "V", "voltage that acts on the front motor"),
     Quantity("back_V", "V", "voltage that acts on the back motor"),
+)
+_AXES: Final = ("elevation", "pitch", "travel")
+_SHARED: Final = (
+    *("thrust_gain", "dead_zone", "reverse_thrust"),
+    *(f"{kind}_{axis}" for kind in ("friction", "torque") for axis in _AXES),
 )
 _RIG: Final = {quantity.name: quantity for quantity in RIG_QUANTITIES}
 
@@ -48,11 +53,14 @@ class Situation:
         Voltages that act on the front and the back motor, shape (2, 1).
     parameter : Mapping[str, casadi.SX]
         Scalars by parameter name, in the units of `Model.parameters`.
+    time_s : casadi.SX
+        Time since the flight's first sample.
     """
 
     state: Mapping[str, ca.SX]
     volts_V: ca.SX
     parameter: Mapping[str, ca.SX]
+    time_s: ca.SX = field(default_factory=lambda: ca.SX(0))
 
 
 @dataclass(frozen=True)
@@ -69,12 +77,15 @@ class Effect:
         Value of each of `parameters`.
     states : tuple of Quantity
         States of its own; they start at 0.
+    priors : Mapping[str, Prior]
+        What is known of each of `parameters` before a flight; needed to identify it.
     """
 
     name: str
     parameters: tuple[Quantity, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
     states: tuple[Quantity, ...] = ()
+    priors: Mapping[str, Prior] = field(default_factory=dict)
 
     def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
         """Change the thrust.
@@ -164,8 +175,7 @@ class Model(ABC):
         self.effects = effects
         self.states: tuple[Quantity, ...] = STATES + tuple(s for e in effects for s in e.states)
         self.inputs: tuple[Quantity, ...] = INPUTS
-        shared = ("thrust_gain", "dead_zone", "friction_elevation", "friction_pitch", "friction_travel")
-        names = dict.fromkeys(self.rig_parameters + shared)
+        names = dict.fromkeys(self.rig_parameters + _SHARED)
         self.parameters: tuple[Quantity, ...] = tuple(_RIG[name] for name in names) + tuple(
             parameter for effect in effects for parameter in effect.parameters
         )
@@ -195,7 +205,7 @@ class Model(ABC):
             Acceleration of elevation, pitch and travel in rad/s2, shape (3, 1).
         """
 
-    def situation(self, x: ca.SX, u: ca.SX, p: ca.SX) -> Situation:
+    def situation(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> Situation:
         """Name the entries of the three vectors.
 
         Parameters
@@ -206,6 +216,8 @@ class Model(ABC):
             Voltages, in the order of `inputs`.
         p : casadi.SX
             Parameters, in the order of `parameters`.
+        time_s : casadi.SX, optional
+            Time since the flight's first sample; 0 where it is not given.
 
         Returns
         -------
@@ -216,9 +228,10 @@ class Model(ABC):
             {state.name: x[i] for i, state in enumerate(self.states)},
             u,
             {parameter.name: p[i] for i, parameter in enumerate(self.parameters)},
+            ca.SX(0) if time_s is None else time_s,
         )
 
-    def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+    def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> ca.SX:
         """Time derivative of the state.
 
         Parameters
@@ -229,22 +242,25 @@ class Model(ABC):
             Voltages that act, in the order of `inputs`.
         p : casadi.SX
             Parameters, in the order of `parameters`.
+        time_s : casadi.SX, optional
+            Time since the flight's first sample; 0 where it is not given.
 
         Returns
         -------
         casadi.SX
             Rate of each state in its unit per second.
         """
-        at = self.situation(x, u, p)
-        thrust = thrust_N(at.volts_V, at.parameter["thrust_gain"], at.parameter["dead_zone"])
-        torque = friction_torque_Nm(x[3:6], at.parameter)
+        at = self.situation(x, u, p, time_s)
+        p_at = at.parameter
+        thrust = thrust_N(at.volts_V, p_at["thrust_gain"], p_at["dead_zone"], p_at["reverse_thrust"])
+        torque = friction_torque_Nm(x[3:6], p_at) + ca.vertcat(*(p_at[f"torque_{axis}"] for axis in _AXES))
         for effect in self.effects:
             thrust = effect.thrust_N(at, thrust)
             torque = torque + effect.torque_Nm(at)
         rates = [effect.state_rates(at) for effect in self.effects if effect.states]
         return ca.vertcat(x[3:6], self.acceleration(at, thrust, torque), *rates)
 
-    def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+    def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> ca.SX:
         """Angles that ideal encoders would show.
 
         Parameters
@@ -255,13 +271,15 @@ class Model(ABC):
             Voltages that act, in the order of `inputs`.
         p : casadi.SX
             Parameters, in the order of `parameters`.
+        time_s : casadi.SX, optional
+            Time since the flight's first sample; 0 where it is not given.
 
         Returns
         -------
         casadi.SX
             Elevation, pitch and travel in rad, shape (3, 1).
         """
-        at = self.situation(x, u, p)
+        at = self.situation(x, u, p, time_s)
         angles = x[0:3]
         for effect in self.effects:
             angles = effect.measured_rad(at, angles)

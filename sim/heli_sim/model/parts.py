@@ -7,11 +7,13 @@ from collections.abc import Mapping
 import casadi as ca
 
 
-def thrust_N(volts_V: ca.SX, gain_N_per_V: ca.SX, dead_zone_V: ca.SX) -> ca.SX:
+def thrust_N(
+    volts_V: ca.SX, gain_N_per_V: ca.SX, dead_zone_V: ca.SX, reverse: ca.SX | float = 0.0
+) -> ca.SX:
     """Thrust of rotors against voltage, F = k (V - V_0) above V_0 and none below (31).
 
-    The paper fits the straight line above the dead zone only; nothing is known of reversed rotors, so they
-    give no thrust.
+    The paper fits the straight line above the dead zone only. Rotors that may be driven backwards push down
+    with a share of it beyond the dead zone at negative voltage.
 
     Parameters
     ----------
@@ -21,13 +23,17 @@ def thrust_N(volts_V: ca.SX, gain_N_per_V: ca.SX, dead_zone_V: ca.SX) -> ca.SX:
         k, newtons for each volt above the dead zone.
     dead_zone_V : casadi.SX
         V_0, volts.
+    reverse : casadi.SX or float
+        Share of its thrust that a rotor gives at reversed voltage; 0 where the drivers do not reverse.
 
     Returns
     -------
     casadi.SX
         Thrust in N, shape of `volts_V`.
     """
-    return gain_N_per_V * ca.fmax(volts_V - dead_zone_V, 0.0)
+    forward_V = ca.fmax(volts_V - dead_zone_V, 0.0)
+    backward_V = ca.fmax(-volts_V - dead_zone_V, 0.0)
+    return gain_N_per_V * (forward_V - reverse * backward_V)
 
 
 def friction_torque_Nm(rates_rad_s: ca.SX, parameter: Mapping[str, ca.SX]) -> ca.SX:

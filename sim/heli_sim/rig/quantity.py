@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 
 
 @dataclass(frozen=True)
@@ -22,3 +23,23 @@ class Quantity:
     name: str
     unit: str
     meaning: str
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of a number before a flight: a normal distribution, and what it cannot be.
+
+    Parameters
+    ----------
+    mean : float
+        Most likely value, in the number's unit.
+    std : float
+        Standard deviation.
+    low, high : float
+        Bounds.
+    """
+
+    mean: float
+    std: float
+    low: float = -inf
+    high: float = inf

@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from heli_sim.errors import RigError
-from heli_sim.rig.schema import RIG_QUANTITIES
+from heli_sim.rig.schema import RIG_QUANTITIES, UNSTATED
 
 _FOLDER: Final = Path(__file__).parent
 _FIELDS: Final = ("value", "unit", "tolerance", "source")
@@ -23,6 +23,7 @@ _MAY_BE_ZERO: Final = frozenset(
         "friction_elevation",
         "friction_pitch",
         "friction_travel",
+        "reverse_thrust",
         "air_density",
         "drag_area_arm",
         "drag_area_body",
@@ -30,7 +31,9 @@ _MAY_BE_ZERO: Final = frozenset(
         "driver_dead_band",
     }
 )
-_MAY_BE_NEGATIVE: Final = frozenset({"elevation_min", "L_x", "L_phi", "L_theta"})
+_MAY_BE_NEGATIVE: Final = frozenset(
+    {"elevation_min", "L_x", "L_phi", "L_theta", "torque_elevation", "torque_pitch", "torque_travel"}
+)
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,7 @@ class Rig(Mapping[str, Number]):
     description : str
         One line.
     numbers : Mapping[str, Number]
-        One entry for each quantity of `RIG_QUANTITIES`.
+        One entry for each quantity of `RIG_QUANTITIES`; those of `UNSTATED` may be left out.
 
     Raises
     ------
@@ -79,8 +82,12 @@ class Rig(Mapping[str, Number]):
     numbers: Mapping[str, Number]
 
     def __post_init__(self) -> None:
-        _check(self.name, self.numbers)
-        object.__setattr__(self, "numbers", MappingProxyType(dict(self.numbers)))
+        numbers = dict(self.numbers)
+        for name, unstated in UNSTATED.items():
+            unit = next(quantity.unit for quantity in RIG_QUANTITIES if quantity.name == name)
+            numbers.setdefault(name, Number(unstated.value, unit, unstated.tolerance, unstated.source))
+        _check(self.name, numbers)
+        object.__setattr__(self, "numbers", MappingProxyType(numbers))
 
     def __getitem__(self, name: str) -> Number:
         return self.numbers[name]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final
 
 from heli_sim.rig.quantity import Quantity
@@ -24,6 +26,10 @@ RIG_QUANTITIES: Final[tuple[Quantity, ...]] = (
     Quantity("friction_elevation", "N m s/rad", "viscous friction of the elevation axis"),
     Quantity("friction_pitch", "N m s/rad", "viscous friction of the pitch axis"),
     Quantity("friction_travel", "N m s/rad", "viscous friction of the travel axis"),
+    Quantity("reverse_thrust", "1", "share of its thrust that a rotor gives at reversed voltage"),
+    Quantity("torque_elevation", "N m", "constant torque about the elevation axis, such as a cable's pull"),
+    Quantity("torque_pitch", "N m", "constant torque about the pitch axis, such as a cable's pull"),
+    Quantity("torque_travel", "N m", "constant torque about the travel axis, such as a cable's pull"),
     Quantity("air_density", "kg/m3", "density of the air"),
     Quantity("drag_area_arm", "m2", "drag coefficient times area that travel always drives through the air"),
     Quantity("drag_area_body", "m2", "drag coefficient times area that pitch turns into the travel's way"),
@@ -36,3 +42,30 @@ RIG_QUANTITIES: Final[tuple[Quantity, ...]] = (
     Quantity("driver_dead_band", "1", "part of the duty that the drivers swallow near 0 and near full"),
     Quantity("encoder_counts", "count", "counts of each encoder for one revolution, x4"),
 )
+
+
+@dataclass(frozen=True)
+class Unstated:
+    """What holds for a number that a rig file does not state.
+
+    Parameters
+    ----------
+    value : float
+        Its value.
+    tolerance : float
+        Half width of the interval that holds it with about 95 % confidence.
+    source : str
+        Why.
+    """
+
+    value: float
+    tolerance: float
+    source: str
+
+
+UNSTATED: Final[Mapping[str, Unstated]] = {
+    "reverse_thrust": Unstated(0.0, 0.0, "not stated: the drivers are taken not to reverse"),
+    "torque_elevation": Unstated(0.0, 0.05, "not stated: cables pull by no more than 5 g at 1 m"),
+    "torque_pitch": Unstated(0.0, 0.02, "not stated: cables pull by no more than 2 g at 1 m"),
+    "torque_travel": Unstated(0.0, 0.1, "not stated: cables pull by no more than 10 g at 1 m"),
+}
