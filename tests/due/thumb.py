@@ -81,19 +81,41 @@ def _modified(f: Fields) -> bool:
 
 def _data_processing() -> list[Encoding]:
     table = []
-    for name, op in (("AND", "0000"), ("BIC", "0001"), ("EOR", "0100"), ("ADC", "1010"), ("SBC", "1011"),
-                     ("RSB", "1110"), ("ADD", "1000"), ("SUB", "1101"), ("ORR", "0010"), ("ORN", "0011")):
-        table.append(_e(f"{name} imm", f"11110i0{op}snnnn 0iiiddddiiiiiiii",
-                        lambda f: _no("n", "d")(f) and _modified(f), writes="d"))
-        table.append(_e(f"{name} reg", f"1110101{op}snnnn 0iiiddddiittmmmm",
-                        _no("n", "d", "m"), writes="d"))
+    for name, op in (
+        ("AND", "0000"),
+        ("BIC", "0001"),
+        ("EOR", "0100"),
+        ("ADC", "1010"),
+        ("SBC", "1011"),
+        ("RSB", "1110"),
+        ("ADD", "1000"),
+        ("SUB", "1101"),
+        ("ORR", "0010"),
+        ("ORN", "0011"),
+    ):
+        table.append(
+            _e(
+                f"{name} imm",
+                f"11110i0{op}snnnn 0iiiddddiiiiiiii",
+                lambda f: _no("n", "d")(f) and _modified(f),
+                writes="d",
+            )
+        )
+        table.append(_e(f"{name} reg", f"1110101{op}snnnn 0iiiddddiittmmmm", _no("n", "d", "m"), writes="d"))
     for name, op in (("TST", "0000"), ("TEQ", "0100"), ("CMN", "1000"), ("CMP", "1101")):
-        table.append(_e(f"{name} imm", f"11110i0{op}1nnnn 0iii1111iiiiiiii",
-                        lambda f: _no("n")(f) and _modified(f)))
+        table.append(
+            _e(f"{name} imm", f"11110i0{op}1nnnn 0iii1111iiiiiiii", lambda f: _no("n")(f) and _modified(f))
+        )
         table.append(_e(f"{name} reg", f"1110101{op}1nnnn 0iii1111iittmmmm", _no("n", "m")))
     for name, op in (("MOV", "0010"), ("MVN", "0011")):
-        table.append(_e(f"{name} imm", f"11110i0{op}s1111 0iiiddddiiiiiiii",
-                        lambda f: _no("d")(f) and _modified(f), writes="d"))
+        table.append(
+            _e(
+                f"{name} imm",
+                f"11110i0{op}s1111 0iiiddddiiiiiiii",
+                lambda f: _no("d")(f) and _modified(f),
+                writes="d",
+            )
+        )
         table.append(_e(f"{name} reg", f"1110101{op}s1111 0iiiddddiittmmmm", _no("d", "m"), writes="d"))
     table += [
         _e("ADDW", "11110i100000nnnn 0iiiddddiiiiiiii", _no("n", "d"), writes="d"),
@@ -103,23 +125,45 @@ def _data_processing() -> list[Encoding]:
         _e("MOVW", "11110i100100iiii 0iiiddddiiiiiiii", _no("d"), writes="d"),
         _e("MOVT", "11110i101100iiii 0iiiddddiiiiiiii", _no("d"), writes="d"),
         _e("SSAT lsl", "111100110000nnnn 0iiiddddii0wwwww", _no("n", "d"), writes="d"),
-        _e("SSAT asr", "111100110010nnnn 0iiiddddii0wwwww",
-           lambda f: _no("n", "d")(f) and f["i"] != 0, writes="d"),
+        _e(
+            "SSAT asr",
+            "111100110010nnnn 0iiiddddii0wwwww",
+            lambda f: _no("n", "d")(f) and f["i"] != 0,
+            writes="d",
+        ),
         _e("USAT lsl", "111100111000nnnn 0iiiddddii0wwwww", _no("n", "d"), writes="d"),
-        _e("USAT asr", "111100111010nnnn 0iiiddddii0wwwww",
-           lambda f: _no("n", "d")(f) and f["i"] != 0, writes="d"),
-        _e("SBFX", "111100110100nnnn 0iiiddddii0wwwww",
-           lambda f: _no("n", "d")(f) and f["i"] + f["w"] < 32, writes="d"),
-        _e("UBFX", "111100111100nnnn 0iiiddddii0wwwww",
-           lambda f: _no("n", "d")(f) and f["i"] + f["w"] < 32, writes="d"),
-        _e("BFI", "111100110110nnnn 0iiiddddii0wwwww",
-           lambda f: _no("n", "d")(f) and f["w"] >= f["i"], writes="d"),
-        _e("BFC", "1111001101101111 0iiiddddii0wwwww",
-           lambda f: _no("d")(f) and f["w"] >= f["i"], writes="d"),
+        _e(
+            "USAT asr",
+            "111100111010nnnn 0iiiddddii0wwwww",
+            lambda f: _no("n", "d")(f) and f["i"] != 0,
+            writes="d",
+        ),
+        _e(
+            "SBFX",
+            "111100110100nnnn 0iiiddddii0wwwww",
+            lambda f: _no("n", "d")(f) and f["i"] + f["w"] < 32,
+            writes="d",
+        ),
+        _e(
+            "UBFX",
+            "111100111100nnnn 0iiiddddii0wwwww",
+            lambda f: _no("n", "d")(f) and f["i"] + f["w"] < 32,
+            writes="d",
+        ),
+        _e(
+            "BFI",
+            "111100110110nnnn 0iiiddddii0wwwww",
+            lambda f: _no("n", "d")(f) and f["w"] >= f["i"],
+            writes="d",
+        ),
+        _e(
+            "BFC", "1111001101101111 0iiiddddii0wwwww", lambda f: _no("d")(f) and f["w"] >= f["i"], writes="d"
+        ),
     ]
     for name, op in (("LSL", "00"), ("LSR", "01"), ("ASR", "10"), ("ROR", "11")):
-        table.append(_e(f"{name} reg", f"111110100{op}snnnn 1111dddd0000mmmm", _no("n", "d", "m"),
-                        writes="d"))
+        table.append(
+            _e(f"{name} reg", f"111110100{op}snnnn 1111dddd0000mmmm", _no("n", "d", "m"), writes="d")
+        )
     for name, op in (("SXTH", "000"), ("UXTH", "001"), ("SXTB", "100"), ("UXTB", "101")):
         table.append(_e(f"{name}.W", f"111110100{op}1111 1111dddd10rrmmmm", _no("d", "m"), writes="d"))
     for name, op in (("REV", "00"), ("REV16", "01"), ("RBIT", "10"), ("REVSH", "11")):
@@ -127,8 +171,9 @@ def _data_processing() -> list[Encoding]:
             if m in (13, 15):
                 continue
             same = f"{m:04b}"
-            table.append(_e(f"{name}.W r{m}", f"111110101001{same} 1111dddd10{op}{same}", _no("d"),
-                            writes="d"))
+            table.append(
+                _e(f"{name}.W r{m}", f"111110101001{same} 1111dddd10{op}{same}", _no("d"), writes="d")
+            )
     for m in range(13):
         table.append(_e(f"CLZ r{m}", f"111110101011{m:04b} 1111dddd1000{m:04b}", _no("d"), writes="d"))
     table += [
@@ -139,30 +184,66 @@ def _data_processing() -> list[Encoding]:
         _e("UDIV", "111110111011nnnn 1111dddd1111mmmm", _no("n", "d", "m"), writes="d"),
     ]
     for name, op in (("SMULL", "000"), ("UMULL", "010"), ("SMLAL", "100"), ("UMLAL", "110")):
-        table.append(_e(name, f"111110111{op}nnnn lllldddd0000mmmm",
-                        lambda f: _no("n", "d", "m", "l")(f) and f["l"] != f["d"], writes="dl"))
+        table.append(
+            _e(
+                name,
+                f"111110111{op}nnnn lllldddd0000mmmm",
+                lambda f: _no("n", "d", "m", "l")(f) and f["l"] != f["d"],
+                writes="dl",
+            )
+        )
     return table
 
 
 def _narrow() -> list[Encoding]:
     table = [
-        _e("LSL T1", "00000iiiiimmmddd", writes="d"), _e("LSR T1", "00001iiiiimmmddd", writes="d"),
+        _e("LSL T1", "00000iiiiimmmddd", writes="d"),
+        _e("LSR T1", "00001iiiiimmmddd", writes="d"),
         _e("ASR T1", "00010iiiiimmmddd", writes="d"),
-        _e("ADD T1", "0001100mmmnnnddd", writes="d"), _e("SUB T1", "0001101mmmnnnddd", writes="d"),
-        _e("ADD imm3", "0001110iiinnnddd", writes="d"), _e("SUB imm3", "0001111iiinnnddd", writes="d"),
-        _e("MOV imm8", "00100dddiiiiiiii", writes="d"), _e("CMP imm8", "00101nnniiiiiiii"),
-        _e("ADD imm8", "00110dddiiiiiiii", writes="d"), _e("SUB imm8", "00111dddiiiiiiii", writes="d"),
-        _e("ADD hi", "01000100dmmmmddd", lambda f: f["d"] != 15 and f["m"] not in (13, 15) and f["d"] != 13,
-           writes="d"),
+        _e("ADD T1", "0001100mmmnnnddd", writes="d"),
+        _e("SUB T1", "0001101mmmnnnddd", writes="d"),
+        _e("ADD imm3", "0001110iiinnnddd", writes="d"),
+        _e("SUB imm3", "0001111iiinnnddd", writes="d"),
+        _e("MOV imm8", "00100dddiiiiiiii", writes="d"),
+        _e("CMP imm8", "00101nnniiiiiiii"),
+        _e("ADD imm8", "00110dddiiiiiiii", writes="d"),
+        _e("SUB imm8", "00111dddiiiiiiii", writes="d"),
+        _e(
+            "ADD hi",
+            "01000100dmmmmddd",
+            lambda f: f["d"] != 15 and f["m"] not in (13, 15) and f["d"] != 13,
+            writes="d",
+        ),
         _e("CMP hi", "01000101nmmmmnnn", lambda f: f["n"] < 15 and f["m"] < 15 and max(f["n"], f["m"]) > 7),
         _e("MOV hi", "01000110dmmmmddd", lambda f: f["d"] not in (13, 15), writes="d"),
-        _e("ADR T1", "10100dddiiiiiiii", writes="d"), _e("ADD SP T1", "10101dddiiiiiiii", writes="d"),
-        _e("SXTH", "1011001000mmmddd", writes="d"), _e("SXTB", "1011001001mmmddd", writes="d"),
-        _e("UXTH", "1011001010mmmddd", writes="d"), _e("UXTB", "1011001011mmmddd", writes="d"),
-        _e("REV", "1011101000mmmddd", writes="d"), _e("REV16", "1011101001mmmddd", writes="d"),
+        _e("ADR T1", "10100dddiiiiiiii", writes="d"),
+        _e("ADD SP T1", "10101dddiiiiiiii", writes="d"),
+        _e("SXTH", "1011001000mmmddd", writes="d"),
+        _e("SXTB", "1011001001mmmddd", writes="d"),
+        _e("UXTH", "1011001010mmmddd", writes="d"),
+        _e("UXTB", "1011001011mmmddd", writes="d"),
+        _e("REV", "1011101000mmmddd", writes="d"),
+        _e("REV16", "1011101001mmmddd", writes="d"),
         _e("REVSH", "1011101011mmmddd", writes="d"),
     ]
-    names = "AND EOR LSL LSR ASR ADC SBC ROR TST RSB CMP CMN ORR MUL BIC MVN".split()
+    names = [
+        "AND",
+        "EOR",
+        "LSL",
+        "LSR",
+        "ASR",
+        "ADC",
+        "SBC",
+        "ROR",
+        "TST",
+        "RSB",
+        "CMP",
+        "CMN",
+        "ORR",
+        "MUL",
+        "BIC",
+        "MVN",
+    ]
     for op, name in enumerate(names):
         writes = "" if name in ("TST", "CMP", "CMN") else "d"
         table.append(_e(f"{name} T1", f"010000{op:04b}mmmddd", writes=writes))
@@ -171,57 +252,152 @@ def _narrow() -> list[Encoding]:
 
 def _memory() -> list[Encoding]:
     table = []
-    for name, op, load in (("STR", "000", 0), ("STRH", "001", 0), ("STRB", "010", 0), ("LDRSB", "011", 1),
-                           ("LDR", "100", 1), ("LDRH", "101", 1), ("LDRB", "110", 1), ("LDRSH", "111", 1)):
-        table.append(_e(f"{name} reg T1", f"0101{op}xxxbbbttt", base="b", index="x",
-                        writes="t" if load else ""))
-    for name, op, load in (("STR", "01100", 0), ("LDR", "01101", 1), ("STRB", "01110", 0),
-                           ("LDRB", "01111", 1), ("STRH", "10000", 0), ("LDRH", "10001", 1)):
+    for name, op, load in (
+        ("STR", "000", 0),
+        ("STRH", "001", 0),
+        ("STRB", "010", 0),
+        ("LDRSB", "011", 1),
+        ("LDR", "100", 1),
+        ("LDRH", "101", 1),
+        ("LDRB", "110", 1),
+        ("LDRSH", "111", 1),
+    ):
+        table.append(
+            _e(f"{name} reg T1", f"0101{op}xxxbbbttt", base="b", index="x", writes="t" if load else "")
+        )
+    for name, op, load in (
+        ("STR", "01100", 0),
+        ("LDR", "01101", 1),
+        ("STRB", "01110", 0),
+        ("LDRB", "01111", 1),
+        ("STRH", "10000", 0),
+        ("LDRH", "10001", 1),
+    ):
         table.append(_e(f"{name} imm T1", f"{op}iiiiibbbttt", base="b", writes="t" if load else ""))
     table += [
-        _e("STR SP", "10010tttiiiiiiii"), _e("LDR SP", "10011tttiiiiiiii", writes="t"),
+        _e("STR SP", "10010tttiiiiiiii"),
+        _e("LDR SP", "10011tttiiiiiiii", writes="t"),
         _e("LDR lit T1", "01001tttiiiiiiii", writes="t"),
         _e("STM T1", "11000bbbllllllll", lambda f: f["l"] != 0 and not f["l"] >> f["b"] & 1, base="b"),
-        _e("LDM T1", "11001bbbllllllll", lambda f: f["l"] != 0 and not f["l"] >> f["b"] & 1, base="b",
-           register_list="l"),
-        _e("LDM.W IA", "1110100010w1bbbb 00llllllllllllll", lambda f: f["l"].bit_count() > 1 and
-           not f["l"] >> f["b"] & 1 and f["l"] < 0x2000, base="b", register_list="l"),
-        _e("LDM.W DB", "1110100100w1bbbb 00llllllllllllll", lambda f: f["l"].bit_count() > 1 and
-           not f["l"] >> f["b"] & 1 and f["l"] < 0x2000, base="b", register_list="l"),
-        _e("STM.W IA", "1110100010w0bbbb 0l0lllllllllllll", lambda f: f["l"].bit_count() > 1 and
-           not (f["l"] & 0x1FFF) >> f["b"] & 1, base="b"),
-        _e("STM.W DB", "1110100100w0bbbb 0l0lllllllllllll", lambda f: f["l"].bit_count() > 1 and
-           not (f["l"] & 0x1FFF) >> f["b"] & 1, base="b"),
-        _e("LDRD imm", "11101001u1w1bbbb ttttyyyyiiiiiiii", lambda f: _no("t", "y")(f) and f["t"] != f["y"]
-           and f["b"] not in (f["t"], f["y"], 15), base="b", writes="ty"),
-        _e("LDRD post", "11101000u111bbbb ttttyyyyiiiiiiii", lambda f: _no("t", "y")(f) and f["t"] != f["y"]
-           and f["b"] not in (f["t"], f["y"], 15), base="b", writes="ty"),
-        _e("STRD imm", "11101001u1w0bbbb ttttyyyyiiiiiiii", lambda f: _no("t", "y")(f)
-           and f["b"] not in (f["t"], f["y"], 15), base="b"),
-        _e("STRD post", "11101000u110bbbb ttttyyyyiiiiiiii", lambda f: _no("t", "y")(f)
-           and f["b"] not in (f["t"], f["y"], 15), base="b"),
+        _e(
+            "LDM T1",
+            "11001bbbllllllll",
+            lambda f: f["l"] != 0 and not f["l"] >> f["b"] & 1,
+            base="b",
+            register_list="l",
+        ),
+        _e(
+            "LDM.W IA",
+            "1110100010w1bbbb 00llllllllllllll",
+            lambda f: f["l"].bit_count() > 1 and not f["l"] >> f["b"] & 1 and f["l"] < 0x2000,
+            base="b",
+            register_list="l",
+        ),
+        _e(
+            "LDM.W DB",
+            "1110100100w1bbbb 00llllllllllllll",
+            lambda f: f["l"].bit_count() > 1 and not f["l"] >> f["b"] & 1 and f["l"] < 0x2000,
+            base="b",
+            register_list="l",
+        ),
+        _e(
+            "STM.W IA",
+            "1110100010w0bbbb 0l0lllllllllllll",
+            lambda f: f["l"].bit_count() > 1 and not (f["l"] & 0x1FFF) >> f["b"] & 1,
+            base="b",
+        ),
+        _e(
+            "STM.W DB",
+            "1110100100w0bbbb 0l0lllllllllllll",
+            lambda f: f["l"].bit_count() > 1 and not (f["l"] & 0x1FFF) >> f["b"] & 1,
+            base="b",
+        ),
+        _e(
+            "LDRD imm",
+            "11101001u1w1bbbb ttttyyyyiiiiiiii",
+            lambda f: _no("t", "y")(f) and f["t"] != f["y"] and f["b"] not in (f["t"], f["y"], 15),
+            base="b",
+            writes="ty",
+        ),
+        _e(
+            "LDRD post",
+            "11101000u111bbbb ttttyyyyiiiiiiii",
+            lambda f: _no("t", "y")(f) and f["t"] != f["y"] and f["b"] not in (f["t"], f["y"], 15),
+            base="b",
+            writes="ty",
+        ),
+        _e(
+            "STRD imm",
+            "11101001u1w0bbbb ttttyyyyiiiiiiii",
+            lambda f: _no("t", "y")(f) and f["b"] not in (f["t"], f["y"], 15),
+            base="b",
+        ),
+        _e(
+            "STRD post",
+            "11101000u110bbbb ttttyyyyiiiiiiii",
+            lambda f: _no("t", "y")(f) and f["b"] not in (f["t"], f["y"], 15),
+            base="b",
+        ),
         _e("LDR.W lit", "11111000u1011111 ttttiiiiiiiiiiii", _no("t"), writes="t"),
         _e("LDRB lit", "11111000u0011111 ttttiiiiiiiiiiii", _no("t"), writes="t"),
         _e("LDRSH lit", "11111001u0111111 ttttiiiiiiiiiiii", _no("t"), writes="t"),
     ]
-    for name, sign, size, load in (("STRB", 0, "00", 0), ("STRH", 0, "01", 0), ("STR", 0, "10", 0),
-                                   ("LDRB", 0, "00", 1), ("LDRH", 0, "01", 1), ("LDR", 0, "10", 1),
-                                   ("LDRSB", 1, "00", 1), ("LDRSH", 1, "01", 1)):
+    for name, sign, size, load in (
+        ("STRB", 0, "00", 0),
+        ("STRH", 0, "01", 0),
+        ("STR", 0, "10", 0),
+        ("LDRB", 0, "00", 1),
+        ("LDRH", 0, "01", 1),
+        ("LDR", 0, "10", 1),
+        ("LDRSB", 1, "00", 1),
+        ("LDRSH", 1, "01", 1),
+    ):
         head = f"1111100{sign}"
         writes = "t" if load else ""
         table += [
-            _e(f"{name}.W imm12", f"{head}1{size}{load}bbbb ttttiiiiiiiiiiii", _no("t", "b"), base="b",
-               writes=writes),
-            _e(f"{name}.W neg", f"{head}0{size}{load}bbbb tttt1100iiiiiiii", _no("t", "b"), base="b",
-               writes=writes),
-            _e(f"{name}.W pre", f"{head}0{size}{load}bbbb tttt11u1iiiiiiii",
-               lambda f: _no("t", "b")(f) and f["t"] != f["b"] and f["i"] % 4 == 0, base="b", writes=writes),
-            _e(f"{name}.W post", f"{head}0{size}{load}bbbb tttt10u1iiiiiiii",
-               lambda f: _no("t", "b")(f) and f["t"] != f["b"] and f["i"] % 4 == 0, base="b", writes=writes),
-            _e(f"{name}.W reg", f"{head}0{size}{load}bbbb tttt000000iixxxx", _no("t", "b", "x"), base="b",
-               index="x", writes=writes),
-            _e(f"{name}T", f"{head}0{size}{load}bbbb tttt1110iiiiiiii", _no("t", "b"), base="b",
-               writes=writes),
+            _e(
+                f"{name}.W imm12",
+                f"{head}1{size}{load}bbbb ttttiiiiiiiiiiii",
+                _no("t", "b"),
+                base="b",
+                writes=writes,
+            ),
+            _e(
+                f"{name}.W neg",
+                f"{head}0{size}{load}bbbb tttt1100iiiiiiii",
+                _no("t", "b"),
+                base="b",
+                writes=writes,
+            ),
+            _e(
+                f"{name}.W pre",
+                f"{head}0{size}{load}bbbb tttt11u1iiiiiiii",
+                lambda f: _no("t", "b")(f) and f["t"] != f["b"] and f["i"] % 4 == 0,
+                base="b",
+                writes=writes,
+            ),
+            _e(
+                f"{name}.W post",
+                f"{head}0{size}{load}bbbb tttt10u1iiiiiiii",
+                lambda f: _no("t", "b")(f) and f["t"] != f["b"] and f["i"] % 4 == 0,
+                base="b",
+                writes=writes,
+            ),
+            _e(
+                f"{name}.W reg",
+                f"{head}0{size}{load}bbbb tttt000000iixxxx",
+                _no("t", "b", "x"),
+                base="b",
+                index="x",
+                writes=writes,
+            ),
+            _e(
+                f"{name}T",
+                f"{head}0{size}{load}bbbb tttt1110iiiiiiii",
+                _no("t", "b"),
+                base="b",
+                writes=writes,
+            ),
         ]
     return table
 
@@ -232,14 +408,21 @@ def _branches() -> list[Encoding]:
         _e("B", "11100iiiiiiiiiii", fixed={"i": 0}, in_it=False, filler=True),
         _e("CBZ", "101100i1iiiiinnn", fixed={"i": 0}, in_it=False, filler=True),
         _e("CBNZ", "101110i1iiiiinnn", fixed={"i": 0}, in_it=False, filler=True),
-        _e("B.W cond", "111100cccciiiiii 10000iiiiiiiiiii", lambda f: f["c"] < 14, fixed={"i": 1},
-           in_it=False, filler=True),
+        _e(
+            "B.W cond",
+            "111100cccciiiiii 10000iiiiiiiiiii",
+            lambda f: f["c"] < 14,
+            fixed={"i": 1},
+            in_it=False,
+            filler=True,
+        ),
         _e("BL", "11110iiiiiiiiiii 11111iiiiiiiiiii", fixed={"i": 1}, in_it=False, filler=True),
         _e("MRS APSR", "1111001111101111 1000dddd00000000", _no("d"), writes="d"),
         _e("MSR APSR", "111100111000nnnn 1000100000000000", _no("n")),
-        _e("NOP", "1011111100000000"), _e("NOP.W", "1111001110101111 1000000000000000"),
-        _e("DSB", "1111001110111111 1000111101001111"), _e("PLD", "111110001001bbbb 1111iiiiiiiiiiii",
-                                                           _no("b"), base="b"),
+        _e("NOP", "1011111100000000"),
+        _e("NOP.W", "1111001110101111 1000000000000000"),
+        _e("DSB", "1111001110111111 1000111101001111"),
+        _e("PLD", "111110001001bbbb 1111iiiiiiiiiiii", _no("b"), base="b"),
     ]
 
 
@@ -302,8 +485,9 @@ def random_block(rng: random.Random, length: int = 60) -> Block:
     length
         Instructions wanted; a few more may come with IT blocks and branches.
     """
-    base, index = rng.sample([0, 1, 2, 3, 4, 5, 6, 7] if rng.random() < 0.6 else
-                             [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12], 2)
+    base, index = rng.sample(
+        [0, 1, 2, 3, 4, 5, 6, 7] if rng.random() < 0.6 else [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12], 2
+    )
     code = bytearray()
     names: list[str] = []
     while len(names) < length:

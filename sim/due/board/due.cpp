@@ -61,7 +61,8 @@ void Due::schedule_step(int axis, int direction, BoardTime when) {
 }
 
 void Due::plan() {
-  const std::uint64_t when = steps_.empty() ? kNever : chip.system.clock.cycle_at(steps_.front().when);
+  const std::uint64_t when =
+      steps_.empty() ? kNever : chip.system.clock.cycle_at(steps_.front().when);
   chip.system.scheduler.set(id_, when);
 }
 
@@ -92,7 +93,8 @@ double Due::motor_duty(int motor) const {
 }
 
 bool Due::motor_enabled(int motor) const {
-  return chip.pins.level(kMotorPins[motor].right_enable) && chip.pins.level(kMotorPins[motor].left_enable);
+  return chip.pins.level(kMotorPins[motor].right_enable) &&
+         chip.pins.level(kMotorPins[motor].left_enable);
 }
 
 }  // namespace heli_due

@@ -1,4 +1,5 @@
-// The Arduino Due as the helicopter is wired to it: chip, USB bridge, encoders, drivers, stop input.
+// The Arduino Due as the helicopter is wired to it: chip, USB bridge, encoders, drivers, stop
+// input.
 #pragma once
 
 #include <array>

@@ -1,9 +1,9 @@
 // The ATmega16U2 between UART0 and USB, as its firmware (Arduino-usbserial.c) works.
 //
-// Bytes for the host wait in a ring of 128 and leave when timer 0 overflows, every 4.096 ms, or when
-// more than 96 wait; nobody checks the ring for overflow. Bytes for the board are taken from USB
-// while the other ring has room. A rising DTR pulls the reset line for 50 of those rounds; any change
-// of the control lines at 1200 baud erases the flash first.
+// Bytes for the host wait in a ring of 128 and leave when timer 0 overflows, every 4.096 ms, or
+// when more than 96 wait; nobody checks the ring for overflow. Bytes for the board are taken from
+// USB while the other ring has room. A rising DTR pulls the reset line for 50 of those rounds; any
+// change of the control lines at 1200 baud erases the flash first.
 #pragma once
 
 #include <cstdint>

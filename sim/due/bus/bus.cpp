@@ -53,7 +53,8 @@ void Bus::use_flash(std::uint32_t offset) {
 }
 
 std::uint8_t* Bus::memory_at(std::uint32_t address, std::uint32_t size, bool for_write) {
-  if (inside(address, kRamBase, kRamSize - size + 1)) return memory_.ram.data() + (address - kRamBase);
+  if (inside(address, kRamBase, kRamSize - size + 1))
+    return memory_.ram.data() + (address - kRamBase);
   if (inside(address, kRamAlias, kRamAliasSize - size + 1)) {
     return memory_.ram.data() + (address - kRamAlias);
   }

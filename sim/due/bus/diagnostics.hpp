@@ -60,7 +60,9 @@ class Diagnostics {
  public:
   void set_all_strict(bool strict) { strict_mask_ = strict ? 0xFFU : 0U; }
   void set_strict(Trouble kind, bool strict);
-  bool strict(Trouble kind) const { return ((strict_mask_ >> static_cast<unsigned>(kind)) & 1U) != 0; }
+  bool strict(Trouble kind) const {
+    return ((strict_mask_ >> static_cast<unsigned>(kind)) & 1U) != 0;
+  }
 
   // Throws Stop when `kind` is strict; otherwise notes a warning.
   void report(Trouble kind, std::uint32_t address, const std::string& text);

@@ -13,21 +13,23 @@ struct Block {
 };
 
 constexpr Block kUnmodelled[] = {
-    {0x40000000, 0x4000, "HSMCI"},    {0x40004000, 0x4000, "SSC"},      {0x40008000, 0x4000, "SPI0"},
-    {0x4008C000, 0x4000, "TWI0"},     {0x40090000, 0x4000, "TWI1"},     {0x40098000, 0x4000, "USART0"},
-    {0x4009C000, 0x4000, "USART1"},   {0x400A0000, 0x4000, "USART2"},   {0x400A4000, 0x4000, "USART3"},
-    {0x400AC000, 0x4000, "UOTGHS"},   {0x400B0000, 0x4000, "EMAC"},     {0x400B4000, 0x4000, "CAN0"},
-    {0x400B8000, 0x4000, "CAN1"},     {0x400BC000, 0x4000, "TRNG"},     {0x400C0000, 0x4000, "ADC"},
-    {0x400C4000, 0x4000, "DMAC"},     {0x400C8000, 0x4000, "DACC"},     {0x400E0000, 0x200, "SMC"},
-    {0x400E0200, 0x200, "SDRAMC"},    {0x400E0400, 0x200, "MATRIX"},    {0x400E1A60, 0x30, "RTC"},
+    {0x40000000, 0x4000, "HSMCI"},  {0x40004000, 0x4000, "SSC"},    {0x40008000, 0x4000, "SPI0"},
+    {0x4008C000, 0x4000, "TWI0"},   {0x40090000, 0x4000, "TWI1"},   {0x40098000, 0x4000, "USART0"},
+    {0x4009C000, 0x4000, "USART1"}, {0x400A0000, 0x4000, "USART2"}, {0x400A4000, 0x4000, "USART3"},
+    {0x400AC000, 0x4000, "UOTGHS"}, {0x400B0000, 0x4000, "EMAC"},   {0x400B4000, 0x4000, "CAN0"},
+    {0x400B8000, 0x4000, "CAN1"},   {0x400BC000, 0x4000, "TRNG"},   {0x400C0000, 0x4000, "ADC"},
+    {0x400C4000, 0x4000, "DMAC"},   {0x400C8000, 0x4000, "DACC"},   {0x400E0000, 0x200, "SMC"},
+    {0x400E0200, 0x200, "SDRAMC"},  {0x400E0400, 0x200, "MATRIX"},  {0x400E1A60, 0x30, "RTC"},
 };
 
 // Pins of TIOA and TIOB (section 9.2); PB0 and PB1 of TC1 are not brought out on the Due.
 constexpr Tc::Wiring kTc0 = {{pin_of('B', 25), -1, -1}, {pin_of('B', 27), -1, -1}, true};
 constexpr Tc::Wiring kTc1 = {{pin_of('B', 0), pin_of('B', 2), pin_of('B', 4)},
-                             {pin_of('B', 1), pin_of('B', 3), pin_of('B', 5)}, true};
+                             {pin_of('B', 1), pin_of('B', 3), pin_of('B', 5)},
+                             true};
 constexpr Tc::Wiring kTc2 = {{pin_of('C', 25), pin_of('C', 28), pin_of('D', 7)},
-                             {pin_of('C', 26), pin_of('C', 29), pin_of('D', 8)}, true};
+                             {pin_of('C', 26), pin_of('C', 29), pin_of('D', 8)},
+                             true};
 
 // The reset controller holds the core for three periods of the slow clock.
 constexpr std::uint64_t kResetPeriods = 3;
@@ -58,7 +60,8 @@ Chip::Chip()
       uart(system, pins),
       id_(system.scheduler.add(this)) {
   system.bus.connect(&system.cpu, &scs, &flash);
-  for (const Block& block : kUnmodelled) system.bus.add_unmodelled(block.base, block.size, block.name);
+  for (const Block& block : kUnmodelled)
+    system.bus.add_unmodelled(block.base, block.size, block.name);
   // The board joins D4's PC26 with PA29 and D10's PC29 with PA28.
   pins.join(pin_of('C', 26), pin_of('A', 29));
   pins.join(pin_of('C', 29), pin_of('A', 28));
@@ -95,7 +98,8 @@ void Chip::reset(ResetType type, bool processor_only) {
   }
   rstc.note(type);
   system.cpu.hold(true);
-  system.scheduler.set(id_, system.clock.cycle_at(system.board_now() + system.slow_periods(kResetPeriods)));
+  system.scheduler.set(
+      id_, system.clock.cycle_at(system.board_now() + system.slow_periods(kResetPeriods)));
 }
 
 void Chip::event(std::uint64_t) {
@@ -114,7 +118,8 @@ void Chip::set_nrst(bool low) {
   const bool was = rstc.nrst_low();
   rstc.set_nrst(low);
   if (was && !low && powered_) {
-    system.scheduler.set(id_, system.clock.cycle_at(system.board_now() + system.slow_periods(kResetPeriods)));
+    system.scheduler.set(
+        id_, system.clock.cycle_at(system.board_now() + system.slow_periods(kResetPeriods)));
   }
 }
 

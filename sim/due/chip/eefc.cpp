@@ -41,9 +41,7 @@ constexpr std::uint32_t kBusyMark = 0x80;  // distinguishes "busy with command 0
 
 Flash::Flash(System& system) : system_(system) {}
 
-void Flash::update_busy() {
-  system_.cpu.flash_busy = planes_[0]->busy() || planes_[1]->busy();
-}
+void Flash::update_busy() { system_.cpu.flash_busy = planes_[0]->busy() || planes_[1]->busy(); }
 
 void Flash::use(std::uint32_t offset) {
   FlashController& plane = plane_at(offset);
@@ -57,16 +55,16 @@ void Flash::use(std::uint32_t offset) {
 
 void Flash::latch(std::uint32_t offset, std::uint32_t value, std::uint32_t size) {
   if (size != 4) {
-    system_.diagnostics.report(Trouble::kNarrow, kFlashBase + offset,
-                               "write of " + std::to_string(size) +
-                                   " bytes to the page latches, which take words");
+    system_.diagnostics.report(
+        Trouble::kNarrow, kFlashBase + offset,
+        "write of " + std::to_string(size) + " bytes to the page latches, which take words");
   }
   plane_at(offset).latch(offset, value);
 }
 
 FlashController::FlashController(System& system, Flash& flash, int index)
-    : Peripheral(system, index == 0 ? "EFC0" : "EFC1", index == 0 ? 0x400E0A00U : 0x400E0C00U, 0x200,
-                 kAlwaysClocked, kRegisters),
+    : Peripheral(system, index == 0 ? "EFC0" : "EFC1", index == 0 ? 0x400E0A00U : 0x400E0C00U,
+                 0x200, kAlwaysClocked, kRegisters),
       flash_(flash),
       index_(index),
       id_(system.scheduler.add(this)) {
@@ -83,7 +81,8 @@ void FlashController::reset() {
 }
 
 std::uint8_t* FlashController::page_bytes(std::uint32_t page) const {
-  return system_.memory.flash.data() + static_cast<std::uint32_t>(index_) * kPlaneSize + page * kPage;
+  return system_.memory.flash.data() + static_cast<std::uint32_t>(index_) * kPlaneSize +
+         page * kPage;
 }
 
 void FlashController::latch(std::uint32_t offset, std::uint32_t value) {
@@ -149,7 +148,8 @@ void FlashController::event(std::uint64_t) {
 
 std::uint32_t FlashController::read(std::uint32_t offset) {
   switch (offset) {
-    case 0x00: return mode_;
+    case 0x00:
+      return mode_;
     case 0x08: {
       const std::uint32_t value = (busy() ? 0U : kFrdy) | errors_;
       errors_ = 0;
@@ -183,7 +183,8 @@ void FlashController::check_caller() const {
   system_.cpu.stall(ready_cycle() - system_.now());
 }
 
-void FlashController::start(std::uint32_t code, std::uint32_t page, BoardTime erase, BoardTime write) {
+void FlashController::start(std::uint32_t code, std::uint32_t page, BoardTime erase,
+                            BoardTime write) {
   const std::uint32_t region = page * kPage / kLockRegion;
   const bool locked = code == kEa ? locks_ != 0 : ((locks_ >> region) & 1U) != 0;
   if (code <= kEa && locked) {
@@ -217,27 +218,40 @@ void FlashController::command(std::uint32_t value) {
   result_count_ = result_next_ = 0;
   switch (code) {
     case kGetd:
-      for (const std::uint32_t word : {0x000F0940U, kPlaneSize, kPage, 1U, kPlaneSize, 16U}) result(word);
+      for (const std::uint32_t word : {0x000F0940U, kPlaneSize, kPage, 1U, kPlaneSize, 16U})
+        result(word);
       for (int i = 0; i < 10; ++i) result(kLockRegion);
       return;
-    case kWp: case kWpl: case kEwp: case kEwpl:
+    case kWp:
+    case kWpl:
+    case kEwp:
+    case kEwpl:
       if (argument >= kPages) {
         errors_ |= kFcmde;
         return misuse(0x04, "page " + std::to_string(argument) + " is outside of the plane");
       }
       return start(code, argument, code >= kEwp ? kEraseTime : 0, kWriteTime);
-    case kEa: return start(code, 0, kEraseAllTime, 0);
-    case kSlb: locks_ |= 1U << (argument * kPage / kLockRegion & 31U); return;
-    case kClb: locks_ &= ~(1U << (argument * kPage / kLockRegion & 31U)); return;
-    case kGlb: return result(locks_);
-    case kSgpb: case kCgpb:
+    case kEa:
+      return start(code, 0, kEraseAllTime, 0);
+    case kSlb:
+      locks_ |= 1U << (argument * kPage / kLockRegion & 31U);
+      return;
+    case kClb:
+      locks_ &= ~(1U << (argument * kPage / kLockRegion & 31U));
+      return;
+    case kGlb:
+      return result(locks_);
+    case kSgpb:
+    case kCgpb:
       if (argument > 2) {
         errors_ |= kFcmde;
         return;
       }
-      flash_.gpnvm = code == kSgpb ? flash_.gpnvm | (1U << argument) : flash_.gpnvm & ~(1U << argument);
+      flash_.gpnvm =
+          code == kSgpb ? flash_.gpnvm | (1U << argument) : flash_.gpnvm & ~(1U << argument);
       return;
-    case kGgpb: return result(flash_.gpnvm);
+    case kGgpb:
+      return result(flash_.gpnvm);
     default:
       errors_ |= kFcmde;
       return not_modelled(0x04, "command " + std::to_string(code) + " is not modelled");

@@ -1,7 +1,7 @@
 // Enhanced embedded flash controllers (section 18): wait states, page latches, programming.
 //
-// A plane that is being programmed can be neither read nor executed. Programming takes its time, and
-// a reset or a loss of power in between leaves the page half done.
+// A plane that is being programmed can be neither read nor executed. Programming takes its time,
+// and a reset or a loss of power in between leaves the page half done.
 #pragma once
 
 #include <array>
@@ -20,7 +20,9 @@ class Flash final : public FlashPort {
   void latch(std::uint32_t offset, std::uint32_t value, std::uint32_t size) override;
 
   FlashController& plane(int index) { return *planes_[static_cast<std::size_t>(index)]; }
-  void attach(int index, FlashController* plane) { planes_[static_cast<std::size_t>(index)] = plane; }
+  void attach(int index, FlashController* plane) {
+    planes_[static_cast<std::size_t>(index)] = plane;
+  }
   void update_busy();
   // GPNVM bits: 0 security, 1 boot from flash, 2 flash plane order.
   std::uint32_t gpnvm = 0;

@@ -51,7 +51,8 @@ void Peripheral::not_modelled(std::uint32_t offset, const std::string& text) con
 
 void Peripheral::check_clock(std::uint32_t offset, const Register& reg, const char* verb) const {
   const int identifier = clock_of(offset);
-  if ((reg.access & access::kUnclocked) != 0 || identifier < 0 || system_.clocked(identifier)) return;
+  if ((reg.access & access::kUnclocked) != 0 || identifier < 0 || system_.clocked(identifier))
+    return;
   system_.diagnostics.report(Trouble::kUnclocked, base_ + offset,
                              std::string(verb) + describe(offset) + " while peripheral clock " +
                                  std::to_string(identifier) + " is off in PMC_PCSR");
@@ -73,10 +74,10 @@ const Register* Peripheral::check(std::uint32_t offset, std::uint8_t direction) 
     return nullptr;
   }
   if ((reg->access & direction) == 0) {
-    system_.diagnostics.report(Trouble::kDirection, base_ + offset,
-                               std::string(verb) + describe(offset) +
-                                   (direction == access::kRead ? ", which is write-only"
-                                                               : ", which is read-only"));
+    system_.diagnostics.report(
+        Trouble::kDirection, base_ + offset,
+        std::string(verb) + describe(offset) +
+            (direction == access::kRead ? ", which is write-only" : ", which is read-only"));
     return nullptr;
   }
   return reg;

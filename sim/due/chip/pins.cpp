@@ -43,11 +43,20 @@ void Pins::vote(int pin, Votes& votes) const {
   bool high = false;
   if (driven(pin, high)) (high ? votes.strong_high : votes.strong_low) = true;
   switch (wire.external) {
-    case External::kLow: votes.strong_low = true; break;
-    case External::kHigh: votes.strong_high = true; break;
-    case External::kPullDown: votes.weak_low = true; break;
-    case External::kPullUp: votes.weak_high = true; break;
-    case External::kOpen: break;
+    case External::kLow:
+      votes.strong_low = true;
+      break;
+    case External::kHigh:
+      votes.strong_high = true;
+      break;
+    case External::kPullDown:
+      votes.weak_low = true;
+      break;
+    case External::kPullUp:
+      votes.weak_high = true;
+      break;
+    case External::kOpen:
+      break;
   }
   votes.pull_up = votes.pull_up || wire.setting.pull_up;
 }
@@ -74,7 +83,8 @@ void Pins::tell(int pin, bool level, std::uint64_t now) {
   seen ^= mask;
   PinListener* port = ports_[index(pin) / 32];
   if (port != nullptr) port->pin_changed(pin % 32, level, now);
-  for (const Listener& listener : wires_[index(pin)].listeners) listener.sink->pin_changed(listener.signal, level, now);
+  for (const Listener& listener : wires_[index(pin)].listeners)
+    listener.sink->pin_changed(listener.signal, level, now);
 }
 
 void Pins::refresh(int pin, std::uint64_t now) {

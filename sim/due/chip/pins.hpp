@@ -65,7 +65,9 @@ class Pins {
   bool level(int pin) const;
   // The level as of the last change that was told to listeners.
   std::uint32_t seen(int port) const { return seen_[index(port)]; }
-  void set_port_listener(int port, PinListener* listener) { ports_[static_cast<std::size_t>(port)] = listener; }
+  void set_port_listener(int port, PinListener* listener) {
+    ports_[static_cast<std::size_t>(port)] = listener;
+  }
 
   // Whether the chip itself drives this pin, and how.
   bool driven(int pin, bool& level) const;

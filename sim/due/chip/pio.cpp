@@ -46,7 +46,9 @@ constexpr std::uint32_t kProtectKey = 0x50494F;
 }  // namespace
 
 Pio::Pio(System& system, Pins& pins, int port, const char* name, std::uint32_t base)
-    : Peripheral(system, name, base, 0x200, id::kPioA + port, kRegisters), pins_(pins), port_(port) {
+    : Peripheral(system, name, base, 0x200, id::kPioA + port, kRegisters),
+      pins_(pins),
+      port_(port) {
   pins.set_port_listener(port, this);
 }
 
@@ -104,12 +106,18 @@ void Pio::update_irq() {
 
 std::uint32_t Pio::read(std::uint32_t offset) {
   switch (offset) {
-    case 0x08: return pio_;
-    case 0x18: return output_;
-    case 0x28: return filter_;
-    case 0x38: return data_;
-    case 0x3C: return levels();
-    case 0x48: return interrupts_;
+    case 0x08:
+      return pio_;
+    case 0x18:
+      return output_;
+    case 0x28:
+      return filter_;
+    case 0x38:
+      return data_;
+    case 0x3C:
+      return levels();
+    case 0x48:
+      return interrupts_;
     case 0x4C: {
       const std::uint32_t by_level = additional_ & on_level_;
       const std::uint32_t value =
@@ -118,58 +126,112 @@ std::uint32_t Pio::read(std::uint32_t offset) {
       update_irq();
       return value;
     }
-    case 0x58: return open_drain_;
-    case 0x68: return no_pull_up_;
-    case 0x70: return select_b_;
-    case 0xA8: return direct_;
-    case 0xB8: return additional_;
-    case 0xC8: return on_level_;
-    case 0xD8: return rising_high_;
-    case 0xE4: return protect_;
-    default: return 0;
+    case 0x58:
+      return open_drain_;
+    case 0x68:
+      return no_pull_up_;
+    case 0x70:
+      return select_b_;
+    case 0xA8:
+      return direct_;
+    case 0xB8:
+      return additional_;
+    case 0xC8:
+      return on_level_;
+    case 0xD8:
+      return rising_high_;
+    case 0xE4:
+      return protect_;
+    default:
+      return 0;
   }
 }
 
 void Pio::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
-    case 0x00: pio_ |= value; return apply(value);
-    case 0x04: pio_ &= ~value; return apply(value);
-    case 0x10: output_ |= value; return apply(value);
-    case 0x14: output_ &= ~value; return apply(value);
+    case 0x00:
+      pio_ |= value;
+      return apply(value);
+    case 0x04:
+      pio_ &= ~value;
+      return apply(value);
+    case 0x10:
+      output_ |= value;
+      return apply(value);
+    case 0x14:
+      output_ &= ~value;
+      return apply(value);
     // The glitch filter drops pulses below half a clock; nothing here is that short.
-    case 0x20: filter_ |= value; return;
-    case 0x24: filter_ &= ~value; return;
-    case 0x30: data_ |= value; return apply(value);
-    case 0x34: data_ &= ~value; return apply(value);
+    case 0x20:
+      filter_ |= value;
+      return;
+    case 0x24:
+      filter_ &= ~value;
+      return;
+    case 0x30:
+      data_ |= value;
+      return apply(value);
+    case 0x34:
+      data_ &= ~value;
+      return apply(value);
     case 0x38: {
       const std::uint32_t before = data_;
       data_ = (data_ & ~direct_) | (value & direct_);
       return apply(before ^ data_);
     }
-    case 0x40: interrupts_ |= value; return update_irq();
-    case 0x44: interrupts_ &= ~value; return update_irq();
-    case 0x50: open_drain_ |= value; return apply(value);
-    case 0x54: open_drain_ &= ~value; return apply(value);
-    case 0x60: no_pull_up_ |= value; return apply(value);
-    case 0x64: no_pull_up_ &= ~value; return apply(value);
+    case 0x40:
+      interrupts_ |= value;
+      return update_irq();
+    case 0x44:
+      interrupts_ &= ~value;
+      return update_irq();
+    case 0x50:
+      open_drain_ |= value;
+      return apply(value);
+    case 0x54:
+      open_drain_ &= ~value;
+      return apply(value);
+    case 0x60:
+      no_pull_up_ |= value;
+      return apply(value);
+    case 0x64:
+      no_pull_up_ &= ~value;
+      return apply(value);
     case 0x70: {
       const std::uint32_t changed = select_b_ ^ value;
       select_b_ = value;
       return apply(changed);
     }
-    case 0xA0: direct_ |= value; return;
-    case 0xA4: direct_ &= ~value; return;
-    case 0xB0: additional_ |= value; return update_irq();
-    case 0xB4: additional_ &= ~value; return update_irq();
-    case 0xC0: on_level_ &= ~value; return update_irq();
-    case 0xC4: on_level_ |= value; return update_irq();
-    case 0xD0: rising_high_ &= ~value; return update_irq();
-    case 0xD4: rising_high_ |= value; return update_irq();
+    case 0xA0:
+      direct_ |= value;
+      return;
+    case 0xA4:
+      direct_ &= ~value;
+      return;
+    case 0xB0:
+      additional_ |= value;
+      return update_irq();
+    case 0xB4:
+      additional_ &= ~value;
+      return update_irq();
+    case 0xC0:
+      on_level_ &= ~value;
+      return update_irq();
+    case 0xC4:
+      on_level_ |= value;
+      return update_irq();
+    case 0xD0:
+      rising_high_ &= ~value;
+      return update_irq();
+    case 0xD4:
+      rising_high_ |= value;
+      return update_irq();
     case 0xE4:
       if ((value >> 8) != kProtectKey) return misuse(offset, "write without the key 0x50494F");
       protect_ = value & 1U;
       return;
-    default: return;
+    default:
+      return;
   }
 }
 

@@ -13,20 +13,34 @@ using access::kUnmodelled;
 using access::kWrite;
 
 constexpr Register kRegisters[] = {
-    {0x000, "PMC_SCER", kWrite | kProtected},   {0x004, "PMC_SCDR", kWrite | kProtected},
-    {0x008, "PMC_SCSR", kRead},                 {0x010, "PMC_PCER0", kWrite | kProtected},
-    {0x014, "PMC_PCDR0", kWrite | kProtected},  {0x018, "PMC_PCSR0", kRead},
-    {0x01C, "CKGR_UCKR", kBoth | kUnmodelled},  {0x020, "CKGR_MOR", kBoth | kProtected},
-    {0x024, "CKGR_MCFR", kRead},                {0x028, "CKGR_PLLAR", kBoth | kProtected},
-    {0x030, "PMC_MCKR", kBoth | kProtected},    {0x038, "PMC_USB", kBoth | kUnmodelled},
-    {0x040, "PMC_PCK0", kBoth | kUnmodelled},   {0x044, "PMC_PCK1", kBoth | kUnmodelled},
-    {0x048, "PMC_PCK2", kBoth | kUnmodelled},   {0x060, "PMC_IER", kWrite},
-    {0x064, "PMC_IDR", kWrite},                 {0x068, "PMC_SR", kRead},
-    {0x06C, "PMC_IMR", kRead},                  {0x070, "PMC_FSMR", kBoth | kProtected},
-    {0x074, "PMC_FSPR", kBoth | kProtected},    {0x078, "PMC_FOCR", kWrite},
-    {0x0E4, "PMC_WPMR", kBoth},                 {0x0E8, "PMC_WPSR", kRead},
-    {0x100, "PMC_PCER1", kWrite | kProtected},  {0x104, "PMC_PCDR1", kWrite | kProtected},
-    {0x108, "PMC_PCSR1", kRead},                {0x10C, "PMC_PCR", kBoth},
+    {0x000, "PMC_SCER", kWrite | kProtected},
+    {0x004, "PMC_SCDR", kWrite | kProtected},
+    {0x008, "PMC_SCSR", kRead},
+    {0x010, "PMC_PCER0", kWrite | kProtected},
+    {0x014, "PMC_PCDR0", kWrite | kProtected},
+    {0x018, "PMC_PCSR0", kRead},
+    {0x01C, "CKGR_UCKR", kBoth | kUnmodelled},
+    {0x020, "CKGR_MOR", kBoth | kProtected},
+    {0x024, "CKGR_MCFR", kRead},
+    {0x028, "CKGR_PLLAR", kBoth | kProtected},
+    {0x030, "PMC_MCKR", kBoth | kProtected},
+    {0x038, "PMC_USB", kBoth | kUnmodelled},
+    {0x040, "PMC_PCK0", kBoth | kUnmodelled},
+    {0x044, "PMC_PCK1", kBoth | kUnmodelled},
+    {0x048, "PMC_PCK2", kBoth | kUnmodelled},
+    {0x060, "PMC_IER", kWrite},
+    {0x064, "PMC_IDR", kWrite},
+    {0x068, "PMC_SR", kRead},
+    {0x06C, "PMC_IMR", kRead},
+    {0x070, "PMC_FSMR", kBoth | kProtected},
+    {0x074, "PMC_FSPR", kBoth | kProtected},
+    {0x078, "PMC_FOCR", kWrite},
+    {0x0E4, "PMC_WPMR", kBoth},
+    {0x0E8, "PMC_WPSR", kRead},
+    {0x100, "PMC_PCER1", kWrite | kProtected},
+    {0x104, "PMC_PCDR1", kWrite | kProtected},
+    {0x108, "PMC_PCSR1", kRead},
+    {0x10C, "PMC_PCR", kBoth},
 };
 
 constexpr std::uint32_t kMoscXtEn = 1U << 0;
@@ -87,10 +101,17 @@ std::uint32_t Pmc::plla_Hz() const {
 std::uint32_t Pmc::master_Hz(std::uint32_t mckr) const {
   std::uint32_t hz = 0;
   switch (mckr & 3U) {
-    case 0: hz = system_.slow_Hz; break;
-    case 1: hz = main_Hz(); break;
-    case 2: hz = plla_Hz() / ((mckr & (1U << 12)) != 0 ? 2U : 1U); break;
-    default: break;
+    case 0:
+      hz = system_.slow_Hz;
+      break;
+    case 1:
+      hz = main_Hz();
+      break;
+    case 2:
+      hz = plla_Hz() / ((mckr & (1U << 12)) != 0 ? 2U : 1U);
+      break;
+    default:
+      break;
   }
   const std::uint32_t prescaler = (mckr >> 4) & 7U;
   return prescaler == 7 ? hz / 3 : hz >> prescaler;
@@ -102,10 +123,12 @@ void Pmc::apply_master_clock() {
     misuse(0x30, "the source of the master clock is not running");
     return;
   }
-  if (hz > kFull_Hz) misuse(0x30, "a master clock of " + std::to_string(hz) + " Hz is above 84 MHz");
+  if (hz > kFull_Hz)
+    misuse(0x30, "a master clock of " + std::to_string(hz) + " Hz is above 84 MHz");
   const std::uint32_t limit = kFlashStep_Hz * (system_.cpu.flash_wait_states() + 1);
   if (hz > limit) {
-    misuse(0x30, "a master clock of " + std::to_string(hz) + " Hz needs more flash wait states than FWS = " +
+    misuse(0x30, "a master clock of " + std::to_string(hz) +
+                     " Hz needs more flash wait states than FWS = " +
                      std::to_string(system_.cpu.flash_wait_states()));
   }
   system_.change_mck(hz);
@@ -143,21 +166,36 @@ void Pmc::update_irq() { system_.set_irq(id::kPmc, (status_ & interrupts_) != 0)
 std::uint32_t Pmc::read(std::uint32_t offset) {
   settle();
   switch (offset) {
-    case 0x008: return 1;
-    case 0x018: return static_cast<std::uint32_t>(system_.peripheral_clocks);
-    case 0x108: return static_cast<std::uint32_t>(system_.peripheral_clocks >> 32);
-    case 0x020: return main_oscillator_;
+    case 0x008:
+      return 1;
+    case 0x018:
+      return static_cast<std::uint32_t>(system_.peripheral_clocks);
+    case 0x108:
+      return static_cast<std::uint32_t>(system_.peripheral_clocks >> 32);
+    case 0x020:
+      return main_oscillator_;
     // Main clock cycles in 16 periods of the slow clock, and that the count is complete.
-    case 0x024: return (1U << 16) | static_cast<std::uint32_t>(std::uint64_t{main_Hz()} * 16 / system_.slow_Hz);
-    case 0x028: return plla_;
-    case 0x030: return master_;
-    case 0x068: return status_;
-    case 0x06C: return interrupts_;
-    case 0x070: return fast_startup_;
-    case 0x074: return fast_polarity_;
-    case 0x0E4: return protect_;
-    case 0x10C: return pcr_;
-    default: return 0;
+    case 0x024:
+      return (1U << 16) |
+             static_cast<std::uint32_t>(std::uint64_t{main_Hz()} * 16 / system_.slow_Hz);
+    case 0x028:
+      return plla_;
+    case 0x030:
+      return master_;
+    case 0x068:
+      return status_;
+    case 0x06C:
+      return interrupts_;
+    case 0x070:
+      return fast_startup_;
+    case 0x074:
+      return fast_polarity_;
+    case 0x0E4:
+      return protect_;
+    case 0x10C:
+      return pcr_;
+    default:
+      return 0;
   }
 }
 
@@ -178,7 +216,8 @@ void Pmc::write_main_oscillator(std::uint32_t value) {
   if (crystal && (status_ & kMoscXtS) == 0) {
     misuse(0x20, "the crystal is chosen before PMC_SR.MOSCXTS says that it runs");
   }
-  if (!crystal && (value & kMoscRcEn) == 0) misuse(0x20, "no oscillator is left for the main clock");
+  if (!crystal && (value & kMoscRcEn) == 0)
+    misuse(0x20, "no oscillator is left for the main clock");
   plan();
   apply_master_clock();
 }
@@ -213,14 +252,16 @@ void Pmc::write_master_clock(std::uint32_t value) {
   master_ = value & 0x3073U;
   apply_master_clock();
   status_ &= ~kMckRdy;
-  master_ready_ = system_.board_now() + kSwitchCycles * kOneCycle * (kFull_Hz / system_.clock.mck_Hz());
+  master_ready_ =
+      system_.board_now() + kSwitchCycles * kOneCycle * (kFull_Hz / system_.clock.mck_Hz());
   plan();
 }
 
 void Pmc::write_peripheral(std::uint32_t offset, std::uint32_t value) {
   const unsigned shift = offset >= 0x100 ? 32 : 0;
   const std::uint64_t bits = std::uint64_t{value} << shift;
-  if ((bits & ~kSwitchable) != 0) misuse(offset, "bits of peripherals that have no clock to switch");
+  if ((bits & ~kSwitchable) != 0)
+    misuse(offset, "bits of peripherals that have no clock to switch");
   if ((offset & 4U) == 0) {
     system_.peripheral_clocks |= bits & kSwitchable;
   } else {
@@ -231,32 +272,52 @@ void Pmc::write_peripheral(std::uint32_t offset, std::uint32_t value) {
 void Pmc::write_pcr(std::uint32_t value) {
   pcr_ = value & 0x1003103FU;
   if ((value & (1U << 12)) == 0) return;
-  if ((value & 0x30000U) != 0) return not_modelled(0x10C, "divided peripheral clocks are not modelled");
+  if ((value & 0x30000U) != 0)
+    return not_modelled(0x10C, "divided peripheral clocks are not modelled");
   const std::uint64_t bit = (std::uint64_t{1} << (value & 0x3FU)) & kSwitchable;
   const bool on = (value & (1U << 28)) != 0;
-  system_.peripheral_clocks = on ? system_.peripheral_clocks | bit : system_.peripheral_clocks & ~bit;
+  system_.peripheral_clocks =
+      on ? system_.peripheral_clocks | bit : system_.peripheral_clocks & ~bit;
 }
 
 void Pmc::write(std::uint32_t offset, std::uint32_t value) {
   settle();
   switch (offset) {
-    case 0x000: case 0x004:
+    case 0x000:
+    case 0x004:
       if (value != 0) not_modelled(offset, "USB and programmable clocks are not modelled");
       return;
-    case 0x010: case 0x014: case 0x100: case 0x104: return write_peripheral(offset, value);
-    case 0x020: return write_main_oscillator(value);
-    case 0x028: return write_plla(value);
-    case 0x030: return write_master_clock(value);
-    case 0x060: interrupts_ |= value; return update_irq();
-    case 0x064: interrupts_ &= ~value; return update_irq();
-    case 0x070: fast_startup_ = value; return;
-    case 0x074: fast_polarity_ = value; return;
+    case 0x010:
+    case 0x014:
+    case 0x100:
+    case 0x104:
+      return write_peripheral(offset, value);
+    case 0x020:
+      return write_main_oscillator(value);
+    case 0x028:
+      return write_plla(value);
+    case 0x030:
+      return write_master_clock(value);
+    case 0x060:
+      interrupts_ |= value;
+      return update_irq();
+    case 0x064:
+      interrupts_ &= ~value;
+      return update_irq();
+    case 0x070:
+      fast_startup_ = value;
+      return;
+    case 0x074:
+      fast_polarity_ = value;
+      return;
     case 0x0E4:
       if ((value >> 8) != kProtectKey) return misuse(offset, "write without the key 0x504D43");
       protect_ = value & 1U;
       return;
-    case 0x10C: return write_pcr(value);
-    default: return;
+    case 0x10C:
+      return write_pcr(value);
+    default:
+      return;
   }
 }
 

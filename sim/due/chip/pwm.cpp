@@ -14,32 +14,75 @@ using access::kWrite;
 constexpr std::uint8_t kLater = kUnmodelled;
 
 constexpr Register kRegisters[] = {
-    {0x00, "PWM_CLK", kBoth}, {0x04, "PWM_ENA", kWrite}, {0x08, "PWM_DIS", kWrite},
-    {0x0C, "PWM_SR", kRead}, {0x10, "PWM_IER1", kWrite}, {0x14, "PWM_IDR1", kWrite},
-    {0x18, "PWM_IMR1", kRead}, {0x1C, "PWM_ISR1", kRead}, {0x20, "PWM_SCM", kBoth},
-    {0x28, "PWM_SCUC", kBoth}, {0x2C, "PWM_SCUP", kBoth}, {0x30, "PWM_SCUPUPD", kWrite},
-    {0x34, "PWM_IER2", kWrite}, {0x38, "PWM_IDR2", kWrite}, {0x3C, "PWM_IMR2", kRead},
-    {0x40, "PWM_ISR2", kRead}, {0x44, "PWM_OOV", kBoth}, {0x48, "PWM_OS", kBoth},
-    {0x4C, "PWM_OSS", kWrite}, {0x50, "PWM_OSC", kWrite}, {0x54, "PWM_OSSUPD", kWrite},
-    {0x58, "PWM_OSCUPD", kWrite}, {0x5C, "PWM_FMR", kBoth}, {0x60, "PWM_FSR", kRead},
-    {0x64, "PWM_FCR", kWrite}, {0x68, "PWM_FPV", kBoth}, {0x6C, "PWM_FPE1", kBoth},
-    {0x70, "PWM_FPE2", kBoth}, {0x7C, "PWM_ELMR0", kBoth | kLater}, {0x80, "PWM_ELMR1", kBoth | kLater},
-    {0xB0, "PWM_SMMR", kBoth | kLater}, {0xE4, "PWM_WPCR", kWrite}, {0xE8, "PWM_WPSR", kRead},
-    {0x108, "PWM_TPR", kBoth | kLater}, {0x10C, "PWM_TCR", kBoth | kLater},
-    {0x118, "PWM_TNPR", kBoth | kLater}, {0x11C, "PWM_TNCR", kBoth | kLater},
-    {0x120, "PWM_PTCR", kWrite | kLater}, {0x124, "PWM_PTSR", kRead | kLater},
-#define COMPARISON(n) \
-    {0x130 + 16 * (n), "PWM_CMPV" #n, kBoth | kLater}, {0x134 + 16 * (n), "PWM_CMPVUPD" #n, kWrite | kLater}, \
-    {0x138 + 16 * (n), "PWM_CMPM" #n, kBoth | kLater}, {0x13C + 16 * (n), "PWM_CMPMUPD" #n, kWrite | kLater}
-    COMPARISON(0), COMPARISON(1), COMPARISON(2), COMPARISON(3),
-    COMPARISON(4), COMPARISON(5), COMPARISON(6), COMPARISON(7),
+    {0x00, "PWM_CLK", kBoth},
+    {0x04, "PWM_ENA", kWrite},
+    {0x08, "PWM_DIS", kWrite},
+    {0x0C, "PWM_SR", kRead},
+    {0x10, "PWM_IER1", kWrite},
+    {0x14, "PWM_IDR1", kWrite},
+    {0x18, "PWM_IMR1", kRead},
+    {0x1C, "PWM_ISR1", kRead},
+    {0x20, "PWM_SCM", kBoth},
+    {0x28, "PWM_SCUC", kBoth},
+    {0x2C, "PWM_SCUP", kBoth},
+    {0x30, "PWM_SCUPUPD", kWrite},
+    {0x34, "PWM_IER2", kWrite},
+    {0x38, "PWM_IDR2", kWrite},
+    {0x3C, "PWM_IMR2", kRead},
+    {0x40, "PWM_ISR2", kRead},
+    {0x44, "PWM_OOV", kBoth},
+    {0x48, "PWM_OS", kBoth},
+    {0x4C, "PWM_OSS", kWrite},
+    {0x50, "PWM_OSC", kWrite},
+    {0x54, "PWM_OSSUPD", kWrite},
+    {0x58, "PWM_OSCUPD", kWrite},
+    {0x5C, "PWM_FMR", kBoth},
+    {0x60, "PWM_FSR", kRead},
+    {0x64, "PWM_FCR", kWrite},
+    {0x68, "PWM_FPV", kBoth},
+    {0x6C, "PWM_FPE1", kBoth},
+    {0x70, "PWM_FPE2", kBoth},
+    {0x7C, "PWM_ELMR0", kBoth | kLater},
+    {0x80, "PWM_ELMR1", kBoth | kLater},
+    {0xB0, "PWM_SMMR", kBoth | kLater},
+    {0xE4, "PWM_WPCR", kWrite},
+    {0xE8, "PWM_WPSR", kRead},
+    {0x108, "PWM_TPR", kBoth | kLater},
+    {0x10C, "PWM_TCR", kBoth | kLater},
+    {0x118, "PWM_TNPR", kBoth | kLater},
+    {0x11C, "PWM_TNCR", kBoth | kLater},
+    {0x120, "PWM_PTCR", kWrite | kLater},
+    {0x124, "PWM_PTSR", kRead | kLater},
+#define COMPARISON(n)                                        \
+  {0x130 + 16 * (n), "PWM_CMPV" #n, kBoth | kLater},         \
+      {0x134 + 16 * (n), "PWM_CMPVUPD" #n, kWrite | kLater}, \
+      {0x138 + 16 * (n), "PWM_CMPM" #n, kBoth | kLater}, {   \
+    0x13C + 16 * (n), "PWM_CMPMUPD" #n, kWrite | kLater      \
+  }
+    COMPARISON(0),
+    COMPARISON(1),
+    COMPARISON(2),
+    COMPARISON(3),
+    COMPARISON(4),
+    COMPARISON(5),
+    COMPARISON(6),
+    COMPARISON(7),
 #undef COMPARISON
-#define CHANNEL(n) \
-    {0x200 + 32 * (n), "PWM_CMR" #n, kBoth}, {0x204 + 32 * (n), "PWM_CDTY" #n, kBoth}, \
-    {0x208 + 32 * (n), "PWM_CDTYUPD" #n, kWrite}, {0x20C + 32 * (n), "PWM_CPRD" #n, kBoth}, \
-    {0x210 + 32 * (n), "PWM_CPRDUPD" #n, kWrite}, {0x214 + 32 * (n), "PWM_CCNT" #n, kRead}, \
-    {0x218 + 32 * (n), "PWM_DT" #n, kBoth | kLater}, {0x21C + 32 * (n), "PWM_DTUPD" #n, kWrite | kLater}
-    CHANNEL(0), CHANNEL(1), CHANNEL(2), CHANNEL(3), CHANNEL(4), CHANNEL(5), CHANNEL(6), CHANNEL(7),
+#define CHANNEL(n)                                                                            \
+  {0x200 + 32 * (n), "PWM_CMR" #n, kBoth}, {0x204 + 32 * (n), "PWM_CDTY" #n, kBoth},          \
+      {0x208 + 32 * (n), "PWM_CDTYUPD" #n, kWrite}, {0x20C + 32 * (n), "PWM_CPRD" #n, kBoth}, \
+      {0x210 + 32 * (n), "PWM_CPRDUPD" #n, kWrite}, {0x214 + 32 * (n), "PWM_CCNT" #n, kRead}, \
+      {0x218 + 32 * (n), "PWM_DT" #n, kBoth | kLater}, {                                      \
+    0x21C + 32 * (n), "PWM_DTUPD" #n, kWrite | kLater                                         \
+  }
+    CHANNEL(0),
+    CHANNEL(1),
+    CHANNEL(2),
+    CHANNEL(3),
+    CHANNEL(4),
+    CHANNEL(5),
+    CHANNEL(6),
+    CHANNEL(7),
 #undef CHANNEL
 };
 
@@ -55,14 +98,14 @@ struct PwmPin {
 
 // Where the outputs come out, all on peripheral B.
 constexpr PwmPin kPwmPins[] = {
-    {pin_of('A', 8), 0}, {pin_of('A', 19), 1}, {pin_of('A', 13), 2}, {pin_of('A', 9), 3},
-    {pin_of('A', 21), 8}, {pin_of('A', 12), 9}, {pin_of('A', 20), 10}, {pin_of('A', 0), 11},
-    {pin_of('B', 12), 0}, {pin_of('B', 13), 1}, {pin_of('B', 14), 2}, {pin_of('B', 15), 3},
-    {pin_of('B', 16), 8}, {pin_of('B', 17), 9}, {pin_of('B', 18), 10}, {pin_of('B', 19), 11},
-    {pin_of('C', 3), 0}, {pin_of('C', 5), 1}, {pin_of('C', 7), 2}, {pin_of('C', 9), 3},
-    {pin_of('C', 2), 8}, {pin_of('C', 4), 9}, {pin_of('C', 6), 10}, {pin_of('C', 8), 11},
-    {pin_of('C', 20), 4}, {pin_of('C', 19), 5}, {pin_of('C', 18), 6},
-    {pin_of('C', 21), 12}, {pin_of('C', 22), 13}, {pin_of('C', 23), 14}, {pin_of('C', 24), 15},
+    {pin_of('A', 8), 0},   {pin_of('A', 19), 1},  {pin_of('A', 13), 2},  {pin_of('A', 9), 3},
+    {pin_of('A', 21), 8},  {pin_of('A', 12), 9},  {pin_of('A', 20), 10}, {pin_of('A', 0), 11},
+    {pin_of('B', 12), 0},  {pin_of('B', 13), 1},  {pin_of('B', 14), 2},  {pin_of('B', 15), 3},
+    {pin_of('B', 16), 8},  {pin_of('B', 17), 9},  {pin_of('B', 18), 10}, {pin_of('B', 19), 11},
+    {pin_of('C', 3), 0},   {pin_of('C', 5), 1},   {pin_of('C', 7), 2},   {pin_of('C', 9), 3},
+    {pin_of('C', 2), 8},   {pin_of('C', 4), 9},   {pin_of('C', 6), 10},  {pin_of('C', 8), 11},
+    {pin_of('C', 20), 4},  {pin_of('C', 19), 5},  {pin_of('C', 18), 6},  {pin_of('C', 21), 12},
+    {pin_of('C', 22), 13}, {pin_of('C', 23), 14}, {pin_of('C', 24), 15},
 };
 
 constexpr PwmPin kFaultPins[] = {{pin_of('A', 5), 0}, {pin_of('A', 3), 1}, {pin_of('D', 6), 2}};
@@ -218,7 +261,8 @@ std::uint32_t Pwm::take_period_events() {
     const std::uint64_t interval = half ? whole / 2 : whole;
     const std::uint64_t origin = counter_of(channel).origin;
     const std::uint64_t seen = std::max(own.events_seen, origin);
-    const bool ended = own.events_seen < origin || (now - origin) / interval != (seen - origin) / interval;
+    const bool ended =
+        own.events_seen < origin || (now - origin) / interval != (seen - origin) / interval;
     if (ended) status1_ |= 1U << channel;
     own.events_seen = now;
   }
@@ -270,9 +314,15 @@ void Pwm::update_faults() {
 
 void Pwm::write_fault(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
-    case 0x5C: fault_mode_ = value & 0x00FFFFFFU; break;
-    case 0x64: faults_ &= ~value; break;
-    case 0x68: fault_values_ = value & kOverrideBits; break;
+    case 0x5C:
+      fault_mode_ = value & 0x00FFFFFFU;
+      break;
+    case 0x64:
+      faults_ &= ~value;
+      break;
+    case 0x68:
+      fault_values_ = value & kOverrideBits;
+      break;
     default:
       for (unsigned i = 0; i < 4; ++i) {
         fault_enable_[(offset - 0x6C) + i] = static_cast<std::uint8_t>(value >> (8 * i));
@@ -298,10 +348,17 @@ void Pwm::write_protection(std::uint32_t value) {
   if ((value >> 8) != kProtectKey) return misuse(0xE4, "write without the key 0x50574D");
   const std::uint32_t groups = (value >> 2) & 0x3FU;
   switch (value & 3U) {
-    case 0: protect_software_ &= ~groups; return;
-    case 1: protect_software_ |= groups; return;
-    case 2: protect_hardware_ |= groups; return;
-    default: return;
+    case 0:
+      protect_software_ &= ~groups;
+      return;
+    case 1:
+      protect_software_ |= groups;
+      return;
+    case 2:
+      protect_hardware_ |= groups;
+      return;
+    default:
+      return;
   }
 }
 
@@ -310,10 +367,12 @@ void Pwm::write_sync_mode(std::uint32_t value) {
   for (int channel = 0; channel < kPwmChannels; ++channel) {
     const bool changes = (((value ^ sync_) >> channel) & 1U) != 0;
     if (changes && channels_[index(channel)].enabled) {
-      misuse(0x20, "channel " + std::to_string(channel) + " joins or leaves the group while enabled");
+      misuse(0x20,
+             "channel " + std::to_string(channel) + " joins or leaves the group while enabled");
     }
   }
-  if (joining != 0 && (value & 1U) == 0) misuse(0x20, "channel 0 must belong to the synchronous group");
+  if (joining != 0 && (value & 1U) == 0)
+    misuse(0x20, "channel 0 must belong to the synchronous group");
   if (((value >> 16) & 3U) == 2) not_modelled(0x20, "UPDM = 2, duty values by PDC");
   sync_ = value & 0x00F300FFU;
 }
@@ -323,8 +382,8 @@ void Pwm::write_update(int channel, std::uint32_t offset, std::uint32_t value) {
   const std::uint32_t reg = 0x200U + 32U * static_cast<std::uint32_t>(channel) + offset;
   if (offset == 0x08) {
     if (value > counter_of(channel).period && !counter_of(channel).period_waiting && own.enabled) {
-      misuse(reg, "a duty of " + std::to_string(value) + " is above CPRD = " +
-                      std::to_string(counter_of(channel).period));
+      misuse(reg, "a duty of " + std::to_string(value) +
+                      " is above CPRD = " + std::to_string(counter_of(channel).period));
     }
     own.duty_update = value & 0xFFFFFFU;
     own.duty_waiting = true;
@@ -354,21 +413,27 @@ void Pwm::write_channel(int channel, std::uint32_t offset, std::uint32_t value) 
       own.mode = value & 0x00070F0FU;
       outputs_changed();
       return;
-    case 0x04: own.duty = value & 0xFFFFFFU; return;
+    case 0x04:
+      own.duty = value & 0xFFFFFFU;
+      return;
     case 0x0C:
       if (!check_group(3, reg)) return;
       own.period = value & 0xFFFFFFU;
       return;
-    default: return;
+    default:
+      return;
   }
 }
 
 std::uint32_t Pwm::read_channel(int channel, std::uint32_t offset) const {
   const Channel& own = channels_[index(channel)];
   switch (offset) {
-    case 0x00: return own.mode;
-    case 0x04: return own.duty;
-    case 0x0C: return own.period;
+    case 0x00:
+      return own.mode;
+    case 0x04:
+      return own.duty;
+    case 0x0C:
+      return own.period;
     case 0x14: {
       if (!counts(channel)) return 0;
       const std::uint64_t whole = period_of(channel);
@@ -376,64 +441,88 @@ std::uint32_t Pwm::read_channel(int channel, std::uint32_t offset) const {
       const std::uint64_t up = center(channel) && phase > whole / 2 ? whole - phase : phase;
       return static_cast<std::uint32_t>(up / step_cycles(channel));
     }
-    default: return 0;
+    default:
+      return 0;
   }
 }
 
 std::uint32_t Pwm::read(std::uint32_t offset) {
   if (offset >= 0x200) return read_channel(static_cast<int>((offset - 0x200) / 32), offset % 32);
   switch (offset) {
-    case 0x00: return clock_;
+    case 0x00:
+      return clock_;
     case 0x0C: {
       std::uint32_t value = 0;
       for (int i = 0; i < kPwmChannels; ++i) value |= channels_[index(i)].enabled ? 1U << i : 0U;
       return value;
     }
-    case 0x18: return interrupts1_;
+    case 0x18:
+      return interrupts1_;
     case 0x1C: {
       const std::uint32_t value = take_period_events();
       status1_ = 0;
       update_irq();
       return value;
     }
-    case 0x20: return sync_;
-    case 0x28: return update_unlocked_ ? 1U : 0U;
-    case 0x2C: return update_period_ | (update_count_ << 4);
-    case 0x3C: return interrupts2_;
+    case 0x20:
+      return sync_;
+    case 0x28:
+      return update_unlocked_ ? 1U : 0U;
+    case 0x2C:
+      return update_period_ | (update_count_ << 4);
+    case 0x3C:
+      return interrupts2_;
     case 0x40: {
       const std::uint32_t value = write_ready_ ? 1U : 0U;
       write_ready_ = false;
       update_irq();
       return value;
     }
-    case 0x44: return override_value_;
-    case 0x48: return override_;
-    case 0x5C: return fault_mode_;
-    case 0x60: return fault_inputs_ | (faults_ << 8);
-    case 0x68: return fault_values_;
-    case 0x6C: case 0x70: {
+    case 0x44:
+      return override_value_;
+    case 0x48:
+      return override_;
+    case 0x5C:
+      return fault_mode_;
+    case 0x60:
+      return fault_inputs_ | (faults_ << 8);
+    case 0x68:
+      return fault_values_;
+    case 0x6C:
+    case 0x70: {
       std::uint32_t value = 0;
-      for (unsigned i = 0; i < 4; ++i) value |= std::uint32_t{fault_enable_[(offset - 0x6C) + i]} << (8 * i);
+      for (unsigned i = 0; i < 4; ++i)
+        value |= std::uint32_t{fault_enable_[(offset - 0x6C) + i]} << (8 * i);
       return value;
     }
-    case 0xE8: return protect_software_ | (protect_hardware_ << 8);
-    default: return 0;
+    case 0xE8:
+      return protect_software_ | (protect_hardware_ << 8);
+    default:
+      return 0;
   }
 }
 
 void Pwm::write(std::uint32_t offset, std::uint32_t value) {
-  if (offset >= 0x200) return write_channel(static_cast<int>((offset - 0x200) / 32), offset % 32, value);
+  if (offset >= 0x200)
+    return write_channel(static_cast<int>((offset - 0x200) / 32), offset % 32, value);
   integrate_all();
   switch (offset) {
     case 0x00:
       if (check_group(0, offset)) clock_ = value & 0x0FFF0FFFU;
       break;
-    case 0x04: enable(value); break;
+    case 0x04:
+      enable(value);
+      break;
     case 0x08:
       if (check_group(1, offset)) disable(value);
       break;
-    case 0x10: interrupts1_ |= value; take_period_events(); break;
-    case 0x14: interrupts1_ &= ~value; break;
+    case 0x10:
+      interrupts1_ |= value;
+      take_period_events();
+      break;
+    case 0x14:
+      interrupts1_ &= ~value;
+      break;
     case 0x20:
       if (check_group(2, offset)) write_sync_mode(value);
       break;
@@ -442,26 +531,52 @@ void Pwm::write(std::uint32_t offset, std::uint32_t value) {
       if (!update_unlocked_) unlocked_since_ = system_.now();
       update_unlocked_ = true;
       break;
-    case 0x2C: update_period_ = value & 0xFU; break;
-    case 0x30: update_period_ = value & 0xFU; break;
-    case 0x34: interrupts2_ |= value; break;
-    case 0x38: interrupts2_ &= ~value; break;
-    case 0x44: override_value_ = value & kOverrideBits; break;
-    case 0x48: override_ = value & kOverrideBits; break;
-    case 0x4C: override_ |= value & kOverrideBits; break;
-    case 0x50: override_ &= ~value; break;
-    case 0x54: override_next_ = (override_waiting_ ? override_next_ : override_) | (value & kOverrideBits);
+    case 0x2C:
+      update_period_ = value & 0xFU;
+      break;
+    case 0x30:
+      update_period_ = value & 0xFU;
+      break;
+    case 0x34:
+      interrupts2_ |= value;
+      break;
+    case 0x38:
+      interrupts2_ &= ~value;
+      break;
+    case 0x44:
+      override_value_ = value & kOverrideBits;
+      break;
+    case 0x48:
+      override_ = value & kOverrideBits;
+      break;
+    case 0x4C:
+      override_ |= value & kOverrideBits;
+      break;
+    case 0x50:
+      override_ &= ~value;
+      break;
+    case 0x54:
+      override_next_ = (override_waiting_ ? override_next_ : override_) | (value & kOverrideBits);
       override_waiting_ = true;
       break;
-    case 0x58: override_next_ = (override_waiting_ ? override_next_ : override_) & ~value;
+    case 0x58:
+      override_next_ = (override_waiting_ ? override_next_ : override_) & ~value;
       override_waiting_ = true;
       break;
-    case 0x5C: case 0x68: case 0x6C: case 0x70:
+    case 0x5C:
+    case 0x68:
+    case 0x6C:
+    case 0x70:
       if (check_group(5, offset)) write_fault(offset, value);
       break;
-    case 0x64: write_fault(offset, value); break;
-    case 0xE4: write_protection(value); break;
-    default: break;
+    case 0x64:
+      write_fault(offset, value);
+      break;
+    case 0xE4:
+      write_protection(value);
+      break;
+    default:
+      break;
   }
   outputs_changed();
   plan();

@@ -57,7 +57,9 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
 
   static std::size_t index(int channel) { return static_cast<std::size_t>(channel); }
   bool synchronous(int channel) const;
-  const Channel& counter_of(int channel) const { return channels_[synchronous(channel) ? 0 : index(channel)]; }
+  const Channel& counter_of(int channel) const {
+    return channels_[synchronous(channel) ? 0 : index(channel)];
+  }
   std::uint64_t step_cycles(int channel) const;
   std::uint64_t period_of(int channel) const;
   bool center(int channel) const { return (counter_of(channel).mode & (1U << 8)) != 0; }
@@ -97,8 +99,8 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
   std::uint32_t interrupts1_ = 0;
   std::uint32_t interrupts2_ = 0;
   std::uint32_t status1_ = 0;
-  std::uint32_t sync_ = 0;         // SCM
-  bool update_unlocked_ = false;   // SCUC.UPDULOCK
+  std::uint32_t sync_ = 0;        // SCM
+  bool update_unlocked_ = false;  // SCUC.UPDULOCK
   std::uint64_t unlocked_since_ = 0;
   std::uint32_t update_period_ = 0;
   std::uint32_t update_count_ = 0;

@@ -166,9 +166,12 @@ Supc::Supc(System& system)
 
 std::uint32_t Supc::read(std::uint32_t offset) {
   switch (offset) {
-    case 0x04: return monitor_;
-    case 0x08: return mode_;
-    default: return 0x800U | (crystal_ ? 0x80U : 0U);
+    case 0x04:
+      return monitor_;
+    case 0x08:
+      return mode_;
+    default:
+      return 0x800U | (crystal_ ? 0x80U : 0U);
   }
 }
 
@@ -183,7 +186,8 @@ void Supc::write(std::uint32_t offset, std::uint32_t value) {
     mode_ = value & 0x00FFFFFFU;
     return;
   }
-  if ((value & 4U) != 0) return not_modelled(offset, "switching the core supply off is not modelled");
+  if ((value & 4U) != 0)
+    return not_modelled(offset, "switching the core supply off is not modelled");
   if ((value & 8U) != 0) {
     crystal_ = true;
     system_.slow_Hz = kCrystal_Hz;
@@ -202,7 +206,8 @@ void Rtt::reset() { plan(); }
 
 std::uint32_t Rtt::ticks() const {
   const std::uint32_t prescaler = (mode_ & 0xFFFFU) == 0 ? 0x10000U : mode_ & 0xFFFFU;
-  return static_cast<std::uint32_t>((system_.board_now() - start_) / system_.slow_periods(prescaler));
+  return static_cast<std::uint32_t>((system_.board_now() - start_) /
+                                    system_.slow_periods(prescaler));
 }
 
 void Rtt::settle() {
@@ -230,9 +235,12 @@ void Rtt::event(std::uint64_t) {
 std::uint32_t Rtt::read(std::uint32_t offset) {
   settle();
   switch (offset) {
-    case 0x0: return mode_;
-    case 0x4: return alarm_;
-    case 0x8: return ticks();
+    case 0x0:
+      return mode_;
+    case 0x4:
+      return alarm_;
+    case 0x8:
+      return ticks();
     default: {
       const std::uint32_t value = status_;
       status_ = 0;

@@ -31,7 +31,13 @@ inline constexpr int kPwm = 36;
 }  // namespace id
 
 // RSTC_SR.RSTTYP
-enum class ResetType : std::uint8_t { kGeneral = 0, kBackup = 1, kWatchdog = 2, kSoftware = 3, kUser = 4 };
+enum class ResetType : std::uint8_t {
+  kGeneral = 0,
+  kBackup = 1,
+  kWatchdog = 2,
+  kSoftware = 3,
+  kUser = 4
+};
 
 struct System {
   Memory memory;

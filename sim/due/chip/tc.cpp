@@ -11,28 +11,47 @@ using access::kUnmodelled;
 using access::kWrite;
 
 constexpr Register kRegisters[] = {
-    {0x00, "TC_CCR0", kWrite}, {0x04, "TC_CMR0", kBoth | kProtected},
-    {0x08, "TC_SMMR0", kBoth | kUnmodelled}, {0x10, "TC_CV0", kRead},
-    {0x14, "TC_RA0", kBoth | kProtected}, {0x18, "TC_RB0", kBoth | kProtected},
-    {0x1C, "TC_RC0", kBoth | kProtected}, {0x20, "TC_SR0", kRead},
-    {0x24, "TC_IER0", kWrite}, {0x28, "TC_IDR0", kWrite},
+    {0x00, "TC_CCR0", kWrite},
+    {0x04, "TC_CMR0", kBoth | kProtected},
+    {0x08, "TC_SMMR0", kBoth | kUnmodelled},
+    {0x10, "TC_CV0", kRead},
+    {0x14, "TC_RA0", kBoth | kProtected},
+    {0x18, "TC_RB0", kBoth | kProtected},
+    {0x1C, "TC_RC0", kBoth | kProtected},
+    {0x20, "TC_SR0", kRead},
+    {0x24, "TC_IER0", kWrite},
+    {0x28, "TC_IDR0", kWrite},
     {0x2C, "TC_IMR0", kRead},
-    {0x40, "TC_CCR1", kWrite}, {0x44, "TC_CMR1", kBoth | kProtected},
-    {0x48, "TC_SMMR1", kBoth | kUnmodelled}, {0x50, "TC_CV1", kRead},
-    {0x54, "TC_RA1", kBoth | kProtected}, {0x58, "TC_RB1", kBoth | kProtected},
-    {0x5C, "TC_RC1", kBoth | kProtected}, {0x60, "TC_SR1", kRead},
-    {0x64, "TC_IER1", kWrite}, {0x68, "TC_IDR1", kWrite},
+    {0x40, "TC_CCR1", kWrite},
+    {0x44, "TC_CMR1", kBoth | kProtected},
+    {0x48, "TC_SMMR1", kBoth | kUnmodelled},
+    {0x50, "TC_CV1", kRead},
+    {0x54, "TC_RA1", kBoth | kProtected},
+    {0x58, "TC_RB1", kBoth | kProtected},
+    {0x5C, "TC_RC1", kBoth | kProtected},
+    {0x60, "TC_SR1", kRead},
+    {0x64, "TC_IER1", kWrite},
+    {0x68, "TC_IDR1", kWrite},
     {0x6C, "TC_IMR1", kRead},
-    {0x80, "TC_CCR2", kWrite}, {0x84, "TC_CMR2", kBoth | kProtected},
-    {0x88, "TC_SMMR2", kBoth | kUnmodelled}, {0x90, "TC_CV2", kRead},
-    {0x94, "TC_RA2", kBoth | kProtected}, {0x98, "TC_RB2", kBoth | kProtected},
-    {0x9C, "TC_RC2", kBoth | kProtected}, {0xA0, "TC_SR2", kRead},
-    {0xA4, "TC_IER2", kWrite}, {0xA8, "TC_IDR2", kWrite},
+    {0x80, "TC_CCR2", kWrite},
+    {0x84, "TC_CMR2", kBoth | kProtected},
+    {0x88, "TC_SMMR2", kBoth | kUnmodelled},
+    {0x90, "TC_CV2", kRead},
+    {0x94, "TC_RA2", kBoth | kProtected},
+    {0x98, "TC_RB2", kBoth | kProtected},
+    {0x9C, "TC_RC2", kBoth | kProtected},
+    {0xA0, "TC_SR2", kRead},
+    {0xA4, "TC_IER2", kWrite},
+    {0xA8, "TC_IDR2", kWrite},
     {0xAC, "TC_IMR2", kRead},
-    {0xC0, "TC_BCR", kWrite}, {0xC4, "TC_BMR", kBoth | kProtected},
-    {0xC8, "TC_QIER", kWrite}, {0xCC, "TC_QIDR", kWrite},
-    {0xD0, "TC_QIMR", kRead}, {0xD4, "TC_QISR", kRead},
-    {0xD8, "TC_FMR", kBoth | kProtected | kUnmodelled}, {0xE4, "TC_WPMR", kBoth},
+    {0xC0, "TC_BCR", kWrite},
+    {0xC4, "TC_BMR", kBoth | kProtected},
+    {0xC8, "TC_QIER", kWrite},
+    {0xCC, "TC_QIDR", kWrite},
+    {0xD0, "TC_QIMR", kRead},
+    {0xD4, "TC_QISR", kRead},
+    {0xD8, "TC_FMR", kBoth | kProtected | kUnmodelled},
+    {0xE4, "TC_WPMR", kBoth},
 };
 
 constexpr const char* kNames[] = {"TC0", "TC1", "TC2"};
@@ -42,8 +61,8 @@ constexpr std::uint32_t kSpeed = 1U << 10;
 }  // namespace
 
 Tc::Tc(System& system, Pins& pins, int index, const Wiring& wiring)
-    : Peripheral(system, kNames[index], 0x40080000U + 0x4000U * static_cast<std::uint32_t>(index), 0x4000,
-                 id::kTc0 + 3 * index, kRegisters),
+    : Peripheral(system, kNames[index], 0x40080000U + 0x4000U * static_cast<std::uint32_t>(index),
+                 0x4000, id::kTc0 + 3 * index, kRegisters),
       pins_(pins),
       wiring_(wiring),
       channels_{{system, *this, 0, id::kTc0 + 3 * index},
@@ -123,15 +142,20 @@ std::uint32_t Tc::read(std::uint32_t offset) {
   if (quadrature_.enabled()) quadrature_.settle(system_.now());
   if (offset < 0xC0) return channels_[offset / 0x40].read(offset % 0x40);
   switch (offset) {
-    case 0xC4: return block_mode_;
-    case 0xD0: return quadrature_interrupts_;
+    case 0xC4:
+      return block_mode_;
+    case 0xD0:
+      return quadrature_interrupts_;
     case 0xD4: {
-      const std::uint32_t value = quadrature_.take_flags() | (quadrature_.direction_down() ? 1U << 8 : 0U);
+      const std::uint32_t value =
+          quadrature_.take_flags() | (quadrature_.direction_down() ? 1U << 8 : 0U);
       channels_[0].update_irq();
       return value;
     }
-    case 0xE4: return protect_;
-    default: return 0;
+    case 0xE4:
+      return protect_;
+    default:
+      return 0;
   }
 }
 
@@ -148,13 +172,18 @@ void Tc::write(std::uint32_t offset, std::uint32_t value) {
       if ((value & kSpeed) != 0) not_modelled(offset, "speed measurement is not modelled");
       quadrature_.set_mode(block_mode_, pin_level(0, true), pin_level(0, false));
       return;
-    case 0xC8: quadrature_interrupts_ |= value & 7U; break;
-    case 0xCC: quadrature_interrupts_ &= ~value; break;
+    case 0xC8:
+      quadrature_interrupts_ |= value & 7U;
+      break;
+    case 0xCC:
+      quadrature_interrupts_ &= ~value;
+      break;
     case 0xE4:
       if ((value >> 8) != kProtectKey) return misuse(offset, "write without the key 0x54494D");
       protect_ = value & 1U;
       return;
-    default: break;
+    default:
+      break;
   }
   channels_[0].update_irq();
 }

@@ -48,12 +48,18 @@ void TcChannel::reset() {
 // Processor cycles for one step of the counter, 0 when it counts something else than time.
 std::uint64_t TcChannel::step() const {
   switch (mode_ & 7U) {
-    case 0: return 2;
-    case 1: return 8;
-    case 2: return 32;
-    case 3: return 128;
-    case 4: return std::max<std::uint64_t>(system_.clock.mck_Hz() / system_.slow_Hz, 1);
-    default: return 0;
+    case 0:
+      return 2;
+    case 1:
+      return 8;
+    case 2:
+      return 32;
+    case 3:
+      return 128;
+    case 4:
+      return std::max<std::uint64_t>(system_.clock.mck_Hz() / system_.slow_Hz, 1);
+    default:
+      return 0;
   }
 }
 
@@ -96,10 +102,17 @@ std::uint64_t TcChannel::next_match(std::uint64_t after, std::uint32_t compare) 
 void TcChannel::effect(bool& level, std::uint32_t code, bool is_a) {
   const bool before = level;
   switch (code & 3U) {
-    case 1: level = true; break;
-    case 2: level = false; break;
-    case 3: level = !level; break;
-    default: break;
+    case 1:
+      level = true;
+      break;
+    case 2:
+      level = false;
+      break;
+    case 3:
+      level = !level;
+      break;
+    default:
+      break;
   }
   if (level != before) block_.output_changed(index_, is_a);
 }
@@ -246,22 +259,29 @@ std::uint32_t TcChannel::read(std::uint32_t offset) {
   settle();
   plan();
   switch (offset) {
-    case kCmr: return mode_;
-    case kCv: return value();
-    case kRa: return ra_;
-    case kRb: return rb_;
-    case kRc: return rc_;
-    case kImr: return interrupts_;
+    case kCmr:
+      return mode_;
+    case kCv:
+      return value();
+    case kRa:
+      return ra_;
+    case kRb:
+      return rb_;
+    case kRc:
+      return rc_;
+    case kImr:
+      return interrupts_;
     case kSr: {
       const bool a = is_wave() ? level_a_ : block_.pin_level(index_, true);
       const bool b = is_wave() ? level_b_ : block_.pin_level(index_, false);
-      const std::uint32_t value = status_ | (enabled_ ? 1U << 16 : 0U) | (a ? 1U << 17 : 0U) |
-                                  (b ? 1U << 18 : 0U);
+      const std::uint32_t value =
+          status_ | (enabled_ ? 1U << 16 : 0U) | (a ? 1U << 17 : 0U) | (b ? 1U << 18 : 0U);
       status_ = 0;
       update_irq();
       return value;
     }
-    default: return 0;
+    default:
+      return 0;
   }
 }
 
@@ -278,7 +298,8 @@ void TcChannel::write_mode(std::uint32_t value) {
   const std::uint32_t at = value != 0 || running_ ? this->value() : 0;
   const bool quadrature = (value & 7U) == 5 && index_ == 0;
   if ((value & 7U) > 4 && !quadrature) {
-    block_.not_modelled_in(index_, kCmr, "external clocks other than the decoder's are not modelled");
+    block_.not_modelled_in(index_, kCmr,
+                           "external clocks other than the decoder's are not modelled");
   }
   if ((value & 0x30U) != 0) block_.not_modelled_in(index_, kCmr, "BURST is not modelled");
   if ((value & (1U << 15)) != 0 && (value & 0x300U) != 0) {
@@ -291,8 +312,12 @@ void TcChannel::write_mode(std::uint32_t value) {
 void TcChannel::write(std::uint32_t offset, std::uint32_t value) {
   settle();
   switch (offset) {
-    case kCcr: write_control(value); break;
-    case kCmr: write_mode(value); break;
+    case kCcr:
+      write_control(value);
+      break;
+    case kCmr:
+      write_mode(value);
+      break;
     case kRa:
       if (!is_wave()) block_.misuse_in(index_, offset, "RA is read-only in capture mode");
       ra_ = value;
@@ -309,9 +334,14 @@ void TcChannel::write(std::uint32_t offset, std::uint32_t value) {
       restart(at);
       break;
     }
-    case kIer: interrupts_ |= value & 0xFFU; break;
-    case kIdr: interrupts_ &= ~value; break;
-    default: break;
+    case kIer:
+      interrupts_ |= value & 0xFFU;
+      break;
+    case kIdr:
+      interrupts_ &= ~value;
+      break;
+    default:
+      break;
   }
   update_irq();
   plan();

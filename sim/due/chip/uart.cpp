@@ -195,28 +195,53 @@ void Uart::control(std::uint32_t value) {
 
 std::uint32_t Uart::read_pdc(std::uint32_t offset) const {
   switch (offset) {
-    case 0x100: return rx_.pointer;
-    case 0x104: return rx_.count;
-    case 0x108: return tx_.pointer;
-    case 0x10C: return tx_.count;
-    case 0x110: return rx_.next_pointer;
-    case 0x114: return rx_.next_count;
-    case 0x118: return tx_.next_pointer;
-    case 0x11C: return tx_.next_count;
-    default: return (rx_.enabled ? 1U : 0U) | (tx_.enabled ? 1U << 8 : 0U);
+    case 0x100:
+      return rx_.pointer;
+    case 0x104:
+      return rx_.count;
+    case 0x108:
+      return tx_.pointer;
+    case 0x10C:
+      return tx_.count;
+    case 0x110:
+      return rx_.next_pointer;
+    case 0x114:
+      return rx_.next_count;
+    case 0x118:
+      return tx_.next_pointer;
+    case 0x11C:
+      return tx_.next_count;
+    default:
+      return (rx_.enabled ? 1U : 0U) | (tx_.enabled ? 1U << 8 : 0U);
   }
 }
 
 void Uart::write_pdc(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
-    case 0x100: rx_.pointer = value; break;
-    case 0x104: rx_.set_count(value); break;
-    case 0x108: tx_.pointer = value; break;
-    case 0x10C: tx_.set_count(value); break;
-    case 0x110: rx_.next_pointer = value; break;
-    case 0x114: rx_.set_next_count(value); break;
-    case 0x118: tx_.next_pointer = value; break;
-    case 0x11C: tx_.set_next_count(value); break;
+    case 0x100:
+      rx_.pointer = value;
+      break;
+    case 0x104:
+      rx_.set_count(value);
+      break;
+    case 0x108:
+      tx_.pointer = value;
+      break;
+    case 0x10C:
+      tx_.set_count(value);
+      break;
+    case 0x110:
+      rx_.next_pointer = value;
+      break;
+    case 0x114:
+      rx_.set_next_count(value);
+      break;
+    case 0x118:
+      tx_.next_pointer = value;
+      break;
+    case 0x11C:
+      tx_.set_next_count(value);
+      break;
     default:
       if ((value & 1U) != 0) rx_.enabled = true;
       if ((value & 2U) != 0) rx_.enabled = false;
@@ -231,35 +256,50 @@ void Uart::write_pdc(std::uint32_t offset, std::uint32_t value) {
 std::uint32_t Uart::read(std::uint32_t offset) {
   if (offset >= 0x100) return read_pdc(offset);
   switch (offset) {
-    case 0x04: return mode_;
-    case 0x10: return interrupts_;
-    case 0x14: return status();
+    case 0x04:
+      return mode_;
+    case 0x10:
+      return interrupts_;
+    case 0x14:
+      return status();
     case 0x18:
       rx_ready_ = false;
       update_irq();
       return rx_byte_;
-    case 0x20: return divider_;
-    default: return 0;
+    case 0x20:
+      return divider_;
+    default:
+      return 0;
   }
 }
 
 void Uart::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
-    case 0x00: control(value); break;
+    case 0x00:
+      control(value);
+      break;
     case 0x04:
       mode_ = value & 0xCE00U;
       if (((value >> 14) & 1U) != 0) not_modelled(offset, "this channel mode is not modelled");
       break;
-    case 0x08: interrupts_ |= value; break;
-    case 0x0C: interrupts_ &= ~value; break;
+    case 0x08:
+      interrupts_ |= value;
+      break;
+    case 0x0C:
+      interrupts_ &= ~value;
+      break;
     case 0x1C:
       if ((status() & kTxRdy) == 0) {
         misuse(offset, "write while UART_SR.TXRDY is 0: a byte is lost");
       }
       transmit(static_cast<std::uint8_t>(value));
       break;
-    case 0x20: divider_ = value & 0xFFFFU; break;
-    default: write_pdc(offset, value); break;
+    case 0x20:
+      divider_ = value & 0xFFFFU;
+      break;
+    default:
+      write_pdc(offset, value);
+      break;
   }
   update_irq();
 }

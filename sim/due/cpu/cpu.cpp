@@ -168,9 +168,9 @@ void Cpu::resume_at(std::uint32_t address, std::uint8_t it) {
       mark->second.original = slot.run;
       slot.run = [](Cpu& cpu, const Insn* i) { return cpu.marked(i); };
     }
-    it = decoder.is_it()      ? decoder.opens_it()
-         : (it & 0x7U) == 0   ? std::uint8_t{0}
-                              : static_cast<std::uint8_t>((it & 0xE0U) | ((it << 1) & 0x1FU));
+    it = decoder.is_it()    ? decoder.opens_it()
+         : (it & 0x7U) == 0 ? std::uint8_t{0}
+                            : static_cast<std::uint8_t>((it & 0xE0U) | ((it << 1) & 0x1FU));
     address += 2U * slot.length;
   } while (it != 0 && window->holds(address));
 }
@@ -213,8 +213,9 @@ const Insn* Cpu::slow_slot(std::uint32_t address) {
 const Insn* Cpu::bad_fetch() {
   const std::uint32_t address = pc();
   if (!thumb_) throw Fault{exc::kUsageFault, cfsr::kInvState, 0, false};
-  bus_.diagnostics().report(Trouble::kUnmapped, address,
-                            "instruction fetch from " + hex(address) + ", where there is no memory");
+  bus_.diagnostics().report(
+      Trouble::kUnmapped, address,
+      "instruction fetch from " + hex(address) + ", where there is no memory");
   const std::uint32_t region = address >> 29;
   const bool never_executable = region == 2 || region >= 5;
   if (never_executable) throw Fault{exc::kMemManage, cfsr::kIaccViol, 0, false};
@@ -290,14 +291,29 @@ bool Cpu::passes(unsigned condition) const {
   const bool v = (v_src >> 31) != 0;
   bool result = true;
   switch (condition >> 1) {
-    case 0: result = z; break;
-    case 1: result = carry != 0; break;
-    case 2: result = n; break;
-    case 3: result = v; break;
-    case 4: result = carry != 0 && !z; break;
-    case 5: result = n == v; break;
-    case 6: result = n == v && !z; break;
-    default: return true;
+    case 0:
+      result = z;
+      break;
+    case 1:
+      result = carry != 0;
+      break;
+    case 2:
+      result = n;
+      break;
+    case 3:
+      result = v;
+      break;
+    case 4:
+      result = carry != 0 && !z;
+      break;
+    case 5:
+      result = n == v;
+      break;
+    case 6:
+      result = n == v && !z;
+      break;
+    default:
+      return true;
   }
   return result == ((condition & 1U) == 0);
 }

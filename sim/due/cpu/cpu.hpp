@@ -85,7 +85,9 @@ class Cpu {
   std::uint32_t control() const { return (spsel_ ? 2U : 0U) | (unprivileged_thread_ ? 1U : 0U); }
   std::uint32_t ipsr() const { return ipsr_; }
   // The next instruction stands in an IT block and its condition fails.
-  bool next_is_skipped() const { return ip_->it != 0 && !passes(static_cast<unsigned>(ip_->it) >> 4); }
+  bool next_is_skipped() const {
+    return ip_->it != 0 && !passes(static_cast<unsigned>(ip_->it) >> 4);
+  }
   bool privileged() const { return ipsr_ != 0 || !unprivileged_thread_; }
 
   void add_breakpoint(std::uint32_t address);

@@ -46,7 +46,8 @@ void Decoder::undefined() { put<&ops::undefined>(); }
 
 bool Decoder::near(std::uint32_t target) const {
   // The two flash planes are programmed independently, so a branch across them goes the long way.
-  const bool same_plane = (target - kFlashBase) / kPlaneSize == (address_ - kFlashBase) / kPlaneSize;
+  const bool same_plane =
+      (target - kFlashBase) / kPlaneSize == (address_ - kFlashBase) / kPlaneSize;
   return window_.holds(target) && (same_plane || !window_.holds(kFlashBase));
 }
 
@@ -86,32 +87,69 @@ void Decoder::branch_to_if(std::uint32_t condition, std::uint32_t target) {
   extra(taken_cycles(target));
   const bool is_near = near(target);
   switch (condition) {
-    case 0: out_.run = conditional_branch<0>(is_near); return;
-    case 1: out_.run = conditional_branch<1>(is_near); return;
-    case 2: out_.run = conditional_branch<2>(is_near); return;
-    case 3: out_.run = conditional_branch<3>(is_near); return;
-    case 4: out_.run = conditional_branch<4>(is_near); return;
-    case 5: out_.run = conditional_branch<5>(is_near); return;
-    case 6: out_.run = conditional_branch<6>(is_near); return;
-    case 7: out_.run = conditional_branch<7>(is_near); return;
-    case 8: out_.run = conditional_branch<8>(is_near); return;
-    case 9: out_.run = conditional_branch<9>(is_near); return;
-    case 10: out_.run = conditional_branch<10>(is_near); return;
-    case 11: out_.run = conditional_branch<11>(is_near); return;
-    case 12: out_.run = conditional_branch<12>(is_near); return;
-    default: out_.run = conditional_branch<13>(is_near); return;
+    case 0:
+      out_.run = conditional_branch<0>(is_near);
+      return;
+    case 1:
+      out_.run = conditional_branch<1>(is_near);
+      return;
+    case 2:
+      out_.run = conditional_branch<2>(is_near);
+      return;
+    case 3:
+      out_.run = conditional_branch<3>(is_near);
+      return;
+    case 4:
+      out_.run = conditional_branch<4>(is_near);
+      return;
+    case 5:
+      out_.run = conditional_branch<5>(is_near);
+      return;
+    case 6:
+      out_.run = conditional_branch<6>(is_near);
+      return;
+    case 7:
+      out_.run = conditional_branch<7>(is_near);
+      return;
+    case 8:
+      out_.run = conditional_branch<8>(is_near);
+      return;
+    case 9:
+      out_.run = conditional_branch<9>(is_near);
+      return;
+    case 10:
+      out_.run = conditional_branch<10>(is_near);
+      return;
+    case 11:
+      out_.run = conditional_branch<11>(is_near);
+      return;
+    case 12:
+      out_.run = conditional_branch<12>(is_near);
+      return;
+    default:
+      out_.run = conditional_branch<13>(is_near);
+      return;
   }
 }
 
 void Decoder::decode16(std::uint32_t w) {
   switch (w >> 12) {
-    case 0: case 1: case 2: case 3: return shift_add_compare(w);
+    case 0:
+    case 1:
+    case 2:
+    case 3:
+      return shift_add_compare(w);
     case 4:
       if ((w & 0x0C00U) == 0) return data_processing16(w);
       if ((w & 0x0C00U) == 0x0400U) return special_data(w);
       rd(field(w, 8, 3));
       return literal(4, false, (pc() & ~3U) + 4 * field(w, 0, 8));
-    case 5: case 6: case 7: case 8: case 9: return load_store16(w);
+    case 5:
+    case 6:
+    case 7:
+    case 8:
+    case 9:
+      return load_store16(w);
     case 10:
       rd(field(w, 8, 3));
       if ((w & 0x0800U) == 0) {
@@ -121,8 +159,10 @@ void Decoder::decode16(std::uint32_t w) {
       rn(13);
       out_.imm = 4 * field(w, 0, 8);
       return put_alu<Alu::kAdd, Op2::kImm>(false);
-    case 11: return miscellaneous16(w);
-    case 12: return multiple16(w);
+    case 11:
+      return miscellaneous16(w);
+    case 12:
+      return multiple16(w);
     case 13: {
       const std::uint32_t condition = field(w, 8, 4);
       if (condition == 14) return undefined();
@@ -141,14 +181,16 @@ void Decoder::decode16(std::uint32_t w) {
 Op2 Decoder::immediate_shift(std::uint32_t type, std::uint32_t amount) {
   extra(amount);
   switch (type) {
-    case 0: return amount == 0 ? Op2::kReg : Op2::kLsl;
+    case 0:
+      return amount == 0 ? Op2::kReg : Op2::kLsl;
     case 1:
       extra(amount == 0 ? 32 : amount);
       return Op2::kLsr;
     case 2:
       extra(amount == 0 ? 32 : amount);
       return Op2::kAsr;
-    default: return amount == 0 ? Op2::kRrx : Op2::kRor;
+    default:
+      return amount == 0 ? Op2::kRrx : Op2::kRor;
   }
 }
 
@@ -160,10 +202,14 @@ void Decoder::shift_add_compare(std::uint32_t w) {
     rn(field(w, 8, 3));
     out_.imm = field(w, 0, 8);
     switch (field(w, 11, 2)) {
-      case 0: return put_alu<Alu::kMov, Op2::kImm>(flags);
-      case 1: return put_alu<Alu::kCmp, Op2::kImm>(true);
-      case 2: return put_alu<Alu::kAdd, Op2::kImm>(flags);
-      default: return put_alu<Alu::kSub, Op2::kImm>(flags);
+      case 0:
+        return put_alu<Alu::kMov, Op2::kImm>(flags);
+      case 1:
+        return put_alu<Alu::kCmp, Op2::kImm>(true);
+      case 2:
+        return put_alu<Alu::kAdd, Op2::kImm>(flags);
+      default:
+        return put_alu<Alu::kSub, Op2::kImm>(flags);
     }
   }
   rd(field(w, 0, 3));
@@ -175,10 +221,14 @@ void Decoder::shift_add_compare(std::uint32_t w) {
   rm(field(w, 6, 3));
   out_.imm = field(w, 6, 3);
   switch (field(w, 9, 2)) {
-    case 0: return put_alu<Alu::kAdd, Op2::kReg>(flags);
-    case 1: return put_alu<Alu::kSub, Op2::kReg>(flags);
-    case 2: return put_alu<Alu::kAdd, Op2::kImm>(flags);
-    default: return put_alu<Alu::kSub, Op2::kImm>(flags);
+    case 0:
+      return put_alu<Alu::kAdd, Op2::kReg>(flags);
+    case 1:
+      return put_alu<Alu::kSub, Op2::kReg>(flags);
+    case 2:
+      return put_alu<Alu::kAdd, Op2::kImm>(flags);
+    default:
+      return put_alu<Alu::kSub, Op2::kImm>(flags);
   }
 }
 
@@ -190,8 +240,10 @@ void Decoder::data_processing16(std::uint32_t w) {
   rn(low);
   rm(field(w, 3, 3));
   switch (field(w, 6, 4)) {
-    case 0: return put_alu<Alu::kAnd, Op2::kReg>(flags);
-    case 1: return put_alu<Alu::kEor, Op2::kReg>(flags);
+    case 0:
+      return put_alu<Alu::kAnd, Op2::kReg>(flags);
+    case 1:
+      return put_alu<Alu::kEor, Op2::kReg>(flags);
     case 2:
       return flags ? put<&ops::shift_by_register<Shift::kLsl, true>>()
                    : put<&ops::shift_by_register<Shift::kLsl, false>>();
@@ -201,22 +253,31 @@ void Decoder::data_processing16(std::uint32_t w) {
     case 4:
       return flags ? put<&ops::shift_by_register<Shift::kAsr, true>>()
                    : put<&ops::shift_by_register<Shift::kAsr, false>>();
-    case 5: return put_alu<Alu::kAdc, Op2::kReg>(flags);
-    case 6: return put_alu<Alu::kSbc, Op2::kReg>(flags);
+    case 5:
+      return put_alu<Alu::kAdc, Op2::kReg>(flags);
+    case 6:
+      return put_alu<Alu::kSbc, Op2::kReg>(flags);
     case 7:
       return flags ? put<&ops::shift_by_register<Shift::kRor, true>>()
                    : put<&ops::shift_by_register<Shift::kRor, false>>();
-    case 8: return put_alu<Alu::kTst, Op2::kReg>(true);
+    case 8:
+      return put_alu<Alu::kTst, Op2::kReg>(true);
     case 9:
       rn(field(w, 3, 3));
       out_.imm = 0;
       return put_alu<Alu::kRsb, Op2::kImm>(flags);
-    case 10: return put_alu<Alu::kCmp, Op2::kReg>(true);
-    case 11: return put_alu<Alu::kCmn, Op2::kReg>(true);
-    case 12: return put_alu<Alu::kOrr, Op2::kReg>(flags);
-    case 13: return flags ? put<&ops::multiply<true>>() : put<&ops::multiply<false>>();
-    case 14: return put_alu<Alu::kBic, Op2::kReg>(flags);
-    default: return put_alu<Alu::kMvn, Op2::kReg>(flags);
+    case 10:
+      return put_alu<Alu::kCmp, Op2::kReg>(true);
+    case 11:
+      return put_alu<Alu::kCmn, Op2::kReg>(true);
+    case 12:
+      return put_alu<Alu::kOrr, Op2::kReg>(flags);
+    case 13:
+      return flags ? put<&ops::multiply<true>>() : put<&ops::multiply<false>>();
+    case 14:
+      return put_alu<Alu::kBic, Op2::kReg>(flags);
+    default:
+      return put_alu<Alu::kMvn, Op2::kReg>(flags);
   }
 }
 
@@ -271,14 +332,22 @@ void Decoder::load_store16(std::uint32_t w) {
       rm(field(w, 6, 3));
       extra(0);
       switch (field(w, 9, 3)) {
-        case 0: return put_load_store<Mode::kRegister>(4, false, false);
-        case 1: return put_load_store<Mode::kRegister>(2, false, false);
-        case 2: return put_load_store<Mode::kRegister>(1, false, false);
-        case 3: return put_load_store<Mode::kRegister>(1, true, true);
-        case 4: return put_load_store<Mode::kRegister>(4, false, true);
-        case 5: return put_load_store<Mode::kRegister>(2, false, true);
-        case 6: return put_load_store<Mode::kRegister>(1, false, true);
-        default: return put_load_store<Mode::kRegister>(2, true, true);
+        case 0:
+          return put_load_store<Mode::kRegister>(4, false, false);
+        case 1:
+          return put_load_store<Mode::kRegister>(2, false, false);
+        case 2:
+          return put_load_store<Mode::kRegister>(1, false, false);
+        case 3:
+          return put_load_store<Mode::kRegister>(1, true, true);
+        case 4:
+          return put_load_store<Mode::kRegister>(4, false, true);
+        case 5:
+          return put_load_store<Mode::kRegister>(2, false, true);
+        case 6:
+          return put_load_store<Mode::kRegister>(1, false, true);
+        default:
+          return put_load_store<Mode::kRegister>(2, true, true);
       }
     }
     case 6:
@@ -307,7 +376,10 @@ void Decoder::miscellaneous16(std::uint32_t w) {
       out_.imm = field(w, 0, 7) * 4;
       return field(w, 7, 1) == 0 ? put_alu<Alu::kAdd, Op2::kImm>(false)
                                  : put_alu<Alu::kSub, Op2::kImm>(false);
-    case 1: case 3: case 9: case 11: {
+    case 1:
+    case 3:
+    case 9:
+    case 11: {
       if (in_it()) return undefined();
       rn(field(w, 0, 3));
       ra(field(w, 11, 1));
@@ -320,12 +392,17 @@ void Decoder::miscellaneous16(std::uint32_t w) {
       rd(field(w, 0, 3));
       rm(field(w, 3, 3));
       switch (field(w, 6, 2)) {
-        case 0: return put<&ops::extend<ops::Extend::kSxth>>();
-        case 1: return put<&ops::extend<ops::Extend::kSxtb>>();
-        case 2: return put<&ops::extend<ops::Extend::kUxth>>();
-        default: return put<&ops::extend<ops::Extend::kUxtb>>();
+        case 0:
+          return put<&ops::extend<ops::Extend::kSxth>>();
+        case 1:
+          return put<&ops::extend<ops::Extend::kSxtb>>();
+        case 2:
+          return put<&ops::extend<ops::Extend::kUxth>>();
+        default:
+          return put<&ops::extend<ops::Extend::kUxtb>>();
       }
-    case 4: case 5:
+    case 4:
+    case 5:
       rn(13);
       ra(1);
       out_.imm = field(w, 0, 8) | (field(w, 8, 1) << 14);
@@ -340,12 +417,17 @@ void Decoder::miscellaneous16(std::uint32_t w) {
       rd(field(w, 0, 3));
       rm(field(w, 3, 3));
       switch (field(w, 6, 2)) {
-        case 0: return put<&ops::unary<ops::Unary::kRev>>();
-        case 1: return put<&ops::unary<ops::Unary::kRev16>>();
-        case 3: return put<&ops::unary<ops::Unary::kRevsh>>();
-        default: return undefined();
+        case 0:
+          return put<&ops::unary<ops::Unary::kRev>>();
+        case 1:
+          return put<&ops::unary<ops::Unary::kRev16>>();
+        case 3:
+          return put<&ops::unary<ops::Unary::kRevsh>>();
+        default:
+          return undefined();
       }
-    case 12: case 13:
+    case 12:
+    case 13:
       rn(13);
       ra(1);
       out_.imm = field(w, 0, 8) | (field(w, 8, 1) << 15);
@@ -357,8 +439,10 @@ void Decoder::miscellaneous16(std::uint32_t w) {
       out_.imm = field(w, 0, 8);
       out_.run = &ops::breakpoint;
       return;
-    case 15: return hints(w);
-    default: return undefined();
+    case 15:
+      return hints(w);
+    default:
+      return undefined();
   }
 }
 
@@ -374,10 +458,14 @@ void Decoder::hints(std::uint32_t w) {
     return;
   }
   switch (field(w, 4, 4)) {
-    case 2: return put<&ops::wait_for_event>();
-    case 3: return put<&ops::wait_for_interrupt>();
-    case 4: return put<&ops::send_event>();
-    default: return put<&ops::nop>();
+    case 2:
+      return put<&ops::wait_for_event>();
+    case 3:
+      return put<&ops::wait_for_interrupt>();
+    case 4:
+      return put<&ops::send_event>();
+    default:
+      return put<&ops::nop>();
   }
 }
 

@@ -28,21 +28,30 @@ void Decoder::data_processing32(std::uint32_t op, bool flags, Op2 op2, std::uint
   if (d == 15 && !compare) return undefined();
   if (n == 15 && op != 2 && op != 3) return undefined();
   switch (op) {
-    case 0: return compare ? put_op2<Alu::kTst>(op2, true) : put_op2<Alu::kAnd>(op2, flags);
-    case 1: return d == 15 ? undefined() : put_op2<Alu::kBic>(op2, flags);
+    case 0:
+      return compare ? put_op2<Alu::kTst>(op2, true) : put_op2<Alu::kAnd>(op2, flags);
+    case 1:
+      return d == 15 ? undefined() : put_op2<Alu::kBic>(op2, flags);
     case 2:
       if (d == 15) return undefined();
       return n == 15 ? put_op2<Alu::kMov>(op2, flags) : put_op2<Alu::kOrr>(op2, flags);
     case 3:
       if (d == 15) return undefined();
       return n == 15 ? put_op2<Alu::kMvn>(op2, flags) : put_op2<Alu::kOrn>(op2, flags);
-    case 4: return compare ? put_op2<Alu::kTeq>(op2, true) : put_op2<Alu::kEor>(op2, flags);
-    case 8: return compare ? put_op2<Alu::kCmn>(op2, true) : put_op2<Alu::kAdd>(op2, flags);
-    case 10: return d == 15 ? undefined() : put_op2<Alu::kAdc>(op2, flags);
-    case 11: return d == 15 ? undefined() : put_op2<Alu::kSbc>(op2, flags);
-    case 13: return compare ? put_op2<Alu::kCmp>(op2, true) : put_op2<Alu::kSub>(op2, flags);
-    case 14: return d == 15 ? undefined() : put_op2<Alu::kRsb>(op2, flags);
-    default: return undefined();
+    case 4:
+      return compare ? put_op2<Alu::kTeq>(op2, true) : put_op2<Alu::kEor>(op2, flags);
+    case 8:
+      return compare ? put_op2<Alu::kCmn>(op2, true) : put_op2<Alu::kAdd>(op2, flags);
+    case 10:
+      return d == 15 ? undefined() : put_op2<Alu::kAdc>(op2, flags);
+    case 11:
+      return d == 15 ? undefined() : put_op2<Alu::kSbc>(op2, flags);
+    case 13:
+      return compare ? put_op2<Alu::kCmp>(op2, true) : put_op2<Alu::kSub>(op2, flags);
+    case 14:
+      return d == 15 ? undefined() : put_op2<Alu::kRsb>(op2, flags);
+    default:
+      return undefined();
   }
 }
 
@@ -74,10 +83,18 @@ void Decoder::modified_immediate(std::uint32_t a, std::uint32_t b) {
   if ((imm12 >> 10) == 0) {
     if (imm12 >= 0x100 && low == 0) return undefined();
     switch (imm12 >> 8) {
-      case 0: out_.imm = low; break;
-      case 1: out_.imm = low | (low << 16); break;
-      case 2: out_.imm = (low << 8) | (low << 24); break;
-      default: out_.imm = low | (low << 8) | (low << 16) | (low << 24); break;
+      case 0:
+        out_.imm = low;
+        break;
+      case 1:
+        out_.imm = low | (low << 16);
+        break;
+      case 2:
+        out_.imm = (low << 8) | (low << 24);
+        break;
+      default:
+        out_.imm = low | (low << 8) | (low << 16) | (low << 24);
+        break;
     }
   } else {
     out_.imm = ops::rotate_right(0x80U | (imm12 & 0x7FU), imm12 >> 7);
@@ -97,7 +114,8 @@ void Decoder::plain_immediate(std::uint32_t a, std::uint32_t b) {
   const bool sp_result = out_.rd == 13 && n == 13 && (op == 0 || op == 10);
   if (bad(out_.rd) && !sp_result) return undefined();
   switch (op) {
-    case 0: case 10:
+    case 0:
+    case 10:
       if (n == 15) {
         out_.imm = op == 0 ? (pc() & ~3U) + imm12 : (pc() & ~3U) - imm12;
         return put_alu<Alu::kMov, Op2::kImm>(false);
@@ -110,7 +128,10 @@ void Decoder::plain_immediate(std::uint32_t a, std::uint32_t b) {
     case 12:
       out_.imm = (n << 12) | imm12;
       return put<&ops::move_top>();
-    case 16: case 18: case 24: case 26: {
+    case 16:
+    case 18:
+    case 24:
+    case 26: {
       const bool arithmetic = (op & 2U) != 0;
       // Without a shift amount, bit 1 of the opcode means SSAT16 and USAT16: DSP extension.
       if ((arithmetic && low_bit == 0) || bad(n)) return undefined();
@@ -123,7 +144,8 @@ void Decoder::plain_immediate(std::uint32_t a, std::uint32_t b) {
       out_.imm = static_cast<std::uint32_t>((std::uint64_t{1} << width) - 1U);
       return put<&ops::saturate<false>>();
     }
-    case 20: case 28:
+    case 20:
+    case 28:
       if (low_bit + width > 31 || bad(n)) return undefined();
       extra(low_bit);
       out_.imm = width == 31 ? ~0U : (2U << width) - 1U;
@@ -135,7 +157,8 @@ void Decoder::plain_immediate(std::uint32_t a, std::uint32_t b) {
       out_.imm = bits == 31 ? ~0U : (2U << bits) - 1U;
       return put<&ops::bit_field_insert>();
     }
-    default: return undefined();
+    default:
+      return undefined();
   }
 }
 
@@ -152,14 +175,22 @@ void Decoder::register_operations(std::uint32_t a, std::uint32_t b) {
   if (op1 < 8 && op2 == 0) {
     if (bad(out_.rn)) return undefined();
     switch (op1) {
-      case 0: return put<&ops::shift_by_register<Shift::kLsl, false>>();
-      case 1: return put<&ops::shift_by_register<Shift::kLsl, true>>();
-      case 2: return put<&ops::shift_by_register<Shift::kLsr, false>>();
-      case 3: return put<&ops::shift_by_register<Shift::kLsr, true>>();
-      case 4: return put<&ops::shift_by_register<Shift::kAsr, false>>();
-      case 5: return put<&ops::shift_by_register<Shift::kAsr, true>>();
-      case 6: return put<&ops::shift_by_register<Shift::kRor, false>>();
-      default: return put<&ops::shift_by_register<Shift::kRor, true>>();
+      case 0:
+        return put<&ops::shift_by_register<Shift::kLsl, false>>();
+      case 1:
+        return put<&ops::shift_by_register<Shift::kLsl, true>>();
+      case 2:
+        return put<&ops::shift_by_register<Shift::kLsr, false>>();
+      case 3:
+        return put<&ops::shift_by_register<Shift::kLsr, true>>();
+      case 4:
+        return put<&ops::shift_by_register<Shift::kAsr, false>>();
+      case 5:
+        return put<&ops::shift_by_register<Shift::kAsr, true>>();
+      case 6:
+        return put<&ops::shift_by_register<Shift::kRor, false>>();
+      default:
+        return put<&ops::shift_by_register<Shift::kRor, true>>();
     }
   }
   if (op1 < 8 && (op2 & 8U) != 0 && (op2 & 4U) == 0) {
@@ -167,20 +198,29 @@ void Decoder::register_operations(std::uint32_t a, std::uint32_t b) {
     if (out_.rn != 15) return undefined();
     extra(8 * field(b, 4, 2));
     switch (op1) {
-      case 0: return put<&ops::extend<Extend::kSxth>>();
-      case 1: return put<&ops::extend<Extend::kUxth>>();
-      case 4: return put<&ops::extend<Extend::kSxtb>>();
-      case 5: return put<&ops::extend<Extend::kUxtb>>();
-      default: return undefined();
+      case 0:
+        return put<&ops::extend<Extend::kSxth>>();
+      case 1:
+        return put<&ops::extend<Extend::kUxth>>();
+      case 4:
+        return put<&ops::extend<Extend::kSxtb>>();
+      case 5:
+        return put<&ops::extend<Extend::kUxtb>>();
+      default:
+        return undefined();
     }
   }
   if (op1 == 9 && (op2 & 0xCU) == 8) {
     if (out_.rn != out_.rm) return undefined();
     switch (op2 & 3U) {
-      case 0: return put<&ops::unary<Unary::kRev>>();
-      case 1: return put<&ops::unary<Unary::kRev16>>();
-      case 2: return put<&ops::unary<Unary::kRbit>>();
-      default: return put<&ops::unary<Unary::kRevsh>>();
+      case 0:
+        return put<&ops::unary<Unary::kRev>>();
+      case 1:
+        return put<&ops::unary<Unary::kRev16>>();
+      case 2:
+        return put<&ops::unary<Unary::kRbit>>();
+      default:
+        return put<&ops::unary<Unary::kRevsh>>();
     }
   }
   if (op1 == 11 && op2 == 8) {
@@ -225,11 +265,16 @@ void Decoder::multiply_long32(std::uint32_t a, std::uint32_t b) {
   if (op2 != 0 || bad(out_.rd) || bad(out_.ra) || out_.rd == out_.ra) return undefined();
   cycles(op1 >= 4 ? 5 : 4);
   switch (op1) {
-    case 0: return put<&ops::multiply_long<true, false>>();
-    case 2: return put<&ops::multiply_long<false, false>>();
-    case 4: return put<&ops::multiply_long<true, true>>();
-    case 6: return put<&ops::multiply_long<false, true>>();
-    default: return undefined();
+    case 0:
+      return put<&ops::multiply_long<true, false>>();
+    case 2:
+      return put<&ops::multiply_long<false, false>>();
+    case 4:
+      return put<&ops::multiply_long<true, true>>();
+    case 6:
+      return put<&ops::multiply_long<false, true>>();
+    default:
+      return undefined();
   }
 }
 

@@ -83,7 +83,8 @@ void Decoder::double_exclusive(std::uint32_t a, std::uint32_t b) {
     }
     out_.imm = add ? offset : 0U - offset;
     if (!pre) {
-      return is_load ? put<&ops::load_double<Mode::kPost>>() : put<&ops::store_double<Mode::kPost>>();
+      return is_load ? put<&ops::load_double<Mode::kPost>>()
+                     : put<&ops::store_double<Mode::kPost>>();
     }
     if (write) {
       return is_load ? put<&ops::load_double<Mode::kPre>>() : put<&ops::store_double<Mode::kPre>>();
@@ -184,8 +185,8 @@ void Decoder::branches(std::uint32_t a, std::uint32_t b) {
   if (wide) {
     const std::uint32_t i1 = 1U ^ (j1 ^ s);
     const std::uint32_t i2 = 1U ^ (j2 ^ s);
-    const std::uint32_t offset = (s << 24) | (i1 << 23) | (i2 << 22) | (field(a, 0, 10) << 12) |
-                                 (field(b, 0, 11) << 1);
+    const std::uint32_t offset =
+        (s << 24) | (i1 << 23) | (i2 << 22) | (field(a, 0, 10) << 12) | (field(b, 0, 11) << 1);
     if (in_it() && !last_in_it()) return undefined();
     return branch_to(pc() + sign_extend(offset, 25), link);
   }
@@ -198,24 +199,37 @@ void Decoder::branches(std::uint32_t a, std::uint32_t b) {
 
 void Decoder::control(std::uint32_t a, std::uint32_t b) {
   switch (field(a, 4, 7)) {
-    case 0x38: case 0x39: case 0x3E: case 0x3F: return special_register(a, b);
+    case 0x38:
+    case 0x39:
+    case 0x3E:
+    case 0x3F:
+      return special_register(a, b);
     case 0x3A:
       if (field(b, 8, 3) != 0 || field(a, 0, 4) != 15) return undefined();
       switch (field(b, 0, 8)) {
-        case 2: return put<&ops::wait_for_event>();
-        case 3: return put<&ops::wait_for_interrupt>();
-        case 4: return put<&ops::send_event>();
-        default: return put<&ops::nop>();
+        case 2:
+          return put<&ops::wait_for_event>();
+        case 3:
+          return put<&ops::wait_for_interrupt>();
+        case 4:
+          return put<&ops::send_event>();
+        default:
+          return put<&ops::nop>();
       }
     case 0x3B:
       switch (field(b, 4, 4)) {
-        case 2: return put<&ops::clear_exclusive>();
-        case 4: case 5: case 6:
+        case 2:
+          return put<&ops::clear_exclusive>();
+        case 4:
+        case 5:
+        case 6:
           cycles(3);
           return put<&ops::nop>();
-        default: return undefined();
+        default:
+          return undefined();
       }
-    default: return undefined();
+    default:
+      return undefined();
   }
 }
 

@@ -104,14 +104,22 @@ class Decoder {
 template <ops::Alu kAlu>
 void Decoder::put_op2(ops::Op2 op2, bool flags) {
   switch (op2) {
-    case ops::Op2::kImm: return put_alu<kAlu, ops::Op2::kImm>(flags);
-    case ops::Op2::kImmCarry: return put_alu<kAlu, ops::Op2::kImmCarry>(flags);
-    case ops::Op2::kReg: return put_alu<kAlu, ops::Op2::kReg>(flags);
-    case ops::Op2::kLsl: return put_alu<kAlu, ops::Op2::kLsl>(flags);
-    case ops::Op2::kLsr: return put_alu<kAlu, ops::Op2::kLsr>(flags);
-    case ops::Op2::kAsr: return put_alu<kAlu, ops::Op2::kAsr>(flags);
-    case ops::Op2::kRor: return put_alu<kAlu, ops::Op2::kRor>(flags);
-    case ops::Op2::kRrx: return put_alu<kAlu, ops::Op2::kRrx>(flags);
+    case ops::Op2::kImm:
+      return put_alu<kAlu, ops::Op2::kImm>(flags);
+    case ops::Op2::kImmCarry:
+      return put_alu<kAlu, ops::Op2::kImmCarry>(flags);
+    case ops::Op2::kReg:
+      return put_alu<kAlu, ops::Op2::kReg>(flags);
+    case ops::Op2::kLsl:
+      return put_alu<kAlu, ops::Op2::kLsl>(flags);
+    case ops::Op2::kLsr:
+      return put_alu<kAlu, ops::Op2::kLsr>(flags);
+    case ops::Op2::kAsr:
+      return put_alu<kAlu, ops::Op2::kAsr>(flags);
+    case ops::Op2::kRor:
+      return put_alu<kAlu, ops::Op2::kRor>(flags);
+    case ops::Op2::kRrx:
+      return put_alu<kAlu, ops::Op2::kRrx>(flags);
   }
 }
 

@@ -74,7 +74,8 @@ void Cpu::push_frame() {
   const std::uint32_t saved_psr = xpsr() | (padding != 0 ? 1U << 9 : 0U);
   r[13] = frame;
   try {
-    const std::uint32_t words[8] = {r[0], r[1], r[2], r[3], r[12], r[14], return_address, saved_psr};
+    const std::uint32_t words[8] = {r[0],  r[1],  r[2],           r[3],
+                                    r[12], r[14], return_address, saved_psr};
     for (unsigned i = 0; i < 8; ++i) store<std::uint32_t>(frame + 4 * i, words[i]);
   } catch (const Fault& fault) {
     const bool bus = fault.exception == exc::kBusFault;
@@ -249,12 +250,19 @@ std::uint32_t Cpu::read_special(unsigned sysm) const {
   if (sysm == 20) return control();
   if (!privileged()) return 0;
   switch (sysm) {
-    case 8: return msp();
-    case 9: return psp();
-    case 16: return exceptions_.primask() ? 1U : 0U;
-    case 17: case 18: return exceptions_.basepri();
-    case 19: return exceptions_.faultmask() ? 1U : 0U;
-    default: return 0;
+    case 8:
+      return msp();
+    case 9:
+      return psp();
+    case 16:
+      return exceptions_.primask() ? 1U : 0U;
+    case 17:
+    case 18:
+      return exceptions_.basepri();
+    case 19:
+      return exceptions_.faultmask() ? 1U : 0U;
+    default:
+      return 0;
   }
 }
 
@@ -265,10 +273,18 @@ void Cpu::write_special(unsigned sysm, std::uint32_t value, unsigned mask) {
   }
   if (!privileged()) return;
   switch (sysm) {
-    case 8: (uses_psp_ ? other_sp_ : r[13]) = value & ~3U; break;
-    case 9: (uses_psp_ ? r[13] : other_sp_) = value & ~3U; break;
-    case 16: exceptions_.set_primask((value & 1U) != 0); break;
-    case 17: exceptions_.set_basepri(static_cast<std::uint8_t>(value)); break;
+    case 8:
+      (uses_psp_ ? other_sp_ : r[13]) = value & ~3U;
+      break;
+    case 9:
+      (uses_psp_ ? r[13] : other_sp_) = value & ~3U;
+      break;
+    case 16:
+      exceptions_.set_primask((value & 1U) != 0);
+      break;
+    case 17:
+      exceptions_.set_basepri(static_cast<std::uint8_t>(value));
+      break;
     case 18: {
       const auto base = static_cast<std::uint8_t>(value & 0xF0U);
       if (base != 0 && (exceptions_.basepri() == 0 || base < exceptions_.basepri())) {
@@ -288,7 +304,8 @@ void Cpu::write_special(unsigned sysm, std::uint32_t value, unsigned mask) {
         use_psp(spsel_);
       }
       break;
-    default: break;
+    default:
+      break;
   }
 }
 

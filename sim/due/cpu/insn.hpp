@@ -14,16 +14,16 @@ using Handler = const Insn* (*)(Cpu&, const Insn*);
 
 struct Insn {
   Handler run;
-  std::uint32_t imm;     // immediate, absolute branch target, or literal
-  std::int32_t step;     // distance in halfwords to the target of a branch inside the same memory
+  std::uint32_t imm;  // immediate, absolute branch target, or literal
+  std::int32_t step;  // distance in halfwords to the target of a branch inside the same memory
   std::uint8_t rd;
   std::uint8_t rn;
   std::uint8_t rm;
   std::uint8_t ra;
-  std::uint8_t length;   // in halfwords: 1 or 2
-  std::uint8_t cycles;   // of the model in cpu/README.md
-  std::uint8_t it;       // ITSTATE in front of this instruction; 0 outside of an IT block
-  std::uint8_t extra;    // shift amount, or the cycles that a taken branch adds
+  std::uint8_t length;  // in halfwords: 1 or 2
+  std::uint8_t cycles;  // of the model in cpu/README.md
+  std::uint8_t it;      // ITSTATE in front of this instruction; 0 outside of an IT block
+  std::uint8_t extra;   // shift amount, or the cycles that a taken branch adds
 };
 
 // Why the processor could not do an instruction: an ARMv7-M exception and what CFSR says of it.

@@ -25,13 +25,27 @@ template <unsigned kCondition, bool kNear>
 const Insn* branch_if(Cpu& c, const Insn* i) {
   bool taken = false;
   switch (kCondition) {
-    case 0: taken = c.z_src == 0; break;
-    case 1: taken = c.z_src != 0; break;
-    case 2: taken = c.carry != 0; break;
-    case 3: taken = c.carry == 0; break;
-    case 4: taken = (c.n_src >> 31) != 0; break;
-    case 5: taken = (c.n_src >> 31) == 0; break;
-    default: taken = c.passes(kCondition); break;
+    case 0:
+      taken = c.z_src == 0;
+      break;
+    case 1:
+      taken = c.z_src != 0;
+      break;
+    case 2:
+      taken = c.carry != 0;
+      break;
+    case 3:
+      taken = c.carry == 0;
+      break;
+    case 4:
+      taken = (c.n_src >> 31) != 0;
+      break;
+    case 5:
+      taken = (c.n_src >> 31) == 0;
+      break;
+    default:
+      taken = c.passes(kCondition);
+      break;
   }
   if (!taken) return next(i);
   c.add_cycles(i->extra);

@@ -11,7 +11,22 @@ namespace heli_due::ops {
 enum class Op2 : std::uint8_t { kImm, kImmCarry, kReg, kLsl, kLsr, kAsr, kRor, kRrx };
 
 enum class Alu : std::uint8_t {
-  kAnd, kBic, kOrr, kOrn, kEor, kAdd, kAdc, kSub, kSbc, kRsb, kMov, kMvn, kTst, kTeq, kCmp, kCmn
+  kAnd,
+  kBic,
+  kOrr,
+  kOrn,
+  kEor,
+  kAdd,
+  kAdc,
+  kSub,
+  kSbc,
+  kRsb,
+  kMov,
+  kMvn,
+  kTst,
+  kTeq,
+  kCmp,
+  kCmn
 };
 
 inline const Insn* next(const Insn* i) { return i + i->length; }
@@ -39,7 +54,8 @@ inline std::uint32_t rotate_right(std::uint32_t value, unsigned amount) {
 }
 
 inline std::uint32_t arithmetic_right(std::uint32_t value, unsigned amount) {
-  return static_cast<std::uint32_t>(static_cast<std::int32_t>(value) >> (amount > 31 ? 31 : amount));
+  return static_cast<std::uint32_t>(static_cast<std::int32_t>(value) >>
+                                    (amount > 31 ? 31 : amount));
 }
 
 // The operand, and the carry that the shifter gives out. Shift amounts are 1..31 for LSL and ROR,
@@ -83,18 +99,46 @@ const Insn* alu(Cpu& c, const Insn* i) {
   const std::uint32_t a = c.r[i->rn];
   std::uint32_t result = 0;
   switch (kAlu) {
-    case Alu::kAnd: case Alu::kTst: result = a & b; break;
-    case Alu::kBic: result = a & ~b; break;
-    case Alu::kOrr: result = a | b; break;
-    case Alu::kOrn: result = a | ~b; break;
-    case Alu::kEor: case Alu::kTeq: result = a ^ b; break;
-    case Alu::kMov: result = b; break;
-    case Alu::kMvn: result = ~b; break;
-    case Alu::kAdd: case Alu::kCmn: result = add<kFlags>(c, a, b, 0); break;
-    case Alu::kAdc: result = add<kFlags>(c, a, b, c.carry); break;
-    case Alu::kSub: case Alu::kCmp: result = add<kFlags>(c, a, ~b, 1); break;
-    case Alu::kSbc: result = add<kFlags>(c, a, ~b, c.carry); break;
-    case Alu::kRsb: result = add<kFlags>(c, ~a, b, 1); break;
+    case Alu::kAnd:
+    case Alu::kTst:
+      result = a & b;
+      break;
+    case Alu::kBic:
+      result = a & ~b;
+      break;
+    case Alu::kOrr:
+      result = a | b;
+      break;
+    case Alu::kOrn:
+      result = a | ~b;
+      break;
+    case Alu::kEor:
+    case Alu::kTeq:
+      result = a ^ b;
+      break;
+    case Alu::kMov:
+      result = b;
+      break;
+    case Alu::kMvn:
+      result = ~b;
+      break;
+    case Alu::kAdd:
+    case Alu::kCmn:
+      result = add<kFlags>(c, a, b, 0);
+      break;
+    case Alu::kAdc:
+      result = add<kFlags>(c, a, b, c.carry);
+      break;
+    case Alu::kSub:
+    case Alu::kCmp:
+      result = add<kFlags>(c, a, ~b, 1);
+      break;
+    case Alu::kSbc:
+      result = add<kFlags>(c, a, ~b, c.carry);
+      break;
+    case Alu::kRsb:
+      result = add<kFlags>(c, ~a, b, 1);
+      break;
   }
   constexpr bool kArithmetic = kAlu == Alu::kAdd || kAlu == Alu::kAdc || kAlu == Alu::kSub ||
                                kAlu == Alu::kSbc || kAlu == Alu::kRsb || kAlu == Alu::kCmp ||
@@ -158,10 +202,18 @@ const Insn* extend(Cpu& c, const Insn* i) {
   const std::uint32_t value = rotate_right(c.r[i->rm], i->extra);
   std::uint32_t result = 0;
   switch (kExtend) {
-    case Extend::kSxtb: result = static_cast<std::uint32_t>(static_cast<std::int8_t>(value)); break;
-    case Extend::kSxth: result = static_cast<std::uint32_t>(static_cast<std::int16_t>(value)); break;
-    case Extend::kUxtb: result = value & 0xFFU; break;
-    case Extend::kUxth: result = value & 0xFFFFU; break;
+    case Extend::kSxtb:
+      result = static_cast<std::uint32_t>(static_cast<std::int8_t>(value));
+      break;
+    case Extend::kSxth:
+      result = static_cast<std::uint32_t>(static_cast<std::int16_t>(value));
+      break;
+    case Extend::kUxtb:
+      result = value & 0xFFU;
+      break;
+    case Extend::kUxth:
+      result = value & 0xFFFFU;
+      break;
   }
   c.r[i->rd] = result;
   return next(i);
@@ -174,8 +226,12 @@ const Insn* unary(Cpu& c, const Insn* i) {
   const std::uint32_t value = c.r[i->rm];
   std::uint32_t result = 0;
   switch (kUnary) {
-    case Unary::kRev: result = __builtin_bswap32(value); break;
-    case Unary::kRev16: result = rotate_right(__builtin_bswap32(value), 16); break;
+    case Unary::kRev:
+      result = __builtin_bswap32(value);
+      break;
+    case Unary::kRev16:
+      result = rotate_right(__builtin_bswap32(value), 16);
+      break;
     case Unary::kRevsh:
       result = static_cast<std::uint32_t>(
           static_cast<std::int16_t>(__builtin_bswap16(static_cast<std::uint16_t>(value))));
@@ -183,7 +239,9 @@ const Insn* unary(Cpu& c, const Insn* i) {
     case Unary::kRbit:
       for (unsigned bit = 0; bit < 32; ++bit) result |= ((value >> bit) & 1U) << (31 - bit);
       break;
-    case Unary::kClz: result = value == 0 ? 32U : static_cast<unsigned>(__builtin_clz(value)); break;
+    case Unary::kClz:
+      result = value == 0 ? 32U : static_cast<unsigned>(__builtin_clz(value));
+      break;
   }
   c.r[i->rd] = result;
   return next(i);
@@ -213,8 +271,7 @@ inline const Insn* bit_field_signed(Cpu& c, const Insn* i) {
 template <bool kSigned>
 const Insn* saturate(Cpu& c, const Insn* i) {
   const std::uint32_t raw = c.r[i->rn];
-  const std::uint32_t shifted =
-      i->ra != 0 ? arithmetic_right(raw, i->extra) : raw << i->extra;
+  const std::uint32_t shifted = i->ra != 0 ? arithmetic_right(raw, i->extra) : raw << i->extra;
   const auto value = static_cast<std::int64_t>(static_cast<std::int32_t>(shifted));
   const auto high = static_cast<std::int64_t>(i->imm);
   const std::int64_t low = kSigned ? -high - 1 : 0;
@@ -249,8 +306,9 @@ template <bool kSigned, bool kAccumulate>
 const Insn* multiply_long(Cpu& c, const Insn* i) {
   std::uint64_t product = 0;
   if (kSigned) {
-    product = static_cast<std::uint64_t>(static_cast<std::int64_t>(static_cast<std::int32_t>(c.r[i->rn])) *
-                                         static_cast<std::int32_t>(c.r[i->rm]));
+    product = static_cast<std::uint64_t>(
+        static_cast<std::int64_t>(static_cast<std::int32_t>(c.r[i->rn])) *
+        static_cast<std::int32_t>(c.r[i->rm]));
   } else {
     product = std::uint64_t{c.r[i->rn]} * c.r[i->rm];
   }

@@ -4,8 +4,8 @@ namespace heli_due {
 
 namespace {
 
-constexpr std::uint32_t kCpuId = 0x412FC230;       // Cortex-M3 r2p0
-constexpr std::uint32_t kInterruptLines = 1;       // ICTR: 33 to 64 lines
+constexpr std::uint32_t kCpuId = 0x412FC230;         // Cortex-M3 r2p0
+constexpr std::uint32_t kInterruptLines = 1;         // ICTR: 33 to 64 lines
 constexpr std::uint32_t kSystickCalib = 0x00002904;  // 1 ms at 84 MHz / 8
 constexpr std::uint32_t kAircrKey = 0x05FA;
 
@@ -22,9 +22,12 @@ struct SystemHandler {
 };
 
 constexpr SystemHandler kHandlers[] = {
-    {exc::kMemManage, 1U << 0, 1U << 13, 1U << 16}, {exc::kBusFault, 1U << 1, 1U << 14, 1U << 17},
-    {exc::kUsageFault, 1U << 3, 1U << 12, 1U << 18}, {exc::kSvCall, 1U << 7, 1U << 15, 0},
-    {exc::kDebugMonitor, 1U << 8, 0, 0},             {exc::kPendSv, 1U << 10, 0, 0},
+    {exc::kMemManage, 1U << 0, 1U << 13, 1U << 16},
+    {exc::kBusFault, 1U << 1, 1U << 14, 1U << 17},
+    {exc::kUsageFault, 1U << 3, 1U << 12, 1U << 18},
+    {exc::kSvCall, 1U << 7, 1U << 15, 0},
+    {exc::kDebugMonitor, 1U << 8, 0, 0},
+    {exc::kPendSv, 1U << 10, 0, 0},
     {exc::kSysTick, 1U << 11, 0, 0},
 };
 
@@ -60,7 +63,8 @@ std::uint32_t SystemControl::read_private(std::uint32_t address, std::uint32_t s
 void SystemControl::write_private(std::uint32_t address, std::uint32_t value, std::uint32_t size) {
   if (size == 4) return write_word(address, value);
   const std::uint32_t offset = address - 0xE000E000;
-  const bool bytes_allowed = (offset >= 0x400 && offset < 0x500) || (offset >= 0xD18 && offset < 0xD24);
+  const bool bytes_allowed =
+      (offset >= 0x400 && offset < 0x500) || (offset >= 0xD18 && offset < 0xD24);
   if (!bytes_allowed) {
     diagnostics_.report(Trouble::kNarrow, address,
                         "write of " + std::to_string(size) + " bytes to " + hex(address));
@@ -84,8 +88,10 @@ std::uint32_t SystemControl::read_word(std::uint32_t address) {
   const std::uint32_t offset = address - 0xE000E000;
   if (offset >= 0x100 && offset < 0x500) return read_nvic(offset);
   switch (offset) {
-    case 0x004: return kInterruptLines;
-    case 0x008: return 0;
+    case 0x004:
+      return kInterruptLines;
+    case 0x008:
+      return 0;
     case 0x010: {
       catch_up_systick();
       plan_systick();
@@ -93,27 +99,51 @@ std::uint32_t SystemControl::read_word(std::uint32_t address) {
       systick_control_ &= ~kCountFlag;
       return value;
     }
-    case 0x014: return systick_reload_;
-    case 0x018: return systick_value();
-    case 0x01C: return kSystickCalib;
-    case 0xD00: return kCpuId;
-    case 0xD04: return icsr();
-    case 0xD08: return cpu_.vtor;
-    case 0xD0C: return 0xFA050000U | (std::uint32_t{exceptions_.prigroup()} << 8);
-    case 0xD10: return cpu_.scr;
-    case 0xD14: return cpu_.ccr;
-    case 0xD18: case 0xD1C: case 0xD20: return read_priorities(4 + (offset - 0xD18));
-    case 0xD24: return shcsr();
-    case 0xD28: return cpu_.cfsr;
-    case 0xD2C: return cpu_.hfsr;
-    case 0xD30: return 0;
-    case 0xD34: return cpu_.mmfar;
-    case 0xD38: return cpu_.bfar;
-    case 0xD3C: return 0;
-    case 0xD90: return 0x00000800;  // MPU_TYPE: 8 regions, none of them modelled
-    case 0xDF0: return 0;
-    case 0xDFC: return demcr_;
-    default: unmodelled(address, "read of"); return 0;
+    case 0x014:
+      return systick_reload_;
+    case 0x018:
+      return systick_value();
+    case 0x01C:
+      return kSystickCalib;
+    case 0xD00:
+      return kCpuId;
+    case 0xD04:
+      return icsr();
+    case 0xD08:
+      return cpu_.vtor;
+    case 0xD0C:
+      return 0xFA050000U | (std::uint32_t{exceptions_.prigroup()} << 8);
+    case 0xD10:
+      return cpu_.scr;
+    case 0xD14:
+      return cpu_.ccr;
+    case 0xD18:
+    case 0xD1C:
+    case 0xD20:
+      return read_priorities(4 + (offset - 0xD18));
+    case 0xD24:
+      return shcsr();
+    case 0xD28:
+      return cpu_.cfsr;
+    case 0xD2C:
+      return cpu_.hfsr;
+    case 0xD30:
+      return 0;
+    case 0xD34:
+      return cpu_.mmfar;
+    case 0xD38:
+      return cpu_.bfar;
+    case 0xD3C:
+      return 0;
+    case 0xD90:
+      return 0x00000800;  // MPU_TYPE: 8 regions, none of them modelled
+    case 0xDF0:
+      return 0;
+    case 0xDFC:
+      return demcr_;
+    default:
+      unmodelled(address, "read of");
+      return 0;
   }
 }
 
@@ -151,23 +181,42 @@ void SystemControl::write_word(std::uint32_t address, std::uint32_t value) {
       systick_stopped_value_ = 0;
       if ((systick_control_ & kSystickEnable) != 0) start_systick();
       return;
-    case 0xD04: return write_icsr(value);
-    case 0xD08: cpu_.vtor = value & 0x3FFFFF80U; return;
-    case 0xD0C: return write_aircr(value);
+    case 0xD04:
+      return write_icsr(value);
+    case 0xD08:
+      cpu_.vtor = value & 0x3FFFFF80U;
+      return;
+    case 0xD0C:
+      return write_aircr(value);
     case 0xD10:
       cpu_.scr = value & 0x16U;
       exceptions_.sev_on_pend = (value & 0x10U) != 0;
       if ((value & 4U) != 0) {
-        diagnostics_.report(Trouble::kUnmodelled, address, "SCR.SLEEPDEEP: wait mode is not modelled");
+        diagnostics_.report(Trouble::kUnmodelled, address,
+                            "SCR.SLEEPDEEP: wait mode is not modelled");
       }
       return;
-    case 0xD14: cpu_.ccr = value & 0x31BU; return;
-    case 0xD18: case 0xD1C: case 0xD20: return write_priorities(4 + (offset - 0xD18), value);
-    case 0xD24: return write_shcsr(value);
-    case 0xD28: cpu_.cfsr &= ~value; return;
-    case 0xD2C: cpu_.hfsr &= ~value; return;
-    case 0xD34: cpu_.mmfar = value; return;
-    case 0xD38: cpu_.bfar = value; return;
+    case 0xD14:
+      cpu_.ccr = value & 0x31BU;
+      return;
+    case 0xD18:
+    case 0xD1C:
+    case 0xD20:
+      return write_priorities(4 + (offset - 0xD18), value);
+    case 0xD24:
+      return write_shcsr(value);
+    case 0xD28:
+      cpu_.cfsr &= ~value;
+      return;
+    case 0xD2C:
+      cpu_.hfsr &= ~value;
+      return;
+    case 0xD34:
+      cpu_.mmfar = value;
+      return;
+    case 0xD38:
+      cpu_.bfar = value;
+      return;
     case 0xDFC:
       cyccnt_held_ = read_word(0xE0001004);
       demcr_ = value & kDemcrTrace;
@@ -178,7 +227,8 @@ void SystemControl::write_word(std::uint32_t address, std::uint32_t value) {
         exceptions_.pend(static_cast<std::uint8_t>(exc::kIrq0 + (value & 0x1FFU)));
       }
       return;
-    default: return unmodelled(address, "write of");
+    default:
+      return unmodelled(address, "write of");
   }
 }
 
@@ -190,9 +240,17 @@ std::uint32_t SystemControl::read_nvic(std::uint32_t offset) const {
   if (first >= 64) return 0;
   std::uint64_t set = 0;
   switch (offset & 0x780U) {
-    case 0x100: case 0x180: set = exceptions_.enabled_mask(); break;
-    case 0x200: case 0x280: set = exceptions_.pending_mask(); break;
-    default: set = exceptions_.active_mask(); break;
+    case 0x100:
+    case 0x180:
+      set = exceptions_.enabled_mask();
+      break;
+    case 0x200:
+    case 0x280:
+      set = exceptions_.pending_mask();
+      break;
+    default:
+      set = exceptions_.active_mask();
+      break;
   }
   return static_cast<std::uint32_t>((set >> exc::kIrq0) >> first);
 }
@@ -204,11 +262,20 @@ void SystemControl::write_nvic(std::uint32_t offset, std::uint32_t value) {
     if (((value >> bit) & 1U) == 0) continue;
     const auto number = static_cast<std::uint8_t>(exc::kIrq0 + first + bit);
     switch (offset & 0x780U) {
-      case 0x100: exceptions_.set_enabled(number, true); break;
-      case 0x180: exceptions_.set_enabled(number, false); break;
-      case 0x200: exceptions_.pend(number); break;
-      case 0x280: exceptions_.unpend(number); break;
-      default: break;
+      case 0x100:
+        exceptions_.set_enabled(number, true);
+        break;
+      case 0x180:
+        exceptions_.set_enabled(number, false);
+        break;
+      case 0x200:
+        exceptions_.pend(number);
+        break;
+      case 0x280:
+        exceptions_.unpend(number);
+        break;
+      default:
+        break;
     }
   }
 }
@@ -217,7 +284,8 @@ std::uint32_t SystemControl::read_priorities(std::uint32_t first) const {
   std::uint32_t value = 0;
   for (std::uint32_t i = 0; i < 4; ++i) {
     if (first + i >= exc::kCount) break;
-    value |= static_cast<std::uint32_t>(exceptions_.priority(static_cast<std::uint8_t>(first + i)) & 0xFF)
+    value |= static_cast<std::uint32_t>(exceptions_.priority(static_cast<std::uint8_t>(first + i)) &
+                                        0xFF)
              << (8 * i);
   }
   return value;

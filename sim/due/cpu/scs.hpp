@@ -37,7 +37,9 @@ class SystemControl final : public PrivateBus, public EventSink {
   void unmodelled(std::uint32_t address, const char* verb);
 
   std::uint32_t systick_value() const;
-  std::uint64_t systick_period() const { return std::uint64_t{systick_reload_ + 1} * systick_step(); }
+  std::uint64_t systick_period() const {
+    return std::uint64_t{systick_reload_ + 1} * systick_step();
+  }
   std::uint64_t systick_step() const { return (systick_control_ & 4U) != 0 ? 1 : 8; }
   void catch_up_systick();
   void start_systick();

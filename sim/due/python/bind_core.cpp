@@ -46,8 +46,8 @@ class BareCore {
     return nb::bytes(reinterpret_cast<const char*>(place(address, size)), size);
   }
 
-  // r0 to r12, SP, LR, PC and xPSR in front of each instruction until PC is `stop`, and once more at
-  // the end. Instructions that an IT block skips have no row, as in unicorn's code hook.
+  // r0 to r12, SP, LR, PC and xPSR in front of each instruction until PC is `stop`, and once more
+  // at the end. Instructions that an IT block skips have no row, as in unicorn's code hook.
   nb::ndarray<nb::numpy, std::uint32_t, nb::ndim<2>> trace(std::uint32_t stop, std::size_t most) {
     auto rows = std::make_unique<std::uint32_t[]>((most + 1) * 17);
     std::size_t count = 0;
@@ -94,11 +94,17 @@ void bind_core(nb::module_& module) {
       .def("write", &BareCore::write, nb::arg("address"), nb::arg("data"))
       .def("read", &BareCore::read, nb::arg("address"), nb::arg("size"))
       .def("trace", &BareCore::trace, nb::arg("stop"), nb::arg("most"))
-      .def("run", [](BareCore& core, std::uint64_t until) { core.cpu().run(until); }, nb::arg("until"))
+      .def(
+          "run", [](BareCore& core, std::uint64_t until) { core.cpu().run(until); },
+          nb::arg("until"))
       .def("reg", [](BareCore& core, unsigned index) { return core.cpu().reg(index); })
-      .def("set_reg", [](BareCore& core, unsigned index, std::uint32_t value) { core.cpu().set_reg(index, value); })
+      .def("set_reg", [](BareCore& core, unsigned index,
+                         std::uint32_t value) { core.cpu().set_reg(index, value); })
       .def("set_apsr", [](BareCore& core, std::uint32_t value) { core.cpu().set_apsr(value); })
-      .def("pend", [](BareCore& core, unsigned number) { core.exceptions().pend(static_cast<std::uint8_t>(number)); })
+      .def("pend",
+           [](BareCore& core, unsigned number) {
+             core.exceptions().pend(static_cast<std::uint8_t>(number));
+           })
       .def_prop_ro("xpsr", [](BareCore& core) { return core.cpu().xpsr(); })
       .def_prop_ro("cfsr", [](BareCore& core) { return core.cpu().cfsr; })
       .def_prop_ro("cycles", [](BareCore& core) { return core.cpu().cycles(); })

@@ -100,7 +100,8 @@ void poke(Due& due, std::uint32_t address, const nb::bytes& data) {
   }
 }
 
-using RegisterRow = std::tuple<std::string, std::uint32_t, std::string, std::uint32_t, bool, bool, bool>;
+using RegisterRow =
+    std::tuple<std::string, std::uint32_t, std::string, std::uint32_t, bool, bool, bool>;
 
 std::vector<RegisterRow> registers(Due& due) {
   std::vector<RegisterRow> rows;
@@ -122,126 +123,196 @@ void bind_running(nb::class_<Due>& due) {
   due.def(nb::init<>())
       .def("power_on", &Due::power_on)
       .def("power_off", &Due::power_off)
-      .def("load", [](Due& self, std::uint32_t address, const nb::bytes& data) {
-        self.load(address, bytes_of(data), data.size());
-      }, nb::arg("address"), nb::arg("data"))
-      .def("run_us", [](Due& self, double us) { self.run_for(from_us(us)); }, nb::arg("us"))
-      .def("run_until_us", [](Due& self, double us) { self.run_until(from_us(us)); }, nb::arg("us"))
+      .def(
+          "load",
+          [](Due& self, std::uint32_t address, const nb::bytes& data) {
+            self.load(address, bytes_of(data), data.size());
+          },
+          nb::arg("address"), nb::arg("data"))
+      .def(
+          "run_us", [](Due& self, double us) { self.run_for(from_us(us)); }, nb::arg("us"))
+      .def(
+          "run_until_us", [](Due& self, double us) { self.run_until(from_us(us)); }, nb::arg("us"))
       .def("step", [](Due& self) { self.chip.step(); })
-      .def_prop_ro("now_us", [](const Due& self) {
-        return static_cast<double>(self.now()) / static_cast<double>(kOneUs);
-      })
+      .def_prop_ro("now_us",
+                   [](const Due& self) {
+                     return static_cast<double>(self.now()) / static_cast<double>(kOneUs);
+                   })
       .def_prop_ro("mck_Hz", [](const Due& self) { return self.chip.system.clock.mck_Hz(); })
       .def_prop_ro("in_rom", [](const Due& self) { return self.chip.in_rom(); })
       .def_prop_ro("held_in_reset", [](const Due& self) { return self.chip.system.cpu.held(); })
       .def_prop_ro("resets", [](const Due& self) { return self.chip.resets(); })
-      .def_prop_ro("last_reset", [](const Due& self) {
-        static constexpr const char* kNames[] = {"general", "backup", "watchdog", "software", "user"};
-        return kNames[static_cast<std::size_t>(self.chip.last_reset())];
-      })
-      .def("set_nrst", [](Due& self, bool low) { self.chip.set_nrst(low); }, nb::arg("low"))
-      .def("hold_processor", [](Due& self, bool held) { self.chip.system.cpu.hold(held); }, nb::arg("held"))
-      .def("set_slow_clock", [](Due& self, std::uint32_t hz) {
-        self.chip.system.slow_Hz = hz;
-        self.chip.system.scheduler.clock_changed();
-      }, nb::arg("slow_Hz"))
-      .def("set_strict", [](Due& self, bool strict) { self.chip.system.diagnostics.set_all_strict(strict); },
-           nb::arg("strict"))
-      .def("set_check", [](Due& self, const std::string& check, bool strict) {
-        self.chip.system.diagnostics.set_strict(trouble_of(check), strict);
-      }, nb::arg("check"), nb::arg("strict"))
+      .def_prop_ro("last_reset",
+                   [](const Due& self) {
+                     static constexpr const char* kNames[] = {"general", "backup", "watchdog",
+                                                              "software", "user"};
+                     return kNames[static_cast<std::size_t>(self.chip.last_reset())];
+                   })
+      .def(
+          "set_nrst", [](Due& self, bool low) { self.chip.set_nrst(low); }, nb::arg("low"))
+      .def(
+          "hold_processor", [](Due& self, bool held) { self.chip.system.cpu.hold(held); },
+          nb::arg("held"))
+      .def(
+          "set_slow_clock",
+          [](Due& self, std::uint32_t hz) {
+            self.chip.system.slow_Hz = hz;
+            self.chip.system.scheduler.clock_changed();
+          },
+          nb::arg("slow_Hz"))
+      .def(
+          "set_strict",
+          [](Due& self, bool strict) { self.chip.system.diagnostics.set_all_strict(strict); },
+          nb::arg("strict"))
+      .def(
+          "set_check",
+          [](Due& self, const std::string& check, bool strict) {
+            self.chip.system.diagnostics.set_strict(trouble_of(check), strict);
+          },
+          nb::arg("check"), nb::arg("strict"))
       .def("take_warnings", [](Due& self) { return self.chip.system.diagnostics.take_warnings(); });
 }
 
 void bind_outside(nb::class_<Due>& due) {
-  due.def("usb_line_coding", [](Due& self, std::uint32_t baud) { self.bridge.set_line_coding(baud); },
-          nb::arg("baud"))
-      .def("usb_control_lines", [](Due& self, bool dtr) { self.bridge.set_control_lines(dtr); }, nb::arg("dtr"))
-      .def("usb_write", [](Due& self, const nb::bytes& data) { self.bridge.write(bytes_of(data), data.size()); },
-           nb::arg("data"))
+  due.def(
+         "usb_line_coding",
+         [](Due& self, std::uint32_t baud) { self.bridge.set_line_coding(baud); }, nb::arg("baud"))
+      .def(
+          "usb_control_lines", [](Due& self, bool dtr) { self.bridge.set_control_lines(dtr); },
+          nb::arg("dtr"))
+      .def(
+          "usb_write",
+          [](Due& self, const nb::bytes& data) { self.bridge.write(bytes_of(data), data.size()); },
+          nb::arg("data"))
       .def("usb_read", [](Due& self) { return to_bytes(self.bridge.read()); })
-      .def("usb_reading", [](Due& self, bool reading) { self.bridge.set_host_reading(reading); },
-           nb::arg("reading"))
+      .def(
+          "usb_reading", [](Due& self, bool reading) { self.bridge.set_host_reading(reading); },
+          nb::arg("reading"))
       .def_prop_ro("usb_lost", [](const Due& self) { return self.bridge.to_host_lost(); })
       .def_prop_ro("usb_waiting", [](const Due& self) { return self.bridge.to_board_waiting(); })
       .def_prop_ro("uart_overruns", [](const Due& self) { return self.chip.uart.overruns(); })
       .def("set_encoder", &Due::set_encoder, nb::arg("axis"), nb::arg("count"))
       .def("encoder", &Due::encoder, nb::arg("axis"))
       .def("glitch_encoder", &Due::glitch_encoder, nb::arg("axis"))
-      .def("schedule_step", [](Due& self, int axis, int direction, double when_us) {
-        self.schedule_step(axis, direction, from_us(when_us));
-      }, nb::arg("axis"), nb::arg("direction"), nb::arg("when_us"))
-      .def("pin", [](const Due& self, const std::string& name) { return self.pin(pin_number(name)); },
-           nb::arg("name"))
-      .def("set_pin", [](Due& self, const std::string& name, const std::string& state) {
-        self.chip.pins.set_external(pin_number(name), external_of(state), self.chip.system.now());
-      }, nb::arg("name"), nb::arg("state"))
-      .def("pin_duty", [](const Due& self, const std::string& name) { return self.pin_duty(pin_number(name)); },
-           nb::arg("name"))
+      .def(
+          "schedule_step",
+          [](Due& self, int axis, int direction, double when_us) {
+            self.schedule_step(axis, direction, from_us(when_us));
+          },
+          nb::arg("axis"), nb::arg("direction"), nb::arg("when_us"))
+      .def(
+          "pin",
+          [](const Due& self, const std::string& name) { return self.pin(pin_number(name)); },
+          nb::arg("name"))
+      .def(
+          "set_pin",
+          [](Due& self, const std::string& name, const std::string& state) {
+            self.chip.pins.set_external(pin_number(name), external_of(state),
+                                        self.chip.system.now());
+          },
+          nb::arg("name"), nb::arg("state"))
+      .def(
+          "pin_duty",
+          [](const Due& self, const std::string& name) { return self.pin_duty(pin_number(name)); },
+          nb::arg("name"))
       .def("motor_duty", &Due::motor_duty, nb::arg("motor"))
       .def("motor_enabled", &Due::motor_enabled, nb::arg("motor"))
-      .def("pwm_high_cycles", [](Due& self, int channel, bool low_side) {
-        return self.chip.pwm.high_cycles(channel, low_side);
-      }, nb::arg("channel"), nb::arg("low_side"))
-      .def("pwm_period_cycles", [](Due& self, int channel) { return self.chip.pwm.period_cycles(channel); },
-           nb::arg("channel"))
+      .def(
+          "pwm_high_cycles",
+          [](Due& self, int channel, bool low_side) {
+            return self.chip.pwm.high_cycles(channel, low_side);
+          },
+          nb::arg("channel"), nb::arg("low_side"))
+      .def(
+          "pwm_period_cycles",
+          [](Due& self, int channel) { return self.chip.pwm.period_cycles(channel); },
+          nb::arg("channel"))
       .def("flash", [](const Due& self) { return to_bytes(self.chip.system.memory.flash); })
-      .def_prop_ro("flash_writes", [](const Due& self) {
-        return self.chip.efc0.writes() + self.chip.efc1.writes();
-      })
+      .def_prop_ro(
+          "flash_writes",
+          [](const Due& self) { return self.chip.efc0.writes() + self.chip.efc1.writes(); })
       .def_prop_ro("flash_busy", [](const Due& self) { return self.chip.system.cpu.flash_busy; });
 }
 
 void bind_debugging(nb::class_<Due>& due) {
   due.def_prop_ro("halt", [](const Due& self) { return halt_name(self.chip.system.cpu.halt()); })
       .def("resume", [](Due& self) { self.chip.system.cpu.clear_halt(); })
-      .def("stop_at_hardfault", [](Due& self, bool stop) { self.chip.system.cpu.stop_at_hardfault = stop; },
-           nb::arg("stop"))
-      .def("reg", [](const Due& self, unsigned index) { return self.chip.system.cpu.reg(index & 15U); },
-           nb::arg("index"))
-      .def("set_reg", [](Due& self, unsigned index, std::uint32_t value) {
-        self.chip.system.cpu.set_reg(index & 15U, value);
-      }, nb::arg("index"), nb::arg("value"))
-      .def_prop_rw("xpsr", [](const Due& self) { return self.chip.system.cpu.xpsr(); },
-                   [](Due& self, std::uint32_t value) { self.chip.system.cpu.set_apsr(value); })
+      .def(
+          "stop_at_hardfault",
+          [](Due& self, bool stop) { self.chip.system.cpu.stop_at_hardfault = stop; },
+          nb::arg("stop"))
+      .def(
+          "reg",
+          [](const Due& self, unsigned index) { return self.chip.system.cpu.reg(index & 15U); },
+          nb::arg("index"))
+      .def(
+          "set_reg",
+          [](Due& self, unsigned index, std::uint32_t value) {
+            self.chip.system.cpu.set_reg(index & 15U, value);
+          },
+          nb::arg("index"), nb::arg("value"))
+      .def_prop_rw(
+          "xpsr", [](const Due& self) { return self.chip.system.cpu.xpsr(); },
+          [](Due& self, std::uint32_t value) { self.chip.system.cpu.set_apsr(value); })
       .def_prop_ro("msp", [](const Due& self) { return self.chip.system.cpu.msp(); })
       .def_prop_ro("psp", [](const Due& self) { return self.chip.system.cpu.psp(); })
       .def_prop_ro("cfsr", [](const Due& self) { return self.chip.system.cpu.cfsr; })
       .def_prop_ro("hfsr", [](const Due& self) { return self.chip.system.cpu.hfsr; })
       .def_prop_ro("bfar", [](const Due& self) { return self.chip.system.cpu.bfar; })
-      .def_prop_ro("instructions", [](const Due& self) { return self.chip.system.cpu.instructions(); })
+      .def_prop_ro("instructions",
+                   [](const Due& self) { return self.chip.system.cpu.instructions(); })
       .def_prop_ro("cycles", [](const Due& self) { return self.chip.system.cpu.cycles(); })
-      .def_prop_ro("sleep_cycles", [](const Due& self) { return self.chip.system.cpu.sleep_cycles(); })
+      .def_prop_ro("sleep_cycles",
+                   [](const Due& self) { return self.chip.system.cpu.sleep_cycles(); })
       .def("peek", &peek, nb::arg("address"), nb::arg("size"))
       .def("poke", &poke, nb::arg("address"), nb::arg("data"))
-      .def("add_breakpoint", [](Due& self, std::uint32_t address) {
-        self.chip.system.cpu.add_breakpoint(address);
-      }, nb::arg("address"))
-      .def("remove_breakpoint", [](Due& self, std::uint32_t address) {
-        self.chip.system.cpu.remove_breakpoint(address);
-      }, nb::arg("address"))
-      .def("add_symbol", [](Due& self, std::uint32_t address, std::uint32_t size, std::string name) {
-        self.chip.system.diagnostics.symbols.add(address, size, std::move(name));
-      }, nb::arg("address"), nb::arg("size"), nb::arg("name"))
-      .def("describe", [](const Due& self, std::uint32_t address) {
-        return self.chip.system.diagnostics.symbols.describe(address);
-      }, nb::arg("address"))
+      .def(
+          "add_breakpoint",
+          [](Due& self, std::uint32_t address) { self.chip.system.cpu.add_breakpoint(address); },
+          nb::arg("address"))
+      .def(
+          "remove_breakpoint",
+          [](Due& self, std::uint32_t address) { self.chip.system.cpu.remove_breakpoint(address); },
+          nb::arg("address"))
+      .def(
+          "add_symbol",
+          [](Due& self, std::uint32_t address, std::uint32_t size, std::string name) {
+            self.chip.system.diagnostics.symbols.add(address, size, std::move(name));
+          },
+          nb::arg("address"), nb::arg("size"), nb::arg("name"))
+      .def(
+          "describe",
+          [](const Due& self, std::uint32_t address) {
+            return self.chip.system.diagnostics.symbols.describe(address);
+          },
+          nb::arg("address"))
       .def("registers", &registers)
       .def("all_clocks_on", &set_peripheral_clocks, nb::arg("on"));
 }
 
 void bind_measuring(nb::class_<Due>& due) {
-  due.def("add_probe", [](Due& self, std::uint32_t address) { self.chip.system.cpu.add_probe(address); },
+  due.def(
+         "add_probe",
+         [](Due& self, std::uint32_t address) { self.chip.system.cpu.add_probe(address); },
+         nb::arg("address"))
+      .def(
+          "probe",
+          [](const Due& self, std::uint32_t address) {
+            const ProbeStats stats = self.chip.system.cpu.probe(address);
+            return std::make_tuple(stats.count, stats.instructions, stats.max_instructions,
+                                   stats.last_instructions);
+          },
           nb::arg("address"))
-      .def("probe", [](const Due& self, std::uint32_t address) {
-        const ProbeStats stats = self.chip.system.cpu.probe(address);
-        return std::make_tuple(stats.count, stats.instructions, stats.max_instructions, stats.last_instructions);
-      }, nb::arg("address"))
-      .def("exception_stats", [](const Due& self, unsigned number) {
-        if (number >= exc::kCount) throw std::invalid_argument("there are exceptions 0 to 60");
-        const ExceptionStats& stats = self.chip.system.cpu.stats(static_cast<std::uint8_t>(number));
-        return std::make_tuple(stats.count, stats.instructions, stats.max_instructions, stats.max_cycles);
-      }, nb::arg("number"))
+      .def(
+          "exception_stats",
+          [](const Due& self, unsigned number) {
+            if (number >= exc::kCount) throw std::invalid_argument("there are exceptions 0 to 60");
+            const ExceptionStats& stats =
+                self.chip.system.cpu.stats(static_cast<std::uint8_t>(number));
+            return std::make_tuple(stats.count, stats.instructions, stats.max_instructions,
+                                   stats.max_cycles);
+          },
+          nb::arg("number"))
       .def("clear_stats", [](Due& self) { self.chip.system.cpu.clear_stats(); });
 }
 

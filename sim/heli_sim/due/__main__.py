@@ -1,0 +1,94 @@
+"""``python -m heli_sim.due ELF``: run any program for the Due and copy UART0 to stdout.
+
+Exit codes: 0 the time is over, 1 a HardFault or a lockup, 2 bad arguments, 3 the emulator stopped in strict
+mode.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from heli_sim.due._due import Due, Stop
+from heli_sim.due.errors import DueError
+from heli_sim.due.gdb import GdbServer
+from heli_sim.due.image import read_image
+from heli_sim.due.machine import new_due, report_of
+
+EXIT_DONE = 0
+EXIT_FAULT = 1
+EXIT_USAGE = 2
+EXIT_STRICT = 3
+
+_SLICE_US = 1000.0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m heli_sim.due",
+        description="Run a program for the Arduino Due on the emulated chip; UART0 goes to stdout.",
+    )
+    parser.add_argument("program", metavar="ELF", help="ELF or .bin for the SAM3X8E")
+    parser.add_argument("--seconds", type=float, default=1.0, metavar="S", help="board time (default 1)")
+    parser.add_argument(
+        "--lenient", action="store_true", help="warn about what the chip does not promise to take, and go on"
+    )
+    parser.add_argument(
+        "--ride-faults", action="store_true", help="let the program's own HardFault handler run"
+    )
+    parser.add_argument("--baud", type=int, default=250000, help="of the USB side (default 250000)")
+    parser.add_argument("--gdb", type=int, metavar="PORT", help="wait for a debugger on this TCP port")
+    return parser
+
+
+def _copy_output(due: Due) -> None:
+    data = due.usb_read()
+    if data:
+        sys.stdout.buffer.write(data)
+        sys.stdout.buffer.flush()
+    for warning in due.take_warnings():
+        print(f"warning: {warning}", file=sys.stderr)
+
+
+def _run(due: Due, end_us: float) -> None:
+    while due.now_us < end_us and not due.halt:
+        due.run_us(min(_SLICE_US, end_us - due.now_us + 0.1))
+        _copy_output(due)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments
+        Without the program's name; None takes those of this process.
+    """
+    options = _parser().parse_args(arguments)
+    try:
+        image = read_image(options.program)
+        due = new_due(image, strict=not options.lenient)
+        due.stop_at_hardfault(not options.ride_faults)
+        due.usb_line_coding(options.baud)
+        due.power_on()
+        if options.gdb is not None:
+            GdbServer(due, image).serve(options.gdb)
+            _copy_output(due)
+            return EXIT_DONE
+        _run(due, due.now_us + options.seconds * 1e6)
+    except DueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return EXIT_USAGE
+    except Stop as stop:
+        _copy_output(due)
+        print(f"error after {due.now_us / 1e3:.3f} ms: {stop}\n{report_of(due)}", file=sys.stderr)
+        return EXIT_FAULT if due.halt else EXIT_STRICT
+    if due.halt:
+        print(f"{due.halt} after {due.now_us / 1e3:.3f} ms\n{report_of(due)}", file=sys.stderr)
+        return EXIT_FAULT
+    return EXIT_DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,137 @@
+"""Programs for the Due: ELF files with their symbols, and plain images of the flash."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from elftools.common.exceptions import ELFError  # type: ignore[import-not-found,unused-ignore]
+from elftools.elf.elffile import ELFFile  # type: ignore[import-not-found,unused-ignore]
+from elftools.elf.sections import (  # type: ignore[import-not-found,unused-ignore]
+    SymbolTableSection,
+)
+
+from heli_sim.due.errors import ImageError
+
+FLASH_BASE = 0x0008_0000
+FLASH_SIZE = 512 * 1024
+
+
+@dataclass(frozen=True)
+class Symbol:
+    """A function or an object of a program.
+
+    Parameters
+    ----------
+    name
+        As in the ELF, mangled.
+    address
+        Without the Thumb bit.
+    size
+        Bytes; 0 when the ELF does not say.
+    is_function
+        False for data.
+    """
+
+    name: str
+    address: int
+    size: int
+    is_function: bool
+
+
+@dataclass(frozen=True)
+class Image:
+    """What goes into the flash.
+
+    Parameters
+    ----------
+    path
+        Where it was read from.
+    segments
+        Address and bytes of each piece.
+    symbols
+        Functions and objects, in no particular order.
+    """
+
+    path: Path
+    segments: tuple[tuple[int, bytes], ...]
+    symbols: tuple[Symbol, ...]
+
+    def address(self, name: str) -> int:
+        """Address of a symbol.
+
+        Parameters
+        ----------
+        name
+            As in the ELF, mangled.
+
+        Raises
+        ------
+        ImageError
+            No symbol has that name.
+        """
+        for symbol in self.symbols:
+            if symbol.name == name:
+                return symbol.address
+        raise ImageError(f"{self.path.name} has no symbol {name}: build it without stripping")
+
+
+def _in_flash(address: int, size: int) -> bool:
+    return address >= FLASH_BASE and address + size <= FLASH_BASE + FLASH_SIZE
+
+
+def _symbol(name: str, value: int, size: int, is_function: bool) -> Symbol:
+    return Symbol(name, value & ~1 if is_function else value, size, is_function)
+
+
+def _read_elf(path: Path) -> Image:
+    with path.open("rb") as file:
+        elf = ELFFile(file)
+        if elf["e_machine"] != "EM_ARM":
+            raise ImageError(f"{path} is for {elf['e_machine']}, not for ARM: give the firmware's ELF")
+        segments = tuple(
+            (int(segment["p_paddr"]), bytes(segment.data()))
+            for segment in elf.iter_segments()
+            if segment["p_type"] == "PT_LOAD" and segment["p_filesz"]
+        )
+        table = elf.get_section_by_name(".symtab")
+        entries = list(table.iter_symbols()) if isinstance(table, SymbolTableSection) else []
+    symbols = tuple(
+        _symbol(entry.name, entry["st_value"], entry["st_size"], entry["st_info"]["type"] == "STT_FUNC")
+        for entry in entries
+        if entry["st_info"]["type"] in ("STT_FUNC", "STT_OBJECT")
+    )
+    return Image(path, segments, symbols)
+
+
+def read_image(path: Path | str) -> Image:
+    """Read a program.
+
+    Parameters
+    ----------
+    path
+        An ELF, or the bytes of the flash from 0x80000 on (``.bin``).
+
+    Raises
+    ------
+    ImageError
+        The file is missing, no ELF for ARM, or does not lie in the Due's flash.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            is_elf = file.read(4) == b"\x7fELF"
+        image = _read_elf(path) if is_elf else Image(path, ((FLASH_BASE, path.read_bytes()),), ())
+    except OSError as error:
+        raise ImageError(f"{path}: {error.strerror}; give the path of an ELF or .bin") from error
+    except ELFError as error:
+        raise ImageError(f"{path} is no readable ELF ({error}): build it again") from error
+    for address, data in image.segments:
+        if not _in_flash(address, len(data)):
+            raise ImageError(
+                f"{path.name} has {len(data)} bytes at {address:#x}, outside of the Due's flash: "
+                "link it for the SAM3X8E, from 0x80000 on"
+            )
+    if not image.segments:
+        raise ImageError(f"{path} holds nothing to load: link it for the SAM3X8E")
+    return image
