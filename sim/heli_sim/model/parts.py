@@ -7,9 +7,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 
-def thrust_N(
-    volts_V: ca.SX, gain_N_per_V: ca.SX, dead_zone_V: ca.SX, reverse: ca.SX | float = 0.0
-) -> ca.SX:
+def thrust_N(volts_V: ca.SX, gain_N_per_V: ca.SX, dead_zone_V: ca.SX, reverse: ca.SX | float = 0.0) -> ca.SX:
     """Thrust of rotors against voltage, F = k (V - V_0) above V_0 and none below (31).
 
     The paper fits the straight line above the dead zone only. Rotors that may be driven backwards push down
