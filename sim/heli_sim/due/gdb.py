@@ -9,10 +9,13 @@ from __future__ import annotations
 import select
 import socket
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-from heli_sim.due._due import Due, Stop
 from heli_sim.due.errors import GdbError
 from heli_sim.due.image import Image
+
+if TYPE_CHECKING:
+    from heli_sim.due._due import Due
 
 _SIGINT = "S02"
 _SIGTRAP = "S05"
@@ -220,6 +223,8 @@ class GdbServer:
         return signal
 
     def _step(self) -> str:
+        from heli_sim.due._due import Stop
+
         self._due.resume()
         try:
             self._due.step()
@@ -228,6 +233,8 @@ class GdbServer:
         return self._stopped(_SIGSEGV if self._due.halt in ("hardfault", "lockup") else _SIGTRAP)
 
     def _continue(self) -> str:
+        from heli_sim.due._due import Stop
+
         self._due.resume()
         try:
             while not self._due.halt:
@@ -238,6 +245,6 @@ class GdbServer:
             return self._tell(stop)
         return self._stopped(_SIGTRAP if self._due.halt == "breakpoint" else _SIGSEGV)
 
-    def _tell(self, stop: Stop) -> str:
+    def _tell(self, stop: Exception) -> str:
         print(f"stopped: {stop}", flush=True)
         return self._stopped(_SIGSEGV)

@@ -4,12 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-
-from elftools.common.exceptions import ELFError  # type: ignore[import-not-found,unused-ignore]
-from elftools.elf.elffile import ELFFile  # type: ignore[import-not-found,unused-ignore]
-from elftools.elf.sections import (  # type: ignore[import-not-found,unused-ignore]
-    SymbolTableSection,
-)
+from typing import Any
 
 from heli_sim.due.errors import ImageError
 
@@ -85,8 +80,19 @@ def _symbol(name: str, value: int, size: int, is_function: bool) -> Symbol:
 
 
 def _read_elf(path: Path) -> Image:
+    # Imported late: only programs with symbols need the library.
+    from elftools.common.exceptions import ELFError  # type: ignore[import-not-found,unused-ignore]
+    from elftools.elf.elffile import ELFFile  # type: ignore[import-not-found,unused-ignore]
+
+    try:
+        return _read_segments(path, ELFFile)
+    except ELFError as error:
+        raise ImageError(f"{path} is no readable ELF ({error}): build it again") from error
+
+
+def _read_segments(path: Path, elf_file: Any) -> Image:
     with path.open("rb") as file:
-        elf = ELFFile(file)
+        elf = elf_file(file)
         if elf["e_machine"] != "EM_ARM":
             raise ImageError(f"{path} is for {elf['e_machine']}, not for ARM: give the firmware's ELF")
         segments = tuple(
@@ -95,7 +101,7 @@ def _read_elf(path: Path) -> Image:
             if segment["p_type"] == "PT_LOAD" and segment["p_filesz"]
         )
         table = elf.get_section_by_name(".symtab")
-        entries = list(table.iter_symbols()) if isinstance(table, SymbolTableSection) else []
+        entries = list(table.iter_symbols()) if table is not None else []
     symbols = tuple(
         _symbol(entry.name, entry["st_value"], entry["st_size"], entry["st_info"]["type"] == "STT_FUNC")
         for entry in entries
@@ -124,8 +130,6 @@ def read_image(path: Path | str) -> Image:
         image = _read_elf(path) if is_elf else Image(path, ((FLASH_BASE, path.read_bytes()),), ())
     except OSError as error:
         raise ImageError(f"{path}: {error.strerror}; give the path of an ELF or .bin") from error
-    except ELFError as error:
-        raise ImageError(f"{path} is no readable ELF ({error}): build it again") from error
     for address, data in image.segments:
         if not _in_flash(address, len(data)):
             raise ImageError(
