@@ -347,9 +347,7 @@ def findings(image: Image) -> list[str]:
         found.append(f"RAM: {image.ram_bytes} bytes are more than {RAM_MOST_BYTES}")
     needed = image.stack_needed_bytes()
     if needed > image.stack_reserved_bytes:
-        found.append(
-            f"stack: {needed} bytes may be needed; due.ld sets {image.stack_reserved_bytes} aside in stack_bytes"
-        )
+        found.append(f"stack: {needed} bytes may be needed, due.ld reserves {image.stack_reserved_bytes}")
     found += [f"heap: {name} is linked" for name in sorted(image.symbols) if HEAP.match(name)]
     for interrupt in INTERRUPTS:
         slow = sorted(name for name in image.reachable(interrupt) if SLOW.match(name))
@@ -375,7 +373,7 @@ def report(image: Image, cross: str = "arm-none-eabi-") -> str:
     lines = [
         f"flash {image.flash_bytes:6d} of {FLASH_MOST_BYTES} bytes",
         f"RAM   {image.ram_bytes:6d} of {RAM_MOST_BYTES} bytes, with the stack",
-        f"stack {image.stack_needed_bytes():6d} of {image.stack_reserved_bytes} bytes, all interrupts at once",
+        f"stack {image.stack_needed_bytes():6d} of {image.stack_reserved_bytes} bytes, with all interrupts",
     ]
     for name in (ENTRY, *INTERRUPTS):
         most, chain = image.deepest(name)

@@ -1,0 +1,94 @@
+"""Run PlatformIO without a network: ``python firmware/pio/build.py [ARGUMENTS]``; ``run -e due`` if none.
+
+Everything after the name goes to ``pio``. PlatformIO's core directory is made in ``build/platformio`` from
+the stand-in platform beside this file and SCons as installed beside PlatformIO.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+CORE = ROOT / "build" / "platformio"
+
+# Files of the stand-in platform, and where PlatformIO looks for them.
+STAND_IN = {"platform.json": "platform.json", "due.json": "boards/due.json", "builder.py": "builder/main.py"}
+
+# What PlatformIO would fetch, by the versions that it asks for.
+SCONS_VERSION = "4.41101.0"
+TOOLCHAIN_VERSION = "1.90301.200702"
+RUN_SCONS = "from SCons.Script import main\n\nmain()\n"
+
+
+def _package(folder: Path, kind: str, name: str, version: str) -> None:
+    """Make `folder` look to PlatformIO like a package that it has fetched."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if kind == "tool":
+        manifest = {"name": name, "version": version, "description": "from this system"}
+        (folder / "package.json").write_text(json.dumps(manifest))
+    spec = {"owner": "platformio", "id": None, "name": name, "requirements": None, "uri": None}
+    (folder / ".piopm").write_text(json.dumps({"type": kind, "name": name, "version": version, "spec": spec}))
+
+
+def _needs() -> str | None:
+    """What is missing on this system, as one line; None when nothing is."""
+    if find_spec("platformio") is None or find_spec("SCons") is None:
+        return f"PlatformIO is missing; type: {sys.executable} -m pip install platformio scons"
+    if shutil.which("arm-none-eabi-g++") is None:
+        return (
+            "the cross-compiler is missing; on Debian type: "
+            "sudo apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi libstdc++-arm-none-eabi-dev"
+        )
+    return None
+
+
+def _prepare() -> None:
+    """Fill PlatformIO's core directory; the real one of the user is left alone."""
+    platform = CORE / "platforms" / "atmelsam"
+    for name, place in STAND_IN.items():
+        (platform / place).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(HERE / name, platform / place)
+    version = json.loads((HERE / "platform.json").read_text())["version"]
+    _package(platform, "platform", "atmelsam", version)
+    scons = CORE / "packages" / "tool-scons"
+    _package(scons, "tool", "tool-scons", SCONS_VERSION)
+    (scons / "scons.py").write_text(RUN_SCONS)
+    _package(
+        CORE / "packages" / "toolchain-gccarmnoneeabi", "tool", "toolchain-gccarmnoneeabi", TOOLCHAIN_VERSION
+    )
+
+
+def main() -> int:
+    """Run PlatformIO in the prepared directory.
+
+    Returns
+    -------
+    int
+        PlatformIO's exit code; 1 when something is missing.
+    """
+    missing = _needs()
+    if missing is not None:
+        print(f"error: {missing}", file=sys.stderr)
+        return 1
+    _prepare()
+    environment = {
+        **os.environ,
+        "PLATFORMIO_CORE_DIR": str(CORE),
+        "PLATFORMIO_BUILD_DIR": str(ROOT / "build" / "pio"),
+        "PLATFORMIO_SETTING_ENABLE_TELEMETRY": "no",
+        "PLATFORMIO_SETTING_CHECK_PLATFORMIO_INTERVAL": "3650",
+    }
+    arguments = sys.argv[1:] or ["run", "-e", "due"]
+    command = [sys.executable, "-m", "platformio", *arguments]
+    return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())

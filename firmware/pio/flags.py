@@ -1,0 +1,39 @@
+"""PlatformIO extra script: the project's own flags instead of the platform's, and bounds on size and stack.
+
+The platform's bare-metal mode brings flags of its own (gnu++11, -Os, Arduino's entry point). All of them go,
+so that the real platform, the stand-in and the Makefile of firmware/due compile and link alike.
+"""
+
+from pathlib import Path
+
+Import("env", "projenv")  # type: ignore[name-defined]  # noqa: F821 - SCons puts these names here
+
+build = env  # type: ignore[name-defined]  # noqa: F821
+project = projenv  # type: ignore[name-defined]  # noqa: F821
+
+FIRMWARE = Path(build.subst("$PROJECT_DIR")) / "firmware"
+
+
+def flags(name):
+    """Lines of one of the files of flags."""
+    return (FIRMWARE / "due" / name).read_text().split()
+
+
+project.Replace(
+    CCFLAGS=flags("compile.flags"),
+    CXXFLAGS=[],
+    CPPDEFINES=[],
+    CPPPATH=[str(FIRMWARE / "core"), str(FIRMWARE / "due")],
+)
+build.Replace(
+    # The g++ driver would ask for libstdc++, which nothing here needs.
+    LINK="$CC",
+    LINKFLAGS=[*flags("link.flags"), f"-T{FIRMWARE / 'due' / 'due.ld'}", "-Wl,-Map=$BUILD_DIR/firmware.map"],
+    LIBS=["m"],
+)
+build.AddPostAction(
+    "$BUILD_DIR/firmware.elf",
+    build.VerboseAction(
+        f'"$PYTHONEXE" "{FIRMWARE / "due" / "report.py"}" "$TARGET"', "Size and stack of $TARGET"
+    ),
+)
