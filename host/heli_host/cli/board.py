@@ -151,3 +151,21 @@ def clear_latched_fault(heli: Heli) -> None:
     if heli.state is State.FAULT:
         print(f"cleared: {fault_text(heli.fault)}")
         heli.clear_fault()
+
+
+def board_text(heli: Heli) -> str:
+    """Say which board it is.
+
+    Parameters
+    ----------
+    heli : Heli
+        A connected board.
+
+    Returns
+    -------
+    str
+        For example ``"Arduino Due, firmware 0.1.0, on /dev/ttyACM0"``.
+    """
+    info = heli.info
+    kind = "simulated board" if info.board == "native" else info.board
+    return f"{kind}, firmware {info.firmware_version}, on {heli.session.transport.url}"

@@ -46,7 +46,7 @@ def fly(
 
     Example: `heli-host fly hover sine --sil --speed 5`
     """
-    from heli_host.cli.board import clear_latched_fault, open_board
+    from heli_host.cli.board import board_text, clear_latched_fault, open_board
     from heli_host.cli.progress import LiveLine
     from heli_host.cli.report import summary_lines
     from heli_host.errors import FlightAborted
@@ -68,8 +68,8 @@ def fly(
         folder = flight_folder() if log is None else log.parent
         log = log if log is not None else folder / "flight.mcap"
         json, figure = (folder / "summary.json", folder / "figure.png") if everything else (json, figure)
-        board = f"{heli.info.board}, firmware {heli.info.firmware_version}, on {heli.session.transport.url}"
-        print(f"board: {board}; {' + '.join(plan.title for plan in loaded)}", flush=True)
+        board = board_text(heli)
+        print(f"{board}\nflying: {', then '.join(plan.title for plan in loaded)}", flush=True)
         with LiveLine() as live:
 
             def show(progress: Progress) -> None:

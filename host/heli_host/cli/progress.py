@@ -22,7 +22,7 @@ LINE_EVERY_S = 5.0
 class LiveLine:
     """Shows what is happening; a context manager.
 
-    On a terminal two lines are rewritten in place; elsewhere a line is printed every few seconds.
+    On a terminal a few lines are rewritten in place; elsewhere a line is printed every few seconds.
 
     Parameters
     ----------
@@ -87,7 +87,8 @@ class LiveLine:
 
         style = "" if counters.ticks_lost == 0 else "yellow"
         self._live.update(
-            Text.assemble((head, "bold"), "   ", (link, style), "\n", angles, no_wrap=True), refresh=True
+            Text.assemble((head, "bold"), "\n", angles, "\n", (f"link: {link}", style), no_wrap=True),
+            refresh=True,
         )
 
     def say(self, text: str) -> None:
