@@ -30,12 +30,13 @@ TABLE = "parameters"
 @app.command("list")
 def list_parameters(
     pattern: Annotated[str, typer.Argument(metavar="[TEXT]", help="Only names that contain it.")] = "",
+    long: Annotated[bool, typer.Option("--long", "-l", help="Say what each means too.")] = False,
     port: PortOption = None,
     sil: SilOption = False,
 ) -> None:
-    """List names, values, units, ranges and meanings; a star marks what differs from the default.
+    """List names, values, units and ranges; a star marks what differs from the default.
 
-    Example: `heli-host params list pitch`
+    Example: `heli-host params list pitch --long`
     """
     from rich.console import Console
     from rich.markup import escape
@@ -45,13 +46,16 @@ def list_parameters(
 
     with open_board(port, sil, speed=MAX_SPEED) as heli:
         values = heli.params.dump()
-        table = Table("name", "", "value", "unit", "range", "meaning", box=None, pad_edge=False)
+        table = Table(box=None, pad_edge=False)
+        for heading in ("name", "", "value", "unit", "range", *(("meaning",) if long else ())):
+            table.add_column(heading, no_wrap=heading != "meaning")
         for name, value in values.items():
             spec = heli.params.spec(name)
             if pattern in name:
+                meaning = (escape(spec.meaning),) if long else ()
                 mark = "" if abs(value - spec.default) <= 1e-6 * max(1.0, abs(value)) else "*"
                 limits = f"{spec.min:g} .. {spec.max:g}"
-                table.add_row(name, mark, f"{value:g}", spec.unit, limits, escape(spec.meaning))
+                table.add_row(name, mark, f"{value:g}", spec.unit, limits, *meaning)
     if not table.row_count:
         raise typer.BadParameter(f"no parameter's name contains '{pattern}'")
     Console(highlight=False).print(table)

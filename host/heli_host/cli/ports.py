@@ -21,7 +21,7 @@ def ports() -> None:
         return
     table = Table("port", "what", "name that stays", box=None, pad_edge=False)
     for port in found:
-        what = port.description
+        what = port.description if port.description != "n/a" else "serial port"
         if is_due(port):
             what = "Arduino Due, programming port"
         elif is_due_native(port):
