@@ -18,119 +18,7 @@ std::uint32_t sign_extend(std::uint32_t value, unsigned bits) {
   return (value ^ sign) - sign;
 }
 
-// Pipeline refill after a taken branch: 1 to 3 cycles in the reference manual.
-constexpr std::uint32_t kRefill = 2;
-
 }  // namespace
-
-Decoder::Decoder(const Cpu& cpu, const CodeWindow& window, std::uint32_t address, std::uint8_t it)
-    : cpu_(cpu), window_(window), address_(address), it_(it) {
-  const std::uint8_t* bytes = window.bytes() + (address - window.base());
-  const auto first = static_cast<std::uint32_t>(bytes[0] | (bytes[1] << 8));
-  out_.it = it;
-  out_.length = 1;
-  out_.cycles = 1;
-  if (first < 0xE800U) {
-    decode16(first);
-    return;
-  }
-  out_.length = 2;
-  if (window.holds(address + 2)) {
-    decode32(first, static_cast<std::uint32_t>(bytes[2] | (bytes[3] << 8)));
-  } else {
-    undefined();
-  }
-}
-
-void Decoder::undefined() { put<&ops::undefined>(); }
-
-bool Decoder::near(std::uint32_t target) const {
-  // The two flash planes are programmed independently, so a branch across them goes the long way.
-  const bool same_plane =
-      (target - kFlashBase) / kPlaneSize == (address_ - kFlashBase) / kPlaneSize;
-  return window_.holds(target) && (same_plane || !window_.holds(kFlashBase));
-}
-
-// Cycles on top of one: refill, and the wait states of a flash line that is not being read anyhow.
-std::uint8_t Decoder::taken_cycles(std::uint32_t target) const {
-  std::uint32_t count = kRefill;
-  const bool in_flash = window_.bytes() != nullptr && window_.size() == kFlashSize;
-  if (in_flash && (target >> 4) != (address_ >> 4)) count += cpu_.flash_wait_states();
-  return static_cast<std::uint8_t>(count);
-}
-
-void Decoder::set_target(std::uint32_t target) {
-  out_.imm = target;
-  out_.step = static_cast<std::int32_t>(target - address_) / 2;
-}
-
-void Decoder::branch_to(std::uint32_t target, bool link) {
-  set_target(target);
-  cycles(1U + taken_cycles(target));
-  if (link) {
-    if (!near(target)) return put<&ops::branch_link_far>();
-    out_.imm = (address_ + 4) | 1U;
-    put<&ops::branch_link_near>();
-  } else {
-    near(target) ? put<&ops::branch_near>() : put<&ops::branch_far>();
-  }
-}
-
-template <unsigned kCondition>
-static Handler conditional_branch(bool is_near) {
-  return is_near ? &ops::branch_if<kCondition, true> : &ops::branch_if<kCondition, false>;
-}
-
-void Decoder::branch_to_if(std::uint32_t condition, std::uint32_t target) {
-  if (in_it()) return undefined();
-  set_target(target);
-  extra(taken_cycles(target));
-  const bool is_near = near(target);
-  switch (condition) {
-    case 0:
-      out_.run = conditional_branch<0>(is_near);
-      return;
-    case 1:
-      out_.run = conditional_branch<1>(is_near);
-      return;
-    case 2:
-      out_.run = conditional_branch<2>(is_near);
-      return;
-    case 3:
-      out_.run = conditional_branch<3>(is_near);
-      return;
-    case 4:
-      out_.run = conditional_branch<4>(is_near);
-      return;
-    case 5:
-      out_.run = conditional_branch<5>(is_near);
-      return;
-    case 6:
-      out_.run = conditional_branch<6>(is_near);
-      return;
-    case 7:
-      out_.run = conditional_branch<7>(is_near);
-      return;
-    case 8:
-      out_.run = conditional_branch<8>(is_near);
-      return;
-    case 9:
-      out_.run = conditional_branch<9>(is_near);
-      return;
-    case 10:
-      out_.run = conditional_branch<10>(is_near);
-      return;
-    case 11:
-      out_.run = conditional_branch<11>(is_near);
-      return;
-    case 12:
-      out_.run = conditional_branch<12>(is_near);
-      return;
-    default:
-      out_.run = conditional_branch<13>(is_near);
-      return;
-  }
-}
 
 void Decoder::decode16(std::uint32_t w) {
   switch (w >> 12) {
@@ -175,22 +63,6 @@ void Decoder::decode16(std::uint32_t w) {
     default:
       if (in_it() && !last_in_it()) return undefined();
       return branch_to(pc() + 2 * sign_extend(field(w, 0, 11), 11), false);
-  }
-}
-
-Op2 Decoder::immediate_shift(std::uint32_t type, std::uint32_t amount) {
-  extra(amount);
-  switch (type) {
-    case 0:
-      return amount == 0 ? Op2::kReg : Op2::kLsl;
-    case 1:
-      extra(amount == 0 ? 32 : amount);
-      return Op2::kLsr;
-    case 2:
-      extra(amount == 0 ? 32 : amount);
-      return Op2::kAsr;
-    default:
-      return amount == 0 ? Op2::kRrx : Op2::kRor;
   }
 }
 
@@ -483,31 +355,6 @@ void Decoder::multiple16(std::uint32_t w) {
   // Storing a base that is written back is only defined for the lowest register of the list.
   if (in_list && (out_.imm & ((1U << out_.rn) - 1U)) != 0) return undefined();
   put<&ops::store_multiple<false>>();
-}
-
-void Decoder::literal(std::uint32_t size, bool sign, std::uint32_t address) {
-  cycles(2);
-  out_.imm = address;
-  if (size == 4 && out_.rd == 15) {
-    cycles(2U + taken_cycles(~0U));
-    return put<&ops::load_literal_pc>();
-  }
-  const bool in_flash = window_.size() == kFlashSize;
-  if (size == 4 && in_flash && near(address) && (address & 3U) == 0) {
-    // Flash only changes by programming, which empties the decoded copies.
-    const std::uint8_t* bytes = window_.bytes() + (address - window_.base());
-    std::memcpy(&out_.imm, bytes, 4);
-    return put_alu<Alu::kMov, Op2::kImm>(false);
-  }
-  if (size == 1) {
-    return sign ? put_rd<&ops::load_literal<std::uint8_t, true>>()
-                : put_rd<&ops::load_literal<std::uint8_t, false>>();
-  }
-  if (size == 2) {
-    return sign ? put_rd<&ops::load_literal<std::uint16_t, true>>()
-                : put_rd<&ops::load_literal<std::uint16_t, false>>();
-  }
-  put_rd<&ops::load_literal<std::uint32_t, false>>();
 }
 
 }  // namespace heli_due

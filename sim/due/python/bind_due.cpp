@@ -265,6 +265,16 @@ void bind_debugging(nb::class_<Due>& due) {
       .def_prop_ro("sleep_cycles",
                    [](const Due& self) { return self.chip.system.cpu.sleep_cycles(); })
       .def("peek", &peek, nb::arg("address"), nb::arg("size"))
+      .def(
+          "read_word",
+          [](Due& self, std::uint32_t address) {
+            try {
+              return self.chip.system.bus.read(address, 4);
+            } catch (const Fault&) {
+              throw std::invalid_argument("nothing can be read at " + hex(address));
+            }
+          },
+          nb::arg("address"))
       .def("poke", &poke, nb::arg("address"), nb::arg("data"))
       .def(
           "add_breakpoint",
