@@ -78,6 +78,19 @@ def test_repeated_acks_are_not_taken_for_answers_to_later_commands() -> None:
     assert session.counters.retries == 0
 
 
+def test_a_late_ack_of_the_same_command_is_not_taken_for_the_answer_to_a_new_one() -> None:
+    board = FakeBoard()
+    session = opened(board)
+    session.command(ParamSetMessage(0, Param.HOVER_V, 1.0))
+    late = ParamSetMessage.unpack(
+        next(frame for _, frame in board.heard if frame.id == MessageId.PARAM_SET).payload
+    )
+    board.lose_replies = 1
+    board.send(AckMessage(late.request, MessageId.PARAM_SET, Result.OK, 0, 1.0))
+    assert session.command(ParamSetMessage(0, Param.HOVER_V, 2.0)).value == 2.0
+    assert session.counters.retries == 1
+
+
 def test_a_command_without_any_answer_times_out_at_its_deadline() -> None:
     board = FakeBoard()
     session = opened(board)

@@ -127,6 +127,21 @@ def test_a_restart_of_the_board_is_told_apart_from_a_lost_cable() -> None:
     assert 1000 <= latest[0] < 1300
 
 
+def test_a_restart_of_which_only_the_ticks_tell_is_noticed() -> None:
+    board = FakeBoard()
+    line = FakeLine(board)
+    session = Session(line)
+    session.connect()
+    session.wait(3.0)
+    board.reboot()
+    board.advance(0)
+    board.open = True
+    with pytest.raises(LinkLost, match="started anew"):
+        session.wait(10.0)
+    assert line.now_s() < 3.6
+    assert session.counters.restarts == 1
+
+
 def test_a_restart_while_the_cable_is_out_is_noticed_although_the_tick_has_passed_the_old_one() -> None:
     board = FakeBoard()
     line = FakeLine(board)
