@@ -74,12 +74,52 @@ def compile_function(function: ca.Function) -> Path | None:
     PlantError
         When the compiler fails.
     """
-    generator = ca.CodeGenerator(function.name(), {"with_header": False})
-    generator.add(function)
+    return compile_source(function.name(), c_source(function))
+
+
+def c_source(*functions: ca.Function) -> str:
+    """Write functions as C.
+
+    Parameters
+    ----------
+    *functions : casadi.Function
+        Functions; their names are the symbols.
+
+    Returns
+    -------
+    str
+        One C file.
+    """
+    generator = ca.CodeGenerator(functions[0].name(), {"with_header": False})
+    for function in functions:
+        generator.add(function)
     source: str = generator.dump()
+    return source
+
+
+def compile_source(name: str, source: str) -> Path | None:
+    """Compile a C file, or find the library that an earlier call compiled.
+
+    Parameters
+    ----------
+    name : str
+        Name of the library in the cache.
+    source : str
+        The C file.
+
+    Returns
+    -------
+    Path or None
+        The shared library; None when there is no C compiler.
+
+    Raises
+    ------
+    PlantError
+        When the compiler fails.
+    """
     key = hashlib.sha256("\n".join([source, *_FLAGS, platform.machine(), platform.system()]).encode())
     folder = cache_folder()
-    library = folder / f"{function.name()}-{key.hexdigest()[:24]}.so"
+    library = folder / f"{name}-{key.hexdigest()[:24]}.so"
     if library.exists():
         return library
     cc = compiler()

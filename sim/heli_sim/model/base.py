@@ -79,6 +79,9 @@ class Effect:
         States of its own; they start at 0.
     priors : Mapping[str, Prior]
         What is known of each of `parameters` before a flight; needed to identify it.
+    delay : str
+        Name of the one of `parameters`, in s, by which the voltages act late; empty for no delay. Whoever
+        integrates the model hands it voltages that are late by this much.
     """
 
     name: str
@@ -86,6 +89,7 @@ class Effect:
     values: Mapping[str, float] = field(default_factory=dict)
     states: tuple[Quantity, ...] = ()
     priors: Mapping[str, Prior] = field(default_factory=dict)
+    delay: str = ""
 
     def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
         """Change the thrust.
@@ -163,7 +167,8 @@ class Model(ABC):
     Raises
     ------
     PlantError
-        When two effects bring the same parameter or state, or a parameter has the name of a rig's number.
+        When two effects bring the same parameter or state, a parameter has the name of a rig's number, or two
+        effects delay the voltages.
     """
 
     name: str
@@ -184,6 +189,11 @@ class Model(ABC):
         twice = sorted({name for name in every if every.count(name) > 1 or (name in own and name in _RIG)})
         if twice:
             raise PlantError(f"effects of '{self.name}' share the names {', '.join(twice)}; rename them")
+        delays = [effect.delay for effect in effects if effect.delay]
+        if len(delays) > 1:
+            raise PlantError(f"{' and '.join(delays)} both delay the voltages of '{self.name}'; keep one")
+        self.delay: str = delays[0] if delays else ""
+        """Name of the parameter by which the voltages act late, or empty."""
 
     @abstractmethod
     def acceleration(self, at: Situation, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:

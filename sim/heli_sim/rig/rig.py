@@ -98,6 +98,22 @@ class Rig(Mapping[str, Number]):
     def __len__(self) -> int:
         return len(self.numbers)
 
+    @staticmethod
+    def may_be_negative(name: str) -> bool:
+        """Tell whether a number may be below 0.
+
+        Parameters
+        ----------
+        name : str
+            Name of the number.
+
+        Returns
+        -------
+        bool
+            False for masses, distances, gains and everything else of which there cannot be less than none.
+        """
+        return name in _MAY_BE_NEGATIVE
+
     def replace(self, **values: float) -> Rig:
         """Return a copy with other values; units, tolerances and sources stay.
 

@@ -1,0 +1,576 @@
+"""Free runs of a model over many windows, with exact derivatives: the inner loop of every fit.
+
+CasADi writes the rates of the state and their Jacobians as C; around them stands a short loop, also C, that
+carries the state and its sensitivities to the window's initial state and to the free parameters through
+Runge-Kutta steps of fourth order. Both are compiled together and kept in the user's cache. Without a compiler
+the same loop runs in NumPy on CasADi's virtual machine.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from heli_sim.compiled import c_source, compile_source
+from heli_sim.errors import PlantError
+from heli_sim.model.base import Model
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+THREADS: Final = 2
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What drives the windows, one row a step; the windows' rows lie one after the other.
+
+    Within a step each voltage is a straight line: its mean and its change over the step. A step as long as the
+    flight's sample has no change; a longer one keeps the voltage's integral and the integral of that, so that
+    speeds and angles come out as under the voltages sample by sample.
+
+    Parameters
+    ----------
+    steps : ndarray of int64 (w,)
+        Number of steps of each window.
+    start_s : ndarray (w,)
+        Time of each window's first sample since the flight's first.
+    step_s : float
+        Length of a step.
+    mean_V : ndarray (n, 2)
+        Mean front and back voltage over each step.
+    change_V : ndarray (n, 2)
+        Change of the voltages from the beginning to the end of each step.
+    substeps : int
+        Runge-Kutta steps in each step.
+    mean_by_delay_V_s, change_by_delay_V_s : ndarray (n, 2), optional
+        Derivatives of both to the delay of the voltages, for models that have one.
+    """
+
+    steps: Integers
+    start_s: Floats
+    step_s: float
+    mean_V: Floats
+    change_V: Floats
+    substeps: int = 1
+    mean_by_delay_V_s: Floats | None = None
+    change_by_delay_V_s: Floats | None = None
+
+    @property
+    def first(self) -> Integers:
+        """Row of each window's first step, shape (w,)."""
+        return np.concatenate(([0], np.cumsum(self.steps)[:-1])).astype(np.int64)
+
+    @property
+    def rows(self) -> int:
+        """Number of steps of all windows."""
+        return int(self.steps.sum())
+
+
+class Kernel(Protocol):
+    """Runs windows; compiled and interpreted kernels agree to rounding."""
+
+    def run(
+        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool = True
+    ) -> tuple[Floats, Floats | None]:
+        """Run every window from its initial state.
+
+        Parameters
+        ----------
+        inputs : Inputs
+            What drives the windows.
+        start : ndarray (w, states)
+            Initial states.
+        parameters : ndarray (p,)
+            All parameters of the model.
+        derivatives : bool
+            Whether to compute the Jacobian.
+
+        Returns
+        -------
+        angles_rad : ndarray (n, 3)
+            Measured angles at the beginning of each step.
+        jacobian : ndarray (n, 3, states + free) or None
+            Their derivatives to the window's initial state and to the free parameters.
+        """
+        ...
+
+    def end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
+        """Run every window and return the states at their ends.
+
+        Parameters
+        ----------
+        inputs : Inputs
+            What drives the windows.
+        start : ndarray (w, states)
+            Initial states.
+        parameters : ndarray (p,)
+            All parameters of the model.
+
+        Returns
+        -------
+        ndarray (w, states)
+            State after each window's last step.
+        """
+        ...
+
+
+def kernel(model: Model, free: tuple[str, ...]) -> Kernel:
+    """Build or find the kernel of a model.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    free : tuple of str
+        Names of the parameters to differentiate to, in this order.
+
+    Returns
+    -------
+    Kernel
+        Compiled, or interpreted where there is no C compiler.
+
+    Raises
+    ------
+    PlantError
+        When the compiler fails.
+    """
+    functions = Functions(model, free)
+    library = compile_source("identify", _driver(functions))
+    return InterpretedKernel(functions) if library is None else CompiledKernel(functions, str(library))
+
+
+class Functions:
+    """Rates, measurement and their Jacobians as CasADi functions.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    free : tuple of str
+        Names of the parameters to differentiate to, in this order.
+    """
+
+    def __init__(self, model: Model, free: tuple[str, ...]) -> None:
+        names = [quantity.name for quantity in model.parameters]
+        self.state_count = len(model.states)
+        self.parameter_count = len(names)
+        self.free_index = [names.index(name) for name in free]
+        self.delay_column = free.index(model.delay) if model.delay in free else None
+        x, u = ca.SX.sym("x", self.state_count), ca.SX.sym("u", 2)
+        t, p = ca.SX.sym("t"), ca.SX.sym("p", len(names))
+        rates = ca.densify(model.dynamics(x, u, p, t))
+        angles = ca.densify(model.measurement(x, u, p, t))
+        to_free = [p[i] for i in self.free_index]
+        self.identity = bool(ca.is_equal(angles, x[:3], 10))
+
+        def with_derivatives(value: ca.SX) -> list[ca.SX]:
+            to_p = ca.jacobian(value, ca.vertcat(*to_free)) if to_free else ca.SX(value.numel(), 0)
+            return [value, ca.jacobian(value, x), to_p, ca.jacobian(value, u)]
+
+        def function(name: str, results: list[ca.SX]) -> ca.Function:
+            return ca.Function(name, [x, u, t, p], ca.cse(results))
+
+        self.rates = function("heli_rates", [rates])
+        self.rates_jacobian = function("heli_rates_jacobian", with_derivatives(rates))
+        self.angles = function("heli_angles", [angles])
+        self.angles_jacobian = function("heli_angles_jacobian", with_derivatives(angles))
+
+    @property
+    def all(self) -> tuple[ca.Function, ...]:
+        """Every function that the loop calls."""
+        return self.rates, self.rates_jacobian, self.angles, self.angles_jacobian
+
+
+_C: Final = """
+#include <string.h>
+#define NX %(nx)d
+#define NZ %(nz)d
+
+static void chain_rates(const double* fx, const double* fp, const double* fu, const double* du,
+                        double (*s)[NZ], double (*out)[NZ]) {
+%(rates)s}
+
+static void chain_angles(const double* fx, const double* fp, const double* fu, const double* du,
+                         double (*s)[NZ], double* target) {
+  double (*out)[NZ] = (double (*)[NZ])target;
+%(angles)s}
+
+typedef struct { const double *mean, *change, *mean_by_delay, *change_by_delay; } Row;
+
+static void input(const Row* row, double c, double* u, double* du) {
+  for (int i = 0; i < 2; ++i) {
+    u[i] = row->mean[i] + (c - 0.5) * row->change[i];
+    du[i] = row->mean_by_delay ? row->mean_by_delay[i] + (c - 0.5) * row->change_by_delay[i] : 0.0;
+  }
+}
+
+static void evaluate(const Row* row, double c, double t, const double* p, double* x, double (*s)[NZ],
+                     double* k, double (*ks)[NZ]) {
+  double u[2], du[2], fx[%(fx)d], fp[%(fp)d], fu[%(fu)d], w[%(w)d];
+  long long iw[%(iw)d];
+  const double* arg[%(arg)d] = {x, u, &t, p};
+  double* res[%(res)d] = {k, fx, fp, fu};
+  input(row, c, u, du);
+  if (ks) {
+    heli_rates_jacobian(arg, res, iw, w, 0);
+    chain_rates(fx, fp, fu, du, s, ks);
+  } else {
+    heli_rates(arg, res, iw, w, 0);
+  }
+}
+
+static void look(const Row* row, double t, const double* p, double* x, double (*s)[NZ], double* angles,
+                 double* target) {
+  double u[2], du[2], fx[%(fx)d], fp[%(fp)d], fu[%(fu)d], w[%(w)d];
+  long long iw[%(iw)d];
+  const double* arg[%(arg)d] = {x, u, &t, p};
+  double* res[%(res)d] = {angles, fx, fp, fu};
+  if (%(identity)d) {
+    memcpy(angles, x, 3 * sizeof(double));
+    if (target) memcpy(target, s, 3 * NZ * sizeof(double));
+    return;
+  }
+  input(row, 0.0, u, du);
+  if (target) {
+    heli_angles_jacobian(arg, res, iw, w, 0);
+    chain_angles(fx, fp, fu, du, s, target);
+  } else {
+    heli_angles(arg, res, iw, w, 0);
+  }
+}
+
+/* One step; s is null without derivatives. */
+static void advance(const Row* row, double c, double share, double t, double h, const double* p, double* x,
+                    double (*s)[NZ]) {
+  static const double at[4] = {0.0, 0.5, 0.5, 1.0}, weight[4] = {1.0, 2.0, 2.0, 1.0};
+  double k[NX], y[NX], sum[NX], ks[NX][NZ], ys[NX][NZ], sums[NX][NZ];
+  memcpy(y, x, sizeof(y));
+  memset(sum, 0, sizeof(sum));
+  if (s) {
+    memcpy(ys, s, sizeof(ys));
+    memset(sums, 0, sizeof(sums));
+  }
+  for (int stage = 0; stage < 4; ++stage) {
+    evaluate(row, c + share * at[stage], t + h * at[stage], p, y, ys, k, s ? ks : 0);
+    const double next = stage < 3 ? h * at[stage + 1] : 0.0;
+    for (int i = 0; i < NX; ++i) {
+      sum[i] += weight[stage] * k[i];
+      y[i] = x[i] + next * k[i];
+      if (s) {
+        for (int j = 0; j < NZ; ++j) {
+          sums[i][j] += weight[stage] * ks[i][j];
+          ys[i][j] = s[i][j] + next * ks[i][j];
+        }
+      }
+    }
+  }
+  for (int i = 0; i < NX; ++i) {
+    x[i] += h / 6.0 * sum[i];
+    if (s) for (int j = 0; j < NZ; ++j) s[i][j] += h / 6.0 * sums[i][j];
+  }
+}
+
+void heli_windows(long long windows, const long long* first, const long long* steps, const double* start_s,
+                  double step_s, long long substeps, const double* mean, const double* change,
+                  const double* mean_by_delay, const double* change_by_delay, const double* x0,
+                  const double* p, double* angles, double* jacobian, double* end) {
+  const double share = 1.0 / (double)substeps, h = step_s * share;
+  double s[NX][NZ];
+  for (long long w = 0; w < windows; ++w) {
+    double* x = end + w * NX;
+    memcpy(x, x0 + w * NX, NX * sizeof(double));
+    memset(s, 0, sizeof(s));
+    for (int i = 0; i < NX; ++i) s[i][i] = 1.0;
+    for (long long k = 0; k < steps[w]; ++k) {
+      const long long r = first[w] + k;
+      const Row row = {mean + 2 * r, change + 2 * r, mean_by_delay ? mean_by_delay + 2 * r : 0,
+                       mean_by_delay ? change_by_delay + 2 * r : 0};
+      const double t = start_s[w] + (double)k * step_s;
+      look(&row, t, p, x, s, angles + 3 * r, jacobian ? jacobian + 3 * NZ * r : 0);
+      for (long long m = 0; m < substeps; ++m) {
+        advance(&row, (double)m * share, share, t + (double)m * h, h, p, x, jacobian ? s : 0);
+      }
+    }
+  }
+}
+"""
+
+
+def _chain(function: ca.Function, state_count: int, delay_column: int | None) -> str:
+    """C lines for out = fx s + fp + fu du, one by one over what is not structurally zero."""
+    lines = []
+    fx = _nonzeros(function.sparsity_out(1))
+    for row in range(function.size1_out(0)):
+        terms = [f"fx[{k}] * s[{j}][z]" for k, (i, j) in enumerate(fx) if i == row]
+        lines.append(f"  for (int z = 0; z < NZ; ++z) out[{row}][z] = {' + '.join(terms) or '0.0'};")
+    for k, (i, j) in enumerate(_nonzeros(function.sparsity_out(2))):
+        lines.append(f"  out[{i}][{state_count + j}] += fp[{k}];")
+    if delay_column is not None:
+        for k, (i, j) in enumerate(_nonzeros(function.sparsity_out(3))):
+            lines.append(f"  out[{i}][{state_count + delay_column}] += fu[{k}] * du[{j}];")
+    return "\n".join(["  (void)fp, (void)fu, (void)du;", *lines, ""])
+
+
+def _nonzeros(sparsity: ca.Sparsity) -> list[tuple[int, int]]:
+    rows, columns = sparsity.get_triplet()
+    return list(zip(rows, columns, strict=True))
+
+
+def _driver(functions: Functions) -> str:
+    sizes = [function.sz_arg() for function in functions.all], [f.sz_res() for f in functions.all]
+    nonzeros = [
+        max(f.nnz_out(i) for f in (functions.rates_jacobian, functions.angles_jacobian)) for i in (1, 2, 3)
+    ]
+    loop = _C % {
+        "nx": functions.state_count,
+        "nz": functions.state_count + len(functions.free_index),
+        "identity": functions.identity,
+        "arg": max(4, *sizes[0]),
+        "res": max(4, *sizes[1]),
+        "iw": max(1, *(f.sz_iw() for f in functions.all)),
+        "w": max(1, *(f.sz_w() for f in functions.all)),
+        **dict(zip(("fx", "fp", "fu"), (max(1, n) for n in nonzeros), strict=True)),
+        "rates": _chain(functions.rates_jacobian, functions.state_count, functions.delay_column),
+        "angles": _chain(functions.angles_jacobian, functions.state_count, functions.delay_column),
+    }
+    return c_source(*functions.all) + loop
+
+
+class CompiledKernel:
+    """Windows run by compiled code, on two threads.
+
+    Parameters
+    ----------
+    functions : Functions
+        What was compiled.
+    library : str
+        Path of the shared library.
+
+    Raises
+    ------
+    PlantError
+        When the library does not load.
+    """
+
+    def __init__(self, functions: Functions, library: str) -> None:
+        self._sizes = functions.state_count, functions.state_count + len(functions.free_index)
+        try:
+            self._windows: Callable[..., None] = ctypes.CDLL(library).heli_windows
+        except (OSError, AttributeError) as error:
+            raise PlantError(f"the compiled model does not load: {error}; delete {library}") from None
+        self._windows.restype = None  # type: ignore[attr-defined]
+
+    def run(
+        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool = True
+    ) -> tuple[Floats, Floats | None]:
+        """Run every window from its initial state; see `Kernel.run`.
+
+        Parameters
+        ----------
+        inputs : Inputs
+            What drives the windows.
+        start : ndarray (w, states)
+            Initial states.
+        parameters : ndarray (p,)
+            All parameters of the model.
+        derivatives : bool
+            Whether to compute the Jacobian.
+
+        Returns
+        -------
+        angles_rad : ndarray (n, 3)
+            Measured angles at the beginning of each step.
+        jacobian : ndarray (n, 3, states + free) or None
+            Their derivatives.
+        """
+        angles, jacobian, _ = self._call(inputs, start, parameters, derivatives)
+        return angles, jacobian
+
+    def end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
+        """Run every window and return the states at their ends; see `Kernel.end`.
+
+        Parameters
+        ----------
+        inputs : Inputs
+            What drives the windows.
+        start : ndarray (w, states)
+            Initial states.
+        parameters : ndarray (p,)
+            All parameters of the model.
+
+        Returns
+        -------
+        ndarray (w, states)
+            State after each window's last step.
+        """
+        return self._call(inputs, start, parameters, False)[2]
+
+    def _call(
+        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool
+    ) -> tuple[Floats, Floats | None, Floats]:
+        states, columns = self._sizes
+        windows = len(inputs.steps)
+        angles = np.empty((inputs.rows, 3))
+        jacobian = np.empty((inputs.rows, 3, columns)) if derivatives else None
+        end = np.empty((windows, states))
+        arrays: list[npt.NDArray[Any] | None] = [
+            np.ascontiguousarray(array) if array is not None else None
+            for array in (inputs.mean_V, inputs.change_V, inputs.mean_by_delay_V_s, inputs.change_by_delay_V_s)
+        ]
+        x0, p = np.ascontiguousarray(start, float), np.ascontiguousarray(parameters, float)
+        first, steps = inputs.first, np.ascontiguousarray(inputs.steps, np.int64)
+        start_s = np.ascontiguousarray(inputs.start_s, float)
+
+        def part(low: int, high: int) -> None:
+            self._windows(
+                ctypes.c_longlong(high - low),
+                *(ctypes.c_void_p(array[low:].ctypes.data) for array in (first, steps, start_s)),
+                ctypes.c_double(inputs.step_s),
+                ctypes.c_longlong(inputs.substeps),
+                *(None if array is None else ctypes.c_void_p(array.ctypes.data) for array in arrays),
+                ctypes.c_void_p(x0[low:].ctypes.data),
+                ctypes.c_void_p(p.ctypes.data),
+                ctypes.c_void_p(angles.ctypes.data),
+                None if jacobian is None else ctypes.c_void_p(jacobian.ctypes.data),
+                ctypes.c_void_p(end[low:].ctypes.data),
+            )
+
+        # The call releases Python's lock. Threads pay from a few hundred steps on.
+        half = int(np.searchsorted(np.cumsum(steps), inputs.rows / 2)) + 1
+        if windows < THREADS or half >= windows or inputs.rows < 500:
+            part(0, windows)
+        else:
+            with ThreadPoolExecutor(1) as pool:
+                other = pool.submit(part, half, windows)
+                part(0, half)
+                other.result()
+        return angles, jacobian, end
+
+
+class InterpretedKernel:
+    """Windows run in NumPy, all of them side by side, on CasADi's virtual machine.
+
+    Parameters
+    ----------
+    functions : Functions
+        What to evaluate.
+    """
+
+    def __init__(self, functions: Functions) -> None:
+        self._functions = functions
+
+    def run(
+        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool = True
+    ) -> tuple[Floats, Floats | None]:
+        """Run every window from its initial state; see `Kernel.run`.
+
+        Parameters
+        ----------
+        inputs : Inputs
+            What drives the windows.
+        start : ndarray (w, states)
+            Initial states.
+        parameters : ndarray (p,)
+            All parameters of the model.
+        derivatives : bool
+            Whether to compute the Jacobian.
+
+        Returns
+        -------
+        angles_rad : ndarray (n, 3)
+            Measured angles at the beginning of each step.
+        jacobian : ndarray (n, 3, states + free) or None
+            Their derivatives.
+        """
+        angles, jacobian, _ = self._loop(inputs, start, parameters, derivatives)
+        return angles, jacobian
+
+    def end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
+        """Run every window and return the states at their ends; see `Kernel.end`.
+
+        Parameters
+        ----------
+        inputs : Inputs
+            What drives the windows.
+        start : ndarray (w, states)
+            Initial states.
+        parameters : ndarray (p,)
+            All parameters of the model.
+
+        Returns
+        -------
+        ndarray (w, states)
+            State after each window's last step.
+        """
+        return self._loop(inputs, start, parameters, False)[2]
+
+    def _loop(
+        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool
+    ) -> tuple[Floats, Floats | None, Floats]:
+        nx = self._functions.state_count
+        nz = nx + len(self._functions.free_index)
+        windows = len(inputs.steps)
+        angles = np.empty((inputs.rows, 3))
+        jacobian = np.empty((inputs.rows, 3, nz)) if derivatives else None
+        x = np.array(start, float)
+        s = np.zeros((windows, nx, nz if derivatives else 0))
+        if derivatives:
+            s[:, range(nx), range(nx)] = 1.0
+        share = 1.0 / inputs.substeps
+        h = inputs.step_s * share
+        for k in range(int(inputs.steps.max())):
+            here = np.flatnonzero(inputs.steps > k)
+            rows = inputs.first[here] + k
+            time_s = inputs.start_s[here] + k * inputs.step_s
+
+            def evaluate(
+                which: str, c: float, y: Floats, ys: Floats, rows: Integers = rows, time_s: Floats = time_s
+            ) -> tuple[Floats, Floats]:
+                u = inputs.mean_V[rows] + (c - 0.5) * inputs.change_V[rows]
+                du = np.zeros_like(u)
+                if inputs.mean_by_delay_V_s is not None and inputs.change_by_delay_V_s is not None:
+                    du = inputs.mean_by_delay_V_s[rows] + (c - 0.5) * inputs.change_by_delay_V_s[rows]
+                return self._evaluate(which, y, u, time_s + c * inputs.step_s, parameters, ys, du)
+
+            angles[rows], look = evaluate("angles", 0.0, x[here], s[here])
+            if jacobian is not None:
+                jacobian[rows] = look
+            for m in range(inputs.substeps):
+                y, ys = x[here], s[here]
+                k1, s1 = evaluate("rates", m * share, y, ys)
+                k2, s2 = evaluate("rates", (m + 0.5) * share, y + h / 2 * k1, ys + h / 2 * s1)
+                k3, s3 = evaluate("rates", (m + 0.5) * share, y + h / 2 * k2, ys + h / 2 * s2)
+                k4, s4 = evaluate("rates", (m + 1) * share, y + h * k3, ys + h * s3)
+                x[here] += h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+                s[here] += h / 6 * (s1 + 2 * s2 + 2 * s3 + s4)
+        return angles, jacobian, x
+
+    def _evaluate(
+        self, which: str, x: Floats, u: Floats, time_s: Floats, parameters: Floats, s: Floats, du: Floats
+    ) -> tuple[Floats, Floats]:
+        """Value (w, rows) and its derivatives through the chain (w, rows, columns)."""
+        count, nx = x.shape
+        plain: ca.Function = getattr(self._functions, which)
+        p = np.tile(parameters[:, None], count)
+        if s.shape[2] == 0:
+            value = plain.map(count)(x.T, u.T, time_s[None], p)
+            return np.asarray(value).T, np.zeros((count, value.shape[0], 0))
+        jacobian: ca.Function = getattr(self._functions, f"{which}_jacobian")
+        value, fx, fp, fu = (np.asarray(ca.DM(r)) for r in jacobian.map(count)(x.T, u.T, time_s[None], p))
+        rows = value.shape[0]
+        to_x = fx.reshape(rows, count, nx).transpose(1, 0, 2)
+        result: Floats = to_x @ s
+        if fp.size:
+            result[:, :, nx:] += fp.reshape(rows, count, -1).transpose(1, 0, 2)
+        if self._functions.delay_column is not None:
+            to_u = fu.reshape(rows, count, 2).transpose(1, 0, 2)
+            result[:, :, nx + self._functions.delay_column] += np.einsum("wij,wj->wi", to_u, du)
+        return value.T, result

@@ -1,0 +1,135 @@
+"""What residuals say about themselves: how large, how coloured, which windows fall out of line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from heli_sim.identify.kernel import Floats
+
+LONGEST_LAG_S: Final = 0.5
+OUTLIER: Final = 3.0
+"""A window whose rms residual is this many times the median window's loses weight."""
+
+
+def autocovariance(residual: Floats, windows: Sequence[slice], lags: int) -> Floats:
+    """Mean lagged product of a residual about zero, pairs within windows only.
+
+    Parameters
+    ----------
+    residual : ndarray (m, a)
+        Residuals, one column an axis.
+    windows : sequence of slice
+        Rows of each window.
+    lags : int
+        Largest lag, in rows.
+
+    Returns
+    -------
+    ndarray (lags + 1, a)
+        Sums of products over the number of all rows, which keeps the spectrum positive.
+    """
+    total = np.zeros((lags + 1, residual.shape[1]))
+    for window in windows:
+        part = residual[window]
+        size = 1 << int(2 * len(part) - 1).bit_length()
+        power = np.abs(np.fft.rfft(part, size, axis=0)) ** 2
+        products = np.fft.irfft(power, size, axis=0)
+        kept = min(lags + 1, len(part))
+        total[:kept] += products[:kept]
+    return total / max(1, sum(window.stop - window.start for window in windows))
+
+
+def inflation(residual: Floats, windows: Sequence[slice], step_s: float) -> Floats:
+    """Variance that a sum over many neighbouring residuals has, for each residual in it.
+
+    Parameters of the rig move the prediction slowly, so what counts for their standard errors is not the
+    residuals' variance but their spectrum at low frequencies: larger when a count stays for several samples, and
+    much larger when the model is wrong.
+
+    Parameters
+    ----------
+    residual : ndarray (m, 3)
+        Residuals in standard deviations of the rounding.
+    windows : sequence of slice
+        Rows of each window.
+    step_s : float
+        Time from one row to the next.
+
+    Returns
+    -------
+    ndarray (3,)
+        Factor on the variance, at least 1.
+    """
+    lags = max(1, round(LONGEST_LAG_S / step_s))
+    covariance = autocovariance(residual, windows, lags)
+    taper = 1.0 - np.arange(lags + 1) / (lags + 1)
+    long_run = 2.0 * (taper[:, None] * covariance).sum(axis=0) - covariance[0]
+    result: Floats = np.maximum(1.0, np.maximum(covariance[0], long_run))
+    return result
+
+
+def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats) -> Floats:
+    """Weights that keep a few disturbed windows from deciding the fit.
+
+    Parameters
+    ----------
+    residual : ndarray (m, 3)
+        Residuals.
+    windows : sequence of slice
+        Rows of each window.
+    variance : ndarray (3,)
+        What the fit divides the squares of each axis by.
+
+    Returns
+    -------
+    ndarray (w,)
+        1 for a window in line with the others; less for one whose rms is over `OUTLIER` times the median.
+    """
+    rms = np.sqrt([np.mean(residual[window] ** 2 / variance) for window in windows])
+    limit = OUTLIER * max(float(np.median(rms)), 1e-12)
+    result: Floats = np.minimum(1.0, (limit / np.maximum(rms, 1e-12)) ** 2)
+    return result
+
+
+def normalised(residual: Floats) -> float:
+    """Root mean square of residuals.
+
+    Parameters
+    ----------
+    residual : ndarray
+        Residuals in standard deviations of the rounding.
+
+    Returns
+    -------
+    float
+        1 when nothing but the rounding is left.
+    """
+    return float(np.sqrt(np.mean(residual**2)))
+
+
+def correlation_at(residual: Floats, windows: Sequence[slice], lag: int) -> tuple[Floats, float]:
+    """Autocorrelation at one lag, and what it may be by chance.
+
+    Parameters
+    ----------
+    residual : ndarray (m, 3)
+        Residuals.
+    windows : sequence of slice
+        Rows of each window.
+    lag : int
+        Lag in rows.
+
+    Returns
+    -------
+    correlation : ndarray (3,)
+        Autocorrelation of each axis.
+    bound : float
+        Three standard deviations of it for white residuals taken every `lag` rows.
+    """
+    covariance = autocovariance(residual, windows, lag)
+    pairs = sum(max(0, window.stop - window.start - lag) for window in windows) / lag
+    result: Floats = covariance[lag] / np.maximum(covariance[0], 1e-30)
+    return result, 3.0 / float(np.sqrt(max(pairs, 1.0)))

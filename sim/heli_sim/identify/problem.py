@@ -1,0 +1,393 @@
+"""What is fitted to what: a model with its free parameters, and the windows of the flights."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from heli_host.flight import Flight
+
+from heli_sim.errors import IdentifyError
+from heli_sim.identify.kernel import Floats, kernel
+from heli_sim.identify.record import Grid, Record, make_grid, prepare, window_starts
+from heli_sim.model.base import Model
+from heli_sim.rig import Prior, Rig
+
+NOT_FREE: Final = frozenset({"g"})
+"""Numbers with a tolerance that no flight needs to find: gravity is known better than any of the masses."""
+
+_STATE_FIT_S: Final = 0.15
+_LEAD_IN_S: Final = 1.0
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """A parameter to be found.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    unit : str
+        Its unit.
+    prior : Prior
+        What is known of it before the flight.
+    """
+
+    name: str
+    unit: str
+    prior: Prior
+
+
+@dataclass(frozen=True)
+class Look:
+    """Residuals of one record at one guess, with their derivatives.
+
+    Parameters
+    ----------
+    residual : ndarray (m, 3)
+        Measured minus predicted angle, in standard deviations of the rounding to counts.
+    gram : ndarray (w, 3, z + 1, z + 1) or None
+        For each window and axis, products of the columns of [Jacobian | residual], z being the number of
+        states and free parameters.
+    """
+
+    residual: Floats
+    gram: Floats | None
+
+
+class Problem:
+    """A model with free parameters, and windows of flights that it is to predict.
+
+    Each window is predicted freely from its own initial state, with nothing but the voltages. The error is
+    measured against the rounding to encoder counts; numbers of the rig have normal priors whose standard
+    deviation is half their tolerance.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    rig : Rig
+        Values of everything fixed, and priors of everything free.
+    flights : sequence of Flight or Record
+        Flights; prepared ones are taken as they are.
+    free : sequence of str, optional
+        Names of the free parameters. Without it: every number of the rig that the model uses and that has a
+        tolerance, gravity excepted, and every parameter of the model's effects that has a prior.
+    labels : sequence of str, optional
+        Name of each flight, for messages.
+    window_s : float
+        Length of the windows, nearly.
+    step_s : float
+        Longest Runge-Kutta step, and distance of the samples compared, of the coarse grid.
+    priors : Mapping[str, Prior], optional
+        Instead of the rig's and the effects'.
+    values : Mapping[str, float], optional
+        Values of fixed parameters instead of the rig's and the effects'.
+    state_std : Mapping[str, float], optional
+        Standard deviation, about its start value, of a state of an effect at the beginning of a window, in
+        the state's unit; 1 where not given.
+
+    Raises
+    ------
+    IdentifyError
+        When a parameter is unknown or lacks a prior, or a flight cannot be used.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        rig: Rig,
+        flights: Sequence[Flight | Record],
+        *,
+        free: Sequence[str] | None = None,
+        labels: Sequence[str] | None = None,
+        window_s: float = 2.0,
+        step_s: float = 0.01,
+        priors: Mapping[str, Prior] | None = None,
+        values: Mapping[str, float] | None = None,
+        state_std: Mapping[str, float] | None = None,
+    ) -> None:
+        self.model = model
+        self.rig = rig
+        self.free = _free_parameters(model, rig, free, priors or {})
+        self.records = tuple(
+            flight
+            if isinstance(flight, Record)
+            else prepare(flight, rig, labels[i] if labels is not None else f"flight {i + 1}")
+            for i, flight in enumerate(flights)
+        )
+        if not self.records:
+            raise IdentifyError("there is no flight to identify from; give at least one")
+        self.window_s = window_s
+        self.step_s = step_s
+        self.state_count = len(model.states)
+        self.state_std: Floats = np.array([(state_std or {}).get(s.name, 1.0) for s in model.states[6:]])
+        names = [quantity.name for quantity in model.parameters]
+        self.base: Floats = model.parameter_values(rig)
+        for name, value in (values or {}).items():
+            if name not in names:
+                raise IdentifyError(f"the model has no parameter '{name}'; names are: {', '.join(names)}")
+            self.base[names.index(name)] = value
+        self._place = np.array([names.index(one.name) for one in self.free], int)
+        self._delay = names.index(model.delay) if model.delay else None
+        self.kernel = kernel(model, tuple(one.name for one in self.free))
+        self._grids: dict[tuple[int, bool, float | None], Grid] = {}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return tuple(one.name for one in self.free)
+
+    @property
+    def prior_mean(self) -> Floats:
+        """Means of the priors, shape (f,)."""
+        return np.array([one.prior.mean for one in self.free])
+
+    @property
+    def prior_std(self) -> Floats:
+        """Standard deviations of the priors, shape (f,)."""
+        return np.array([one.prior.std for one in self.free])
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Lowest and highest values, each of shape (f,)."""
+        return (np.array([one.prior.low for one in self.free]), np.array([one.prior.high for one in self.free]))
+
+    @property
+    def start(self) -> Floats:
+        """Values to start from: those of rig and effects, within the bounds; shape (f,)."""
+        return np.clip(self.base[self._place], *self.bounds)
+
+    def parameters(self, theta: Floats) -> Floats:
+        """Complete a vector of free parameters.
+
+        Parameters
+        ----------
+        theta : ndarray (f,)
+            Free parameters.
+
+        Returns
+        -------
+        ndarray (p,)
+            All parameters of the model.
+        """
+        full = self.base.copy()
+        full[self._place] = theta
+        return full
+
+    def grid(self, index: int, fine: bool, theta: Floats) -> Grid:
+        """Windows of a record.
+
+        Parameters
+        ----------
+        index : int
+            Which record.
+        fine : bool
+            Every sample, or steps of about `step_s`.
+        theta : ndarray (f,)
+            Free parameters; a delay among them shifts the voltages.
+
+        Returns
+        -------
+        Grid
+            Windows with inputs. Both grids have the same windows.
+        """
+        delay_s = None if self._delay is None else float(self.parameters(theta)[self._delay])
+        key = (index, fine, delay_s)
+        if key not in self._grids:
+            record = self.records[index]
+            coarse = max(1, int(self.step_s / record.step_s + 1e-6))
+            windows = window_starts(record, self.window_s, coarse)
+            if delay_s is not None:
+                self._grids = {k: v for k, v in self._grids.items() if k[:2] != key[:2]}
+            self._grids[key] = make_grid(
+                record, windows, 1 if fine else coarse, longest_step_s=self.step_s, delay_s=delay_s
+            )
+        return self._grids[key]
+
+    def first_states(self, theta: Floats) -> list[Floats]:
+        """Initial states of all windows, as the angles around their beginnings suggest.
+
+        Angles and rates come from a parabola through the first samples. States of effects come from a second
+        of free run before the window, where there is one.
+
+        Parameters
+        ----------
+        theta : ndarray (f,)
+            Free parameters.
+
+        Returns
+        -------
+        list of ndarray (w, states)
+            One array a record.
+        """
+        return [
+            self.states_at(record, self._starts(index, theta), theta) for index, record in enumerate(self.records)
+        ]
+
+    def states_at(self, record: Record, rows: npt.NDArray[np.int64], theta: Floats) -> Floats:
+        """States at given rows, from the angles around them.
+
+        Parameters
+        ----------
+        record : Record
+            The flight.
+        rows : ndarray of int64 (w,)
+            Rows.
+        theta : ndarray (f,)
+            Free parameters.
+
+        Returns
+        -------
+        ndarray (w, states)
+            Angles and rates of parabolas through the samples around each row; states of effects after a
+            second of free run that ends there.
+        """
+        states = np.zeros((len(rows), self.state_count))
+        states[:, :6] = [_parabola(record, int(row)) for row in rows]
+        if self.state_count == 6:
+            return states
+        for number, row in enumerate(rows):
+            segment = next(start for start, stop in record.segments if start <= row < stop)
+            back = min(int(row) - segment, round(_LEAD_IN_S / record.step_s))
+            if back > 0:
+                lead = self._lead_in(record, int(row) - back, back, theta)
+                states[number, 6:] = lead[6:]
+        return states
+
+    def look(
+        self, index: int, theta: Floats, states: Floats, *, fine: bool = False, derivatives: bool = True
+    ) -> Look:
+        """Predict a record and compare.
+
+        Parameters
+        ----------
+        index : int
+            Which record.
+        theta : ndarray (f,)
+            Free parameters.
+        states : ndarray (w, states)
+            Initial states of the windows.
+        fine : bool
+            Compare every sample.
+        derivatives : bool
+            Whether to compute the products of the Jacobian.
+
+        Returns
+        -------
+        Look
+            Residuals, and what a Gauss-Newton step needs.
+        """
+        grid = self.grid(index, fine, theta)
+        angles, jacobian = self.kernel.run(grid.inputs, states, self.parameters(theta), derivatives)
+        sigma = grid.record.sigma_rad
+        residual = (grid.measured_rad - angles) / sigma
+        if jacobian is None:
+            return Look(residual, None)
+        columns = jacobian.shape[2]
+        gram = np.empty((len(states), 3, columns + 1, columns + 1))
+        block = np.empty((int(grid.inputs.steps.max()), columns + 1))
+        for window, part in enumerate(grid.slices):
+            rows = block[: part.stop - part.start]
+            for axis in range(3):
+                np.divide(jacobian[part, axis], sigma[axis], out=rows[:, :columns])
+                rows[:, columns] = residual[part, axis]
+                gram[window, axis] = rows.T @ rows
+        return Look(residual, gram)
+
+    def jacobian(self, index: int, theta: Floats, states: Floats, *, fine: bool = False) -> tuple[Floats, Floats]:
+        """Residuals of a record with all their derivatives.
+
+        Parameters
+        ----------
+        index : int
+            Which record.
+        theta : ndarray (f,)
+            Free parameters.
+        states : ndarray (w, states)
+            Initial states of the windows.
+        fine : bool
+            Compare every sample.
+
+        Returns
+        -------
+        residual : ndarray (m, 3)
+            As in `Look`.
+        jacobian : ndarray (m, 3, states + f)
+            Derivatives of the predicted angles, in the same unit, to the window's initial state and to the
+            free parameters.
+        """
+        grid = self.grid(index, fine, theta)
+        angles, jacobian = self.kernel.run(grid.inputs, states, self.parameters(theta), True)
+        sigma = grid.record.sigma_rad
+        assert jacobian is not None
+        return (grid.measured_rad - angles) / sigma, jacobian / sigma[:, None]
+
+    def _starts(self, index: int, theta: Floats) -> npt.NDArray[np.int64]:
+        grid = self.grid(index, False, theta)
+        return grid.rows[grid.inputs.first]
+
+    def _lead_in(self, record: Record, row: int, rows: int, theta: Floats) -> Floats:
+        delay_s = None if self._delay is None else float(self.parameters(theta)[self._delay])
+        grid = make_grid(record, [(row, rows)], 1, delay_s=delay_s)
+        start = np.zeros((1, self.state_count))
+        start[0, :6] = _parabola(record, row)
+        return self.kernel.end(grid.inputs, start, self.parameters(theta))[0]
+
+
+def _parabola(record: Record, row: int) -> Floats:
+    """Angles and rates at a row, from the samples around it in the same segment."""
+    start, stop = next(segment for segment in record.segments if segment[0] <= row < segment[1])
+    reach = max(3, round(_STATE_FIT_S / record.step_s))
+    low, high = max(start, row - reach), min(stop, row + reach + 1)
+    time_s = (np.arange(low, high) - row) * record.step_s
+    fit = np.polynomial.polynomial.polyfit(time_s, record.angles_rad[low:high], 2)
+    return np.concatenate((fit[0], fit[1]))
+
+
+def _free_parameters(
+    model: Model, rig: Rig, free: Sequence[str] | None, priors: Mapping[str, Prior]
+) -> tuple[FreeParameter, ...]:
+    known = {quantity.name: quantity for quantity in model.parameters}
+    given = {name: prior for effect in model.effects for name, prior in effect.priors.items()} | dict(priors)
+    if free is None:
+        free = [
+            name
+            for name in known
+            if name in given or (name in rig and rig[name].tolerance > 0 and name not in NOT_FREE)
+        ]
+    parameters = []
+    for name in dict.fromkeys(free):
+        if name not in known:
+            raise IdentifyError(f"the model '{model.name}' has no parameter '{name}'; names: {', '.join(known)}")
+        if name not in given and (name not in rig or rig[name].tolerance == 0):
+            raise IdentifyError(
+                f"nothing is known of '{name}' beforehand; give it a tolerance in the rig file, or fix it"
+            )
+        parameters.append(FreeParameter(name, known[name].unit, given.get(name) or rig_prior(rig, name)))
+    return tuple(parameters)
+
+
+def rig_prior(rig: Rig, name: str) -> Prior:
+    """Prior of a rig's number.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    name : str
+        Name of the number.
+
+    Returns
+    -------
+    Prior
+        Normal, with half the tolerance as its standard deviation; bounded by 0 where the number cannot be
+        negative.
+    """
+    number = rig[name]
+    low = -np.inf if rig.may_be_negative(name) else 0.0
+    return Prior(number.value, 0.5 * number.tolerance, low)

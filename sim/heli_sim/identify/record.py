@@ -1,0 +1,405 @@
+"""A flight made ready for fitting: which rows are free flight, what a count is, and the windows over it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from heli_host.flight import Flight
+
+from heli_sim.errors import IdentifyError
+from heli_sim.identify.kernel import Floats, Inputs, Integers
+from heli_sim.rig import Rig
+
+AXES: Final = ("elevation", "pitch", "travel")
+ON_GROUND: Final = frozenset({"idle", "armed", "fault"})
+"""States of the board's supervisor in which the motors are off."""
+
+_TABLE_MARGIN_DEG: Final = 1.5
+_TAKE_OFF_DEG: Final = 10.0
+"""A take-off or landing is over only this far above the table."""
+_SETTLE_S: Final = 1.0
+_STOP_MARGIN_DEG: Final = 1.0
+_AROUND_STOP_S: Final = 0.3
+_LEAST_COUNTS: Final = 10
+"""An axis that moved less than this has not moved."""
+_LEAST_SEGMENT_S: Final = 1.0
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A part of a flight that is not fitted.
+
+    Parameters
+    ----------
+    start_s, stop_s : float
+        From when to when.
+    why : str
+        Reason in a few words.
+    """
+
+    start_s: float
+    stop_s: float
+    why: str
+
+
+@dataclass(frozen=True)
+class Record:
+    """A flight ready for fitting.
+
+    Parameters
+    ----------
+    label : str
+        Name for messages and reports, such as the file's.
+    t_s : ndarray (n,)
+        Times, s.
+    angles_rad : ndarray (n, 3)
+        Elevation, pitch and travel.
+    voltages_V : ndarray (n, 2)
+        Front and back voltage that act from each row to the next.
+    step_s : float
+        Time from one row to the next.
+    count_rad : ndarray (3,)
+        One count of each encoder.
+    segments : tuple of (int, int)
+        First row and last row plus one of each part in free flight.
+    cuts : tuple of Cut
+        What was left out.
+    notes : tuple of str
+        What else was noticed, a sentence each.
+    """
+
+    label: str
+    t_s: Floats
+    angles_rad: Floats
+    voltages_V: Floats
+    step_s: float
+    count_rad: Floats
+    segments: tuple[tuple[int, int], ...]
+    cuts: tuple[Cut, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def sigma_rad(self) -> Floats:
+        """Standard deviation of the rounding to counts, shape (3,)."""
+        return self.count_rad / math.sqrt(12.0)
+
+    @property
+    def used_s(self) -> float:
+        """Seconds in free flight."""
+        return sum(stop - start for start, stop in self.segments) * self.step_s
+
+
+def prepare(
+    flight: Flight,
+    rig: Rig,
+    label: str = "flight",
+    *,
+    start_s: float | None = None,
+    stop_s: float | None = None,
+) -> Record:
+    """Find the rows in free flight and the size of a count.
+
+    Take-off, landing, standing on the table, contact with a stop, gaps, and what the board logged with its
+    motors off are cut out.
+
+    Parameters
+    ----------
+    flight : Flight
+        The flight, as `Flight.read` checked it; gaps are allowed.
+    rig : Rig
+        Gives table, stops and, for angles that are not rounded, the encoders' counts.
+    label : str
+        Name for messages and reports.
+    start_s, stop_s : float, optional
+        Use only this part, on the flight's own time axis.
+
+    Returns
+    -------
+    Record
+        The flight with its free segments.
+
+    Raises
+    ------
+    IdentifyError
+        When nothing can be learned from it: it never moves, has no voltages, or no second of it is free.
+    """
+    angles, volts, t_s = flight.angles_rad, flight.voltages_V, flight.t_s
+    step_s = flight.step_s
+    count_rad, notes = _counts(angles, rig)
+    _refuse_dead_columns(flight, label, count_rad)
+
+    reasons: list[tuple[npt.NDArray[np.bool_], str]] = []
+    if start_s is not None or stop_s is not None:
+        low, high = -math.inf if start_s is None else start_s, math.inf if stop_s is None else stop_s
+        reasons.append(((t_s < low) | (t_s >= high), "not asked for"))
+    if flight.state is not None and flight.state_names:
+        off = [number for number, name in flight.state_names.items() if name in ON_GROUND]
+        reasons.append((np.isin(flight.state, off), "motors off"))
+    reasons.append((_near_table(flight, rig, step_s), "table, take-off or landing"))
+    for axis, at_stop, note in _stops(angles, rig, step_s):
+        reasons.append((at_stop, f"stop of the {axis}"))
+        notes += note
+    gap = np.zeros(len(t_s), bool)
+    gap[flight.gaps] = True
+
+    segments, cuts = _segments(reasons, gap, t_s, max(2, round(_LEAST_SEGMENT_S / step_s)))
+    record = Record(label, t_s, angles, volts, step_s, count_rad, segments, cuts, tuple(notes))
+    if not segments:
+        why = ", ".join(dict.fromkeys(cut.why for cut in cuts)) or "it is too short"
+        raise IdentifyError(
+            f"{label}: no second of free flight in t_s {t_s[0]:g} to {t_s[-1]:g} ({why}); give a longer flight"
+        )
+    return record
+
+
+def _counts(angles_rad: Floats, rig: Rig) -> tuple[Floats, list[str]]:
+    counts, notes = [], []
+    for index, axis in enumerate(AXES):
+        moves = np.abs(np.diff(angles_rad[:, index]))
+        moves = moves[moves > 1e-7]
+        count = float(moves.min()) if moves.size else 0.0
+        if count:
+            # Printed angles are rounded once more; the mean over single counts is better than the least.
+            count = float(moves[moves < 1.5 * count].mean())
+            multiples = moves[moves < 50 * count] / count
+            if np.mean(np.abs(multiples - np.round(multiples)) < 0.05) < 0.95:
+                count = 0.0
+                notes.append(f"{axis} is not in whole counts: {rig['encoder_counts'].value:g} a turn assumed")
+        if not count:
+            count = 2.0 * math.pi / rig["encoder_counts"].value
+        turn = 2.0 * math.pi / count
+        counts.append(2.0 * math.pi / round(turn) if abs(turn / round(turn) - 1.0) < 1e-3 else count)
+    return np.array(counts), notes
+
+
+def _refuse_dead_columns(flight: Flight, label: str, count_rad: Floats) -> None:
+    rows = len(flight)
+    for name in ("front_V", "back_V"):
+        column = getattr(flight, name)
+        if not np.any(column):
+            raise IdentifyError(
+                f"{label}: {name} is 0 from data row 1 to {rows}; the flight has no voltages, log those that act"
+            )
+        if float(np.ptp(column)) < 1e-9:
+            raise IdentifyError(
+                f"{label}: {name} is {column[0]:g} from data row 1 to {rows}; "
+                "nothing can be learned from voltages that never change"
+            )
+    moved = np.ptp(flight.angles_rad, axis=0) / count_rad
+    if np.all(moved < _LEAST_COUNTS):
+        most = int(np.argmax(moved))
+        raise IdentifyError(
+            f"{label}: the rig never moves: {AXES[most]}_rad varies by {moved[most]:.0f} counts "
+            f"from data row 1 to {rows}; fly it, for example with heli-host fly identify"
+        )
+
+
+def _near_table(flight: Flight, rig: Rig, step_s: float) -> npt.NDArray[np.bool_]:
+    """Rows on the table, taking off or landing."""
+    elevation_deg = np.rad2deg(flight.elevation_rad)
+    table_deg = rig["elevation_min"].value
+    rest = round(0.2 / step_s)
+    start_deg = float(np.median(elevation_deg[:rest]))
+    # A flight that begins at rest at its own lowest point begins on its table, wherever the rig has it.
+    at_rest = float(np.ptp(elevation_deg[:rest])) < 0.1
+    if at_rest and start_deg < elevation_deg.min() + 1.0 and start_deg < np.median(elevation_deg) - 10.0:
+        table_deg = max(table_deg, start_deg)
+    contact = elevation_deg < table_deg + rig["elevation_min"].tolerance + _TABLE_MARGIN_DEG
+    if not contact.any():
+        return contact
+    clear = elevation_deg > table_deg + _TAKE_OFF_DEG
+    typical_deg = float(np.median(elevation_deg[clear])) if clear.any() else 0.0
+    up = elevation_deg > max(table_deg + _TAKE_OFF_DEG, typical_deg - 5.0)
+    cut = contact.copy()
+    settle = round(_SETTLE_S / step_s)
+    edges = np.flatnonzero(np.diff(contact.astype(int)))
+    for edge in edges:
+        if contact[edge]:
+            above = np.flatnonzero(up[edge:])
+            cut[edge : edge + (int(above[0]) + settle if above.size else len(cut))] = True
+        else:
+            before = np.flatnonzero(up[: edge + 1])
+            cut[int(before[-1]) if before.size else 0 : edge + 1] = True
+    return cut
+
+
+def _stops(
+    angles_rad: Floats, rig: Rig, step_s: float
+) -> list[tuple[str, npt.NDArray[np.bool_], list[str]]]:
+    found: list[tuple[str, npt.NDArray[np.bool_], list[str]]] = []
+    around = round(_AROUND_STOP_S / step_s)
+    names = ("elevation_max", "pitch_max", "travel_max")
+    for index, (axis, name) in enumerate(zip(AXES, names, strict=True)):
+        stop, degrees = rig[name], np.rad2deg(angles_rad[:, index])
+        beyond = degrees if axis == "elevation" else np.abs(degrees)
+        at_stop = beyond > stop.value - stop.tolerance - _STOP_MARGIN_DEG
+        if not at_stop.any():
+            continue
+        if beyond.max() > stop.value + stop.tolerance + 5.0:
+            note = f"{axis} reaches {beyond.max():.0f} degrees, beyond the rig's {name} of {stop.value:g}"
+            found.append((axis, np.zeros_like(at_stop), [f"{note}: taken to be free there"]))
+            continue
+        wide = np.convolve(at_stop, np.ones(2 * around + 1), mode="same") > 0.5
+        found.append((axis, wide, []))
+    return found
+
+
+def _segments(
+    reasons: list[tuple[npt.NDArray[np.bool_], str]], gap: npt.NDArray[np.bool_], t_s: Floats, least: int
+) -> tuple[tuple[tuple[int, int], ...], tuple[Cut, ...]]:
+    code = np.zeros(len(t_s), int)  # 0: free; else 1 + index of the first reason
+    for index in reversed(range(len(reasons))):
+        code[reasons[index][0]] = index + 1
+    borders = np.flatnonzero((np.diff(code) != 0) | gap[:-1]) + 1
+    edges = [0, *(int(border) for border in borders), len(t_s)]
+    segments, cuts = [], []
+    for start, stop in zip(edges[:-1], edges[1:], strict=True):
+        why = reasons[code[start] - 1][1] if code[start] else ""
+        if not why and stop - start < least:
+            why = "too short between cuts"
+        if why:
+            cuts.append(Cut(float(t_s[start]), float(t_s[stop - 1]), why))
+        else:
+            segments.append((start, stop))
+    return tuple(segments), tuple(cuts)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Windows over a record at one step: what the kernel needs, and what it is compared with.
+
+    Parameters
+    ----------
+    record : Record
+        The flight.
+    inputs : Inputs
+        Voltages of all windows.
+    rows : ndarray of int64 (m,)
+        Row of the flight at the beginning of each step.
+    every : int
+        Rows in a step.
+    """
+
+    record: Record
+    inputs: Inputs
+    rows: Integers
+    every: int
+
+    @property
+    def measured_rad(self) -> Floats:
+        """Angles at the beginning of each step, shape (m, 3)."""
+        return self.record.angles_rad[self.rows]
+
+    @property
+    def slices(self) -> list[slice]:
+        """Steps of each window."""
+        first = self.inputs.first
+        return [slice(int(f), int(f + n)) for f, n in zip(first, self.inputs.steps, strict=True)]
+
+
+def window_starts(record: Record, window_s: float, every: int) -> list[tuple[int, int]]:
+    """Split the free segments into windows of nearly equal length.
+
+    Parameters
+    ----------
+    record : Record
+        The flight.
+    window_s : float
+        Wanted length, s.
+    every : int
+        Each window is a whole number of this many rows.
+
+    Returns
+    -------
+    list of (int, int)
+        First row and number of rows of each window.
+    """
+    windows = []
+    for start, stop in record.segments:
+        blocks = (stop - start) // every
+        count = max(1, round(blocks * every * record.step_s / window_s))
+        edges = np.linspace(0, blocks, count + 1).astype(int)
+        windows += [
+            (start + int(low) * every, int(high - low) * every)
+            for low, high in zip(edges[:-1], edges[1:], strict=True)
+            if high > low
+        ]
+    return windows
+
+
+def make_grid(
+    record: Record,
+    windows: Sequence[tuple[int, int]],
+    every: int,
+    *,
+    longest_step_s: float = 0.01,
+    delay_s: float | None = None,
+) -> Grid:
+    """Lay a grid of steps over windows.
+
+    Parameters
+    ----------
+    record : Record
+        The flight.
+    windows : sequence of (int, int)
+        First row and number of rows of each window.
+    every : int
+        Rows in a step.
+    longest_step_s : float
+        Longest Runge-Kutta step.
+    delay_s : float, optional
+        Delay of the voltages, for models that have one.
+
+    Returns
+    -------
+    Grid
+        The windows with their inputs.
+    """
+    rows = np.concatenate([np.arange(first, first + count, every) for first, count in windows]).astype(np.int64)
+    step_s = record.step_s * every
+    shape = _ramp(record, rows, every, 0.0 if delay_s is None else delay_s)
+    slope: tuple[Floats, Floats] | tuple[None, None] = (None, None)
+    if delay_s is not None:
+        half_s = 0.5 * record.step_s
+        late, early = (_ramp(record, rows, every, delay_s + sign * half_s) for sign in (1.0, -1.0))
+        slope = (late[0] - early[0]) / (2 * half_s), (late[1] - early[1]) / (2 * half_s)
+    inputs = Inputs(
+        np.array([count // every for _, count in windows], np.int64),
+        np.array([record.t_s[first] - record.t_s[0] for first, _ in windows]),
+        step_s,
+        *shape,
+        max(1, math.ceil(step_s / longest_step_s - 1e-9)),
+        *slope,
+    )
+    return Grid(record, inputs, rows, every)
+
+
+def _ramp(record: Record, rows: Integers, every: int, delay_s: float) -> tuple[Floats, Floats]:
+    """Mean and change over each step, with the integral and the double integral of the delayed voltages."""
+    volts, dt = record.voltages_V, record.step_s
+    if every == 1 and delay_s == 0.0:
+        return volts[rows], np.zeros((len(rows), 2))
+    # Before the record the first voltage is taken to have acted.
+    once = np.vstack((np.zeros(2), np.cumsum(volts, axis=0))) * dt
+    twice = np.vstack((np.zeros(2), np.cumsum(0.5 * (once[1:] + once[:-1]), axis=0))) * dt
+
+    def integrals(at: Floats) -> tuple[Floats, Floats]:
+        place = np.clip(at / dt, None, len(volts) - 1e-9)
+        index = np.clip(np.floor(place + 1e-9).astype(int), 0, len(volts) - 1)
+        rest = (place - index)[:, None] * dt
+        return (
+            once[index] + volts[index] * rest,
+            twice[index] + once[index] * rest + 0.5 * volts[index] * rest**2,
+        )
+
+    start = rows * dt - delay_s
+    span = every * dt
+    (a1, a2), (b1, b2) = integrals(start), integrals(start + span)
+    mean = (b1 - a1) / span
+    moment = (0.5 * (a1 + b1) * span - (b2 - a2)) / span**2
+    return mean, 12.0 * moment

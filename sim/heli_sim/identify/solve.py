@@ -1,0 +1,387 @@
+"""Fits a problem: Levenberg-Marquardt with the windows' initial states eliminated.
+
+The normal equations have a block for each window's initial state, coupled only to the free parameters. Their
+Schur complement is a system of the free parameters alone.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from heli_sim.errors import IdentifyError
+from heli_sim.identify.kernel import Floats
+from heli_sim.identify.noise import inflation, window_weights
+from heli_sim.identify.problem import Look, Problem
+
+_ROUNDS: Final = 8
+"""Most updates of the weights."""
+_SETTLED: Final = 0.15
+"""Weights are settled when no variance changed by more than this share."""
+_SMALL_STEP: Final = 0.02
+"""In standard errors."""
+_LARGEST_DAMPING: Final = 1e8
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much a fit may cost.
+
+    Parameters
+    ----------
+    evaluations : int
+        Most predictions of all flights with derivatives.
+    seconds : float
+        Most time.
+    """
+
+    evaluations: int = 80
+    seconds: float = math.inf
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a fit is.
+
+    Parameters
+    ----------
+    stage : str
+        What it does, in a few words.
+    done : float
+        Share of the work done, 0 to 1; an estimate.
+    cost : float
+        Sum of squares, weighted.
+    """
+
+    stage: str
+    done: float
+    cost: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What a fit found.
+
+    Parameters
+    ----------
+    problem : Problem
+        What was fitted.
+    theta : ndarray (f,)
+        Free parameters.
+    covariance : ndarray (f, f)
+        Their covariance, priors included.
+    information : ndarray (f, f)
+        What the flights alone say: inverse covariance without priors.
+    states : tuple of ndarray (w, states)
+        Initial states of the windows of each record.
+    variance : tuple of ndarray (3,)
+        For each record, what the squared residuals of each axis were divided by; 1 where nothing but the
+        rounding is left.
+    weights : tuple of ndarray (w,)
+        Weights of the windows of each record.
+    cost : float
+        Weighted sum of squares plus priors.
+    at_bound : tuple of str
+        Names of parameters that lie on a bound.
+    evaluations : int
+        Predictions of all flights with derivatives.
+    seconds : float
+        Time taken.
+    converged : bool
+        False when the budget ran out first.
+    """
+
+    problem: Problem
+    theta: Floats
+    covariance: Floats
+    information: Floats
+    states: tuple[Floats, ...]
+    variance: tuple[Floats, ...]
+    weights: tuple[Floats, ...]
+    cost: float
+    at_bound: tuple[str, ...]
+    evaluations: int
+    seconds: float
+    converged: bool
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Free parameters by name."""
+        return dict(zip(self.problem.names, map(float, self.theta), strict=True))
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard errors by name."""
+        return dict(zip(self.problem.names, map(float, np.sqrt(np.diag(self.covariance))), strict=True))
+
+    @property
+    def correlation(self) -> Floats:
+        """Correlations of the free parameters, shape (f, f)."""
+        std = np.sqrt(np.diag(self.covariance))
+        result: Floats = self.covariance / np.outer(std, std)
+        return result
+
+
+@dataclass
+class _Point:
+    """A guess with everything that the next step needs."""
+
+    theta: Floats
+    states: list[Floats]
+    looks: list[Look]
+    cost: float = math.inf
+
+
+class _Solver:
+    def __init__(
+        self, problem: Problem, budget: Budget, robust: bool, on_progress: Callable[[Progress], None] | None
+    ) -> None:
+        self.problem = problem
+        self.robust = robust
+        self.budget = budget
+        self.on_progress = on_progress
+        self.started_s = time.perf_counter()
+        self.evaluations = 0
+        self.damping = 0.0
+        self.fine = False
+        self.variance: list[Floats] = []
+        self.weights: list[Floats] = []
+        self.reference: list[Floats] = []
+
+    def out_of_budget(self) -> bool:
+        seconds = time.perf_counter() - self.started_s
+        return self.evaluations >= self.budget.evaluations or seconds >= self.budget.seconds
+
+    def evaluate(self, theta: Floats, states: list[Floats]) -> _Point:
+        looks = [
+            self.problem.look(index, theta, start, fine=self.fine) for index, start in enumerate(states)
+        ]
+        self.evaluations += 1
+        point = _Point(theta, states, looks)
+        point.cost = self.cost(point) if self.variance else math.inf
+        return point
+
+    def reweight(self, point: _Point) -> float:
+        """Update variances and weights; return the largest relative change of a variance."""
+        variance, weights = [], []
+        for index, look in enumerate(point.looks):
+            grid = self.problem.grid(index, self.fine, point.theta)
+            found = inflation(look.residual, grid.slices, grid.inputs.step_s)
+            variance.append(found)
+            weights.append(
+                window_weights(look.residual, grid.slices, found) if self.robust else np.ones(len(grid.slices))
+            )
+        change = (
+            max(float(np.max(np.abs(new / old - 1))) for new, old in zip(variance, self.variance, strict=True))
+            if self.variance
+            else math.inf
+        )
+        self.variance, self.weights = variance, weights
+        point.cost = self.cost(point)
+        return change
+
+    def cost(self, point: _Point) -> float:
+        problem = self.problem
+        prior = (point.theta - problem.prior_mean) / problem.prior_std
+        total = float(prior @ prior)
+        for index, look in enumerate(point.looks):
+            assert look.gram is not None
+            squares = look.gram[:, :, -1, -1] / self.variance[index]
+            total += float(self.weights[index] @ squares.sum(axis=1))
+            if problem.state_count > 6:
+                off = (point.states[index] - self.reference[index])[:, 6:] / problem.state_std
+                total += float(np.sum(off**2))
+        return total if math.isfinite(total) else math.inf
+
+    def reduce(self, point: _Point, damping: float) -> tuple[Floats, Floats, list[tuple[Floats, Floats]]]:
+        """Information and gradient of the free parameters, and how the states follow them."""
+        nx, count = self.problem.state_count, len(self.problem.free)
+        information, gradient = np.zeros((count, count)), np.zeros(count)
+        follow = []
+        for index, look in enumerate(point.looks):
+            assert look.gram is not None
+            scale = self.weights[index][:, None] / self.variance[index]
+            normal = np.einsum("wa,waij->wij", scale, look.gram)
+            diagonal = np.arange(nx)
+            own = normal[:, :nx, :nx].copy()
+            coupling = normal[:, :nx, nx:].copy()  # to the parameters, and the gradient as last column
+            if nx > 6:
+                weight = 1.0 / self.problem.state_std**2
+                own[:, diagonal[6:], diagonal[6:]] += weight
+                coupling[:, 6:, -1] += weight * (self.reference[index] - point.states[index])[:, 6:]
+            # A state that a window does not show at all must not make its block singular.
+            own[:, diagonal, diagonal] *= 1.0 + damping
+            own[:, diagonal, diagonal] += 1e-12 * own[:, diagonal, diagonal].max(axis=1, keepdims=True)
+            answer = np.linalg.solve(own, coupling)
+            schur = normal[:, nx:, nx:] - coupling.transpose(0, 2, 1) @ answer
+            information += schur[:, :-1, :-1].sum(axis=0)
+            gradient += schur[:, :-1, -1].sum(axis=0)
+            follow.append((answer[:, :, -1], answer[:, :, :-1]))
+        return information, gradient, follow
+
+    def step(self, point: _Point) -> tuple[Floats, list[Floats], Floats]:
+        """A damped Gauss-Newton step, and the standard errors."""
+        problem = self.problem
+        information, gradient, follow = self.reduce(point, self.damping)
+        weight = 1.0 / problem.prior_std**2
+        matrix = information + np.diag(weight)
+        right = gradient + weight * (problem.prior_mean - point.theta)
+        matrix[np.diag_indices_from(matrix)] *= 1.0 + self.damping
+        move = _bounded_solve(matrix, right, *(bound - point.theta for bound in problem.bounds))
+        states = [
+            start + free - np.einsum("wsf,f->ws", slave, move)
+            for start, (free, slave) in zip(point.states, follow, strict=True)
+        ]
+        std = np.sqrt(np.diag(np.linalg.inv(matrix))) if len(move) else np.zeros(0)
+        return move, states, std
+
+    def descend(self, point: _Point, stage: str, share: tuple[float, float], most: int = 30) -> tuple[_Point, bool]:
+        """Step until steps are small."""
+        for number in range(most):
+            if self.on_progress is not None:
+                done = share[0] + (share[1] - share[0]) * (1 - 0.5**number)
+                self.on_progress(Progress(stage, done, point.cost))
+            move, states, std = self.step(point)
+            if self.out_of_budget():
+                return point, False
+            other = self.evaluate(point.theta + move, states)
+            if not other.cost < point.cost * (1 + 1e-12):
+                if self.damping > _LARGEST_DAMPING:
+                    return point, True
+                self.damping = max(1e-3, 10.0 * self.damping)
+                continue
+            gain = (point.cost - other.cost) / max(other.cost, 1e-300)
+            small = not len(move) or bool(np.all(np.abs(move) < _SMALL_STEP * std))
+            settled = gain < 1e-6 or (small and gain < 1e-3)
+            point, self.damping = other, self.damping / 10.0 if self.damping > 1e-6 else 0.0
+            if settled and self.damping < 1e-2:
+                return point, True
+        return point, True
+
+
+def solve(
+    problem: Problem,
+    *,
+    start: Fit | Mapping[str, float] | None = None,
+    budget: Budget | None = None,
+    robust: bool = True,
+    fine: bool = True,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> Fit:
+    """Fit the free parameters and the windows' initial states.
+
+    The squares of each axis are divided by their variance as `noise.inflation` estimates it from the residuals
+    themselves, so that standard errors stay honest when the model is wrong or a count stands for many samples.
+
+    Parameters
+    ----------
+    problem : Problem
+        What to fit.
+    start : Fit or Mapping[str, float], optional
+        Where to start: an earlier fit, perhaps of another problem, or values by name; unknown names are passed
+        over.
+    budget : Budget, optional
+        What it may cost.
+    robust : bool
+        Whether windows that fall out of line lose weight.
+    fine : bool
+        Finish on every sample, not on the coarse grid.
+    on_progress : callable, optional
+        Told where the fit is.
+
+    Returns
+    -------
+    Fit
+        The result, also when the budget ran out.
+
+    Raises
+    ------
+    IdentifyError
+        When the model cannot predict the flights at all from the start values.
+    """
+    solver = _Solver(problem, budget or Budget(), robust, on_progress)
+    theta, states = _start(problem, start)
+    solver.reference = [array.copy() for array in problem.first_states(theta)]
+    point = solver.evaluate(theta, states)
+    solver.reweight(point)
+    if not math.isfinite(point.cost):
+        raise IdentifyError("the model's free run diverges from the start values; check the rig's numbers and units")
+    rounds = _ROUNDS
+    converged = True
+    for number in range(rounds):
+        share = (0.6 * number / rounds, 0.6 * (number + 1) / rounds)
+        # Far from the answer the weights are rough: only the last rounds need small steps.
+        point, finished = solver.descend(point, f"coarse fit, round {number + 1}", share, most=4 if number < 3 else 30)
+        converged = finished
+        change = solver.reweight(point)
+        if not finished or (number >= 2 and change < _SETTLED):
+            break
+    if fine and not solver.out_of_budget():
+        solver.fine = True
+        point = solver.evaluate(point.theta, point.states)
+        solver.reweight(point)
+        point, finished = solver.descend(point, "every sample", (0.6, 1.0), most=10)
+        converged = converged and finished
+        solver.reweight(point)
+    return _result(solver, point, converged)
+
+
+def _start(problem: Problem, start: Fit | Mapping[str, float] | None) -> tuple[Floats, list[Floats]]:
+    theta = problem.start
+    given = start.values if isinstance(start, Fit) else start or {}
+    for index, name in enumerate(problem.names):
+        if name in given:
+            theta[index] = given[name]
+    theta = np.clip(theta, *problem.bounds)
+    states = problem.first_states(theta)
+    if isinstance(start, Fit) and len(start.states) == len(states):
+        for own, old in zip(states, start.states, strict=True):
+            if len(own) == len(old):
+                own[:, :6] = old[:, :6]
+    return theta, states
+
+
+def _result(solver: _Solver, point: _Point, converged: bool) -> Fit:
+    problem = solver.problem
+    information, _, _ = solver.reduce(point, 0.0)
+    weight = np.diag(1.0 / problem.prior_std**2)
+    covariance = np.linalg.inv(information + weight) if len(problem.free) else np.zeros((0, 0))
+    low, high = problem.bounds
+    bound = (point.theta <= low) | (point.theta >= high)
+    return Fit(
+        problem,
+        point.theta,
+        covariance,
+        information,
+        tuple(point.states),
+        tuple(solver.variance),
+        tuple(solver.weights),
+        point.cost,
+        tuple(name for name, there in zip(problem.names, bound, strict=True) if there),
+        solver.evaluations,
+        time.perf_counter() - solver.started_s,
+        converged,
+    )
+
+
+def _bounded_solve(matrix: Floats, right: Floats, low: Floats, high: Floats) -> Floats:
+    """Solve a positive definite system; what leaves its bounds is put on them, and the rest solved again."""
+    move = np.zeros(len(right))
+    fixed = np.zeros(len(right), bool)
+    for _ in range(len(right) + 1):
+        loose = ~fixed
+        if not loose.any():
+            break
+        rest = right[loose] - matrix[np.ix_(loose, fixed)] @ move[fixed]
+        move[loose] = np.linalg.solve(matrix[np.ix_(loose, loose)], rest)
+        outside = loose & ((move < low) | (move > high))
+        if not outside.any():
+            break
+        move[outside] = np.clip(move[outside], low[outside], high[outside])
+        fixed |= outside
+    return move
