@@ -19,14 +19,14 @@ inline constexpr std::size_t kAxisCount = 3;
 inline constexpr std::int16_t kDutyFull = 2100;
 
 struct EncoderReading {
-  std::int32_t count[kAxisCount];    // free-running raw counts, x4
-  std::uint16_t illegal[kAxisCount]; // illegal transitions since power-up, saturating
+  std::int32_t count[kAxisCount];     // free-running raw counts, x4
+  std::uint16_t illegal[kAxisCount];  // illegal transitions since power-up, saturating
 };
 
 struct MotorCommand {
   std::int16_t front_duty;  // -kDutyFull ... kDutyFull; the sign is the direction
   std::int16_t back_duty;
-  bool enable;              // false: both bridges off (coast), whatever the duties
+  bool enable;  // false: both bridges off (coast), whatever the duties
 };
 
 // What the board knows of its own last start; see link::Reset and link::Fault for the codes.

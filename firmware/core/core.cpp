@@ -69,7 +69,8 @@ void Core::measure(const EncoderReading& reading, const Constants& c) {
                                  static_cast<std::uint32_t>(zero_count_[axis]);
     const std::uint32_t zero =
         axis == kElevation ? static_cast<std::uint32_t>(c.elevation_rest_counts) : 0U;
-    count_[axis] = static_cast<std::int32_t>((c.count_sign[axis] < 0 ? 0U - turned : turned) + zero);
+    count_[axis] =
+        static_cast<std::int32_t>((c.count_sign[axis] < 0 ? 0U - turned : turned) + zero);
   }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     angle_rad_[axis] = static_cast<float>(count_[axis]) * c.rad_per_count[axis];
@@ -167,11 +168,12 @@ void Core::log_tick(const ControlOutput& out, TickTiming timing) {
   put(Channel::pitch_count, count_[kPitch]);
   put(Channel::travel_count, count_[kTravel]);
   put(Channel::elevation_setpoint,
-      control::round_to_int(supervisor_.setpoint(kElevation).angle_rad * link::kElevationSetpointPerUnit));
+      control::round_to_int(supervisor_.setpoint(kElevation).angle_rad *
+                            link::kElevationSetpointPerUnit));
   put(Channel::pitch_setpoint,
       control::round_to_int(out.pitch_setpoint_rad * link::kPitchSetpointPerUnit));
-  put(Channel::travel_setpoint,
-      control::round_to_int(supervisor_.setpoint(kTravel).angle_rad * link::kTravelSetpointPerUnit));
+  put(Channel::travel_setpoint, control::round_to_int(supervisor_.setpoint(kTravel).angle_rad *
+                                                      link::kTravelSetpointPerUnit));
   put(Channel::front, control::round_to_int(acted_.front_V * link::kFrontPerUnit));
   put(Channel::back, control::round_to_int(acted_.back_V * link::kBackPerUnit));
   put(Channel::state, static_cast<std::int32_t>(supervisor_.state()));

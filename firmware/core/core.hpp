@@ -64,7 +64,7 @@ class Core {
 
   // The idle loop fills the one that is not active, then switches; a tick never runs half-way
   // through a switch, because it is one byte.
-  Derived derived_[2];
+  Derived derived_[2]{};
   std::atomic<std::uint8_t> active_{0};
   std::uint32_t derived_revision_ = 0;
 

@@ -164,8 +164,8 @@ void bind_control(nb::module_& module) {
       "mix",
       [](float collective_V, float differential_V, float least_V, float most_V,
          float differential_max_V) {
-        const heli::control::Mixed mixed = heli::control::mix(
-            collective_V, differential_V, {least_V, most_V, differential_max_V});
+        const heli::control::Mixed mixed =
+            heli::control::mix(collective_V, differential_V, {least_V, most_V, differential_max_V});
         return std::make_tuple(mixed.front_V, mixed.back_V, mixed.collective_V,
                                mixed.differential_V);
       },
@@ -181,9 +181,8 @@ void bind_control(nb::module_& module) {
   m.def(
       "next_state",
       [](int state, int trigger) -> std::optional<int> {
-        const std::uint8_t next =
-            heli::flight::next_state(static_cast<heli::link::State>(state),
-                                     static_cast<heli::link::Trigger>(trigger));
+        const std::uint8_t next = heli::flight::next_state(
+            static_cast<heli::link::State>(state), static_cast<heli::link::Trigger>(trigger));
         if (next == heli::flight::kRefused) {
           return std::nullopt;
         }

@@ -18,8 +18,8 @@ bool limited(float wanted_V, float achieved_V) {
 }  // namespace
 
 ControlOutput Cascade::update(const ControlInput& in, const Constants& c) {
-  const std::uint8_t changed = started_ ? static_cast<std::uint8_t>(in.axes ^ axes_)
-                                        : static_cast<std::uint8_t>(0xffU);
+  const std::uint8_t changed =
+      started_ ? static_cast<std::uint8_t>(in.axes ^ axes_) : static_cast<std::uint8_t>(0xffU);
   const auto closing = static_cast<std::uint8_t>(in.axes & changed);
   axes_ = in.axes;
   started_ = true;
@@ -47,10 +47,10 @@ ControlOutput Cascade::update(const ControlInput& in, const Constants& c) {
   const float open_back_V = lift_from_motor_V(in.open_back_V, c.dead_zone_V);
   const bool elevation_closed = (in.axes & axes::elevation) != 0U;
   const bool pitch_closed = (in.axes & axes::pitch) != 0U;
-  const float collective_V = collective_fade_.apply(
-      elevation_closed ? lift_for_elevation(in, c, elevation_error_rad)
-                       : open_front_V + open_back_V,
-      collective_V_, (changed & axes::elevation) != 0U, c.bumpless_keep);
+  const float collective_V =
+      collective_fade_.apply(elevation_closed ? lift_for_elevation(in, c, elevation_error_rad)
+                                              : open_front_V + open_back_V,
+                             collective_V_, (changed & axes::elevation) != 0U, c.bumpless_keep);
   const float differential_V = differential_fade_.apply(
       pitch_closed ? pitch_.output(c.pitch, pitch_error_rad, in.rate_rad_s[kPitch])
                    : open_front_V - open_back_V,
@@ -130,11 +130,10 @@ ControlOutput Cascade::all_open(const ControlInput& in, const Constants& c, bool
 
 float Cascade::follow_pitch_setpoint(const ControlInput& in, const Constants& c, bool changed) {
   const bool travel_closed = (in.axes & axes::travel) != 0U;
-  const float wanted_rad = pitch_setpoint_fade_.apply(
-      travel_closed ? pitch_for_travel(in, c) : in.setpoint_rad[kPitch],
-      pitch_setpoint_rad_, changed, c.bumpless_keep);
-  const float limited_rad =
-      clamp(wanted_rad, -c.pitch_setpoint_max_rad, c.pitch_setpoint_max_rad);
+  const float wanted_rad =
+      pitch_setpoint_fade_.apply(travel_closed ? pitch_for_travel(in, c) : in.setpoint_rad[kPitch],
+                                 pitch_setpoint_rad_, changed, c.bumpless_keep);
+  const float limited_rad = clamp(wanted_rad, -c.pitch_setpoint_max_rad, c.pitch_setpoint_max_rad);
   pitch_setpoint_rad_ = clamp(limited_rad, pitch_setpoint_rad_ - c.pitch_step_max_rad,
                               pitch_setpoint_rad_ + c.pitch_step_max_rad);
   pitch_setpoint_excess_rad_ = wanted_rad - pitch_setpoint_rad_;

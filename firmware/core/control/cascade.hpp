@@ -1,5 +1,5 @@
-// The paper's control law: travel -> pitch setpoint -> differential voltage; elevation -> collective
-// voltage (eqs. 32-34), with what a machine needs beyond the equations.
+// The paper's control law: travel -> pitch setpoint -> differential voltage; elevation ->
+// collective voltage (eqs. 32-34), with what a machine needs beyond the equations.
 #pragma once
 
 #include "control/controller.hpp"

@@ -8,9 +8,7 @@ namespace {
 
 using link::Param;
 
-float smoothing_of(float cutoff_Hz) {
-  return 1.0F - std::exp(-2.0F * kPi * cutoff_Hz * kTick_s);
-}
+float smoothing_of(float cutoff_Hz) { return 1.0F - std::exp(-2.0F * kPi * cutoff_Hz * kTick_s); }
 
 }  // namespace
 

@@ -4,9 +4,9 @@
 #include <cstdint>
 
 #include "board.hpp"
-#include "params/params.hpp"
 #include "control/mixer.hpp"
 #include "control/pid.hpp"
+#include "params/params.hpp"
 
 namespace heli::control {
 

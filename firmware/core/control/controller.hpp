@@ -15,8 +15,8 @@ struct ControlInput {
   float setpoint_rad[kAxisCount];  // pitch counts only while travel is not closed
   float setpoint_rate_rad_s[kAxisCount];
   float setpoint_acceleration_rad_s2[kAxisCount];
-  std::uint8_t axes;               // link::axes bits of the closed loops
-  float open_front_V;              // motor volts for what is not closed
+  std::uint8_t axes;   // link::axes bits of the closed loops
+  float open_front_V;  // motor volts for what is not closed
   float open_back_V;
   float excitation_front_V;  // added to the motors
   float excitation_back_V;

@@ -24,13 +24,13 @@ inline float lift_from_motor_V(float motor_V, float dead_zone_V) {
 }
 
 struct MixerLimits {
-  float lift_min_V;         // lowest lift voltage of one motor
-  float lift_max_V;         // highest
-  float differential_max_V; // bound of front minus back
+  float lift_min_V;          // lowest lift voltage of one motor
+  float lift_max_V;          // highest
+  float differential_max_V;  // bound of front minus back
 };
 
 struct Mixed {
-  float front_V;         // lift volts
+  float front_V;  // lift volts
   float back_V;
   float collective_V;    // front + back as achieved
   float differential_V;  // front - back as achieved
@@ -40,13 +40,12 @@ struct Mixed {
 // collective gives way, because a tandem that cannot hold its pitch cannot hold anything.
 inline Mixed mix(float collective_V, float differential_V, const MixerLimits& limits) {
   const float span_V = limits.lift_max_V - limits.lift_min_V;
-  const float bound_V =
-      span_V < limits.differential_max_V ? span_V : limits.differential_max_V;
+  const float bound_V = span_V < limits.differential_max_V ? span_V : limits.differential_max_V;
   Mixed m{};
   m.differential_V = clamp(differential_V, -bound_V, bound_V);
   const float taken_V = magnitude(m.differential_V);
-  m.collective_V = clamp(collective_V, 2.0F * limits.lift_min_V + taken_V,
-                         2.0F * limits.lift_max_V - taken_V);
+  m.collective_V =
+      clamp(collective_V, 2.0F * limits.lift_min_V + taken_V, 2.0F * limits.lift_max_V - taken_V);
   m.front_V = 0.5F * (m.collective_V + m.differential_V);
   m.back_V = 0.5F * (m.collective_V - m.differential_V);
   return m;

@@ -24,8 +24,8 @@ class Pid {
     if (excess * error_rad > 0.0F) {
       return;
     }
-    integral_ = clamp(integral_ + gains.ki_per_tick * error_rad, -gains.integral_max,
-                      gains.integral_max);
+    integral_ =
+        clamp(integral_ + gains.ki_per_tick * error_rad, -gains.integral_max, gains.integral_max);
   }
 
   void reset() { integral_ = 0.0F; }

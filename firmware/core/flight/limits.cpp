@@ -44,8 +44,7 @@ Limits limits_of(const params::Params& params) {
   l.hold_ticks = ticks_of(params.get(Param::setpoint_hold_s));
   l.land_ticks = ticks_of(params.get(Param::setpoint_land_s));
   l.landing_timeout_ticks = ticks_of(params.get(Param::landing_timeout_s));
-  l.voltage_valid_max_ticks =
-      static_cast<std::uint32_t>(params.get(Param::voltage_valid_max_ms));
+  l.voltage_valid_max_ticks = static_cast<std::uint32_t>(params.get(Param::voltage_valid_max_ms));
   l.excitation_max_V = params.get(Param::excitation_max_V);
   l.excitation_max_s = params.get(Param::excitation_max_s);
   l.motor_min_V = params.get(Param::motor_min_V);
@@ -60,8 +59,7 @@ Verdict check_flight(const Situation& s, const Limits& l) {
   }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     // Downwards the table is the elevation's limit.
-    const float angle_rad =
-        axis == kElevation ? s.angle_rad[axis] : magnitude(s.angle_rad[axis]);
+    const float angle_rad = axis == kElevation ? s.angle_rad[axis] : magnitude(s.angle_rad[axis]);
     if (angle_rad > l.angle_max_rad[axis]) {
       return {kAngleFault[axis], s.angle_rad[axis] * kDegPerRad};
     }

@@ -27,7 +27,6 @@ constexpr float kPerCloseInSquared = 1.0F / (kCloseIn * kCloseIn);
 // the control law sees an acceleration.
 constexpr float kSmoothing = 0.01F;
 
-
 // Fastest approach to a point this far away that can still brake in time.
 float approach(float distance_rad, float change_max_rad) {
   const float away_rad = magnitude(distance_rad);
@@ -50,8 +49,7 @@ SetpointLimits setpoint_limits_of(const params::Params& params) {
   limits.step_max_rad[kElevation] = rad(Param::elevation_slew_deg_s) * kTick_s;
   limits.step_max_rad[kPitch] = rad(Param::pitch_slew_deg_s) * kTick_s;
   limits.step_max_rad[kTravel] = rad(Param::travel_slew_deg_s) * kTick_s;
-  limits.change_max_rad[kElevation] =
-      rad(Param::elevation_acceleration_deg_s2) * kTick_s * kTick_s;
+  limits.change_max_rad[kElevation] = rad(Param::elevation_acceleration_deg_s2) * kTick_s * kTick_s;
   limits.change_max_rad[kTravel] = rad(Param::travel_acceleration_deg_s2) * kTick_s * kTick_s;
   limits.least_rad[kElevation] = rad(Param::elevation_rest_deg) - kRestMargin_rad;
   limits.most_rad[kElevation] = rad(Param::elevation_max_deg) - kElevationMargin_rad;

@@ -1,4 +1,4 @@
-// Setpoints: the path that the host asks for, and what the control law may be asked to follow of it.
+// Setpoints: the path that the host asks for, and what of it the control law is asked to follow.
 #pragma once
 
 #include <cstddef>

@@ -1,9 +1,9 @@
-// The supervisor as data: what each state does on each trigger. A pair that is not listed is refused.
+// The supervisor as data: what each state does on each trigger. A pair not listed is refused.
 //
-//   idle --arm--> armed --close_loop--> closed_loop --stale_hold--> hold --stale_land--> landing --> idle
-//                       --open_loop---> open_loop   --stale_hold--> idle      (a bench, not a flight)
+//   idle --arm--> armed --close_loop--> closed_loop --stale_hold--> hold --stale_land--> landing
+//                       --open_loop---> open_loop   --stale_hold--> idle  (a bench, no flight)
 //                       --stream------> streamed    --stale_hold--> hold
-//   every state with motors: stop --> idle, trip --> fault --clear--> idle
+//   landing --touchdown--> idle; with motors: stop --> idle, trip --> fault --clear--> idle
 #pragma once
 
 #include <array>

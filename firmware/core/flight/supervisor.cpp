@@ -16,8 +16,7 @@ using link::Result;
 
 namespace {
 
-constexpr std::uint8_t kAllAxes =
-    link::axes::elevation | link::axes::pitch | link::axes::travel;
+constexpr std::uint8_t kAllAxes = link::axes::elevation | link::axes::pitch | link::axes::travel;
 
 // Landing: the setpoint goes this far below rest, so that the collective lets go of the arm.
 constexpr float kBelowRest_rad = 5.0F * kRadPerDeg;
@@ -354,9 +353,8 @@ void Supervisor::check_ages() {
 }
 
 bool Supervisor::touched_down() {
-  const bool quiet =
-      seen_.angle_rad[kElevation] - limits_.rest_rad < kTouchdown_rad &&
-      magnitude(seen_.rate_rad_s[kElevation]) < kTouchdown_rad_s;
+  const bool quiet = seen_.angle_rad[kElevation] - limits_.rest_rad < kTouchdown_rad &&
+                     magnitude(seen_.rate_rad_s[kElevation]) < kTouchdown_rad_s;
   quiet_ticks_ = quiet ? quiet_ticks_ + 1U : 0U;
   return quiet_ticks_ >= kTouchdown_ticks;
 }

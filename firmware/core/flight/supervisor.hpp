@@ -90,9 +90,9 @@ class Supervisor {
   std::uint8_t axes_ = 0;
   OpenVoltages open_{};
   std::uint32_t entered_tick_ = 0;
-  std::uint32_t fresh_tick_ = 0;       // last accepted stream value
-  std::uint32_t voltage_end_tick_ = 0; // streamed voltage acts until then
-  std::uint32_t quiet_ticks_ = 0;      // at rest on the table while landing
+  std::uint32_t fresh_tick_ = 0;        // last accepted stream value
+  std::uint32_t voltage_end_tick_ = 0;  // streamed voltage acts until then
+  std::uint32_t quiet_ticks_ = 0;       // at rest on the table while landing
   std::uint32_t illegal_at_arming_[kAxisCount] = {};
   std::uint32_t overruns_at_arming_ = 0;
   std::uint32_t refused_streams_ = 0;
