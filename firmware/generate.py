@@ -57,7 +57,8 @@ def full_fields(message: Table) -> list[Table]:
         "unit": "",
         "meaning": "request number; a retry repeats it",
     }
-    return ([request] if message["kind"] in ("command", "reply") else []) + message["fields"]
+    fields: list[Table] = message["fields"]
+    return ([request] if message["kind"] in ("command", "reply") else []) + fields
 
 
 def without_meanings(value: Any) -> Any:
@@ -205,9 +206,7 @@ def generate_cpp(d: Table) -> str:
             out.append(f"    put_{f['type']}(to + {offset}, {f['name']});")
             offset += size_of(f["type"])
         out.append("  }")
-        out.append(
-            f"  static {camel(m['name'])}Message read([[maybe_unused]] const std::uint8_t* from) {{"
-        )
+        out.append(f"  static {camel(m['name'])}Message read([[maybe_unused]] const std::uint8_t* from) {{")
         out.append(f"    {camel(m['name'])}Message m;")
         offset = 0
         for f in fields:
@@ -347,12 +346,12 @@ def generate_python(d: Table) -> str:
             reply = next(r for r in d["message"] if r["name"] == m["reply"])
             out.append(f"    REPLY: ClassVar[MessageId] = MessageId.{reply['name'].upper()}")
         out += [f"    {f['name']}: {PY_TYPE.get(f['type'], 'int')}" for f in fields]
-        values = ", ".join("self." + f["name"] for f in fields)
+        attributes = ", ".join("self." + f["name"] for f in fields)
         out += [
             "",
             "    def pack(self) -> bytes:",
             '        """Return the payload bytes."""',
-            f"        return self.STRUCT.pack({values})",
+            f"        return self.STRUCT.pack({attributes})",
             "",
             "    @classmethod",
             f"    def unpack(cls, payload: bytes) -> {name}:",
@@ -428,10 +427,13 @@ def generate_doc(d: Table) -> str:
         base_bytes=sum(size_of(c["type"]) for c in channels),
         **d["link"],
     )
-    out = [text, *markdown_table(
-        ["channel", "base", "unit", "scale", "meaning"],
-        [[f"`{c['name']}`", c["type"], c["unit"], f"{c['scale']:g}", c["meaning"]] for c in channels],
-    )]
+    out = [
+        text,
+        *markdown_table(
+            ["channel", "base", "unit", "scale", "meaning"],
+            [[f"`{c['name']}`", c["type"], c["unit"], f"{c['scale']:g}", c["meaning"]] for c in channels],
+        ),
+    ]
     out.append("## Messages\n")
     for m in d["message"]:
         reply = f", answered by `{m['reply']}`" if m["kind"] == "command" else ""
@@ -458,8 +460,14 @@ def generate_doc(d: Table) -> str:
     out += markdown_table(
         ["code", "name", "kind", "limit", "meaning", "remedy"],
         [
-            [str(f["code"]), f"`{f['name']}`", f["kind"], f"`{f['parameter']}`" if "parameter" in f else "",
-             f["meaning"], f["remedy"]]
+            [
+                str(f["code"]),
+                f"`{f['name']}`",
+                f["kind"],
+                f"`{f['parameter']}`" if "parameter" in f else "",
+                f["meaning"],
+                f["remedy"],
+            ]
             for f in d["fault"]
         ],
     )
@@ -467,8 +475,16 @@ def generate_doc(d: Table) -> str:
     out += markdown_table(
         ["#", "name", "unit", "least", "most", "default", "set", "meaning"],
         [
-            [str(i), f"`{p['name']}`", p["unit"], f"{p['min']:g}", f"{p['max']:g}", f"{p['default']:g}",
-             p["when"], p["meaning"]]
+            [
+                str(i),
+                f"`{p['name']}`",
+                p["unit"],
+                f"{p['min']:g}",
+                f"{p['max']:g}",
+                f"{p['default']:g}",
+                p["when"],
+                p["meaning"],
+            ]
             for i, p in enumerate(d["param"])
         ],
     )
@@ -498,7 +514,9 @@ def main() -> int:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
     for path in stale:
-        print(f"{path.relative_to(ROOT)}: {'stale, run firmware/generate.py' if arguments.check else 'written'}")
+        print(
+            f"{path.relative_to(ROOT)}: {'stale, run firmware/generate.py' if arguments.check else 'written'}"
+        )
     return 1 if stale and arguments.check else 0
 
 

@@ -41,16 +41,20 @@ class ReferenceLaw:
     axes: int | None = None
     jumps: dict[str, float] = field(default_factory=dict)
     last: dict[str, float] = field(default_factory=dict)
+    elevation: Loop = field(init=False)
+    pitch: Loop = field(init=False)
+    travel: Loop = field(init=False)
 
     def __post_init__(self) -> None:
         self._restart(ELEVATION | PITCH | TRAVEL)
 
     def _restart(self, closing: int) -> None:
         p = self.parameters
-        for bit, axis, unit in ((ELEVATION, "elevation", "V"), (PITCH, "pitch", "V"), (TRAVEL, "travel", "deg")):
+        loops = ((ELEVATION, "elevation", "V"), (PITCH, "pitch", "V"), (TRAVEL, "travel", "deg"))
+        for bit, axis, unit in loops:
             if closing & bit:
-                loop = Loop(p[f"{axis}_kp"], p[f"{axis}_ki"], p[f"{axis}_kd"], p[f"{axis}_integral_max_{unit}"])
-                setattr(self, axis, loop)
+                most = p[f"{axis}_integral_max_{unit}"]
+                setattr(self, axis, Loop(p[f"{axis}_kp"], p[f"{axis}_ki"], p[f"{axis}_kd"], most))
 
     def _without_jump(self, name: str, fresh: float, changed: bool) -> float:
         keep = math.exp(-TICK_S / self.parameters["bumpless_s"])

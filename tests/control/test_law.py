@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from heli_host.link.declaration import PARAMS
 from heli_sim._native import control
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from tests.control.reference import ReferenceLaw
 
 INDEX = {p.name: p.index for p in PARAMS}
@@ -17,7 +19,7 @@ DEFAULTS = {p.name: p.default for p in PARAMS}
 ALL = 7
 
 
-def make_law(**changes: float) -> tuple[control.Law, ReferenceLaw]:
+def make_law(**changes: float) -> tuple[Any, ReferenceLaw]:
     parameters = DEFAULTS | changes
     law = control.Law([(INDEX[name], value) for name, value in parameters.items()])
     return law, ReferenceLaw(parameters)
@@ -32,7 +34,10 @@ def fly_both(seed: int, ticks: int, **changes: float) -> np.ndarray:
     rng = np.random.default_rng(seed)
     law, reference = make_law(**changes)
     t = np.arange(ticks) * 0.001
-    wave = lambda size: size * np.sin(2 * np.pi * rng.uniform(0.05, 3) * t + rng.uniform(0, 6))  # noqa: E731
+
+    def wave(size: float) -> Any:
+        return size * np.sin(2 * np.pi * rng.uniform(0.05, 3) * t + rng.uniform(0, 6))
+
     angles = np.stack([wave(15), wave(25), wave(60)], axis=1)  # deg (ticks, 3)
     rates = np.gradient(angles, 0.001, axis=0)
     setpoints = np.stack([wave(10), wave(18), wave(40)], axis=1)
@@ -43,9 +48,11 @@ def fly_both(seed: int, ticks: int, **changes: float) -> np.ndarray:
     for k in range(ticks):
         open_V = (1.5 + rng.uniform(-1, 1), 1.5)
         excitation_V = (float(rng.normal(0, 0.2)), float(rng.normal(0, 0.2)))
-        state = tuple(tuple(x[k]) for x in (angles, rates, setpoints, setpoint_rates, setpoint_accelerations))
-        front, back, pitch_rad, *_ = law.update(*(radians(x) for x in state), int(masks[k]), open_V, excitation_V)
-        out[k] = (front, back, math.degrees(pitch_rad), *reference.update(*state, int(masks[k]), open_V, excitation_V))
+        motion = (angles, rates, setpoints, setpoint_rates, setpoint_accelerations)
+        state: list[Any] = [tuple(x[k]) for x in motion]
+        rest: tuple[Any, ...] = (int(masks[k]), open_V, excitation_V)
+        front, back, pitch_rad, *_ = law.update(*(radians(x) for x in state), *rest)
+        out[k] = (front, back, math.degrees(pitch_rad), *reference.update(*state, *rest))
     return out
 
 
@@ -80,7 +87,8 @@ def test_mixer_keeps_motors_in_range_and_pitch_first(
 
 def step_response(differential_V: float) -> float:
     """Collective that is left when pitch asks for this much."""
-    return control.mix(4.0, differential_V, 0.0, 9.0, 24.0)[2]
+    collective_V: float = control.mix(4.0, differential_V, 0.0, 9.0, 24.0)[2]
+    return collective_V
 
 
 def test_pitch_takes_voltage_from_the_collective_only_when_a_motor_is_at_its_limit() -> None:
@@ -88,9 +96,10 @@ def test_pitch_takes_voltage_from_the_collective_only_when_a_motor_is_at_its_lim
     assert step_response(6.0) == pytest.approx(6.0)
 
 
-def run_constant(law: control.Law, ticks: int, axes: int, setpoint_deg: tuple[float, float, float]) -> list[float]:
+def run_constant(law: Any, ticks: int, axes: int, setpoint_deg: tuple[float, float, float]) -> list[float]:
     zero = (0.0, 0.0, 0.0)
-    return [law.update(zero, zero, radians(setpoint_deg), zero, zero, axes, (0.0, 0.0), (0.0, 0.0))[0] for _ in range(ticks)]
+    state = (zero, zero, radians(setpoint_deg), zero, zero)
+    return [law.update(*state, axes, (0.0, 0.0), (0.0, 0.0))[0] for _ in range(ticks)]
 
 
 def test_integrator_does_not_wind_up_while_the_mixer_is_saturated() -> None:
@@ -106,7 +115,8 @@ def test_integrator_does_not_wind_up_while_the_mixer_is_saturated() -> None:
 @pytest.mark.parametrize("before, after", [(0, ALL), (ALL, 0), (2, ALL), (ALL, 2), (3, 6)])
 def test_mode_changes_do_not_jump(before: int, after: int) -> None:
     law, _ = make_law()
-    state = (radians((-3.0, 2.0, 5.0)), (0.0, 0.0, 0.0), radians((4.0, -3.0, 9.0)), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    zero = (0.0, 0.0, 0.0)
+    state = (radians((-3.0, 2.0, 5.0)), zero, radians((4.0, -3.0, 9.0)), zero, zero)
     open_V, none = (1.8, 1.6), (0.0, 0.0)
     for _ in range(3000):
         last = law.update(*state, before, open_V, none)
@@ -181,7 +191,9 @@ def test_excitation_never_exceeds_its_amplitude_or_its_time(
     kind: int, front_V: float, back_V: float, start_Hz: float, spread_Hz: float, duration_s: float, seed: int
 ) -> None:
     ticks = round(duration_s * 1000)
-    values = control.excitation(kind, front_V, back_V, start_Hz, start_Hz + spread_Hz, duration_s, seed, ticks + 50)
+    values = control.excitation(
+        kind, front_V, back_V, start_Hz, start_Hz + spread_Hz, duration_s, seed, ticks + 50
+    )
     assert np.all(np.abs(values[:, 0]) <= abs(front_V) + 1e-6)
     assert np.all(np.abs(values[:, 1]) <= abs(back_V) + 1e-6)
     assert np.all(values[ticks + 1 :] == 0)

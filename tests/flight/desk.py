@@ -65,7 +65,12 @@ class Desk:
                     return types[frame.id].unpack(frame.payload)
         raise AssertionError(f"no reply to {message}")
 
-    def move(self, elevation_deg: float | None = None, pitch_deg: float | None = None, travel_deg: float | None = None) -> None:
+    def move(
+        self,
+        elevation_deg: float | None = None,
+        pitch_deg: float | None = None,
+        travel_deg: float | None = None,
+    ) -> None:
         """Turn the encoders so that the board reads these angles."""
         for axis, value in enumerate((elevation_deg, pitch_deg, travel_deg)):
             if value is not None:
@@ -103,11 +108,13 @@ class Desk:
         assert self.arm().result == d.Result.OK
         assert self.close_loops().result == d.Result.OK
 
-    def setpoint(self, elevation_deg: float = 0.0, pitch_deg: float = 0.0, travel_deg: float = 0.0, at_tick: int = 0) -> None:
+    def setpoint(
+        self, elevation_deg: float = 0.0, pitch_deg: float = 0.0, travel_deg: float = 0.0, at_tick: int = 0
+    ) -> None:
         angles = (math.radians(x) for x in (elevation_deg, pitch_deg, travel_deg))
         self.send(d.SetpointMessage(at_tick, *angles))
 
-    def keep_flying(self, ticks: int, **setpoint: float) -> None:
+    def keep_flying(self, ticks: int, **setpoint: Any) -> None:
         for k in range(ticks):
             if k % 20 == 0:
                 self.setpoint(**setpoint)
@@ -122,7 +129,8 @@ class Desk:
 
     @property
     def motors(self) -> tuple[int, int, bool]:
-        return self.core.motors()
+        front, back, enabled = self.core.motors()
+        return front, back, enabled
 
     @property
     def motors_off(self) -> bool:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
-from tests.flight.desk import REST_DEG, Desk
 from heli_host.link import declaration as d
 from heli_host.link.declaration import Event, Fault, Result, State, Trigger
 from heli_host.link.telemetry import TelemetryDecoder
 from heli_sim._native import control
+
+from tests.flight.desk import REST_DEG, Desk
 
 # The table as docs and README promise it, written a second time: (from, trigger) -> to.
 PROMISED = {
@@ -131,7 +133,9 @@ def test_arming_is_refused_in_flight() -> None:
         (2, 90, 300, Fault.TRAVEL_RATE),
     ],
 )
-def test_each_limit_cuts_the_motors_and_names_itself(axis: int, angle_deg: float, rate_deg_s: float, fault: Fault) -> None:
+def test_each_limit_cuts_the_motors_and_names_itself(
+    axis: int, angle_deg: float, rate_deg_s: float, fault: Fault
+) -> None:
     desk = Desk()
     desk.set("setpoint_hold_s", 5)
     desk.set("setpoint_land_s", 30)
@@ -143,8 +147,12 @@ def test_each_limit_cuts_the_motors_and_names_itself(axis: int, angle_deg: float
     assert desk.last_event(Event.FAULT).detail == fault
 
 
-@pytest.mark.parametrize("axis, fault", [(0, Fault.ENCODER_ELEVATION), (1, Fault.ENCODER_PITCH), (2, Fault.ENCODER_TRAVEL)])
-def test_illegal_encoder_transitions_are_tolerated_up_to_the_parameter_then_cut(axis: int, fault: Fault) -> None:
+@pytest.mark.parametrize(
+    "axis, fault", [(0, Fault.ENCODER_ELEVATION), (1, Fault.ENCODER_PITCH), (2, Fault.ENCODER_TRAVEL)]
+)
+def test_illegal_encoder_transitions_are_tolerated_up_to_the_parameter_then_cut(
+    axis: int, fault: Fault
+) -> None:
     desk = Desk()
     desk.break_encoder(axis, 100)  # before arming they do not count
     desk.tick()
@@ -364,7 +372,9 @@ def test_excitation_outside_its_bounds_is_refused_by_field(message: d.ExciteMess
     desk.arm()
     desk.ask(d.ControlMessage(0, 0, 1.5, 1.5))
     reply = desk.ask(message)
-    assert (reply.result, reply.detail) == (Result.BAD_VALUE, 1 + field), "request is the first field on the wire"
+    assert (reply.result, reply.detail) == (Result.BAD_VALUE, 1 + field), (
+        "request is the first field on the wire"
+    )
 
 
 def test_excitation_adds_to_the_voltages_and_ends_by_itself() -> None:
@@ -427,7 +437,10 @@ def test_a_smooth_path_is_followed_on_its_device_ticks() -> None:
     desk = Desk()
     desk.fly()
     start = desk.ask(d.PingMessage(0, 0)).tick
-    path = lambda tick: REST_DEG + 3 * (1 - np.cos(2 * np.pi * (tick - start) / 4000))  # noqa: E731
+
+    def path(tick: Any) -> Any:
+        return REST_DEG + 3 * (1 - np.cos(2 * np.pi * (tick - start) / 4000))
+
     for k in range(0, 6000, 20):
         desk.setpoint(elevation_deg=path(start + k + 40), at_tick=start + k + 40)
         desk.tick(20)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -19,7 +20,7 @@ STEPS = 10_000
 POINT = 'diaginertia="1e-12 1e-12 1e-12"'
 
 
-def mujoco_rig(rig: Rig) -> mujoco.MjModel:
+def mujoco_rig(rig: Rig) -> Any:
     """The same masses at the same places, drawn as bodies and joints instead of equations."""
     v = {name: rig[name].value for name in rig}
     arm_z, body_z = -v["L_theta"], -v["L_phi"]
@@ -83,7 +84,7 @@ def ten_seconds() -> ca.Function:
     """(state, volts) -> angles after every step, by the project's equations and the same Runge-Kutta step."""
     model = MultibodyModel()
     x, u = ca.SX.sym("x", 6), ca.SX.sym("u", 2)
-    f = ca.Function("f", [x, u], [model.dynamics(x, u, ca.DM(model.parameter_values(load_rig("makki2024"))))])
+    f = ca.Function("f", [x, u], [model.dynamics(x, u, ca.SX(model.parameter_values(load_rig("makki2024"))))])
     return runge_kutta(f, x, u, STEP_S).mapaccum(STEPS)
 
 
@@ -112,7 +113,7 @@ def test_mass_matrix_agrees_with_mujoco_and_with_the_papers_inertias() -> None:
     rig = load_rig("makki2024")
     model = MultibodyModel()
     x = ca.SX.sym("x", 6)
-    at = model.situation(x, ca.SX.zeros(2), ca.DM(model.parameter_values(rig)))
+    at = model.situation(x, ca.SX.zeros(2), ca.SX(model.parameter_values(rig)))
     inertia = ca.Function("inertia", [x], [model.inertia_kg_m2(at)])
     physics = mujoco_rig(rig)
     data = mujoco.MjData(physics)
@@ -135,7 +136,7 @@ def test_energy_is_conserved_without_friction_and_thrust() -> None:
     rig = load_rig("makki2024").replace(friction_elevation=0.0, friction_pitch=0.0, friction_travel=0.0)
     model = MultibodyModel()
     x, u = ca.SX.sym("x", 6), ca.SX.sym("u", 2)
-    p = ca.DM(model.parameter_values(rig))
+    p = ca.SX(model.parameter_values(rig))
     at = model.situation(x, u, p)
     rates = x[3:6]
     kinetic_J = 0.5 * rates.T @ model.inertia_kg_m2(at) @ rates

@@ -169,7 +169,9 @@ class Driver:
                 self.pump(READ_TIMEOUT_S)
         # A thread that dies in silence would leave its user waiting for ever.
         except Exception as error:  # noqa: BLE001
-            self._fail(LinkError(f"reading failed: {type(error).__name__}: {error}", "report it with the log"))
+            self._fail(
+                LinkError(f"reading failed: {type(error).__name__}: {error}", "report it with the log")
+            )
 
     def _deliver(self, received: Received) -> None:
         self._subscribers.deliver(received.ticks, received.events, received.statuses)
@@ -194,7 +196,9 @@ class Driver:
             with self.lock:
                 self.transport = reopened
             return
-        self._fail(LinkLost(f"{error.cause} and did not come back", "check cable and power, then connect again"))
+        self._fail(
+            LinkLost(f"{error.cause} and did not come back", "check cable and power, then connect again")
+        )
 
     def _give_up_s(self) -> float:
         since_s = self._engine.unreachable_since_s

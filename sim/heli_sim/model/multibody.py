@@ -11,8 +11,8 @@ Each thrust acts along the short arm's own up axis at its rotor: Q is its virtua
 
 Positions and velocities are written in a frame that turns with the long arm: x along it, z up at level, the
 front rotor at -y. Elevation turns about -y, pitch about -x, travel about the vertical. Travel is then absent
-from M and V, and of the five masses only sums over each link are left (`_short_arm`, `_long_arm`), which do not
-change during a flight.
+from M and V, and of the five masses only sums over each link are left (`_short_arm`, `_long_arm`), which do
+not change during a flight.
 """
 
 from __future__ import annotations
@@ -204,7 +204,7 @@ def _rates(at: Situation) -> ca.SX:
 
 
 def _solve(matrix: ca.SX, right: ca.SX) -> ca.SX:
-    """Solve for a symmetric positive definite 3 x 3 matrix by L D L', a third of the work of a general solver."""
+    """Solve for a symmetric positive definite 3 x 3 matrix by L D L': a third of a general solver's work."""
     first, middle, last = 1, 0, 2  # pitch's own inertia is constant, and so is its reciprocal
     over_first = 1 / matrix[first, first]
     low_middle, low_last = matrix[middle, first] * over_first, matrix[last, first] * over_first
