@@ -9,6 +9,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 Fields = dict[str, int]
 
@@ -46,21 +47,30 @@ class Encoding:
     filler: bool = False
     register_list: str = ""
 
+    @cached_property
     def widths(self) -> dict[str, int]:
         """Bits of each field."""
         return {c: self.bits.count(c) for c in sorted(set(self.bits)) if c not in "01"}
 
-    def assemble(self, fields: Fields) -> bytes:
-        """Halfwords of the instruction with these fields."""
-        left = dict(self.widths())
-        word = 0
-        for bit in self.bits:
+    @cached_property
+    def _layout(self) -> tuple[int, tuple[tuple[str, int, int], ...]]:
+        """Constant bits, and for each bit of a field its place there and in the word."""
+        left = dict(self.widths)
+        constant = 0
+        places = []
+        for position, bit in zip(range(len(self.bits) - 1, -1, -1), self.bits, strict=True):
             if bit in "01":
-                value = int(bit)
+                constant |= int(bit) << position
             else:
                 left[bit] -= 1
-                value = fields[bit] >> left[bit] & 1
-            word = word << 1 | value
+                places.append((bit, left[bit], position))
+        return constant, tuple(places)
+
+    def assemble(self, fields: Fields) -> bytes:
+        """Halfwords of the instruction with these fields."""
+        word, places = self._layout
+        for name, source, position in places:
+            word |= (fields[name] >> source & 1) << position
         if len(self.bits) == 16:
             return word.to_bytes(2, "little")
         return (word >> 16).to_bytes(2, "little") + (word & 0xFFFF).to_bytes(2, "little")
@@ -457,13 +467,13 @@ def _choose(rng: random.Random, base: int, index: int, in_it: bool) -> tuple[Enc
         encoding = rng.choice(ENCODINGS)
         if in_it and not encoding.in_it:
             continue
-        fields = {c: rng.getrandbits(w) for c, w in encoding.widths().items()}
+        fields = {c: rng.getrandbits(w) for c, w in encoding.widths.items()}
         fields |= encoding.fixed
         if encoding.base:
             fields[encoding.base] = base
         if encoding.index:
             fields[encoding.index] = index
-        if any(fields[c] >> encoding.widths()[c] for c in fields):
+        if any(fields[c] >> w for c, w in encoding.widths.items()):
             continue
         if not encoding.ok(fields):
             continue

@@ -17,7 +17,7 @@ DueBoard::DueBoard() : due_(std::make_unique<Due>()), id_(due_->chip.system.sche
 
 void DueBoard::run(const heli_sim::EncoderInput& encoders) {
   if (!due_->chip.powered()) due_->power_on();
-  const BoardTime start = std::max(tick_end_, due_->now() > kOneMs ? due_->now() - kOneMs : 0);
+  const BoardTime start = tick_end_;
   tick_end_ = start + kOneMs;
   for (int axis = 0; axis < kEncoders; ++axis) {
     if (due_->encoder(axis) != encoders.count[axis]) due_->set_encoder(axis, encoders.count[axis]);

@@ -37,7 +37,7 @@ std::vector<std::uint8_t> UsbBridge::read() { return std::exchange(host_, {}); }
 void UsbBridge::byte_from_uart(std::uint8_t byte, std::uint32_t bit_cycles, std::uint64_t) {
   const double own = static_cast<double>(bit_time()) / kOneCycle;
   const double sender = static_cast<double>(bit_cycles) * kFull_Hz / chip_.system.clock.mck_Hz();
-  if (sender < 0.95 * own || sender > 1.05 * own) byte = static_cast<std::uint8_t>(byte ^ 0xA5U);
+  if (sender < 0.955 * own || sender > 1.045 * own) byte = static_cast<std::uint8_t>(byte ^ 0xA5U);
   if (to_host_.size() >= kRing) {
     ++to_host_lost_;
     return;

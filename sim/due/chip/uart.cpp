@@ -31,8 +31,8 @@ constexpr std::uint32_t kTxBufE = 1U << 11;
 constexpr std::uint32_t kRxBufF = 1U << 12;
 
 constexpr int kTxPin = pin_of('A', 9);
-// Half a bit of drift over the ten bits of a frame: beyond that the stop bit is missed.
-constexpr double kLargestMismatch = 0.05;
+// Half a bit less the start bit's uncertainty of a sixteenth, over the 9.5 bits to the stop bit.
+constexpr double kLargestMismatch = 0.045;
 
 }  // namespace
 

@@ -52,16 +52,18 @@ class BareCore {
     auto rows = std::make_unique<std::uint32_t[]>((most + 1) * 17);
     std::size_t count = 0;
     for (;;) {
-      const bool at_end = system_.cpu.pc() == stop || count == most;
-      if (at_end || !system_.cpu.next_is_skipped()) {
-        std::uint32_t* row = rows.get() + count * 17;
-        for (unsigned reg = 0; reg < 16; ++reg) row[reg] = system_.cpu.reg(reg);
-        row[16] = system_.cpu.xpsr();
-        ++count;
+      const bool at_stop = system_.cpu.pc() == stop;
+      if (!at_stop && system_.cpu.next_is_skipped()) {
+        system_.cpu.step(kNever - 1);
+        continue;
       }
-      if (at_end) break;
+      std::uint32_t* row = rows.get() + count * 17;
+      for (unsigned reg = 0; reg < 16; ++reg) row[reg] = system_.cpu.reg(reg);
+      row[16] = system_.cpu.xpsr();
+      if (at_stop || ++count > most) break;
       system_.cpu.step(kNever - 1);
     }
+    if (count <= most) ++count;
     std::uint32_t* data = rows.release();
     nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<std::uint32_t*>(p); });
     return {data, {count, 17}, owner};

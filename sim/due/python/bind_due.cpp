@@ -275,6 +275,16 @@ void bind_debugging(nb::class_<Due>& due) {
             }
           },
           nb::arg("address"))
+      .def(
+          "write_word",
+          [](Due& self, std::uint32_t address, std::uint32_t value) {
+            try {
+              self.chip.system.bus.write(address, value, 4);
+            } catch (const Fault&) {
+              throw std::invalid_argument("nothing can be written at " + hex(address));
+            }
+          },
+          nb::arg("address"), nb::arg("value"))
       .def("poke", &poke, nb::arg("address"), nb::arg("data"))
       .def(
           "add_breakpoint",

@@ -1,0 +1,97 @@
+"""The emulated chip driven from outside: registers by name, the processor asleep."""
+
+from __future__ import annotations
+
+import struct
+
+from heli_sim.due._due import Due
+
+FLASH = 0x0008_0000
+RAM = 0x2007_0000
+FULL_HZ = 84_000_000
+# reset_handler: wfi; b reset_handler
+_PARKED = struct.pack("<II", 0x2008_8000, FLASH + 0x101).ljust(0x100, b"\0") + b"\x30\xbf\xfd\xe7"
+
+PIDS = {"UART": 8, "PIOA": 11, "PIOB": 12, "PIOC": 13, "PIOD": 14, "TC0": 27, "TC1": 30, "TC2": 33, "PWM": 36}
+
+
+class Chip:
+    """A Due whose processor sleeps while the test reads and writes registers.
+
+    Parameters
+    ----------
+    full_speed
+        Bring the clock to 84 MHz, as firmware does.
+    clocks
+        Peripherals whose clock to switch on.
+    strict
+        As on the command line.
+    """
+
+    def __init__(self, *clocks: str, full_speed: bool = True, strict: bool = True) -> None:
+        self.due = Due()
+        self.due.set_strict(strict)
+        self.due.load(FLASH, _PARKED)
+        self._address = {name: base + offset for name, base, offset in self._registers()}
+        self.power_on(*clocks, full_speed=full_speed)
+
+    def _registers(self) -> list[tuple[str, int, int]]:
+        rows = []
+        for peripheral, base, name, offset, *_ in self.due.registers():
+            tail = name.split("_", 1)[1] if "_" in name else name
+            rows.append((f"{peripheral}.{tail}", base, offset))
+        return rows
+
+    def power_on(self, *clocks: str, full_speed: bool = True) -> None:
+        """Power comes up; the chip runs as far as its program's sleep."""
+        self.due.power_on()
+        self.due.run_us(200)
+        if full_speed:
+            self.to_full_speed()
+        self.clock(*clocks)
+
+    def to_full_speed(self) -> None:
+        """12 MHz crystal, PLLA x 14, half of it."""
+        self["EFC0.FMR"] = self["EFC1.FMR"] = 4 << 8
+        self["PMC.MOR"] = 0x37 << 16 | 8 << 8 | 1 << 3 | 1
+        self.wait("PMC.SR", 1 << 0)
+        self["PMC.MOR"] = 0x37 << 16 | 1 << 24 | 8 << 8 | 1 << 3 | 1
+        self["PMC.MCKR"] = 1
+        self.wait("PMC.SR", 1 << 3)
+        self["PMC.PLLAR"] = 1 << 29 | 13 << 16 | 0x3F << 8 | 1
+        self.wait("PMC.SR", 1 << 1)
+        self["PMC.MCKR"] = 1 << 4 | 1
+        self.wait("PMC.SR", 1 << 3)
+        self["PMC.MCKR"] = 1 << 4 | 2
+        self.wait("PMC.SR", 1 << 3)
+
+    def clock(self, *names: str) -> None:
+        """Switch on the clocks of peripherals; a timer block gets all three of its own."""
+        for name in names:
+            for pid in range(PIDS[name], PIDS[name] + (3 if name.startswith("TC") else 1)):
+                self[f"PMC.PCER{pid // 32}"] = 1 << pid % 32
+
+    def wait(self, register: str, mask: int, most_us: float = 20_000) -> None:
+        """Let time pass until any bit of the mask is set."""
+        end_us = self.due.now_us + most_us
+        while not self[register] & mask:
+            assert self.due.now_us < end_us, f"{register} never showed {mask:#x}"
+            self.due.run_us(10)
+
+    def run_cycles(self, count: int) -> None:
+        """Let so many cycles of 84 MHz pass."""
+        self.due.run_us(count / 84)
+
+    def __getitem__(self, register: str) -> int:
+        return self.due.read_word(self._address[register])
+
+    def __setitem__(self, register: str, value: int) -> None:
+        self.due.poke(self._address[register], struct.pack("<I", value & 0xFFFF_FFFF))
+
+    def store(self, address: int, value: int) -> None:
+        """A store of a word by the processor, to flash latches for example."""
+        self.due.write_word(address, value)
+
+    def word(self, address: int) -> int:
+        """A word of memory."""
+        return int.from_bytes(self.due.peek(address, 4), "little")

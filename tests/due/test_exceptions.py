@@ -1,0 +1,130 @@
+"""Exceptions against the traces that the architecture manual asks for (ARMv7-M, B1.5)."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from heli_sim.due import new_due, read_image
+from heli_sim.due._due import Due, Stop
+
+from tests.due.conftest import Build
+
+SCENARIO, TRACE = 0x2007_1000, 0x2007_1100
+TO_HANDLER, TO_THREAD, TO_PROCESS = 0xFFFF_FFF1, 0xFFFF_FFF9, 0xFFFF_FFFD
+SVC, PENDSV, SYSTICK, HARD, BUS, USAGE, IRQ0 = 11, 14, 15, 3, 5, 6, 16
+DONE = 0xD0E
+FORCED, DEBUG = 1 << 30, 1 << 31
+UNDEFINED, INVSTATE, INVPC, NOCP, UNALIGNED, DIVBYZERO = (1 << bit for bit in (16, 17, 18, 19, 24, 25))
+STACK_TOP = 0x2008_8000
+
+SCENARIOS = {
+    "svc_returns_behind_itself": (0, [0x5C, SVC, TO_THREAD, 0x5E, 1, 4]),
+    "urgent_interrupt_preempts_a_handler": (
+        1,
+        [0x10, IRQ0, TO_THREAD, 0x11, IRQ0 + 1, TO_HANDLER, 0x1F, 0x1E, 0x7E],
+    ),
+    "less_urgent_ones_are_tail_chained_on_the_same_frame": (
+        2,
+        [
+            *(0x10, IRQ0, TO_THREAD, 0x1E),
+            *(0x11, IRQ0 + 1, TO_THREAD, 0x1F),
+            *(0x12, IRQ0 + 2, TO_THREAD, STACK_TOP - 0x20),
+            0x7E,
+        ],
+    ),
+    "thread_on_the_process_stack": (
+        3,
+        [0x5C, SVC, TO_PROCESS, 0x2007_5000 - 0x20, 0x5E, 0x2007_5000],
+    ),
+    "undefined_instruction_is_a_usage_fault": (4, [0x6F, USAGE, TO_THREAD, UNDEFINED, 0x7E]),
+    "a_disabled_usage_fault_becomes_a_hard_fault": (5, [0xF0, HARD, TO_THREAD, FORCED, 0x7E]),
+    "floating_point_is_a_fault": (6, [0x6F, USAGE, TO_THREAD, NOCP, 0x7E]),
+    "dsp_is_a_fault": (7, [0x6F, USAGE, TO_THREAD, UNDEFINED, 0x7E]),
+    "division_by_zero_gives_zero_or_a_fault": (8, [0, 0x6F, USAGE, TO_THREAD, DIVBYZERO, 0x7E]),
+    "unaligned_ldm_is_a_fault": (9, [0x6F, USAGE, TO_THREAD, UNALIGNED, 0x7E]),
+    "a_load_from_nowhere_is_a_precise_bus_fault": (
+        10,
+        [0xBF, BUS, TO_THREAD, 1 << 9 | 1 << 15, 0x9000_0000, 0x7E],
+    ),
+    "an_impossible_return_is_a_usage_fault": (
+        11,
+        [0x5C, SVC, TO_THREAD, 0x6F, USAGE, 0xFFFF_FFF4, INVPC],
+    ),
+    "primask_holds_back": (12, [0xA1, 0x10, IRQ0, TO_THREAD, 0x1E, 0xA2]),
+    "wfi_ends_on_a_masked_interrupt": (13, [0xA1, 0x57, SYSTICK, TO_THREAD, 0xA2]),
+    "breakpoint_without_debugger_is_a_hard_fault": (14, [0xF0, HARD, TO_THREAD, DEBUG, 0x7E]),
+    "frame_is_aligned_and_sp_comes_back": (16, [0x5C, SVC, TO_THREAD, 0, 1, 0x5E, 0]),
+    "a_blocked_svc_is_a_hard_fault": (17, [0xF0, HARD, TO_THREAD, FORCED]),
+    "an_it_block_goes_on_after_an_exception": (18, [0x5C, SVC, TO_THREAD, 0x5E, 5]),
+    "an_exception_clears_the_exclusive_monitor": (19, [0, 0x5C, SVC, TO_THREAD, 0x5E, 1]),
+    "wfe_and_its_event": (21, [0xA1, 0x57, SYSTICK, TO_THREAD, 0xA2]),
+    "a_branch_to_an_even_address_is_a_fault": (22, [0x6F, USAGE, TO_THREAD, INVSTATE, 0, 0x7E]),
+    "unprivileged_code_may_not_touch_the_nvic": (
+        23,
+        [1, 0xBF, BUS, TO_THREAD, 1 << 9 | 1 << 15, 0xE000_E200, 0x7E],
+    ),
+    "basepri_holds_back_what_is_not_more_urgent": (
+        24,
+        [0x11, IRQ0 + 1, TO_THREAD, 0x1F, 0xA1, 0x10, IRQ0, TO_THREAD, 0x1E, 0xA2],
+    ),
+    "pendsv_runs_after_the_handler_that_asked": (
+        25,
+        [0x5C, SVC, TO_THREAD, 0x5E, 0x9E, PENDSV, TO_THREAD, 0x7E],
+    ),
+    "bit_bands_reach_single_bits": (26, [1, 0x1081, 1]),
+    "an_interrupt_that_pends_itself_runs_twice": (
+        27,
+        [0x13, IRQ0 + 3, TO_THREAD, 0x13, IRQ0 + 3, TO_THREAD, 0x7E],
+    ),
+    "one_priority_group_does_not_preempt_itself": (
+        28,
+        [0x10, IRQ0, TO_THREAD, 0x1E, 0x11, IRQ0 + 1, TO_THREAD, 0x1F, 0x7E],
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def program(build: Build) -> str:
+    return str(build("exceptions.S"))
+
+
+def run(program: str, scenario: int, us: float = 3000) -> Due:
+    due = new_due(read_image(program), strict=False)
+    due.power_on()
+    due.poke(SCENARIO, struct.pack("<I", scenario))
+    due.poke(TRACE, bytes(256))
+    due.run_us(us)
+    return due
+
+
+def trace(due: Due, count: int) -> list[int]:
+    return list(struct.unpack(f"<{count}I", due.peek(TRACE, 4 * count)))
+
+
+@pytest.mark.parametrize("claim", SCENARIOS)
+def test_exception(program: str, claim: str) -> None:
+    scenario, expected = SCENARIOS[claim]
+    due = run(program, scenario)
+    wanted = [*expected, DONE] if claim != "a_blocked_svc_is_a_hard_fault" else expected
+    assert [hex(word) for word in trace(due, len(wanted))] == [hex(word) for word in wanted]
+
+
+def test_a_fault_in_the_hard_fault_handler_locks_up(program: str) -> None:
+    with pytest.raises(Stop, match="lockup: fault inside a handler of priority -1"):
+        run(program, 15)
+
+
+def test_sleep_on_exit_leaves_the_thread_asleep(program: str) -> None:
+    due = run(program, 20)
+    assert trace(due, 5) == [0x10, IRQ0, TO_THREAD, 0x1E, 0]
+    asleep = due.sleep_cycles
+    due.run_us(100)
+    assert due.sleep_cycles - asleep == 400  # 4 MHz
+
+
+def test_entry_and_tail_chaining_cost_their_cycles(program: str) -> None:
+    due = run(program, 2)
+    count, instructions, _, most_cycles = due.exception_stats(IRQ0)
+    assert count == 1
+    assert instructions < most_cycles < 3 * instructions

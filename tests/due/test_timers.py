@@ -1,0 +1,127 @@
+"""Timer counters: periods, compares, outputs and capture, by the datasheet's formulas (section 36)."""
+
+from __future__ import annotations
+
+import pytest
+from heli_sim.due._due import Stop
+
+from tests.due.chip import Chip
+
+CLKEN, CLKDIS, SWTRG = 1, 2, 4
+WAVE, UP_RC, UPDOWN_RC = 1 << 15, 2 << 13, 3 << 13
+CPAS, CPBS, CPCS, COVFS, LDRAS, LDRBS = 1 << 2, 1 << 3, 1 << 4, 1, 1 << 5, 1 << 6
+
+
+def running(mode: int, rc: int, *, ra: int = 0, rb: int = 0) -> Chip:
+    chip = Chip("TC1", "TC2", "PIOC")
+    chip["TC2.CMR0"] = mode
+    if mode & WAVE:
+        chip["TC2.RA0"], chip["TC2.RB0"] = ra, rb
+    chip["TC2.RC0"] = rc
+    chip["TC2.CCR0"] = CLKEN | SWTRG
+    return chip
+
+
+@pytest.mark.parametrize(("clock", "divider"), [(0, 2), (1, 8), (2, 32), (3, 128), (4, 84_000_000 // 32_000)])
+def test_the_counter_moves_with_its_clock(clock: int, divider: int) -> None:
+    chip = running(clock, 0)
+    chip.run_cycles(1000 * divider)
+    assert chip["TC2.CV0"] == pytest.approx(1000, abs=3)
+
+
+@pytest.mark.parametrize("rc", [42, 42_000, 65_536])
+def test_rc_compare_repeats_every_rc_steps(rc: int) -> None:
+    chip = running(WAVE | UP_RC, rc)
+    chip.run_cycles(2 * rc - 20)
+    assert chip["TC2.SR0"] & CPCS == 0
+    chip.run_cycles(20)
+    assert chip["TC2.SR0"] & CPCS
+    assert chip["TC2.CV0"] < 10
+    chip.run_cycles(4 * rc)
+    assert chip["TC2.CV0"] < 20
+
+
+def test_a_thousand_ticks_a_second_are_a_thousand() -> None:
+    chip = running(WAVE | UP_RC, 42_000)
+    chip["TC2.IER0"] = CPCS
+    count = 0
+    for _ in range(2000):
+        chip.due.run_us(500)
+        count += bool(chip["TC2.SR0"] & CPCS)
+    assert count == 1000
+
+
+def test_outputs_follow_the_compares() -> None:
+    # TIOA on PC25: set at RC, cleared at RA; TIOB on PC26 (EEVT = XC0): set at RC, cleared at RB.
+    mode = WAVE | UP_RC | 2 << 16 | 1 << 18 | 1 << 10 | 2 << 24 | 1 << 26
+    chip = running(mode, 1000, ra=300, rb=700)
+    chip.due.set_pin("PC25", "open")
+    chip.due.set_pin("PC26", "open")
+    chip["PIOC.ABSR"] = chip["PIOC.PDR"] = 3 << 25
+    chip.run_cycles(2000 * 3)
+    high = [0, 0]
+    for _ in range(2000):
+        chip.run_cycles(1)
+        high[0] += chip.due.pin("PC25")
+        high[1] += chip.due.pin("PC26")
+    assert high == [pytest.approx(600, abs=2), pytest.approx(1400, abs=2)]
+
+
+def test_up_down_counts_a_triangle() -> None:
+    chip = running(WAVE | UPDOWN_RC, 1000)
+    chip.run_cycles(2 * 1000)
+    assert chip["TC2.CV0"] == pytest.approx(1000, abs=5)
+    chip.run_cycles(2 * 400)
+    assert chip["TC2.CV0"] == pytest.approx(600, abs=10)
+    chip.run_cycles(2 * 600)
+    assert chip["TC2.CV0"] < 15
+
+
+@pytest.mark.parametrize(("bit", "clock_on"), [(1 << 6, 1), (1 << 7, 0)])
+def test_the_clock_can_stop_at_rc(bit: int, clock_on: int) -> None:
+    chip = running(WAVE | UP_RC | bit, 500)
+    chip.run_cycles(3000)
+    assert chip["TC2.CV0"] == 0
+    assert chip["TC2.SR0"] >> 16 & 1 == clock_on
+
+
+def test_capture_measures_a_pulse() -> None:
+    chip = running(1 << 16 | 2 << 18, 0)  # RA at the rising, RB at the falling edge of TIOA
+    chip.due.set_pin("PC25", "low")
+    chip.run_cycles(1000)
+    chip.due.set_pin("PC25", "high")
+    chip.run_cycles(5000)
+    chip.due.set_pin("PC25", "low")
+    assert chip["TC2.SR0"] & (LDRAS | LDRBS) == LDRAS | LDRBS
+    assert chip["TC2.RB0"] - chip["TC2.RA0"] == pytest.approx(2500, abs=1)
+
+
+def test_stopping_keeps_the_value_and_a_trigger_clears_it() -> None:
+    chip = running(0, 0)
+    chip.run_cycles(1000)
+    chip["TC2.CCR0"] = CLKDIS
+    held = chip["TC2.CV0"]
+    chip.run_cycles(1000)
+    assert chip["TC2.CV0"] == held > 400
+    chip["TC2.CCR0"] = CLKEN | SWTRG
+    assert chip["TC2.CV0"] < 10
+
+
+def test_the_counter_has_32_bits() -> None:
+    chip = running(WAVE | UP_RC, 0xFFFF_FFFF)
+    chip.due.run_us(2_000_000)
+    assert chip["TC2.CV0"] == pytest.approx(84_000_000, abs=50)
+
+
+@pytest.mark.parametrize(
+    ("register", "value", "message"),
+    [
+        ("TC2.CMR0", 6, "external clocks"),
+        ("TC2.RA0", 1, "read-only in capture mode"),
+        ("TC2.BMR", 1 << 8 | 1 << 10, "speed measurement"),
+        ("TC2.WPMR", 1, "key 0x54494D"),
+    ],
+)
+def test_what_is_not_modelled_or_wrong_is_refused(register: str, value: int, message: str) -> None:
+    with pytest.raises(Stop, match=message):
+        running(0, 0)[register] = value
