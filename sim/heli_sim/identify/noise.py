@@ -10,6 +10,7 @@ import numpy as np
 from heli_sim.identify.kernel import Floats
 
 LONGEST_LAG_S: Final = 0.5
+LEAST_SHARE: Final = 0.25
 OUTLIER: Final = 3.0
 """A window whose rms residual is this many times the median window's loses weight."""
 
@@ -68,6 +69,34 @@ def inflation(residual: Floats, windows: Sequence[slice], step_s: float) -> Floa
     taper = 1.0 - np.arange(lags + 1) / (lags + 1)
     long_run = 2.0 * (taper[:, None] * covariance).sum(axis=0) - covariance[0]
     result: Floats = np.maximum(1.0, np.maximum(covariance[0], long_run))
+    return result
+
+
+def balanced(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floats:
+    """Keep a wrong model from being bent to the axis that it fits best.
+
+    Where a model is wrong, dividing each axis by its own error rewards the axis that the free initial states
+    can hide the error in (travel) and gives up the one that shows it (pitch): on measured flights pitch came
+    out twice as far off. So no axis' variance, in rad^2, is taken to be less than a quarter of the
+    largest that is not explained by rounding.
+
+    Parameters
+    ----------
+    variance : ndarray (3,)
+        As `inflation` returns it.
+    mean_square : ndarray (3,)
+        Mean square of the residuals.
+    sigma_rad : ndarray (3,)
+        Standard deviation of the rounding of each axis.
+
+    Returns
+    -------
+    ndarray (3,)
+        Variances, none smaller than given; unchanged where nothing but rounding is left.
+    """
+    wrong = np.maximum(0.0, 1.0 - 2.0 / np.maximum(mean_square, 1e-12))
+    least_rad2 = LEAST_SHARE * float(np.max(variance * wrong * sigma_rad**2))
+    result: Floats = np.maximum(variance, least_rad2 / sigma_rad**2)
     return result
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from heli_sim.errors import IdentifyError
 from heli_sim.identify.kernel import Floats
-from heli_sim.identify.noise import inflation, window_weights
+from heli_sim.identify.noise import balanced, inflation, window_weights
 from heli_sim.identify.problem import Look, Problem
 
 _ROUNDS: Final = 8
@@ -172,6 +172,7 @@ class _Solver:
         for index, look in enumerate(point.looks):
             grid = self.problem.grid(index, self.fine, point.theta)
             found = inflation(look.residual, grid.slices, grid.inputs.step_s)
+            found = balanced(found, np.mean(look.residual**2, axis=0), grid.record.sigma_rad)
             variance.append(found)
             weights.append(
                 window_weights(look.residual, grid.slices, found) if self.robust else np.ones(len(grid.slices))
@@ -198,7 +199,7 @@ class _Solver:
                 total += float(np.sum(off**2))
         return total if math.isfinite(total) else math.inf
 
-    def reduce(self, point: _Point, damping: float) -> tuple[Floats, Floats, list[tuple[Floats, Floats]]]:
+    def reduce(self, point: _Point) -> tuple[Floats, Floats, list[tuple[Floats, Floats]]]:
         """Information and gradient of the free parameters, and how the states follow them."""
         nx, count = self.problem.state_count, len(self.problem.free)
         information, gradient = np.zeros((count, count)), np.zeros(count)
@@ -215,7 +216,6 @@ class _Solver:
                 own[:, diagonal[6:], diagonal[6:]] += weight
                 coupling[:, 6:, -1] += weight * (self.reference[index] - point.states[index])[:, 6:]
             # A state that a window does not show at all must not make its block singular.
-            own[:, diagonal, diagonal] *= 1.0 + damping
             own[:, diagonal, diagonal] += 1e-12 * own[:, diagonal, diagonal].max(axis=1, keepdims=True)
             answer = np.linalg.solve(own, coupling)
             schur = normal[:, nx:, nx:] - coupling.transpose(0, 2, 1) @ answer
@@ -227,11 +227,11 @@ class _Solver:
     def step(self, point: _Point) -> tuple[Floats, list[Floats], Floats]:
         """A damped Gauss-Newton step, and the standard errors."""
         problem = self.problem
-        information, gradient, follow = self.reduce(point, self.damping)
+        information, gradient, follow = self.reduce(point)
         weight = 1.0 / problem.prior_std**2
-        matrix = information + np.diag(weight)
         right = gradient + weight * (problem.prior_mean - point.theta)
-        matrix[np.diag_indices_from(matrix)] *= 1.0 + self.damping
+        # Damped in units of the priors: weak combinations of well-known numbers may move that far and no more.
+        matrix = information + np.diag((1.0 + self.damping) * weight)
         move = _bounded_solve(matrix, right, *(bound - point.theta for bound in problem.bounds))
         states = [
             start + free - np.einsum("wsf,f->ws", slave, move)
@@ -242,6 +242,7 @@ class _Solver:
 
     def descend(self, point: _Point, stage: str, share: tuple[float, float], most: int = 30) -> tuple[_Point, bool]:
         """Step until steps are small."""
+        growth = 2.0
         for number in range(most):
             if self.on_progress is not None:
                 done = share[0] + (share[1] - share[0]) * (1 - 0.5**number)
@@ -253,13 +254,16 @@ class _Solver:
             if not other.cost < point.cost * (1 + 1e-12):
                 if self.damping > _LARGEST_DAMPING:
                     return point, True
-                self.damping = max(1e-3, 10.0 * self.damping)
+                self.damping = max(1.0, growth * self.damping)
+                growth *= 2.0
                 continue
             gain = (point.cost - other.cost) / max(other.cost, 1e-300)
             small = not len(move) or bool(np.all(np.abs(move) < _SMALL_STEP * std))
-            settled = gain < 1e-6 or (small and gain < 1e-3)
-            point, self.damping = other, self.damping / 10.0 if self.damping > 1e-6 else 0.0
-            if settled and self.damping < 1e-2:
+            # After a rejected step the damping comes down slowly, or every second step is rejected.
+            self.damping *= 0.2 if growth == 2.0 else 0.5
+            self.damping = self.damping if self.damping > 0.05 else 0.0
+            growth, point = 2.0, other
+            if self.damping < 1.0 and (gain < 1e-6 or (small and gain < 1e-3)):
                 return point, True
         return point, True
 
@@ -348,7 +352,7 @@ def _start(problem: Problem, start: Fit | Mapping[str, float] | None) -> tuple[F
 
 def _result(solver: _Solver, point: _Point, converged: bool) -> Fit:
     problem = solver.problem
-    information, _, _ = solver.reduce(point, 0.0)
+    information, _, _ = solver.reduce(point)
     weight = np.diag(1.0 / problem.prior_std**2)
     covariance = np.linalg.inv(information + weight) if len(problem.free) else np.zeros((0, 0))
     low, high = problem.bounds
