@@ -9,9 +9,7 @@ namespace heli::due {
 
 struct Nvic {
   ReadWrite NVIC_ISER[8];
-  Reserved<56> reserved_120;
-  ReadWrite NVIC_ISPR[8];
-  Reserved<120> reserved_220;
+  Reserved<184> reserved_120;
   ReadWrite NVIC_IPR[60];
 };
 inline constexpr At<Nvic> NVIC{0xE000E100};
@@ -37,10 +35,6 @@ inline void enable_interrupt(unsigned number, unsigned priority) {
   ReadWrite& reg = NVIC->NVIC_IPR[number / 4U];
   reg.write((reg.read() & ~(0xFU << shift)) | (priority << shift));
   NVIC->NVIC_ISER[number / 32U].write(bit(number % 32U));
-}
-
-inline bool interrupt_pending(unsigned number) {
-  return (NVIC->NVIC_ISPR[number / 32U].read() & bit(number % 32U)) != 0U;
 }
 
 inline void mask_interrupts() { asm volatile("cpsid i" ::: "memory"); }

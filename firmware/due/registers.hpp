@@ -65,6 +65,7 @@ inline constexpr unsigned ID_PIOD = 14;
 inline constexpr unsigned ID_UART = 8;
 inline constexpr unsigned ID_TC0 = 27;
 inline constexpr unsigned ID_TC3 = 30;
+inline constexpr unsigned ID_TC4 = 31;
 inline constexpr unsigned ID_TC6 = 33;
 inline constexpr unsigned ID_PWM = 36;
 
@@ -230,7 +231,6 @@ inline constexpr std::uint32_t TC_CMR_ABETRG = bit(10);
 inline constexpr Field TC_CMR_WAVSEL{13, 2};
 inline constexpr std::uint32_t TC_CMR_WAVSEL_UP_RC = TC_CMR_WAVSEL(2);
 inline constexpr std::uint32_t TC_CMR_WAVE = bit(15);
-inline constexpr std::uint32_t TC_SR_CPCS = bit(4);
 inline constexpr std::uint32_t TC_IER_CPCS = bit(4);
 inline constexpr std::uint32_t TC_BMR_QDEN = bit(8);
 inline constexpr std::uint32_t TC_BMR_POSEN = bit(9);

@@ -10,7 +10,8 @@ void start();
 // In the interrupt, first.
 void acknowledge();
 
-// In the interrupt, last: how long this tick took since it was due, and whether the next waits.
+// In the interrupt, last: how long this tick took since it was due, and whether it ended after the
+// next was due or came after others that nobody served.
 TickTiming timing();
 
 }  // namespace heli::due::tick_timer

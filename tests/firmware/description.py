@@ -1,0 +1,139 @@
+"""The vendor's description of the SAM3X8E, from the source archive of cmsis-svd 0.4."""
+
+from __future__ import annotations
+
+import tarfile
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+ARCHIVE = "cmsis-svd-0.4.tar.gz"
+MEMBER = "cmsis-svd-0.4/cmsis_svd/data/Atmel/ATSAM3X8E.svd"
+
+
+@dataclass(frozen=True)
+class Register:
+    """One register.
+
+    Parameters
+    ----------
+    offset : int
+        From the start of its peripheral.
+    access : str
+        read-only, write-only or read-write.
+    count : int
+        Of an array; 1 for a single register.
+    fields : dict of str to tuple of int
+        Lowest bit and width of each field.
+    values : dict of tuple of str to int
+        Values of fields that have names, by field and name.
+    """
+
+    offset: int
+    access: str
+    count: int
+    fields: dict[str, tuple[int, int]]
+    values: dict[tuple[str, str], int]
+
+
+@dataclass(frozen=True)
+class Peripheral:
+    """One peripheral.
+
+    Parameters
+    ----------
+    address : int
+        Where it begins.
+    registers : dict of str to Register
+        By name, without the peripheral's prefix.
+    """
+
+    address: int
+    registers: dict[str, Register]
+
+
+@dataclass(frozen=True)
+class Description:
+    """The chip.
+
+    Parameters
+    ----------
+    peripherals : dict of str to Peripheral
+        By name.
+    interrupts : dict of str to int
+        Number of each interrupt, which is also the identifier of the peripheral's clock.
+    """
+
+    peripherals: dict[str, Peripheral]
+    interrupts: dict[str, int]
+
+
+def _text(node: ElementTree.Element, name: str) -> str:
+    found = node.findtext(name)
+    return "" if found is None else found.strip()
+
+
+def _register(node: ElementTree.Element) -> Register:
+    fields, values = {}, {}
+    for field in node.iter("field"):
+        name = _text(field, "name")
+        fields[name] = (
+            int(_text(field, "bitOffset") or _text(field, "lsb"), 0),
+            int(_text(field, "bitWidth") or "1"),
+        )
+        for value in field.iter("enumeratedValue"):
+            values[name, _text(value, "name")] = int(_text(value, "value"), 0)
+    count = int(_text(node, "dim") or "1", 0)
+    return Register(int(_text(node, "addressOffset"), 0), _text(node, "access"), count, fields, values)
+
+
+def find_archive(root: Path) -> Path | None:
+    """The archive in a checkout.
+
+    Parameters
+    ----------
+    root : Path
+        The checkout.
+
+    Returns
+    -------
+    Path or None
+        None when nobody has fetched it.
+    """
+    path = root / "build" / "svd" / ARCHIVE
+    return path if path.exists() else None
+
+
+def read_description(archive: Path) -> Description:
+    """Take the archive apart.
+
+    Parameters
+    ----------
+    archive : Path
+        As fetched from PyPI.
+
+    Returns
+    -------
+    Description
+        What it says of the SAM3X8E.
+    """
+    with tarfile.open(archive) as files:
+        member = files.extractfile(MEMBER)
+        assert member is not None
+        root = ElementTree.fromstring(member.read())
+    nodes = {_text(node, "name"): node for node in root.iter("peripheral")}
+    peripherals = {}
+    interrupts = {}
+    for name, node in nodes.items():
+        source = nodes[node.get("derivedFrom", name)]
+        prefixes = (f"{name}_", f"{name.rstrip('0123456789')}_")
+        registers = {}
+        for register in source.iter("register"):
+            short = _text(register, "name").removesuffix("[%s]")
+            for prefix in prefixes:
+                short = short.removeprefix(prefix)
+            registers[short] = _register(register)
+        peripherals[name] = Peripheral(int(_text(node, "baseAddress"), 0), registers)
+        for interrupt in node.findall("interrupt"):
+            interrupts[_text(interrupt, "name")] = int(_text(interrupt, "value"), 0)
+    return Description(peripherals, interrupts)

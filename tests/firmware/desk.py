@@ -1,0 +1,147 @@
+"""The firmware on an emulated board, with the simulated arm on its pins and a host on its port."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from heli_host.heli import Heli
+from heli_host.link.session import Session
+from heli_sim.due.image import read_image
+from heli_sim.due.machine import new_due
+from heli_sim.model import PaperModel
+from heli_sim.plant import Plant
+from heli_sim.rig import load_rig
+
+from firmware.due.report import Image
+
+TICK_US: Final = 1000.0
+COUNTS_PER_RAD: Final = 4096.0 / (2.0 * np.pi)
+# Exception numbers.
+TRAVEL_INTERRUPT: Final = 16 + 14
+TICK_INTERRUPT: Final = 16 + 30
+STOP_PIN: Final = "PD6"
+ENABLE_PINS: Final = ("PB26", "PA14", "PA15", "PD3")
+PAINT: Final = 0xA5A5A5A5
+
+
+class Arm:
+    """The simulated helicopter: bridges in, encoder counts out."""
+
+    def __init__(self) -> None:
+        rig = load_rig("makki2024")
+        self.plant = Plant(PaperModel(), rig)
+        self.supply_V = rig["supply"].value
+        self.state: npt.NDArray[np.float64] = self.plant.rest_state()
+        self.counts = self._read(self.state[:3])
+
+    @staticmethod
+    def _read(angles_rad: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+        return np.floor(angles_rad * COUNTS_PER_RAD).astype(np.int64)
+
+    def step(self, duties: list[float]) -> npt.NDArray[np.int64]:
+        """One millisecond; by how many counts each axis moved."""
+        self.state, angles_rad = self.plant.step(self.state, [self.supply_V * duty for duty in duties])
+        before, self.counts = self.counts, self._read(angles_rad)
+        moved: npt.NDArray[np.int64] = self.counts - before
+        return moved
+
+
+class Board:
+    """An emulated Due, wired up and powered; a transport for heli_host whose time passes in `read`."""
+
+    lockstep: Final = True
+    url: Final = "due://"
+
+    def __init__(self, elf: Path, image: Image, arm: Arm | None = None) -> None:
+        self.image = image
+        self.arm = arm
+        self.due = new_due(read_image(str(elf)))
+        self.due.stop_at_hardfault(False)
+        self.due.usb_line_coding(250000)
+        # A closed stop switch, and the pull-downs of the drivers.
+        self.release_stop()
+        for pin in ENABLE_PINS:
+            self.due.set_pin(pin, "pull-down")
+        self.due.power_on()
+        self._start_us = self.due.now_us
+        self._moved = np.zeros(3, dtype=np.int64)
+
+    def advance(self, milliseconds: int) -> bytes:
+        """Let time pass; the bytes that reached the host."""
+        received = b""
+        for _ in range(milliseconds):
+            start_us = self.due.now_us
+            steps = [
+                (start_us + TICK_US * (k + 0.5) / abs(count), axis, 1 if count > 0 else -1)
+                for axis, count in enumerate(self._moved.tolist())
+                for k in range(abs(count))
+            ]
+            for when_us, axis, direction in sorted(steps):
+                self.due.schedule_step(axis, direction, when_us)
+            self.due.run_us(TICK_US)
+            received += self.due.usb_read()
+            if self.arm is not None:
+                self._moved = self.arm.step(self.duties())
+        return received
+
+    def duties(self) -> list[float]:
+        """What acts on the motors, -1 to 1; a disabled bridge gives nothing."""
+        return [self.due.motor_duty(motor) * self.due.motor_enabled(motor) for motor in (0, 1)]
+
+    def off(self) -> bool:
+        """Whether both bridges are off."""
+        return not (self.due.motor_enabled(0) or self.due.motor_enabled(1))
+
+    def press_stop(self) -> None:
+        """Open the stop switch, or cut its wire: the pin is left to its pull-up."""
+        self.due.set_pin(STOP_PIN, "open")
+
+    def release_stop(self) -> None:
+        """Close the stop switch again."""
+        self.due.set_pin(STOP_PIN, "low")
+
+    def reset(self) -> None:
+        """Press the reset button."""
+        self.due.set_nrst(True)
+        self.advance(10)
+        self.due.set_nrst(False)
+        self.advance(30)
+
+    def stack_used_bytes(self) -> int:
+        """How deep the stack has been since the reset."""
+        bottom, top = self.image.symbols["__stack_bottom"], self.image.symbols["__stack_top"]
+        words = np.frombuffer(self.due.peek(bottom, top - bottom), dtype="<u4")
+        return top - bottom - 4 * int(np.argmax(words != PAINT))
+
+    def connect(self) -> Heli:
+        """A host's session with it."""
+        session = Session(self, session_number=1)
+        session.connect()
+        return Heli(session)
+
+    # -- the transport --
+
+    def read(self, timeout_s: float) -> bytes:
+        for _ in range(max(1, round(1e3 * timeout_s))):
+            received = self.advance(1)
+            if received:
+                return received
+        return b""
+
+    def write(self, data: bytes) -> None:
+        self.due.usb_write(data)
+
+    def now_s(self) -> float:
+        return 1e-6 * (self.due.now_us - self._start_us)
+
+    def wall_ns(self) -> int:
+        return round(1e9 * self.now_s())
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    def reopen(self) -> Board:
+        return self

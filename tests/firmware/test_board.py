@@ -1,0 +1,342 @@
+"""What the firmware does on the emulated board."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+
+from heli_host.heli import Heli
+from heli_host.link.declaration import (
+    Axes,
+    Fault,
+    MessageId,
+    Param,
+    ParamSetMessage,
+    ParamsSaveMessage,
+    ParamsSource,
+    PingMessage,
+    Reset,
+    State,
+)
+from heli_host.link.frames import encode_frame
+from heli_host.link.session import Session
+
+from firmware.due.report import Image
+from tests.firmware.desk import TICK_INTERRUPT, TRAVEL_INTERRUPT, Arm, Board
+
+TICK = "_ZN4heli4Core4tickENS_10TickTimingE"
+POLL = "_ZN4heli4Core4pollEv"
+BRANCH_TO_SELF = b"\xfe\xe7"
+UNDEFINED = b"\x00\xde"
+SUPERVISOR_CALL = b"\x00\xdf"
+RETURN = b"\x70\x47"
+
+
+@pytest.fixture
+def board(elf: Path, image: Image) -> Board:
+    """A board without an arm."""
+    return Board(elf, image)
+
+
+def flying(elf: Path, image: Image) -> tuple[Board, Heli]:
+    board = Board(elf, image, Arm())
+    heli = board.connect()
+    heli.take_off(0.0)
+    assert not board.off()
+    return board, heli
+
+
+def counted(heli: Heli) -> npt.NDArray[np.int32]:
+    """Counts of elevation, pitch and travel in the newest tick."""
+    latest = heli.session.latest
+    assert latest is not None
+    return latest[1][:3]
+
+
+def milliseconds_until_off(board: Board, most_ms: float = 1000.0) -> float:
+    start_us = board.due.now_us
+    while not board.off():
+        board.due.run_us(20.0)
+        assert board.due.now_us - start_us < 1e3 * most_ms, "the motors stay on"
+    return 1e-3 * (board.due.now_us - start_us)
+
+
+def wait_for_reset(board: Board, resets: int) -> None:
+    for _ in range(500):
+        if board.due.resets > resets:
+            return
+        board.due.run_us(1000.0)
+    raise AssertionError("the board was not reset")
+
+
+def open_loop(heli: Heli, front_V: float, back_V: float) -> None:
+    heli.session.command(ParamSetMessage(0, Param.BUMPLESS_S, 0.02))
+    heli.session.command(ParamSetMessage(0, Param.MOTOR_MIN_V, -24.0))
+    heli.arm()
+    heli.control(Axes(0), front_V=front_V, back_V=back_V)
+    heli.wait(0.5)
+
+
+def test_a_flight_goes_where_it_is_sent_and_ends_on_the_table(elf: Path, image: Image) -> None:
+    board, heli = flying(elf, image)
+    assert board.arm is not None
+    heli.setpoint(elevation_deg=5.0, travel_deg=20.0)
+    heli.wait(6.0)
+    elevation_deg, _, travel_deg = np.rad2deg(board.arm.state[:3])
+    assert abs(elevation_deg - 5.0) < 2.0
+    assert abs(travel_deg - 20.0) < 6.0
+    heli.land()
+    assert board.off()
+    status = heli.session.status()
+    assert status.overruns == status.frames_bad == status.ticks_dropped == 0
+    assert status.illegal_elevation == status.illegal_pitch == status.illegal_travel == 0
+    assert heli.session.counters.ticks_lost == 0
+    assert board.due.uart_overruns == 0
+    assert board.stack_used_bytes() <= image.stack_needed_bytes()
+
+
+def test_processor_sleeps_when_there_is_nothing_to_do(board: Board) -> None:
+    board.advance(20)
+    cycles, asleep = board.due.cycles, board.due.sleep_cycles
+    board.advance(100)
+    assert (board.due.sleep_cycles - asleep) / (board.due.cycles - cycles) > 0.5
+
+
+def test_ticks_come_once_a_millisecond(board: Board) -> None:
+    board.advance(20)
+    before = board.due.exception_stats(TICK_INTERRUPT)[0]
+    board.advance(1000)
+    assert abs(board.due.exception_stats(TICK_INTERRUPT)[0] - before - 1000) <= 1
+
+
+def test_encoders_count_alike_and_a_before_b_is_up(board: Board) -> None:
+    heli = board.connect()
+    heli.wait(0.05)
+    before = counted(heli)
+    start_us = board.due.now_us
+    counts = {0: 500, 1: -400, 2: 300}
+    for k in range(max(map(abs, counts.values()))):
+        for axis, count in counts.items():
+            if k < abs(count):
+                board.due.schedule_step(axis, 1 if count > 0 else -1, start_us + 10.0 + 10.0 * k)
+    heli.wait(0.1)
+    assert list(counted(heli) - before) == [500, -400, 300]
+
+
+def test_no_travel_edge_is_lost_at_200000_a_second(board: Board) -> None:
+    heli = board.connect()
+    edges = 5000
+    start_us = board.due.now_us
+    board.due.clear_stats()
+    for k in range(edges):
+        board.due.schedule_step(2, 1, start_us + 10.0 + 5.0 * k)
+    heli.wait(0.05)
+    assert counted(heli)[2] == edges
+    assert heli.session.status().illegal_travel == 0
+    count, _, most_instructions, _ = board.due.exception_stats(TRAVEL_INTERRUPT)
+    assert count == edges
+    assert most_instructions <= 60
+
+
+def test_illegal_transitions_are_counted_on_every_encoder(board: Board) -> None:
+    heli = board.connect()
+    board.due.glitch_encoder(0)
+    for _ in range(2):
+        board.due.glitch_encoder(1)
+        board.advance(2)
+    for _ in range(3):
+        board.due.glitch_encoder(2)
+        board.advance(1)
+    status = heli.session.status()
+    assert (status.illegal_elevation, status.illegal_pitch, status.illegal_travel) == (1, 2, 3)
+
+
+def test_a_tick_that_is_late_is_counted_and_reported(board: Board) -> None:
+    heli = board.connect()
+    assert heli.session.status().overruns == 0
+    start_us = board.due.now_us
+    # Edges faster than their interrupt keep everything else from running for more than a tick.
+    for k in range(18000):
+        board.due.schedule_step(2, 1, start_us + 10.0 + 0.1 * k)
+    heli.wait(0.02)
+    status = heli.session.status()
+    assert status.overruns >= 1
+    assert status.tick_max_us > 1000
+
+
+@pytest.mark.parametrize(("front_V", "back_V"), [(6.0, 3.0), (-2.0, 1.0), (0.0, 0.0), (9.0, -4.0)])
+def test_duties_are_the_voltages_within_one_step(board: Board, front_V: float, back_V: float) -> None:
+    heli = board.connect()
+    open_loop(heli, front_V, back_V)
+    assert not board.off()
+    supply_V = heli.session.read_params()[Param.SUPPLY_V]
+    assert board.due.motor_duty(0) == pytest.approx(front_V / supply_V, abs=1.01 / 2100)
+    assert board.due.motor_duty(1) == pytest.approx(back_V / supply_V, abs=1.01 / 2100)
+    assert board.due.pwm_period_cycles(4) == 84_000_000 // 20_000
+
+
+def test_bridges_are_off_from_reset_until_armed(board: Board) -> None:
+    for _ in range(200):
+        assert board.off()
+        assert board.duties() == [0.0, 0.0]
+        board.due.run_us(100.0)
+    heli = board.connect()
+    heli.wait(0.1)
+    assert board.off()
+    heli.arm()
+    assert not board.off()
+    assert board.duties() == [0.0, 0.0]
+
+
+def test_hardware_stop_cuts_the_duty_with_the_processor_halted(elf: Path, image: Image) -> None:
+    board, _ = flying(elf, image)
+    assert max(board.duties()) > 0.1
+    board.due.hold_processor(True)
+    board.press_stop()
+    board.due.run_us(100.0)
+    assert board.duties() == [0.0, 0.0]
+
+
+def test_hardware_stop_trips_and_must_be_released_and_cleared(elf: Path, image: Image) -> None:
+    board, heli = flying(elf, image)
+    # Much shorter than a tick: the fault input keeps it.
+    board.press_stop()
+    board.due.run_us(20.0)
+    board.release_stop()
+    heli.wait(0.05)
+    assert board.off()
+    assert heli.state is State.FAULT
+    assert heli.fault is Fault.HARDWARE_STOP
+    heli.clear_fault()
+    assert heli.state is State.IDLE
+
+
+def test_a_stop_input_that_is_not_wired_keeps_the_motors_off(board: Board) -> None:
+    board.press_stop()
+    heli = board.connect()
+    with pytest.raises(Exception, match="stop"):
+        heli.arm()
+    assert board.off()
+
+
+@pytest.mark.parametrize("slow_Hz", [20_000, 32_768, 44_000])
+@pytest.mark.parametrize("hung", [TICK, POLL])
+def test_what_hangs_is_reset_and_the_host_is_told(elf: Path, image: Image, hung: str, slow_Hz: int) -> None:
+    board, _ = flying(elf, image)
+    board.due.set_slow_clock(slow_Hz)
+    resets = board.due.resets
+    address = image.symbols[hung]
+    code = board.due.peek(address, 2)
+    board.due.poke(address, BRANCH_TO_SELF)
+    assert milliseconds_until_off(board) <= 300.0
+    wait_for_reset(board, resets)
+    board.due.poke(address, code)
+    welcome = board.connect().session.welcome
+    assert welcome.reset == Reset.WATCHDOG
+    assert welcome.boot_fault == Fault.WATCHDOG
+    assert welcome.boot_count == 2
+
+
+def test_a_stuck_interrupt_is_reset(elf: Path, image: Image) -> None:
+    board, _ = flying(elf, image)
+    resets = board.due.resets
+    address = image.symbols["encoder_interrupt"]
+    code = board.due.peek(address, 2)
+    board.due.poke(address, RETURN)
+    board.due.schedule_step(2, 1, board.due.now_us + 10.0)
+    assert milliseconds_until_off(board) <= 300.0
+    wait_for_reset(board, resets)
+    board.due.poke(address, code)
+    assert board.connect().session.welcome.boot_fault == Fault.WATCHDOG
+
+
+@pytest.mark.parametrize(
+    ("instruction", "fault"),
+    [(UNDEFINED, Fault.HARD_FAULT), (SUPERVISOR_CALL, Fault.UNEXPECTED_INTERRUPT)],
+)
+@pytest.mark.parametrize("where", [TICK, POLL])
+def test_a_fault_switches_off_at_once_and_the_host_is_told(
+    elf: Path, image: Image, where: str, instruction: bytes, fault: Fault
+) -> None:
+    board, _ = flying(elf, image)
+    resets = board.due.resets
+    address = image.symbols[where]
+    code = board.due.peek(address, 2)
+    board.due.poke(address, instruction)
+    assert milliseconds_until_off(board) <= 1.1
+    wait_for_reset(board, resets)
+    board.due.poke(address, code)
+    welcome = board.connect().session.welcome
+    assert welcome.reset == Reset.SOFTWARE
+    assert welcome.boot_fault == fault
+
+
+def test_a_lost_stack_is_no_way_around_the_fault_handler(elf: Path, image: Image) -> None:
+    board, _ = flying(elf, image)
+    board.due.run_us(500.0)
+    resets = board.due.resets
+    board.due.set_check("unmapped", False)
+    board.due.set_reg(13, 0x10000000)
+    assert milliseconds_until_off(board) <= 1.1
+    wait_for_reset(board, resets)
+    assert board.connect().session.welcome.boot_fault == Fault.HARD_FAULT
+
+
+def test_opening_the_port_is_told_from_power_up(board: Board) -> None:
+    assert board.connect().session.welcome.reset == Reset.POWER_UP
+    board.due.usb_control_lines(False)
+    board.due.usb_control_lines(True)
+    board.advance(300)
+    welcome = board.connect().session.welcome
+    assert welcome.reset == Reset.USER
+    assert welcome.boot_fault == Fault.NONE
+    assert welcome.boot_count == 2
+
+
+def test_saved_parameters_outlive_a_reset_and_the_pages_take_turns(board: Board) -> None:
+    pages = []
+    for value in (1.5, 2.5):
+        heli = board.connect()
+        heli.session.command(ParamSetMessage(0, Param.ELEVATION_KP, value))
+        heli.session.command(ParamsSaveMessage(0))
+        pages.append(board.due.flash()[-512:])
+        board.reset()
+        session = Session(board, session_number=2)
+        assert session.connect().params_source == ParamsSource.STORED
+        assert session.read_params()[Param.ELEVATION_KP] == value
+    assert pages[0][256:] == b"\xff" * 256
+    assert pages[1][:256] == pages[0][:256]
+    assert pages[1][256:] != b"\xff" * 256
+
+
+def test_ticks_go_on_while_the_flash_is_written(board: Board) -> None:
+    heli = board.connect()
+    heli.session.command(ParamsSaveMessage(0))
+    heli.wait(0.1)
+    assert heli.session.status().overruns == 0
+    assert heli.session.counters.ticks_lost == 0
+
+
+def test_no_byte_is_lost_of_20000_in_a_row_under_full_telemetry(board: Board) -> None:
+    heli = board.connect()
+    before = heli.session.status().frames_ok
+    frames = [encode_frame(MessageId.PING, k % 256, PingMessage(0, k).pack()) for k in range(1200)]
+    burst = b"".join(frames)
+    assert len(burst) > 20_000
+    board.write(burst)
+    heli.wait(len(burst) / 25_000 + 0.2)
+    status = heli.session.status()
+    assert status.frames_bad == 0
+    assert status.frames_ok - before >= len(frames)
+    assert board.due.uart_overruns == 0
+
+
+def test_first_answer_comes_within_50_ms_of_power_up(board: Board) -> None:
+    session = Session(board, session_number=1)
+    session.connect()
+    assert board.now_s() < 0.05 + 0.005
