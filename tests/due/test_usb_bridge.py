@@ -36,7 +36,7 @@ def test_bytes_leave_every_4_096_ms() -> None:
     chip = opened()
     chip["UART.THR"] = 1
     chip.due.run_us(50)
-    arrivals = []
+    arrivals: list[float] = []
     for _ in range(300):
         if not arrivals or chip.due.now_us - arrivals[-1] > 100:
             chip["UART.THR"] = 2

@@ -66,7 +66,9 @@ void UsbBridge::run_reset_timer() {
     chip_.flash.gpnvm = 0;
   }
   erasing_ = erase;
-  chip_.set_nrst(reset_timer_ >= 1 && reset_timer_ <= kResetRounds);
+  const bool reset = reset_timer_ >= 1 && reset_timer_ <= kResetRounds;
+  if (reset != resetting_) chip_.set_nrst(reset);
+  resetting_ = reset;
   if (reset_timer_ > 0) --reset_timer_;
 }
 

@@ -57,6 +57,7 @@ class UsbBridge final : public EventSink, public SerialPeer {
   std::uint32_t divider_ = 207;  // UBRR1
   bool dtr_ = false;
   bool erasing_ = false;
+  bool resetting_ = false;
   int reset_timer_ = 0;
   bool host_reading_ = true;
   std::deque<std::uint8_t> driver_;

@@ -132,14 +132,12 @@ double Pwm::duty(int channel, bool low_side) const {
   if (forced(channel, low_side, value)) return value ? 1.0 : 0.0;
   const Channel& own = channels_[index(channel)];
   const bool inverted = (own.mode & (low_side ? kInvertLow : kInvertHigh)) != 0;
-  double high = (own.mode & kPolarity) != 0 ? 1.0 : 0.0;
-  if (counts(channel)) {
-    const std::uint64_t origin = counter_of(channel).origin;
-    const std::uint64_t whole = period_of(channel);
-    high = static_cast<double>(comparator_high(channel, origin, origin + whole)) /
-           static_cast<double>(whole);
-  }
-  return low_side != inverted ? 1.0 - high : high;
+  const bool complement = low_side != inverted;
+  if (!counts(channel)) return ((own.mode & kPolarity) != 0) != complement ? 1.0 : 0.0;
+  const std::uint64_t origin = counter_of(channel).origin;
+  const std::uint64_t whole = period_of(channel);
+  const std::uint64_t high = comparator_high(channel, origin, origin + whole);
+  return static_cast<double>(complement ? whole - high : high) / static_cast<double>(whole);
 }
 
 std::uint64_t Pwm::next_period(int channel, std::uint64_t after) const {

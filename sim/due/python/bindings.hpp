@@ -5,3 +5,4 @@
 
 void bind_core(nanobind::module_& module);
 void bind_due(nanobind::module_& module);
+void bind_board(nanobind::module_& module);

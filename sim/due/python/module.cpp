@@ -8,4 +8,5 @@ NB_MODULE(_due, module) {
   nb::exception<heli_due::Stop>(module, "Stop");
   bind_core(module);
   bind_due(module);
+  bind_board(module);
 }

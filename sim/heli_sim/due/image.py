@@ -136,6 +136,6 @@ def read_image(path: Path | str) -> Image:
                 f"{path.name} has {len(data)} bytes at {address:#x}, outside of the Due's flash: "
                 "link it for the SAM3X8E, from 0x80000 on"
             )
-    if not image.segments:
+    if not any(data for _, data in image.segments):
         raise ImageError(f"{path} holds nothing to load: link it for the SAM3X8E")
     return image

@@ -17,7 +17,11 @@
     .word pendsv_handler
     .word systick_handler
     .word irq0_handler, irq1_handler, irq2_handler, irq3_handler
-    .rept 41
+    .rept 10
+    .word unexpected
+    .endr
+    .word piod_handler
+    .rept 30
     .word unexpected
     .endr
 
@@ -38,6 +42,7 @@
     default irq1_handler
     default irq2_handler
     default irq3_handler
+    default piod_handler
 
     .global reset
     .thumb_func

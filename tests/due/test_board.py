@@ -1,0 +1,106 @@
+"""The board behind SimBoard: edges in, duties and bytes out, a millisecond at a time."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from heli_sim.due import read_image
+from heli_sim.due._due import DueBoard
+from heli_sim.due.image import Image
+
+from tests.due.conftest import Build
+
+POWER_UP, USER = 0, 1
+STILL = (0, 0, 0)
+
+
+@pytest.fixture(scope="module")
+def image(build: Build) -> Image:
+    return read_image(build("board.c", "-O2"))
+
+
+def booted(image: Image) -> DueBoard:
+    board = DueBoard()
+    for address, data in image.segments:
+        board.due.load(address, data)
+    for _ in range(20):
+        board.run(STILL, [])
+    return board
+
+
+def words(board: DueBoard, image: Image, name: str, count: int) -> tuple[int, ...]:
+    return struct.unpack(f"<{count}i", board.due.peek(image.address(name), 4 * count))
+
+
+def test_a_millisecond_is_84000_cycles(image: Image) -> None:
+    board = booted(image)
+    before = board.due.cycles
+    for _ in range(100):
+        board.run(STILL, [])
+    assert board.due.cycles - before == pytest.approx(100 * 84_000, abs=20)
+
+
+def test_edges_reach_decoders_and_interrupt(image: Image) -> None:
+    board = booted(image)
+    position = [0, 0, 0]
+    for step in range(200):
+        direction = 1 if step % 50 < 40 else -1
+        count = (position[0], position[1], position[2])
+        edges = [(20.0 + 50.0 * i, axis, direction) for i in range(10) for axis in range(3)]
+        board.run(count, edges)
+        for axis in range(3):
+            position[axis] += 10 * direction
+    board.run((position[0], position[1], position[2]), [])
+    assert words(board, image, "counts", 3) == tuple(position) == (1200,) * 3
+
+
+def test_no_count_is_lost_at_200000_edges_a_second_on_the_interrupt(image: Image) -> None:
+    board = booted(image)
+    for tick in range(50):
+        board.run((0, 0, 200 * tick), [(5.0 * i, 2, 1) for i in range(200)])
+    board.run((0, 0, 10_000), [])
+    assert words(board, image, "counts", 3)[2] == 10_000
+
+
+def test_duties_are_those_of_the_registers(image: Image) -> None:
+    board = booted(image)
+    board.due.poke(image.address("duty"), struct.pack("<4I", 1050, 0, 0, 700))
+    assert board.run(STILL, []) == (0.0, 0.0, False)
+    board.due.poke(image.address("on"), struct.pack("<I", 1))
+    front, back, enabled = board.run(STILL, [])
+    assert (front, back, enabled) == (0.5, -1 / 3, True)
+
+
+def test_bytes_pass_at_25_a_millisecond(image: Image) -> None:
+    board = booted(image)
+    board.receive(bytes(range(100)))
+    sent = [board.take_sent() for _ in range(6) if board.run(STILL, []) is not None]
+    assert b"".join(sent) == bytes(b ^ 0x20 for b in range(100))
+    assert max(len(part) for part in sent) == 25
+
+
+def test_the_reset_line_stops_the_motors_for_205_ms(image: Image) -> None:
+    board = booted(image)
+    board.due.poke(image.address("duty"), struct.pack("<4I", 1050, 0, 0, 700))
+    board.due.poke(image.address("on"), struct.pack("<I", 1))
+    assert board.run(STILL, [])[2]
+    board.reset(USER)
+    # The pins are inputs; pull-downs hold the enables.
+    assert not board.run(STILL, [])[2]
+    for _ in range(203):
+        board.run(STILL, [])
+    assert board.due.held_in_reset
+    for _ in range(3):
+        board.run(STILL, [])
+    assert not board.due.held_in_reset
+    assert board.due.last_reset == "user"
+
+
+def test_power_up_starts_the_program_again(image: Image) -> None:
+    board = booted(image)
+    board.reset(POWER_UP)
+    for _ in range(20):
+        board.run(STILL, [])
+    assert board.due.last_reset == "general"
+    assert words(board, image, "loops", 1)[0] > 0

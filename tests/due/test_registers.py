@@ -1,0 +1,138 @@
+"""Names, offsets, access and reset values against the vendor's description of the chip."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from heli_sim.due._due import Due
+
+from tests.due import fetch_svd
+
+# Levels at pins: what is wired there decides, and the fault inputs inside of the chip are low.
+_FROM_OUTSIDE = {"PDSR", "FSR", "SR0", "SR1", "SR2"}
+# The description gives MOSCXTEN = 1 and no RC: with those no clock would run, and a Due starts on the RC.
+_WRONG_THERE = {("PMC", "CKGR_MOR"), ("PMC", "PMC_SR"), ("PMC", "CKGR_MCFR"), ("RSTC", "RSTC_SR")}
+
+
+@dataclass(frozen=True)
+class Described:
+    """One register of the description."""
+
+    peripheral: str
+    name: str
+    address: int
+    readable: bool
+    writable: bool
+    reset: int | None
+
+
+def _svd_path() -> Path | None:
+    candidates = [Path(os.environ.get("HELI_SVD", "")), fetch_svd.DEFAULT / fetch_svd.NAME]
+    try:
+        import cmsis_svd  # type: ignore[import-not-found,import-untyped,unused-ignore]
+
+        candidates.append(Path(cmsis_svd.__file__).parent / "data" / "Atmel" / fetch_svd.NAME)
+    except ImportError:
+        pass
+    return next((path for path in candidates if path.is_file()), None)
+
+
+def _registers(element: ElementTree.Element, base: int, peripheral: str) -> list[Described]:
+    rows = []
+    for register in element.findall("registers/register"):
+        name = str(register.findtext("name"))
+        offset = int(str(register.findtext("addressOffset")), 16)
+        access = str(register.findtext("access"))
+        value = register.findtext("resetValue")
+        count = int(register.findtext("dim") or "1")
+        step = int(register.findtext("dimIncrement") or "0", 0)
+        for index in range(count):
+            rows.append(
+                Described(
+                    peripheral,
+                    name.replace("[%s]", str(index)),
+                    base + offset + index * step,
+                    access != "write-only",
+                    access != "read-only",
+                    int(value, 16) if value else None,
+                )
+            )
+    return rows
+
+
+@pytest.fixture(scope="module")
+def described() -> dict[int, Described]:
+    path = _svd_path()
+    if path is None:
+        pytest.skip("ATSAM3X8E.svd is missing: python tests/due/fetch_svd.py")
+    rows = []
+    for element in ElementTree.parse(path).getroot().iter("peripheral"):
+        name = str(element.findtext("name"))
+        rows += _registers(element, int(str(element.findtext("baseAddress")), 16), name)
+    return {row.address: row for row in reversed(rows)}
+
+
+@pytest.fixture(scope="module")
+def due() -> Due:
+    due = Due()
+    due.set_strict(False)
+    due.power_on()
+    due.run_us(1)
+    due.all_clocks_on(True)
+    return due
+
+
+def _plain(name: str) -> str:
+    """Without the block's prefix: PIO_PER and PER are the same register."""
+    return re.sub(r"^(PIO|TC|PWM|UART|EEFC|WDT|RSTC|SUPC|RTT|CHIPID)_", "", name)
+
+
+def test_every_register_of_a_modelled_peripheral_is_known(described: dict[int, Described], due: Due) -> None:
+    known = {base + offset for _, base, _, offset, *_ in due.registers()}
+    modelled = {name for name, *_ in due.registers()}
+    missing = [
+        f"{r.peripheral}.{r.name}"
+        for a, r in described.items()
+        if r.peripheral in modelled and a not in known
+    ]
+    assert not missing
+    assert len(known) > 400
+
+
+def test_names_and_offsets_are_the_vendors(described: dict[int, Described], due: Due) -> None:
+    wrong = []
+    for peripheral, base, name, offset, *_ in due.registers():
+        row = described.get(base + offset)
+        if row is None or row.peripheral != peripheral or _plain(row.name) != _plain(name):
+            wrong.append(f"{peripheral} {name} at {base + offset:#x}: the vendor has {row}")
+    assert not wrong
+
+
+def test_access_is_the_vendors(described: dict[int, Described], due: Due) -> None:
+    wrong = []
+    for peripheral, base, name, offset, readable, writable, _ in due.registers():
+        row = described[base + offset]
+        if (row.readable, row.writable) != (readable, writable):
+            wrong.append(f"{peripheral} {name}: {readable=} {writable=}, the vendor has {row}")
+    assert not wrong
+
+
+def test_reset_values_are_the_vendors(described: dict[int, Described], due: Due) -> None:
+    wrong, compared = [], 0
+    for peripheral, base, name, offset, readable, _, modelled in due.registers():
+        row = described[base + offset]
+        if not (readable and modelled) or row.reset is None or _plain(name) in _FROM_OUTSIDE:
+            continue
+        if (peripheral, name) in _WRONG_THERE or name.startswith("PMC_PCSR"):
+            continue
+        value = due.read_word(base + offset)
+        compared += 1
+        if value != row.reset:
+            wrong.append(f"{peripheral} {name}: {value:#x}, the vendor has {row.reset:#x}")
+    assert not wrong
+    assert compared > 150
