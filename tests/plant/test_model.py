@@ -112,3 +112,12 @@ def test_a_constant_torque_accelerates_its_own_axis() -> None:
     still = rates(PaperModel(), paper_rig(), LEVEL, (HOVER_V, HOVER_V))
     pulled = rates(PaperModel(), paper_rig(torque_travel=0.05), LEVEL, (HOVER_V, HOVER_V))
     assert pulled - still == pytest.approx([0, 0, 0, 0, 0, 0.05 / 0.8195], abs=1e-4)
+
+
+def test_an_encoder_zeroed_while_the_arm_was_not_level_shows_its_offset() -> None:
+    model, rig = PaperModel(), paper_rig(offset_pitch=2.0)
+    x, u = ca.SX.sym("x", 6), ca.SX.sym("u", 2)
+    p = ca.SX.sym("p", len(model.parameters))
+    shown = ca.Function("shown", [x, u, p], [model.measurement(x, u, p)])
+    angles = np.asarray(shown([0.1, 0.2, 0.3, 0, 0, 0], [1, 1], model.parameter_values(rig))).ravel()
+    assert np.rad2deg(angles - [0.1, 0.2, 0.3]) == pytest.approx([0.0, 2.0, 0.0])

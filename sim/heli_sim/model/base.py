@@ -37,6 +37,7 @@ _AXES: Final = ("elevation", "pitch", "travel")
 _SHARED: Final = (
     *("thrust_gain", "dead_zone", "reverse_thrust"),
     *(f"{kind}_{axis}" for kind in ("friction", "torque") for axis in _AXES),
+    *("offset_elevation", "offset_pitch"),
 )
 _RIG: Final = {quantity.name: quantity for quantity in RIG_QUANTITIES}
 
@@ -271,7 +272,7 @@ class Model(ABC):
         return ca.vertcat(x[3:6], self.acceleration(at, thrust, torque), *rates)
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> ca.SX:
-        """Angles that ideal encoders would show.
+        """Angles that encoders without steps would show: those of the state, their zero's offset, effects.
 
         Parameters
         ----------
@@ -290,7 +291,8 @@ class Model(ABC):
             Elevation, pitch and travel in rad, shape (3, 1).
         """
         at = self.situation(x, u, p, time_s)
-        angles = x[0:3]
+        offsets_deg = ca.vertcat(at.parameter["offset_elevation"], at.parameter["offset_pitch"], 0)
+        angles = x[0:3] + offsets_deg * (np.pi / 180.0)
         for effect in self.effects:
             angles = effect.measured_rad(at, angles)
         return angles

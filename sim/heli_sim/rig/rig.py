@@ -32,7 +32,10 @@ _MAY_BE_ZERO: Final = frozenset(
     }
 )
 _MAY_BE_NEGATIVE: Final = frozenset(
-    {"elevation_min", "L_x", "L_phi", "L_theta", "torque_elevation", "torque_pitch", "torque_travel"}
+    {
+        *("elevation_min", "L_x", "L_phi", "L_theta", "torque_elevation", "torque_pitch", "torque_travel"),
+        *("offset_elevation", "offset_pitch"),
+    }
 )
 
 

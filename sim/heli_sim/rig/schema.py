@@ -30,6 +30,8 @@ RIG_QUANTITIES: Final[tuple[Quantity, ...]] = (
     Quantity("torque_elevation", "N m", "constant torque about the elevation axis, such as a cable's pull"),
     Quantity("torque_pitch", "N m", "constant torque about the pitch axis, such as a cable's pull"),
     Quantity("torque_travel", "N m", "constant torque about the travel axis, such as a cable's pull"),
+    Quantity("offset_elevation", "deg", "what the elevation's encoder shows when the long arm is level"),
+    Quantity("offset_pitch", "deg", "what the pitch's encoder shows when the short arm is level"),
     Quantity("air_density", "kg/m3", "density of the air"),
     Quantity("drag_area_arm", "m2", "drag coefficient times area that travel always drives through the air"),
     Quantity("drag_area_body", "m2", "drag coefficient times area that pitch turns into the travel's way"),
@@ -68,4 +70,6 @@ UNSTATED: Final[Mapping[str, Unstated]] = {
     "torque_elevation": Unstated(0.0, 0.05, "not stated: cables pull by no more than 5 g at 1 m"),
     "torque_pitch": Unstated(0.0, 0.02, "not stated: cables pull by no more than 2 g at 1 m"),
     "torque_travel": Unstated(0.0, 0.1, "not stated: cables pull by no more than 10 g at 1 m"),
+    "offset_elevation": Unstated(0.0, 0.1, "not stated: encoders are zeroed to a count of 0.09 deg"),
+    "offset_pitch": Unstated(0.0, 0.1, "not stated: encoders are zeroed to a count of 0.09 deg"),
 }
