@@ -124,7 +124,8 @@ void write(const MotorCommand& command) {
 bool hardware_stop() {
   const std::uint32_t status = PWM->PWM_FSR.read();
   const bool active = (PWM_FSR_FS.of(status) & kStopInput) != 0U;
-  const bool pressed = (PWM_FSR_FIV.of(status) & kStopInput) != 0U;
+  const bool high = (PWM_FSR_FIV.of(status) & kStopInput) != 0U;
+  const bool pressed = high == kStopIsHigh;
   if (active && !pressed && !enabled) PWM->PWM_FCR.write(PWM_FCR_FCLR(kStopInput));
   return active || pressed;
 }

@@ -92,8 +92,16 @@ class Board:
         return [self.due.motor_duty(motor) * self.due.motor_enabled(motor) for motor in (0, 1)]
 
     def off(self) -> bool:
-        """Whether both bridges are off."""
-        return not (self.due.motor_enabled(0) or self.due.motor_enabled(1))
+        """Whether both bridges are off: no enable pin is high."""
+        return not any(self.due.pin(pin) for pin in ENABLE_PINS)
+
+    def on(self) -> bool:
+        """Whether both bridges are on: every enable pin is high."""
+        return all(self.due.pin(pin) for pin in ENABLE_PINS)
+
+    def register(self, address: int) -> int:
+        """What a register of the chip holds."""
+        return int.from_bytes(self.due.peek(address, 4), "little")
 
     def press_stop(self) -> None:
         """Open the stop switch, or cut its wire: the pin is left to its pull-up."""
