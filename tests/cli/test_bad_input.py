@@ -35,6 +35,15 @@ def test_no_board_points_to_the_simulated_one(terminal: Terminal, no_ports: None
     assert "--sil" in line
 
 
+def test_a_port_and_the_simulated_board_contradict_each_other(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    line = refusal(terminal("fly", "hover", "--port", "/dev/ttyACM0", *SIL), code=ASKED)
+    assert "--port and --sil" in line
+    monkeypatch.setenv("HELI_PORT", "/dev/ttyACM0")
+    assert terminal("params", "get", "hover_V", "--sil").code == 0
+
+
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals on this system")
 def test_a_device_that_speaks_something_else_is_told_apart(terminal: Terminal) -> None:
     talker, port = os.openpty()

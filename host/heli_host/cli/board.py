@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 from urllib.parse import urlencode
+
+import typer
 
 from heli_host.cli.options import DEFAULT_RIG, parse_speed
 
@@ -113,9 +116,14 @@ def open_board(
     ------
     LinkError
         If there is no board, or it does not answer.
+    typer.BadParameter
+        If a port was given and a simulated board asked for.
     """
     import heli_host
 
+    # HELI_PORT is a habit, not a wish: --sil overrides it, and contradicts only a --port that was typed.
+    if sil and port is not None and port != os.environ.get("HELI_PORT"):
+        raise typer.BadParameter("--port and --sil name two different boards; leave one of them out")
     with contextlib.ExitStack() as stack:
         if sil:
             rig = rig if rig is not None else DEFAULT_RIG
