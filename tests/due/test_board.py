@@ -104,3 +104,27 @@ def test_power_up_starts_the_program_again(image: Image) -> None:
         board.run(STILL, [])
     assert board.due.last_reset == "general"
     assert words(board, image, "loops", 1)[0] > 0
+
+
+@pytest.mark.parametrize("phase_us", [5.0, 300.0, 800.0])
+def test_milliseconds_can_be_aligned_to_the_programs_own_tick(build: Build, phase_us: float) -> None:
+    image = read_image(build("hello.c", "-O1"))
+    board = DueBoard()
+    for address, data in image.segments:
+        board.due.load(address, data)
+    board.align(15, phase_us)
+    for _ in range(2):
+        for _ in range(30):
+            board.run(STILL, [])
+        for _ in range(20):
+            end = board.due.cycles
+            board.run(STILL, [])
+            assert board.due.last_entry_cycle(15) - end == pytest.approx(phase_us * 84, abs=20)
+        board.reset(POWER_UP)
+
+
+def test_a_tick_late_in_the_millisecond_has_seen_its_edges(image: Image) -> None:
+    board = booted(image)
+    board.align(0, 800.0)
+    board.run(STILL, [(999.0, 0, 1)])
+    assert words(board, image, "counts", 3)[0] == 1

@@ -89,10 +89,10 @@ def program(build: Build) -> str:
     return str(build("exceptions.S"))
 
 
-def run(program: str, scenario: int, us: float = 3000) -> Due:
+def run(program: str, scenario: int, us: float = 3000, parameter: int = 0) -> Due:
     due = new_due(read_image(program), strict=False)
     due.power_on()
-    due.poke(SCENARIO, struct.pack("<I", scenario))
+    due.poke(SCENARIO, struct.pack("<II", scenario, parameter))
     due.poke(TRACE, bytes(256))
     due.run_us(us)
     return due
@@ -128,3 +128,21 @@ def test_entry_and_tail_chaining_cost_their_cycles(program: str) -> None:
     count, instructions, _, most_cycles = due.exception_stats(IRQ0)
     assert count == 1
     assert instructions < most_cycles < 3 * instructions
+
+
+def test_what_arrives_during_stacking_is_entered_first_on_the_same_frame(program: str) -> None:
+    kinds = []
+    for reload in range(1, 60):
+        words = trace(run(program, 29, parameter=reload), 9)
+        assert words[-1] == DONE
+        systick = words.index(SYSTICK)
+        if words.index(0xA1) > systick:
+            kinds.append("before")
+        elif words[systick + 1] == TO_HANDLER:
+            kinds.append("nested")
+        else:
+            kinds.append("late" if words.index(0x10) > systick else "after")
+    assert kinds == sorted(kinds, key=["before", "late", "nested", "after"].index)
+    # Stacking takes 12 cycles; the instructions around it blur the edge.
+    assert 12 <= kinds.count("late") <= 16
+    assert "nested" in kinds

@@ -24,11 +24,34 @@ void DueBoard::run(const heli_sim::EncoderInput& encoders) {
   }
   for (std::size_t i = 0; i < encoders.edge_count; ++i) {
     const heli_sim::Edge& edge = encoders.edges[i];
-    const auto offset = static_cast<BoardTime>(edge.time_us * static_cast<double>(kOneUs));
+    const double share = edge.time_us / 1000.0 * static_cast<double>(phase_);
+    const auto offset = static_cast<BoardTime>(share);
     due_->schedule_step(edge.axis, edge.direction, start + offset);
   }
   due_->run_until(tick_end_);
+  if (aligned_to_ != 0) shift_phase(start);
   if (due_->chip.system.cpu.halt() == Halt::kLockup) throw Stop("the processor is locked up");
+}
+
+void DueBoard::align(std::uint8_t number, double phase_us) {
+  aligned_to_ = number;
+  aligned_ = false;
+  phase_ = static_cast<BoardTime>(phase_us * static_cast<double>(kOneUs));
+}
+
+void DueBoard::shift_phase(BoardTime start) {
+  const Chip& chip = due_->chip;
+  if (chip.resets() != resets_seen_) {
+    resets_seen_ = chip.resets();
+    aligned_ = false;
+  }
+  const BoardTime entry = chip.system.clock.time_at(chip.system.cpu.stats(aligned_to_).last_entry);
+  if (aligned_ || entry <= start || entry > tick_end_) return;
+  // The handler was `entry - start` into this millisecond; from the next one on it is at phase_.
+  const BoardTime shift = (entry - start + kOneMs - phase_) % kOneMs;
+  tick_end_ += shift;
+  due_->run_until(tick_end_);
+  aligned_ = true;
 }
 
 heli_sim::MotorOutput DueBoard::motors() const {

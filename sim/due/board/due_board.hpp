@@ -30,6 +30,11 @@ class DueBoard final : public heli_sim::SimBoard, public SerialPeer, public Even
   void uart_receive(std::uint8_t byte) override;
   bool uart_transmit(std::uint8_t& byte) override;
 
+  // Shifts the milliseconds once after each boot, so that the handler of exception `number`, which
+  // runs every millisecond, begins `phase_us` into them; edges then come before it. A control tick
+  // at 800 us sees all edges of its millisecond, and its command is at the pins before the end.
+  void align(std::uint8_t number, double phase_us);
+
   Due& due() { return *due_; }
 
   void byte_from_uart(std::uint8_t byte, std::uint32_t bit_cycles, std::uint64_t now) override;
@@ -38,6 +43,7 @@ class DueBoard final : public heli_sim::SimBoard, public SerialPeer, public Even
 
  private:
   void plan();
+  void shift_phase(BoardTime start);
 
   std::unique_ptr<Due> due_;
   Scheduler::Id id_;
@@ -47,6 +53,10 @@ class DueBoard final : public heli_sim::SimBoard, public SerialPeer, public Even
   BoardTime byte_due_ = 0;  // when the byte on the wire is sampled; 0: the wire is idle
   BoardTime wire_free_ = 0;
   BoardTime reset_end_ = 0;
+  std::uint8_t aligned_to_ = 0;  // exception number; 0: none
+  BoardTime phase_ = kOneMs;
+  bool aligned_ = false;
+  std::uint64_t resets_seen_ = 0;
 };
 
 }  // namespace heli_due

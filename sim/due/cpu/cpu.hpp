@@ -25,6 +25,7 @@ struct ExceptionStats {
   std::uint64_t instructions = 0;
   std::uint64_t max_instructions = 0;
   std::uint64_t max_cycles = 0;
+  std::uint64_t last_entry = 0;  // cycle
 };
 
 // The same for one function, from its first instruction to its return, interrupts excluded.

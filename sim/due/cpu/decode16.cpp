@@ -352,8 +352,6 @@ void Decoder::multiple16(std::uint32_t w) {
     return put<&ops::load_multiple<false>>();
   }
   ra(1);
-  // Storing a base that is written back is only defined for the lowest register of the list.
-  if (in_list && (out_.imm & ((1U << out_.rn) - 1U)) != 0) return undefined();
   put<&ops::store_multiple<false>>();
 }
 

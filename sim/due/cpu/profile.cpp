@@ -85,6 +85,7 @@ void Cpu::close_probes(std::uint32_t address) {
 
 void Cpu::note_entry(std::uint8_t number) {
   const std::size_t inner = std::min<std::size_t>(open_exceptions_.size() + 1, nested_.size() - 1);
+  stats_[number].last_entry = cycles_;
   open_exceptions_.push_back({number, instructions_, cycles_, nested_[inner]});
 }
 

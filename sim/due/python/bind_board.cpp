@@ -50,6 +50,12 @@ void bind_board(nb::module_& module) {
             }
           },
           nb::arg("data"))
+      .def(
+          "align",
+          [](DueBoard& board, int number, double phase_us) {
+            board.align(static_cast<std::uint8_t>(number), phase_us);
+          },
+          nb::arg("number"), nb::arg("phase_us"))
       .def("take_sent", &take_sent)
       .def(
           "reset",

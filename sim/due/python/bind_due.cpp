@@ -333,6 +333,13 @@ void bind_measuring(nb::class_<Due>& due) {
                                    stats.max_cycles);
           },
           nb::arg("number"))
+      .def(
+          "last_entry_cycle",
+          [](const Due& self, unsigned number) {
+            if (number >= exc::kCount) throw std::invalid_argument("there are exceptions 0 to 60");
+            return self.chip.system.cpu.stats(static_cast<std::uint8_t>(number)).last_entry;
+          },
+          nb::arg("number"))
       .def("clear_stats", [](Due& self) { self.chip.system.cpu.clear_stats(); });
 }
 

@@ -85,6 +85,7 @@ table:
     .hword (bit_band - table) / 2
     .hword (write_own_pending - table) / 2
     .hword (grouping - table) / 2
+    .hword (late_arrival - table) / 2
 done:
     trace 0xD0E
     b finished
@@ -371,6 +372,35 @@ grouping:
     poke ISER, 3
     poke ISPR, 1
     trace 0x7E
+    b done
+
+// 29: SysTick, most urgent, comes a chosen number of cycles after the start.
+late_arrival:
+    poke IPR, 0x00000080
+    poke ISER, 1
+    ldr r0, =0xE000E014
+    ldr r1, =SCENARIO
+    ldr r1, [r1, #4]
+    str r1, [r0]
+    ldr r3, =ISPR
+    movs r4, #1
+    ldr r5, =0xA1
+    movs r2, #0
+    str r2, [r0, #4]
+    movs r2, #7
+    str r2, [r0, #-4]
+    // Once only: the next round is far away.
+    ldr r6, =0xFFFFFF
+    str r6, [r0]
+    str r5, [r11], #4
+    str r4, [r3]
+    nop
+    nop
+    nop
+    nop
+    ldr r0, =0xE000E010
+    movs r2, #0
+    str r2, [r0]
     b done
 
 function svc_handler
