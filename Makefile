@@ -1,6 +1,6 @@
 # Two commands matter: `make fly` and `make test`. Everything they need is set up in .venv by .ci/setup.
 .DEFAULT_GOAL := help
-.PHONY: help setup fly test check bench fuzz clean
+.PHONY: help setup fly test check bench fuzz firmware clean
 
 PLANS ?= hover sine
 SPEED ?= 1
@@ -31,6 +31,10 @@ bench: ## measure what the project promises: bench.json and a table
 fuzz: ## fuzz parser and dispatcher: make fuzz [FUZZ_S=60]; needs clang
 	@.ci/setup test
 	@.ci/fuzz $(FUZZ_S)
+
+firmware: ## build what is flashed to the Due: build/pio/due/firmware.{elf,bin}
+	@.ci/setup firmware
+	@.venv/bin/python firmware/pio/build.py run -e due
 
 clean: ## remove .venv and everything built; flights/ stays
 	rm -rf .venv build bench.json .pytest_cache .mypy_cache .ruff_cache .hypothesis

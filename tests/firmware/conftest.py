@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from firmware.due.report import Image, read_image
-from tests.firmware.description import Description, find_archive, read_description
+from tests.firmware.description import Description, find_description, read_description
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -43,7 +43,7 @@ def image(elf: Path) -> Image:
 @pytest.fixture(scope="session")
 def description() -> Description:
     """What the vendor says of the chip."""
-    archive = find_archive(ROOT)
-    if archive is None:
-        pytest.skip("build/svd has no description of the chip: see tests/firmware/README.md")
-    return read_description(archive)
+    path = find_description(ROOT)
+    if path is None:
+        pytest.skip("build/svd has no description of the chip: python tests/due/fetch_svd.py")
+    return read_description(path)

