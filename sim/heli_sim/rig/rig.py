@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from heli_sim.errors import RigError
+from heli_sim.rig.inertia import STATED_INERTIAS, inertia_range_kg_m2
 from heli_sim.rig.schema import RIG_QUANTITIES, UNSTATED
 
 _FOLDER: Final = Path(__file__).parent
@@ -19,6 +20,8 @@ _TEXTS: Final = ("name", "description")
 # Everything else is a length, a mass, a gain or a limit of which there must be some.
 _MAY_BE_ZERO: Final = frozenset(
     {
+        "M_h",
+        "M_l",
         "dead_zone",
         "friction_elevation",
         "friction_pitch",
@@ -195,7 +198,10 @@ def _rig_from_table(path: Path, table: Mapping[str, Any]) -> Rig:
             raise RigError(f'rig file {path} lacks {key} = "..."; add it at the top')
         texts[key] = value
     numbers = {name: _number(path, name, entry) for name, entry in table.items() if name not in _TEXTS}
-    return Rig(texts["name"], texts["description"], numbers)
+    stated = {q.name: numbers.pop(q.name) for q in STATED_INERTIAS if q.name in numbers}
+    rig = Rig(texts["name"], texts["description"], numbers)
+    _check_inertias(rig, stated)
+    return rig
 
 
 def _number(path: Path, name: str, entry: object) -> Number:
@@ -217,6 +223,25 @@ def _number(path: Path, name: str, entry: object) -> Number:
 
 def _unknown(rig: str, name: str) -> str:
     return f"rig '{rig}' knows no '{name}'; names are: {', '.join(q.name for q in RIG_QUANTITIES)}"
+
+
+def _check_inertias(rig: Rig, stated: Mapping[str, Number]) -> None:
+    """Refuse a stated inertia that the rig's masses cannot give, however they lie within the tolerances."""
+    units = {quantity.name: quantity.unit for quantity in STATED_INERTIAS}
+    values = {name: number.value for name, number in rig.items()}
+    possible = inertia_range_kg_m2(values, {name: number.tolerance for name, number in rig.items()})
+    for name, number in stated.items():
+        where = f"rig '{rig.name}': {name}"
+        if number.unit != units[name]:
+            raise RigError(f"{where} is in '{number.unit}'; give it in '{units[name]}'")
+        if not (math.isfinite(number.value) and math.isfinite(number.tolerance) and number.tolerance >= 0.0):
+            raise RigError(f"{where} = {number.value} +- {number.tolerance} must be finite")
+        least, most = possible[name]
+        if not least - number.tolerance <= number.value <= most + number.tolerance:
+            raise RigError(
+                f"{where} = {number.value:g} kg m2 cannot be: however its masses lie within the tolerances, "
+                f"they give {least:.4g} to {most:.4g}; correct it, a mass or a length"
+            )
 
 
 def _check(rig: str, numbers: Mapping[str, Number]) -> None:

@@ -43,6 +43,7 @@ RIG_QUANTITIES: Final[tuple[Quantity, ...]] = (
     Quantity("supply", "V", "supply of the motor drivers"),
     Quantity("driver_dead_band", "1", "part of the duty that the drivers swallow near 0 and near full"),
     Quantity("encoder_counts", "count", "counts of each encoder for one revolution, x4"),
+    Quantity("encoder_travel_ratio", "1", "counts of the travel's encoder for each of the other two"),
 )
 
 
@@ -72,4 +73,5 @@ UNSTATED: Final[Mapping[str, Unstated]] = {
     "torque_travel": Unstated(0.0, 0.1, "not stated: cables pull by no more than 10 g at 1 m"),
     "offset_elevation": Unstated(0.0, 0.1, "not stated: encoders are zeroed to a count of 0.09 deg"),
     "offset_pitch": Unstated(0.0, 0.1, "not stated: encoders are zeroed to a count of 0.09 deg"),
+    "encoder_travel_ratio": Unstated(1.0, 0.0, "not stated: three encoders alike"),
 }

@@ -42,14 +42,15 @@ class SilWorld:
         self.plant = plant if plant is not None else Plant(PaperModel(), load_rig(options.rig))
         self.rig: Rig = self.plant.rig
         random = np.random.default_rng(options.seed)
-        counts_per_rad = self.rig["encoder_counts"].value / (2.0 * np.pi)
+        per_rad = self.rig["encoder_counts"].value / (2.0 * np.pi)
+        counts_per_rad = [per_rad, per_rad, per_rad * self.rig["encoder_travel_ratio"].value]
         self.native = _native.World(
             self.plant.native_step(),
             self.plant.rest_state().tolist(),
             self.plant.parameters.tolist(),
             supply_V=self.rig["supply"].value,
             dead_band=self.rig["driver_dead_band"].value,
-            counts_per_rad=[counts_per_rad] * 3,
+            counts_per_rad=counts_per_rad,
             offset_count=random.uniform(-_OFFSET_COUNTS, _OFFSET_COUNTS, 3).tolist(),
             flash_file=options.flash_file,
         )

@@ -1,0 +1,194 @@
+"""Trim, exact Jacobians and linearisation of a model."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from heli_sim.errors import PlantError
+from heli_sim.model.base import Model
+from heli_sim.rig import Rig
+
+if TYPE_CHECKING:
+    import control
+
+Floats = npt.NDArray[np.float64]
+
+OUTPUTS: Final = ("elevation_rad", "pitch_rad", "travel_rad")
+_RESIDUAL: Final = 1e-10  # of rad/s2, and of N/s of a lag: far below what an encoder could see
+_ITERATIONS: Final = 50
+
+
+@dataclass(frozen=True)
+class Trim:
+    """A state that stays as it is.
+
+    Parameters
+    ----------
+    state : ndarray (n,)
+        In the order of the model's states.
+    volts_V : ndarray (2,)
+        Front and back.
+    """
+
+    state: Floats
+    volts_V: Floats
+
+
+@dataclass(frozen=True)
+class Derivatives:
+    """First derivatives of a model at a point, d/dt x = f(x, u, p) and y = h(x, u, p).
+
+    Parameters
+    ----------
+    rates : ndarray (n,)
+        f itself.
+    A, B, P : ndarray (n, n), (n, 2), (n, parameters)
+        df/dx, df/du, df/dp.
+    C, D : ndarray (3, n), (3, 2)
+        dh/dx, dh/du.
+    """
+
+    rates: Floats
+    A: Floats
+    B: Floats
+    P: Floats
+    C: Floats
+    D: Floats
+
+
+@functools.lru_cache(maxsize=32)
+def derivative_function(model: Model) -> ca.Function:
+    """Exact Jacobians of a model, by differentiation of its symbols.
+
+    Parameters
+    ----------
+    model : Model
+        The model; the function is made once for each.
+
+    Returns
+    -------
+    casadi.Function
+        ``derivatives(x, u, p) -> (f, A, B, P, C, D)`` as in `Derivatives`.
+    """
+    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
+    p = ca.SX.sym("p", len(model.parameters))
+    f, h = model.dynamics(x, u, p), model.measurement(x, u, p)
+    results = [f, *(ca.jacobian(f, v) for v in (x, u, p)), *(ca.jacobian(h, v) for v in (x, u))]
+    return ca.Function("derivatives", [x, u, p], ca.cse([ca.densify(result) for result in results]))
+
+
+def derivatives(model: Model, rig: Rig, state: npt.ArrayLike, volts_V: npt.ArrayLike) -> Derivatives:
+    """Exact first derivatives at a point.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    rig : Rig
+        Its numbers.
+    state : array_like (n,)
+        State, in the order of the model's.
+    volts_V : array_like (2,)
+        Front and back voltage.
+
+    Returns
+    -------
+    Derivatives
+        At that point.
+    """
+    results = derivative_function(model)(np.asarray(state), np.asarray(volts_V), model.parameter_values(rig))
+    f, *rest = (np.asarray(result) for result in results)
+    return Derivatives(f.ravel(), *rest)
+
+
+def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
+    """Find the voltages and the pitch that hold an elevation, by Newton's method on the exact Jacobians.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    rig : Rig
+        Its numbers.
+    elevation_rad : float
+        Elevation to hold, rad.
+
+    Returns
+    -------
+    Trim
+        With every rate zero and travel at 0.
+
+    Raises
+    ------
+    PlantError
+        When no voltage holds it, as when a counterweight is so heavy that the arm rises by itself.
+    """
+    count = len(model.states)
+    # Unknown: pitch, the states of effects, both voltages. Known to be zero: travel and the three rates.
+    unknown = [1, *range(6, count)]
+    state = np.zeros(count)
+    state[0] = elevation_rad
+    # Any voltage above the dead zone: the static curve is nearly straight from there on.
+    volts_V = np.full(2, rig["dead_zone"].value + 1.0)
+    for _ in range(_ITERATIONS):
+        at = derivatives(model, rig, state, volts_V)
+        residual = at.rates[3:]
+        if np.abs(residual).max() < _RESIDUAL:
+            if state[1] ** 2 < (np.pi / 2) ** 2 and (volts_V > rig["dead_zone"].value).all():
+                return Trim(state, volts_V)
+            break
+        try:
+            step = np.linalg.solve(np.hstack((at.A[3:, unknown], at.B[3:])), -residual)
+        except np.linalg.LinAlgError:
+            break
+        state[unknown] += step[:-2]
+        volts_V = volts_V + step[-2:]
+    raise PlantError(
+        f"rig '{rig.name}' cannot hover at {np.degrees(elevation_rad):g} degrees with model "
+        f"'{model.name}'; check its masses and lengths"
+    )
+
+
+def linearise(model: Model, rig: Rig, at: Trim | None = None) -> control.StateSpace:
+    """Linearise about a trim; derivatives are exact.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    rig : Rig
+        Its numbers.
+    at : Trim, optional
+        Where; hovering at level by default.
+
+    Returns
+    -------
+    control.StateSpace
+        Deviations from the trim: states of the model, inputs front_V and back_V, outputs the three angles
+        that the encoders see, all by name.
+
+    Raises
+    ------
+    PlantError
+        When the rig cannot hover.
+    """
+    import control
+
+    at = at if at is not None else trim(model, rig)
+    first = derivatives(model, rig, at.state, at.volts_V)
+    return control.ss(
+        first.A,
+        first.B,
+        first.C,
+        first.D,
+        states=[state.name for state in model.states],
+        inputs=[one.name for one in model.inputs],
+        outputs=list(OUTPUTS),
+        name=f"{model.name}_{rig.name}".replace(".", "_"),
+    )

@@ -1,0 +1,60 @@
+"""Inertias that the masses of a rig give, and stated ones that they cannot give."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from heli_sim.rig.quantity import Quantity
+
+STATED_INERTIAS: Final[tuple[Quantity, ...]] = (
+    Quantity("J_theta", "kg m2", "moment of inertia about the elevation axis, arm level"),
+    Quantity("J_phi", "kg m2", "moment of inertia about the pitch axis"),
+    Quantity("J_psi", "kg m2", "moment of inertia about the travel axis, arm level"),
+)
+"""May stand in a rig file beside its masses and lengths. No model uses them: they are only compared."""
+
+
+def inertias_kg_m2(values: Mapping[str, float]) -> dict[str, float]:
+    """Moments of inertia of the point masses at level, elevation and pitch 0.
+
+    Parameters
+    ----------
+    values : Mapping of str to float
+        Masses (kg) and lengths (m) by their names in a rig file.
+
+    Returns
+    -------
+    dict of str to float
+        J_theta, J_phi and J_psi, kg m2.
+    """
+    v = values
+    rotors, short = v["M_f"] + v["M_b"], v["M_f"] + v["M_b"] + v["M_h"]
+    across = rotors * v["L_h"] ** 2
+    along = short * v["L_a"] ** 2 + v["M_l"] * v["L_x"] ** 2 + v["M_w"] * v["L_b"] ** 2
+    below = short * (v["L_theta"] + v["L_phi"]) ** 2 + (v["M_l"] + v["M_w"]) * v["L_theta"] ** 2
+    return {"J_theta": along + below, "J_phi": across + short * v["L_phi"] ** 2, "J_psi": along + across}
+
+
+def inertia_range_kg_m2(
+    values: Mapping[str, float], tolerances: Mapping[str, float]
+) -> dict[str, tuple[float, float]]:
+    """Least and greatest inertia of all arrangements within the tolerances.
+
+    Parameters
+    ----------
+    values : Mapping of str to float
+        As for `inertias_kg_m2`.
+    tolerances : Mapping of str to float
+        Half width for each.
+
+    Returns
+    -------
+    dict of str to (float, float)
+        For J_theta, J_phi and J_psi, kg m2. Every inertia grows with every mass and with the size of every
+        length, so the ends are reached where all are at their ends.
+    """
+    names = [name for name in values if name.startswith(("M_", "L_"))]
+    least = inertias_kg_m2({name: max(abs(values[name]) - tolerances[name], 0.0) for name in names})
+    most = inertias_kg_m2({name: abs(values[name]) + tolerances[name] for name in names})
+    return {name: (least[name], most[name]) for name in least}

@@ -1,0 +1,218 @@
+"""A quick host for many flights: bytes in, bytes out, telemetry decoded when the flight is over.
+
+No session and no log: some hundred times real time, so that a claim may be about hundreds of flights. What it
+flies is the flight code behind the simulated line, as any host would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from heli_host.fly import route
+from heli_host.link import declaration as d
+from heli_host.link.frames import FrameParser, encode_frame
+from heli_host.link.telemetry import TelemetryDecoder
+from heli_sim.plant import Plant
+from heli_sim.sil.options import SilOptions
+from heli_sim.sil.world import SilWorld
+
+Floats = npt.NDArray[np.float64]
+
+INTERVAL_TICKS = 20
+LEAD_TICKS = 100
+_BEFORE_TICKS = 400
+_SCALES = np.array([channel.scale for channel in d.CHANNELS])
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A flight from the moment at which the loops closed.
+
+    Parameters
+    ----------
+    t_s : ndarray (n,)
+        Time since then.
+    angle_deg, setpoint_deg, path_deg : ndarray (n, 3)
+        Elevation, pitch and travel: measured, used by the control law, asked for.
+    volts_V : ndarray (n, 2)
+        Front and back.
+    state, fault, flags : ndarray (n,)
+        Of the supervisor.
+    """
+
+    t_s: Floats
+    angle_deg: Floats
+    setpoint_deg: Floats
+    path_deg: Floats
+    volts_V: Floats
+    state: npt.NDArray[np.int32]
+    fault: npt.NDArray[np.int32]
+    flags: npt.NDArray[np.int32]
+
+    @property
+    def first_fault(self) -> d.Fault:
+        codes = self.fault[self.fault != 0]
+        return d.Fault(int(codes[0])) if codes.size else d.Fault.NONE
+
+    def between(self, start_s: float, stop_s: float) -> npt.NDArray[np.bool_]:
+        return (self.t_s >= start_s) & (self.t_s < stop_s)
+
+
+def fly(
+    plant: Plant,
+    path_deg: Callable[[Floats], Floats],
+    duration_s: float,
+    parameters: Mapping[str, float] | None = None,
+    seed: int = 1,
+) -> Flown:
+    """Close all loops on the table and stream a path at 50 Hz.
+
+    Parameters
+    ----------
+    plant : Plant
+        Model and rig to fly.
+    path_deg : callable
+        From times since the loops closed, (n,), to elevation, pitch and travel, (n, 3).
+    duration_s : float
+        Length.
+    parameters : mapping of str to float, optional
+        Board parameters that differ from their defaults.
+    seed : int
+        Of the encoders' starting points.
+    """
+    world = SilWorld(SilOptions(seed=seed), plant)
+    # Table 2 as point masses balances at -22 degrees: the arm is held down until the loops close.
+    world.native.locked = [True, True, True]
+    received = [world.advance(_BEFORE_TICKS)]
+    sequence = request = 0
+
+    def send(message: object) -> bytes:
+        nonlocal sequence
+        sequence += 1
+        return encode_frame(message.ID, sequence & 0xFF, message.pack())  # type: ignore[attr-defined]
+
+    def ask(make: Callable[[int], object]) -> None:
+        nonlocal request
+        request = request % 255 + 1
+        received.append(world.advance(12, send(make(request))))
+
+    ask(lambda number: d.HelloMessage(number, d.LINK_HASH, 7))
+    index = {one.name: one.index for one in d.PARAMS}
+    for name, value in (parameters or {}).items():
+        ask(lambda number, name=name, value=value: d.ParamSetMessage(number, index[name], value))
+    ask(d.ArmMessage)
+    start_tick = world.tick
+    first = send(d.ControlMessage(request + 1, 7, 0.0, 0.0))
+    world.native.locked = [False, False, False]
+    ticks = np.arange(0, round(1e3 * duration_s), INTERVAL_TICKS)
+    targets_rad = np.radians(path_deg((ticks + LEAD_TICKS) * 1e-3)).tolist()
+    # The board counts its own ticks from its start, the world from its own.
+    for tick, target_rad in zip(ticks.tolist(), targets_rad, strict=True):
+        message = d.SetpointMessage(start_tick + tick + LEAD_TICKS, *target_rad)
+        received.append(world.advance(INTERVAL_TICKS, first + send(message)))
+        first = b""
+    received.append(world.advance(40))
+    return _decoded(b"".join(received), start_tick, path_deg, duration_s)
+
+
+def _decoded(data: bytes, start_tick: int, path_deg: Callable[[Floats], Floats], duration_s: float) -> Flown:
+    frames = FrameParser().feed(data)
+    telemetry = TelemetryDecoder().decode([f.payload for f in frames if f.id == d.MessageId.TELEMETRY])
+    tick = telemetry.tick.astype(np.int64) - start_tick
+    keep = (tick >= 0) & (tick < round(1e3 * duration_s))
+    t_s, values = tick[keep] * 1e-3, telemetry.raw[keep] * _SCALES
+    return Flown(
+        t_s,
+        values[:, 0:3] * 360.0 / 4096.0,
+        np.degrees(values[:, 3:6]),
+        path_deg(t_s),
+        values[:, 6:8],
+        *(telemetry.raw[keep, column] for column in (8, 9, 10)),
+    )
+
+
+TAKE_OFF_S, STEP_S, BACK_S, SINE_S, END_S = 0.0, 6.0, 14.0, 22.0, 82.0
+STEP_DEG = 15.0
+
+
+def demanding_path_deg(t_s: Floats) -> Floats:
+    """Take-off to level, a travel step of 15 degrees and back, then the sines of the plan ``sine``."""
+    out = np.zeros((t_s.size, 3))
+    out[(t_s >= STEP_S) & (t_s < BACK_S), 2] = STEP_DEG
+    swinging = (t_s >= SINE_S) & (t_s < END_S)
+    shape = route.sine(np.zeros(3), np.array([5.0, 0.0, 25.0]), np.array([15.0, 1.0, 20.0]), END_S - SINE_S)
+    out[swinging] = shape(t_s[swinging] - SINE_S)
+    return out
+
+
+@dataclass(frozen=True)
+class Marks:
+    """What the project promises of a flight along `demanding_path_deg`.
+
+    Parameters
+    ----------
+    fault : d.Fault
+        First fault.
+    take_off_s : float
+        From when on the elevation stays within half a degree of level, until the step.
+    overshoot : float
+        Of the travel step, as a share of it; the worse of both steps.
+    settled_s : float
+        From when on travel stays within half a degree of the step; the worse of both.
+    travel_rms_deg, elevation_rms_deg : float
+        Error to the path over the sines.
+    limit_share : float
+        Share of the time at a bound of voltage or pitch setpoint.
+    """
+
+    fault: d.Fault
+    take_off_s: float
+    overshoot: float
+    settled_s: float
+    travel_rms_deg: float
+    elevation_rms_deg: float
+    pitch_setpoint_ripple_deg: float
+    volts_ripple_V: float
+
+
+def marks_of(flown: Flown) -> Marks:
+    elevation, travel = flown.angle_deg[:, 0], flown.angle_deg[:, 2]
+    climb, there = flown.between(TAKE_OFF_S, STEP_S), flown.between(STEP_S, BACK_S)
+    back, sine = flown.between(BACK_S, SINE_S), flown.between(SINE_S, END_S)
+    error = flown.angle_deg - flown.path_deg
+    return Marks(
+        flown.first_fault,
+        last_outside_s(flown.t_s[climb], elevation[climb]),
+        float(max(travel[there].max() - STEP_DEG, -travel[back].min()) / STEP_DEG) if sine.any() else np.inf,
+        max(
+            last_outside_s(flown.t_s[there] - STEP_S, travel[there] - STEP_DEG),
+            last_outside_s(flown.t_s[back] - BACK_S, travel[back]),
+        ),
+        rms(error[sine, 2]),
+        rms(error[sine, 0]),
+        ripple(flown.setpoint_deg[sine, 1]),
+        ripple(flown.volts_V[sine, 0] - flown.volts_V[sine, 1]),
+    )
+
+
+def ripple(values: Floats) -> float:
+    """Root mean square of what is left above about 2 Hz: less its mean over half a second."""
+    if values.size < 1000:
+        return float("inf")
+    window = np.ones(500) / 500
+    return rms(values[250:-249] - np.convolve(values, window, "valid"))
+
+
+def rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else float("inf")
+
+
+def last_outside_s(t_s: Floats, error_deg: Floats, band_deg: float = 0.5) -> float:
+    """When the error was last outside the band; 0 if never, infinite if it still is at the end."""
+    outside = np.flatnonzero(np.abs(error_deg) > band_deg)
+    if t_s.size == 0 or (outside.size and outside[-1] >= t_s.size - 2):
+        return float("inf")
+    return float(t_s[outside[-1] + 1]) if outside.size else 0.0
