@@ -9,10 +9,10 @@ the same loop runs in NumPy on CasADi's virtual machine.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 import casadi as ca
 import numpy as np
@@ -50,8 +50,8 @@ class Inputs:
         Change of the voltages from the beginning to the end of each step.
     substeps : int
         Runge-Kutta steps in each step.
-    mean_by_delay_V_s, change_by_delay_V_s : ndarray (n, 2), optional
-        Derivatives of both to the delay of the voltages, for models that have one.
+    shaped_by : tuple of (str, ndarray (n, 2), ndarray (n, 2))
+        Free parameters that shape the voltages, each with the derivatives of mean and change to it.
     """
 
     steps: Integers
@@ -60,8 +60,7 @@ class Inputs:
     mean_V: Floats
     change_V: Floats
     substeps: int = 1
-    mean_by_delay_V_s: Floats | None = None
-    change_by_delay_V_s: Floats | None = None
+    shaped_by: tuple[tuple[str, Floats, Floats], ...] = ()
 
     @property
     def first(self) -> Integers:
@@ -163,7 +162,10 @@ class Functions:
         self.state_count = len(model.states)
         self.parameter_count = len(names)
         self.free_index = [names.index(name) for name in free]
-        self.delay_column = free.index(model.delay) if model.delay in free else None
+        self.free = free
+        shaping = (model.delay, "dead_zone")
+        self.shaping = tuple(name for name in shaping if name in free)
+        """Free parameters that may shape the voltages, see `Inputs.shaped_by`."""
         x, u = ca.SX.sym("x", self.state_count), ca.SX.sym("u", 2)
         t, p = ca.SX.sym("t"), ca.SX.sym("p", len(names))
         rates = ca.densify(model.dynamics(x, u, p, t))
@@ -194,27 +196,31 @@ _C: Final = """
 #define NX %(nx)d
 #define NZ %(nz)d
 
-static void chain_rates(const double* fx, const double* fp, const double* fu, const double* du,
+#define NS %(ns)d
+
+static void chain_rates(const double* fx, const double* fp, const double* fu, double (*du)[2],
                         double (*s)[NZ], double (*out)[NZ]) {
 %(rates)s}
 
-static void chain_angles(const double* fx, const double* fp, const double* fu, const double* du,
+static void chain_angles(const double* fx, const double* fp, const double* fu, double (*du)[2],
                          double (*s)[NZ], double* target) {
   double (*out)[NZ] = (double (*)[NZ])target;
 %(angles)s}
 
-typedef struct { const double *mean, *change, *mean_by_delay, *change_by_delay; } Row;
+typedef struct { const double *mean, *change, *mean_by[NS], *change_by[NS]; } Row;
 
-static void input(const Row* row, double c, double* u, double* du) {
+static void input(const Row* row, double c, double* u, double (*du)[2]) {
   for (int i = 0; i < 2; ++i) {
     u[i] = row->mean[i] + (c - 0.5) * row->change[i];
-    du[i] = row->mean_by_delay ? row->mean_by_delay[i] + (c - 0.5) * row->change_by_delay[i] : 0.0;
+    for (int j = 0; j < NS; ++j) {
+      du[j][i] = row->mean_by[j] ? row->mean_by[j][i] + (c - 0.5) * row->change_by[j][i] : 0.0;
+    }
   }
 }
 
 static void evaluate(const Row* row, double c, double t, const double* p, double* x, double (*s)[NZ],
                      double* k, double (*ks)[NZ]) {
-  double u[2], du[2], fx[%(fx)d], fp[%(fp)d], fu[%(fu)d], w[%(w)d];
+  double u[2], du[NS][2], fx[%(fx)d], fp[%(fp)d], fu[%(fu)d], w[%(w)d];
   long long iw[%(iw)d];
   const double* arg[%(arg)d] = {x, u, &t, p};
   double* res[%(res)d] = {k, fx, fp, fu};
@@ -229,7 +235,7 @@ static void evaluate(const Row* row, double c, double t, const double* p, double
 
 static void look(const Row* row, double t, const double* p, double* x, double (*s)[NZ], double* angles,
                  double* target) {
-  double u[2], du[2], fx[%(fx)d], fp[%(fp)d], fu[%(fu)d], w[%(w)d];
+  double u[2], du[NS][2], fx[%(fx)d], fp[%(fp)d], fu[%(fu)d], w[%(w)d];
   long long iw[%(iw)d];
   const double* arg[%(arg)d] = {x, u, &t, p};
   double* res[%(res)d] = {angles, fx, fp, fu};
@@ -280,7 +286,7 @@ static void advance(const Row* row, double c, double share, double t, double h, 
 
 void heli_windows(long long windows, const long long* first, const long long* steps, const double* start_s,
                   double step_s, long long substeps, const double* mean, const double* change,
-                  const double* mean_by_delay, const double* change_by_delay, const double* x0,
+                  const double** mean_by, const double** change_by, const double* x0,
                   const double* p, double* angles, double* jacobian, double* end) {
   const double share = 1.0 / (double)substeps, h = step_s * share;
   double s[NX][NZ];
@@ -291,8 +297,11 @@ void heli_windows(long long windows, const long long* first, const long long* st
     for (int i = 0; i < NX; ++i) s[i][i] = 1.0;
     for (long long k = 0; k < steps[w]; ++k) {
       const long long r = first[w] + k;
-      const Row row = {mean + 2 * r, change + 2 * r, mean_by_delay ? mean_by_delay + 2 * r : 0,
-                       mean_by_delay ? change_by_delay + 2 * r : 0};
+      Row row = {mean + 2 * r, change + 2 * r, {0}, {0}};
+      for (int j = 0; j < NS; ++j) {
+        row.mean_by[j] = mean_by[j] ? mean_by[j] + 2 * r : 0;
+        row.change_by[j] = change_by[j] ? change_by[j] + 2 * r : 0;
+      }
       const double t = start_s[w] + (double)k * step_s;
       look(&row, t, p, x, s, angles + 3 * r, jacobian ? jacobian + 3 * NZ * r : 0);
       for (long long m = 0; m < substeps; ++m) {
@@ -304,7 +313,7 @@ void heli_windows(long long windows, const long long* first, const long long* st
 """
 
 
-def _chain(function: ca.Function, state_count: int, delay_column: int | None) -> str:
+def _chain(functions: Functions, function: ca.Function) -> str:
     """C lines for out = fx s + fp + fu du, one by one over what is not structurally zero."""
     lines = []
     fx = _nonzeros(function.sparsity_out(1))
@@ -312,10 +321,11 @@ def _chain(function: ca.Function, state_count: int, delay_column: int | None) ->
         terms = [f"fx[{k}] * s[{j}][z]" for k, (i, j) in enumerate(fx) if i == row]
         lines.append(f"  for (int z = 0; z < NZ; ++z) out[{row}][z] = {' + '.join(terms) or '0.0'};")
     for k, (i, j) in enumerate(_nonzeros(function.sparsity_out(2))):
-        lines.append(f"  out[{i}][{state_count + j}] += fp[{k}];")
-    if delay_column is not None:
+        lines.append(f"  out[{i}][{functions.state_count + j}] += fp[{k}];")
+    for which, name in enumerate(functions.shaping):
+        column = functions.state_count + functions.free.index(name)
         for k, (i, j) in enumerate(_nonzeros(function.sparsity_out(3))):
-            lines.append(f"  out[{i}][{state_count + delay_column}] += fu[{k}] * du[{j}];")
+            lines.append(f"  out[{i}][{column}] += fu[{k}] * du[{which}][{j}];")
     return "\n".join(["  (void)fp, (void)fu, (void)du;", *lines, ""])
 
 
@@ -332,14 +342,15 @@ def _driver(functions: Functions) -> str:
     loop = _C % {
         "nx": functions.state_count,
         "nz": functions.state_count + len(functions.free_index),
+        "ns": max(1, len(functions.shaping)),
         "identity": functions.identity,
         "arg": max(4, *sizes[0]),
         "res": max(4, *sizes[1]),
         "iw": max(1, *(f.sz_iw() for f in functions.all)),
         "w": max(1, *(f.sz_w() for f in functions.all)),
         **dict(zip(("fx", "fp", "fu"), (max(1, n) for n in nonzeros), strict=True)),
-        "rates": _chain(functions.rates_jacobian, functions.state_count, functions.delay_column),
-        "angles": _chain(functions.angles_jacobian, functions.state_count, functions.delay_column),
+        "rates": _chain(functions, functions.rates_jacobian),
+        "angles": _chain(functions, functions.angles_jacobian),
     }
     return c_source(*functions.all) + loop
 
@@ -362,6 +373,7 @@ class CompiledKernel:
 
     def __init__(self, functions: Functions, library: str) -> None:
         self._sizes = functions.state_count, functions.state_count + len(functions.free_index)
+        self._shaping = functions.shaping
         try:
             self._windows: Callable[..., None] = ctypes.CDLL(library).heli_windows
         except (OSError, AttributeError) as error:
@@ -421,10 +433,13 @@ class CompiledKernel:
         angles = np.empty((inputs.rows, 3))
         jacobian = np.empty((inputs.rows, 3, columns)) if derivatives else None
         end = np.empty((windows, states))
-        arrays: list[npt.NDArray[Any] | None] = [
-            np.ascontiguousarray(array) if array is not None else None
-            for array in (inputs.mean_V, inputs.change_V, inputs.mean_by_delay_V_s, inputs.change_by_delay_V_s)
-        ]
+        mean, change = np.ascontiguousarray(inputs.mean_V), np.ascontiguousarray(inputs.change_V)
+        given = {name: arrays for name, *arrays in inputs.shaped_by}
+        kept = [[np.ascontiguousarray(a) for a in given.get(name, ())] for name in self._shaping]
+        mean_by, change_by = (
+            (ctypes.c_void_p * max(1, len(kept)))(*(pair[i].ctypes.data if pair else None for pair in kept))
+            for i in (0, 1)
+        )
         x0, p = np.ascontiguousarray(start, float), np.ascontiguousarray(parameters, float)
         first, steps = inputs.first, np.ascontiguousarray(inputs.steps, np.int64)
         start_s = np.ascontiguousarray(inputs.start_s, float)
@@ -435,7 +450,10 @@ class CompiledKernel:
                 *(ctypes.c_void_p(array[low:].ctypes.data) for array in (first, steps, start_s)),
                 ctypes.c_double(inputs.step_s),
                 ctypes.c_longlong(inputs.substeps),
-                *(None if array is None else ctypes.c_void_p(array.ctypes.data) for array in arrays),
+                ctypes.c_void_p(mean.ctypes.data),
+                ctypes.c_void_p(change.ctypes.data),
+                mean_by,
+                change_by,
                 ctypes.c_void_p(x0[low:].ctypes.data),
                 ctypes.c_void_p(p.ctypes.data),
                 ctypes.c_void_p(angles.ctypes.data),
@@ -535,9 +553,10 @@ class InterpretedKernel:
                 which: str, c: float, y: Floats, ys: Floats, rows: Integers = rows, time_s: Floats = time_s
             ) -> tuple[Floats, Floats]:
                 u = inputs.mean_V[rows] + (c - 0.5) * inputs.change_V[rows]
-                du = np.zeros_like(u)
-                if inputs.mean_by_delay_V_s is not None and inputs.change_by_delay_V_s is not None:
-                    du = inputs.mean_by_delay_V_s[rows] + (c - 0.5) * inputs.change_by_delay_V_s[rows]
+                du = {
+                    name: mean_by[rows] + (c - 0.5) * change_by[rows]
+                    for name, mean_by, change_by in inputs.shaped_by
+                }
                 return self._evaluate(which, y, u, time_s + c * inputs.step_s, parameters, ys, du)
 
             angles[rows], look = evaluate("angles", 0.0, x[here], s[here])
@@ -554,7 +573,14 @@ class InterpretedKernel:
         return angles, jacobian, x
 
     def _evaluate(
-        self, which: str, x: Floats, u: Floats, time_s: Floats, parameters: Floats, s: Floats, du: Floats
+        self,
+        which: str,
+        x: Floats,
+        u: Floats,
+        time_s: Floats,
+        parameters: Floats,
+        s: Floats,
+        du: Mapping[str, Floats],
     ) -> tuple[Floats, Floats]:
         """Value (w, rows) and its derivatives through the chain (w, rows, columns)."""
         count, nx = x.shape
@@ -570,7 +596,9 @@ class InterpretedKernel:
         result: Floats = to_x @ s
         if fp.size:
             result[:, :, nx:] += fp.reshape(rows, count, -1).transpose(1, 0, 2)
-        if self._functions.delay_column is not None:
-            to_u = fu.reshape(rows, count, 2).transpose(1, 0, 2)
-            result[:, :, nx + self._functions.delay_column] += np.einsum("wij,wj->wi", to_u, du)
+        for name in self._functions.shaping:
+            if name in du:
+                to_u = fu.reshape(rows, count, 2).transpose(1, 0, 2)
+                column = nx + self._functions.free.index(name)
+                result[:, :, column] += np.einsum("wij,wj->wi", to_u, du[name])
         return value.T, result

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -19,6 +19,9 @@ from heli_sim.rig import Prior, Rig
 NOT_FREE: Final = frozenset({"g"})
 """Numbers with a tolerance that no flight needs to find: gravity is known better than any of the masses."""
 
+PER_FLIGHT: Final = ("offset_elevation", "offset_pitch")
+"""Numbers that are another in each flight, because encoders are zeroed each time the board starts."""
+
 _STATE_FIT_S: Final = 0.15
 _LEAD_IN_S: Final = 1.0
 
@@ -30,16 +33,22 @@ class FreeParameter:
     Parameters
     ----------
     name : str
-        Its name.
+        Its name; one that is another in each of several flights has the flight's label in brackets.
     unit : str
         Its unit.
     prior : Prior
         What is known of it before the flight.
+    quantity : str
+        Its name in the model.
+    record : int or None
+        The flight that it belongs to; None for all.
     """
 
     name: str
     unit: str
     prior: Prior
+    quantity: str
+    record: int | None = None
 
 
 @dataclass(frozen=True)
@@ -52,7 +61,7 @@ class Look:
         Measured minus predicted angle, in standard deviations of the rounding to counts.
     gram : ndarray (w, 3, z + 1, z + 1) or None
         For each window and axis, products of the columns of [Jacobian | residual], z being the number of
-        states and free parameters.
+        states and of the free parameters that the record depends on.
     """
 
     residual: Floats
@@ -77,6 +86,8 @@ class Problem:
     free : sequence of str, optional
         Names of the free parameters. Without it: every number of the rig that the model uses and that has a
         tolerance, gravity excepted, and every parameter of the model's effects that has a prior.
+    per_flight : sequence of str
+        Free parameters that each flight has its own value of.
     labels : sequence of str, optional
         Name of each flight, for messages.
     window_s : float
@@ -104,6 +115,7 @@ class Problem:
         flights: Sequence[Flight | Record],
         *,
         free: Sequence[str] | None = None,
+        per_flight: Sequence[str] = PER_FLIGHT,
         labels: Sequence[str] | None = None,
         window_s: float = 2.0,
         step_s: float = 0.01,
@@ -113,7 +125,7 @@ class Problem:
     ) -> None:
         self.model = model
         self.rig = rig
-        self.free = _free_parameters(model, rig, free, priors or {})
+        wanted = _free_parameters(model, rig, free, priors or {})
         self.records = tuple(
             flight
             if isinstance(flight, Record)
@@ -122,6 +134,22 @@ class Problem:
         )
         if not self.records:
             raise IdentifyError("there is no flight to identify from; give at least one")
+        if len({record.label for record in self.records}) < len(self.records):
+            raise IdentifyError("two flights have the same label; give each its own")
+        shared = [one for one in wanted if one.quantity not in per_flight]
+        local = [one for one in wanted if one.quantity in per_flight]
+        several = len(self.records) > 1
+        own = [
+            replace(one, record=index, name=f"{one.name}[{record.label}]" if several else one.name)
+            for index, record in enumerate(self.records)
+            for one in local
+        ]
+        self.free: tuple[FreeParameter, ...] = (*shared, *own)
+        self.columns = tuple(
+            np.array([i for i, one in enumerate(self.free) if one.record in (None, index)], int)
+            for index in range(len(self.records))
+        )
+        """For each record, which free parameters it depends on, in the order of the kernel."""
         self.window_s = window_s
         self.step_s = step_s
         self.state_count = len(model.states)
@@ -132,10 +160,13 @@ class Problem:
             if name not in names:
                 raise IdentifyError(f"the model has no parameter '{name}'; names are: {', '.join(names)}")
             self.base[names.index(name)] = value
-        self._place = np.array([names.index(one.name) for one in self.free], int)
+        self._place = np.array([names.index(one.quantity) for one in self.free], int)
         self._delay = names.index(model.delay) if model.delay else None
-        self.kernel = kernel(model, tuple(one.name for one in self.free))
-        self._grids: dict[tuple[int, bool, float | None], Grid] = {}
+        self.kernel = kernel(model, tuple(one.quantity for one in (*shared, *local)))
+        self._one_way = "reverse_thrust" not in names or not self.base[names.index("reverse_thrust")]
+        self._one_way &= "reverse_thrust" not in self.names
+        self._dead_zone = names.index("dead_zone")
+        self._grids: dict[tuple[int, bool], tuple[object, Grid]] = {}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -162,13 +193,15 @@ class Problem:
         """Values to start from: those of rig and effects, within the bounds; shape (f,)."""
         return np.clip(self.base[self._place], *self.bounds)
 
-    def parameters(self, theta: Floats) -> Floats:
+    def parameters(self, theta: Floats, index: int = 0) -> Floats:
         """Complete a vector of free parameters.
 
         Parameters
         ----------
         theta : ndarray (f,)
             Free parameters.
+        index : int
+            For which record.
 
         Returns
         -------
@@ -176,7 +209,8 @@ class Problem:
             All parameters of the model.
         """
         full = self.base.copy()
-        full[self._place] = theta
+        columns = self.columns[index]
+        full[self._place[columns]] = theta[columns]
         return full
 
     def grid(self, index: int, fine: bool, theta: Floats) -> Grid:
@@ -196,18 +230,23 @@ class Problem:
         Grid
             Windows with inputs. Both grids have the same windows.
         """
-        delay_s = None if self._delay is None else float(self.parameters(theta)[self._delay])
-        key = (index, fine, delay_s)
-        if key not in self._grids:
+        delay, dead_zone_V = self._shape(self.parameters(theta, index))
+        key = (index, fine)
+        shape = (delay, None if fine else dead_zone_V)
+        if key not in self._grids or self._grids[key][0] != shape:
             record = self.records[index]
             coarse = max(1, int(self.step_s / record.step_s + 1e-6))
             windows = window_starts(record, self.window_s, coarse)
-            if delay_s is not None:
-                self._grids = {k: v for k, v in self._grids.items() if k[:2] != key[:2]}
-            self._grids[key] = make_grid(
-                record, windows, 1 if fine else coarse, longest_step_s=self.step_s, delay_s=delay_s
+            grid = make_grid(
+                record,
+                windows,
+                1 if fine else coarse,
+                longest_step_s=self.step_s,
+                delay=delay,
+                dead_zone_V=dead_zone_V,
             )
-        return self._grids[key]
+            self._grids[key] = (shape, grid)
+        return self._grids[key][1]
 
     def first_states(self, theta: Floats) -> list[Floats]:
         """Initial states of all windows, as the angles around their beginnings suggest.
@@ -226,16 +265,16 @@ class Problem:
             One array a record.
         """
         return [
-            self.states_at(record, self._starts(index, theta), theta) for index, record in enumerate(self.records)
+            self.states_at(index, self._starts(index, theta), theta) for index in range(len(self.records))
         ]
 
-    def states_at(self, record: Record, rows: npt.NDArray[np.int64], theta: Floats) -> Floats:
+    def states_at(self, index: int, rows: npt.NDArray[np.int64], theta: Floats) -> Floats:
         """States at given rows, from the angles around them.
 
         Parameters
         ----------
-        record : Record
-            The flight.
+        index : int
+            Which record.
         rows : ndarray of int64 (w,)
             Rows.
         theta : ndarray (f,)
@@ -247,6 +286,7 @@ class Problem:
             Angles and rates of parabolas through the samples around each row; states of effects after a
             second of free run that ends there.
         """
+        record = self.records[index]
         states = np.zeros((len(rows), self.state_count))
         states[:, :6] = [_parabola(record, int(row)) for row in rows]
         if self.state_count == 6:
@@ -255,7 +295,7 @@ class Problem:
             segment = next(start for start, stop in record.segments if start <= row < stop)
             back = min(int(row) - segment, round(_LEAD_IN_S / record.step_s))
             if back > 0:
-                lead = self._lead_in(record, int(row) - back, back, theta)
+                lead = self._lead_in(index, int(row) - back, back, theta)
                 states[number, 6:] = lead[6:]
         return states
 
@@ -283,7 +323,7 @@ class Problem:
             Residuals, and what a Gauss-Newton step needs.
         """
         grid = self.grid(index, fine, theta)
-        angles, jacobian = self.kernel.run(grid.inputs, states, self.parameters(theta), derivatives)
+        angles, jacobian = self.kernel.run(grid.inputs, states, self.parameters(theta, index), derivatives)
         sigma = grid.record.sigma_rad
         residual = (grid.measured_rad - angles) / sigma
         if jacobian is None:
@@ -322,21 +362,26 @@ class Problem:
             free parameters.
         """
         grid = self.grid(index, fine, theta)
-        angles, jacobian = self.kernel.run(grid.inputs, states, self.parameters(theta), True)
+        angles, jacobian = self.kernel.run(grid.inputs, states, self.parameters(theta, index), True)
         sigma = grid.record.sigma_rad
         assert jacobian is not None
         return (grid.measured_rad - angles) / sigma, jacobian / sigma[:, None]
+
+    def _shape(self, parameters: Floats) -> tuple[tuple[str, float] | None, float | None]:
+        """Delay, and the voltage below which there is no thrust."""
+        delay = None if self._delay is None else (self.model.delay, float(parameters[self._delay]))
+        return delay, float(parameters[self._dead_zone]) if self._one_way else None
 
     def _starts(self, index: int, theta: Floats) -> npt.NDArray[np.int64]:
         grid = self.grid(index, False, theta)
         return grid.rows[grid.inputs.first]
 
-    def _lead_in(self, record: Record, row: int, rows: int, theta: Floats) -> Floats:
-        delay_s = None if self._delay is None else float(self.parameters(theta)[self._delay])
-        grid = make_grid(record, [(row, rows)], 1, delay_s=delay_s)
+    def _lead_in(self, index: int, row: int, rows: int, theta: Floats) -> Floats:
+        record, parameters = self.records[index], self.parameters(theta, index)
+        grid = make_grid(record, [(row, rows)], 1, delay=self._shape(parameters)[0])
         start = np.zeros((1, self.state_count))
         start[0, :6] = _parabola(record, row)
-        return self.kernel.end(grid.inputs, start, self.parameters(theta))[0]
+        return self.kernel.end(grid.inputs, start, parameters)[0]
 
 
 def _parabola(record: Record, row: int) -> Floats:
@@ -368,7 +413,7 @@ def _free_parameters(
             raise IdentifyError(
                 f"nothing is known of '{name}' beforehand; give it a tolerance in the rig file, or fix it"
             )
-        parameters.append(FreeParameter(name, known[name].unit, given.get(name) or rig_prior(rig, name)))
+        parameters.append(FreeParameter(name, known[name].unit, given.get(name) or rig_prior(rig, name), name))
     return tuple(parameters)
 
 

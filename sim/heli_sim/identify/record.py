@@ -338,7 +338,8 @@ def make_grid(
     every: int,
     *,
     longest_step_s: float = 0.01,
-    delay_s: float | None = None,
+    delay: tuple[str, float] | None = None,
+    dead_zone_V: float | None = None,
 ) -> Grid:
     """Lay a grid of steps over windows.
 
@@ -352,8 +353,11 @@ def make_grid(
         Rows in a step.
     longest_step_s : float
         Longest Runge-Kutta step.
-    delay_s : float, optional
-        Delay of the voltages, for models that have one.
+    delay : (str, float), optional
+        Name and value in s of the parameter that delays the voltages, for models that have one.
+    dead_zone_V : float, optional
+        Voltages below this give no thrust and are lifted to it before they are averaged over a step, so that
+        the thrust of the mean is the mean of the thrust.
 
     Returns
     -------
@@ -362,26 +366,30 @@ def make_grid(
     """
     rows = np.concatenate([np.arange(first, first + count, every) for first, count in windows]).astype(np.int64)
     step_s = record.step_s * every
-    shape = _ramp(record, rows, every, 0.0 if delay_s is None else delay_s)
-    slope: tuple[Floats, Floats] | tuple[None, None] = (None, None)
-    if delay_s is not None:
+    volts, late_s = record.voltages_V, 0.0 if delay is None else delay[1]
+    shaped: list[tuple[str, Floats, Floats]] = []
+    if dead_zone_V is not None and every > 1:
+        below = (volts < dead_zone_V).astype(float)
+        volts = np.maximum(volts, dead_zone_V)
+        shaped.append(("dead_zone", *_ramp(below, record.step_s, rows, every, late_s)))
+    shape = _ramp(volts, record.step_s, rows, every, late_s)
+    if delay is not None:
         half_s = 0.5 * record.step_s
-        late, early = (_ramp(record, rows, every, delay_s + sign * half_s) for sign in (1.0, -1.0))
-        slope = (late[0] - early[0]) / (2 * half_s), (late[1] - early[1]) / (2 * half_s)
+        more, less = (_ramp(volts, record.step_s, rows, every, late_s + d_s) for d_s in (half_s, -half_s))
+        shaped.append((delay[0], *((m - n) / (2 * half_s) for m, n in zip(more, less, strict=True))))
     inputs = Inputs(
         np.array([count // every for _, count in windows], np.int64),
         np.array([record.t_s[first] - record.t_s[0] for first, _ in windows]),
         step_s,
         *shape,
         max(1, math.ceil(step_s / longest_step_s - 1e-9)),
-        *slope,
+        tuple(shaped),
     )
     return Grid(record, inputs, rows, every)
 
 
-def _ramp(record: Record, rows: Integers, every: int, delay_s: float) -> tuple[Floats, Floats]:
+def _ramp(volts: Floats, dt: float, rows: Integers, every: int, delay_s: float) -> tuple[Floats, Floats]:
     """Mean and change over each step, with the integral and the double integral of the delayed voltages."""
-    volts, dt = record.voltages_V, record.step_s
     if every == 1 and delay_s == 0.0:
         return volts[rows], np.zeros((len(rows), 2))
     # Before the record the first voltage is taken to have acted.

@@ -219,8 +219,9 @@ class _Solver:
             own[:, diagonal, diagonal] += 1e-12 * own[:, diagonal, diagonal].max(axis=1, keepdims=True)
             answer = np.linalg.solve(own, coupling)
             schur = normal[:, nx:, nx:] - coupling.transpose(0, 2, 1) @ answer
-            information += schur[:, :-1, :-1].sum(axis=0)
-            gradient += schur[:, :-1, -1].sum(axis=0)
+            columns = self.problem.columns[index]
+            information[np.ix_(columns, columns)] += schur[:, :-1, :-1].sum(axis=0)
+            gradient[columns] += schur[:, :-1, -1].sum(axis=0)
             follow.append((answer[:, :, -1], answer[:, :, :-1]))
         return information, gradient, follow
 
@@ -234,8 +235,8 @@ class _Solver:
         matrix = information + np.diag((1.0 + self.damping) * weight)
         move = _bounded_solve(matrix, right, *(bound - point.theta for bound in problem.bounds))
         states = [
-            start + free - np.einsum("wsf,f->ws", slave, move)
-            for start, (free, slave) in zip(point.states, follow, strict=True)
+            start + free - np.einsum("wsf,f->ws", slave, move[columns])
+            for start, (free, slave), columns in zip(point.states, follow, problem.columns, strict=True)
         ]
         std = np.sqrt(np.diag(np.linalg.inv(matrix))) if len(move) else np.zeros(0)
         return move, states, std
