@@ -1,0 +1,78 @@
+"""Flights made by the simulated board on rigs whose numbers are known to the test and to nobody else."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from heli_host.flight import Flight
+from heli_host.fly.recorder import Recorder
+from heli_host.heli import Heli
+from heli_host.link.session import Session
+from heli_sim.model import Model, MultibodyModel
+from heli_sim.plant import Plant
+from heli_sim.rig import Rig, load_rig
+from heli_sim.sil.inprocess import InProcessTransport
+from heli_sim.sil.options import SilOptions
+from heli_sim.sil.world import SilWorld
+
+SETPOINT_EVERY_S = 0.05
+EXCITATION_V = 0.25
+
+
+def perturbed(seed: int, rig: Rig | None = None) -> Rig:
+    """A rig whose numbers are drawn from what the rig file says of them: normal, half the tolerance."""
+    rig = load_rig("makki2024") if rig is None else rig
+    random = np.random.default_rng(seed)
+    values = {}
+    for quantity in MultibodyModel().parameters:
+        number = rig[quantity.name]
+        if quantity.name == "g" or number.tolerance == 0.0:
+            continue
+        value = number.value + 0.5 * number.tolerance * random.standard_normal()
+        values[quantity.name] = value if Rig.may_be_negative(quantity.name) else abs(value)
+    return rig.replace(**values)
+
+
+def hover_V(rig: Rig) -> float:
+    """Sum of both voltages above the dead zone that carries the arm at level."""
+    v = {name: rig[name].value for name in rig}
+    arm_kg_m = (v["M_f"] + v["M_b"] + v["M_h"]) * v["L_a"] + v["M_l"] * v["L_x"] - v["M_w"] * v["L_b"]
+    return (arm_kg_m * v["g"] - v["torque_elevation"]) / (v["L_a"] * v["thrust_gain"])
+
+
+def flown(rig: Rig, seed: int, duration_s: float, model: Model | None = None) -> Flight:
+    """Fly sines on travel and elevation with a multisine on both motors; 1 kHz, encoders and link included."""
+    random = np.random.default_rng(seed)
+    world = SilWorld(SilOptions(seed=seed), Plant(model or MultibodyModel(), rig))
+    session = Session(InProcessTransport(world))
+    session.connect()
+    travel_deg, travel_s = random.uniform(40.0, 60.0), random.uniform(12.0, 18.0)
+    elevation_deg, elevation_s = random.uniform(6.0, 9.0), random.uniform(7.0, 11.0)
+    with tempfile.TemporaryDirectory() as folder, Heli(session) as heli:
+        path = Path(folder) / "flight.mcap"
+        heli.params["hover_V"] = hover_V(rig)
+        with Recorder(heli, path):
+            heli.take_off()
+            heli.excite(
+                "multisine", EXCITATION_V, EXCITATION_V, start_Hz=0.1, stop_Hz=4.0, duration_s=duration_s
+            )
+            for k in range(round(duration_s / SETPOINT_EVERY_S)):
+                t_s = k * SETPOINT_EVERY_S
+                heli.setpoint(
+                    travel_deg=travel_deg * math.sin(2 * math.pi * t_s / travel_s),
+                    elevation_deg=elevation_deg * math.sin(2 * math.pi * t_s / elevation_s),
+                )
+                heli.wait(SETPOINT_EVERY_S)
+            heli.stop()
+        return Flight.read(path)
+
+
+def thinned(flight: Flight, every: int) -> Flight:
+    """Every so many rows of a flight, each with the mean of the voltages until the next."""
+    rows = len(flight) // every * every
+    mean_V = flight.voltages_V[:rows].reshape(-1, every, 2).mean(axis=1)
+    keep = slice(0, rows, every)
+    return Flight(flight.t_s[keep], mean_V[:, 0], mean_V[:, 1], *flight.angles_rad[keep].T)
