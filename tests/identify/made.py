@@ -20,6 +20,8 @@ from heli_sim.sil.world import SilWorld
 
 SETPOINT_EVERY_S = 0.05
 EXCITATION_V = 0.25
+STILL_AFTER_S = 5.0
+"""By then pitch has stopped swinging on the table."""
 
 
 def perturbed(seed: int, rig: Rig | None = None) -> Rig:
@@ -44,7 +46,7 @@ def hover_V(rig: Rig) -> float:
 
 
 def flown(rig: Rig, seed: int, duration_s: float, model: Model | None = None) -> Flight:
-    """Fly sines on travel and elevation with a multisine on both motors; 1 kHz, encoders and link included."""
+    """Fly sines on travel and elevation with a multisine on both motors: 1 kHz, encoders, link and all."""
     random = np.random.default_rng(seed)
     world = SilWorld(SilOptions(seed=seed), Plant(model or MultibodyModel(), rig))
     session = Session(InProcessTransport(world))
@@ -54,6 +56,7 @@ def flown(rig: Rig, seed: int, duration_s: float, model: Model | None = None) ->
     with tempfile.TemporaryDirectory() as folder, Heli(session) as heli:
         path = Path(folder) / "flight.mcap"
         heli.params["hover_V"] = hover_V(rig)
+        heli.wait(STILL_AFTER_S)
         with Recorder(heli, path):
             heli.take_off()
             heli.excite(

@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 from heli_host.flight import Flight
-
-from heli_sim.identify.kernel import Floats
+from heli_sim.identify.free import PER_FLIGHT
+from heli_sim.identify.functions import Floats
 from heli_sim.identify.noise import correlation_at, normalised
-from heli_sim.identify.problem import PER_FLIGHT, Problem
+from heli_sim.identify.problem import Problem
 from heli_sim.identify.record import AXES, Record
 from heli_sim.identify.solve import Fit, solve
 
@@ -163,7 +163,9 @@ def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str]
         The same parameters on these flights; `check` and `trace` measure it.
     """
     problem = fit.problem
-    shared = {one.quantity: float(v) for one, v in zip(problem.free, fit.theta, strict=True) if one.record is None}
+    shared = {
+        one.quantity: float(v) for one, v in zip(problem.free, fit.theta, strict=True) if one.record is None
+    }
     local = {one.quantity: one.prior for one in problem.free if one.record is not None}
     held_out = Problem(
         problem.model,

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-
-from heli_sim.identify.kernel import Floats
+from heli_sim.identify.functions import Floats
 
 LONGEST_LAG_S: Final = 0.5
 LEAST_SHARE: Final = 0.25
@@ -40,15 +39,16 @@ def autocovariance(residual: Floats, windows: Sequence[slice], lags: int) -> Flo
         products = np.fft.irfft(power, size, axis=0)
         kept = min(lags + 1, len(part))
         total[:kept] += products[:kept]
-    return total / max(1, sum(window.stop - window.start for window in windows))
+    result: Floats = total / max(1, sum(window.stop - window.start for window in windows))
+    return result
 
 
 def inflation(residual: Floats, windows: Sequence[slice], step_s: float) -> Floats:
     """Variance that a sum over many neighbouring residuals has, for each residual in it.
 
     Parameters of the rig move the prediction slowly, so what counts for their standard errors is not the
-    residuals' variance but their spectrum at low frequencies: larger when a count stays for several samples, and
-    much larger when the model is wrong.
+    residuals' variance but their spectrum at low frequencies: larger when a count stays for several samples,
+    and much larger when the model is wrong.
 
     Parameters
     ----------

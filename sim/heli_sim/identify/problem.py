@@ -9,46 +9,17 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 from heli_host.flight import Flight
-
 from heli_sim.errors import IdentifyError
-from heli_sim.identify.kernel import Floats, kernel
-from heli_sim.identify.record import Grid, Record, make_grid, prepare, window_starts
+from heli_sim.identify.free import PER_FLIGHT, FreeParameter, free_parameters
+from heli_sim.identify.functions import Floats
+from heli_sim.identify.grid import Grid, make_grid, window_starts
+from heli_sim.identify.kernel import kernel
+from heli_sim.identify.record import Record, prepare
 from heli_sim.model.base import Model
 from heli_sim.rig import Prior, Rig
 
-NOT_FREE: Final = frozenset({"g"})
-"""Numbers with a tolerance that no flight needs to find: gravity is known better than any of the masses."""
-
-PER_FLIGHT: Final = ("offset_elevation", "offset_pitch")
-"""Numbers that are another in each flight, because encoders are zeroed each time the board starts."""
-
 _STATE_FIT_S: Final = 0.15
 _LEAD_IN_S: Final = 1.0
-
-
-@dataclass(frozen=True)
-class FreeParameter:
-    """A parameter to be found.
-
-    Parameters
-    ----------
-    name : str
-        Its name; one that is another in each of several flights has the flight's label in brackets.
-    unit : str
-        Its unit.
-    prior : Prior
-        What is known of it before the flight.
-    quantity : str
-        Its name in the model.
-    record : int or None
-        The flight that it belongs to; None for all.
-    """
-
-    name: str
-    unit: str
-    prior: Prior
-    quantity: str
-    record: int | None = None
 
 
 @dataclass(frozen=True)
@@ -125,7 +96,7 @@ class Problem:
     ) -> None:
         self.model = model
         self.rig = rig
-        wanted = _free_parameters(model, rig, free, priors or {})
+        wanted = free_parameters(model, rig, free, priors or {})
         self.records = tuple(
             flight
             if isinstance(flight, Record)
@@ -186,12 +157,16 @@ class Problem:
     @property
     def bounds(self) -> tuple[Floats, Floats]:
         """Lowest and highest values, each of shape (f,)."""
-        return (np.array([one.prior.low for one in self.free]), np.array([one.prior.high for one in self.free]))
+        return (
+            np.array([one.prior.low for one in self.free]),
+            np.array([one.prior.high for one in self.free]),
+        )
 
     @property
     def start(self) -> Floats:
         """Values to start from: those of rig and effects, within the bounds; shape (f,)."""
-        return np.clip(self.base[self._place], *self.bounds)
+        result: Floats = np.clip(self.base[self._place], *self.bounds)
+        return result
 
     def parameters(self, theta: Floats, index: int = 0) -> Floats:
         """Complete a vector of free parameters.
@@ -339,7 +314,9 @@ class Problem:
                 gram[window, axis] = rows.T @ rows
         return Look(residual, gram)
 
-    def jacobian(self, index: int, theta: Floats, states: Floats, *, fine: bool = False) -> tuple[Floats, Floats]:
+    def jacobian(
+        self, index: int, theta: Floats, states: Floats, *, fine: bool = False
+    ) -> tuple[Floats, Floats]:
         """Residuals of a record with all their derivatives.
 
         Parameters
@@ -390,49 +367,6 @@ def _parabola(record: Record, row: int) -> Floats:
     reach = max(3, round(_STATE_FIT_S / record.step_s))
     low, high = max(start, row - reach), min(stop, row + reach + 1)
     time_s = (np.arange(low, high) - row) * record.step_s
-    fit = np.polynomial.polynomial.polyfit(time_s, record.angles_rad[low:high], 2)
-    return np.concatenate((fit[0], fit[1]))
-
-
-def _free_parameters(
-    model: Model, rig: Rig, free: Sequence[str] | None, priors: Mapping[str, Prior]
-) -> tuple[FreeParameter, ...]:
-    known = {quantity.name: quantity for quantity in model.parameters}
-    given = {name: prior for effect in model.effects for name, prior in effect.priors.items()} | dict(priors)
-    if free is None:
-        free = [
-            name
-            for name in known
-            if name in given or (name in rig and rig[name].tolerance > 0 and name not in NOT_FREE)
-        ]
-    parameters = []
-    for name in dict.fromkeys(free):
-        if name not in known:
-            raise IdentifyError(f"the model '{model.name}' has no parameter '{name}'; names: {', '.join(known)}")
-        if name not in given and (name not in rig or rig[name].tolerance == 0):
-            raise IdentifyError(
-                f"nothing is known of '{name}' beforehand; give it a tolerance in the rig file, or fix it"
-            )
-        parameters.append(FreeParameter(name, known[name].unit, given.get(name) or rig_prior(rig, name), name))
-    return tuple(parameters)
-
-
-def rig_prior(rig: Rig, name: str) -> Prior:
-    """Prior of a rig's number.
-
-    Parameters
-    ----------
-    rig : Rig
-        The rig.
-    name : str
-        Name of the number.
-
-    Returns
-    -------
-    Prior
-        Normal, with half the tolerance as its standard deviation; bounded by 0 where the number cannot be
-        negative.
-    """
-    number = rig[name]
-    low = -np.inf if rig.may_be_negative(name) else 0.0
-    return Prior(number.value, 0.5 * number.tolerance, low)
+    fit: Floats = np.polynomial.polynomial.polyfit(time_s, record.angles_rad[low:high], 2)
+    result: Floats = np.concatenate((fit[0], fit[1]))
+    return result

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 from heli_host.flight import Flight
-
 from heli_sim.errors import IdentifyError
-from heli_sim.identify.kernel import Floats, Inputs, Integers
+from heli_sim.identify.functions import Floats
 from heli_sim.rig import Rig
 
 AXES: Final = ("elevation", "pitch", "travel")
@@ -152,7 +151,8 @@ def prepare(
     if not segments:
         why = ", ".join(dict.fromkeys(cut.why for cut in cuts)) or "it is too short"
         raise IdentifyError(
-            f"{label}: no second of free flight in t_s {t_s[0]:g} to {t_s[-1]:g} ({why}); give a longer flight"
+            f"{label}: no second of free flight in t_s {t_s[0]:g} to {t_s[-1]:g} ({why}); "
+            "give a longer flight"
         )
     return record
 
@@ -183,7 +183,8 @@ def _refuse_dead_columns(flight: Flight, label: str, count_rad: Floats) -> None:
         column = getattr(flight, name)
         if not np.any(column):
             raise IdentifyError(
-                f"{label}: {name} is 0 from data row 1 to {rows}; the flight has no voltages, log those that act"
+                f"{label}: {name} is 0 from data row 1 to {rows}; "
+                "the flight has no voltages, log those that act"
             )
         if float(np.ptp(column)) < 1e-9:
             raise IdentifyError(
@@ -228,9 +229,7 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> npt.NDArray[np.bool_
     return cut
 
 
-def _stops(
-    angles_rad: Floats, rig: Rig, step_s: float
-) -> list[tuple[str, npt.NDArray[np.bool_], list[str]]]:
+def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, npt.NDArray[np.bool_], list[str]]]:
     found: list[tuple[str, npt.NDArray[np.bool_], list[str]]] = []
     around = round(_AROUND_STOP_S / step_s)
     names = ("elevation_max", "pitch_max", "travel_max")
@@ -258,7 +257,7 @@ def _segments(
     borders = np.flatnonzero((np.diff(code) != 0) | gap[:-1]) + 1
     edges = [0, *(int(border) for border in borders), len(t_s)]
     segments, cuts = [], []
-    for start, stop in zip(edges[:-1], edges[1:], strict=True):
+    for start, stop in itertools.pairwise(edges):
         why = reasons[code[start] - 1][1] if code[start] else ""
         if not why and stop - start < least:
             why = "too short between cuts"
@@ -267,147 +266,3 @@ def _segments(
         else:
             segments.append((start, stop))
     return tuple(segments), tuple(cuts)
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Windows over a record at one step: what the kernel needs, and what it is compared with.
-
-    Parameters
-    ----------
-    record : Record
-        The flight.
-    inputs : Inputs
-        Voltages of all windows.
-    rows : ndarray of int64 (m,)
-        Row of the flight at the beginning of each step.
-    every : int
-        Rows in a step.
-    """
-
-    record: Record
-    inputs: Inputs
-    rows: Integers
-    every: int
-
-    @property
-    def measured_rad(self) -> Floats:
-        """Angles at the beginning of each step, shape (m, 3)."""
-        return self.record.angles_rad[self.rows]
-
-    @property
-    def slices(self) -> list[slice]:
-        """Steps of each window."""
-        first = self.inputs.first
-        return [slice(int(f), int(f + n)) for f, n in zip(first, self.inputs.steps, strict=True)]
-
-
-def window_starts(record: Record, window_s: float, every: int) -> list[tuple[int, int]]:
-    """Split the free segments into windows of nearly equal length.
-
-    Parameters
-    ----------
-    record : Record
-        The flight.
-    window_s : float
-        Wanted length, s.
-    every : int
-        Each window is a whole number of this many rows.
-
-    Returns
-    -------
-    list of (int, int)
-        First row and number of rows of each window.
-    """
-    windows = []
-    for start, stop in record.segments:
-        blocks = (stop - start) // every
-        count = max(1, round(blocks * every * record.step_s / window_s))
-        edges = np.linspace(0, blocks, count + 1).astype(int)
-        windows += [
-            (start + int(low) * every, int(high - low) * every)
-            for low, high in zip(edges[:-1], edges[1:], strict=True)
-            if high > low
-        ]
-    return windows
-
-
-def make_grid(
-    record: Record,
-    windows: Sequence[tuple[int, int]],
-    every: int,
-    *,
-    longest_step_s: float = 0.01,
-    delay: tuple[str, float] | None = None,
-    dead_zone_V: float | None = None,
-) -> Grid:
-    """Lay a grid of steps over windows.
-
-    Parameters
-    ----------
-    record : Record
-        The flight.
-    windows : sequence of (int, int)
-        First row and number of rows of each window.
-    every : int
-        Rows in a step.
-    longest_step_s : float
-        Longest Runge-Kutta step.
-    delay : (str, float), optional
-        Name and value in s of the parameter that delays the voltages, for models that have one.
-    dead_zone_V : float, optional
-        Voltages below this give no thrust and are lifted to it before they are averaged over a step, so that
-        the thrust of the mean is the mean of the thrust.
-
-    Returns
-    -------
-    Grid
-        The windows with their inputs.
-    """
-    rows = np.concatenate([np.arange(first, first + count, every) for first, count in windows]).astype(np.int64)
-    step_s = record.step_s * every
-    volts, late_s = record.voltages_V, 0.0 if delay is None else delay[1]
-    shaped: list[tuple[str, Floats, Floats]] = []
-    if dead_zone_V is not None and every > 1:
-        below = (volts < dead_zone_V).astype(float)
-        volts = np.maximum(volts, dead_zone_V)
-        shaped.append(("dead_zone", *_ramp(below, record.step_s, rows, every, late_s)))
-    shape = _ramp(volts, record.step_s, rows, every, late_s)
-    if delay is not None:
-        half_s = 0.5 * record.step_s
-        more, less = (_ramp(volts, record.step_s, rows, every, late_s + d_s) for d_s in (half_s, -half_s))
-        shaped.append((delay[0], *((m - n) / (2 * half_s) for m, n in zip(more, less, strict=True))))
-    inputs = Inputs(
-        np.array([count // every for _, count in windows], np.int64),
-        np.array([record.t_s[first] - record.t_s[0] for first, _ in windows]),
-        step_s,
-        *shape,
-        max(1, math.ceil(step_s / longest_step_s - 1e-9)),
-        tuple(shaped),
-    )
-    return Grid(record, inputs, rows, every)
-
-
-def _ramp(volts: Floats, dt: float, rows: Integers, every: int, delay_s: float) -> tuple[Floats, Floats]:
-    """Mean and change over each step, with the integral and the double integral of the delayed voltages."""
-    if every == 1 and delay_s == 0.0:
-        return volts[rows], np.zeros((len(rows), 2))
-    # Before the record the first voltage is taken to have acted.
-    once = np.vstack((np.zeros(2), np.cumsum(volts, axis=0))) * dt
-    twice = np.vstack((np.zeros(2), np.cumsum(0.5 * (once[1:] + once[:-1]), axis=0))) * dt
-
-    def integrals(at: Floats) -> tuple[Floats, Floats]:
-        place = np.clip(at / dt, None, len(volts) - 1e-9)
-        index = np.clip(np.floor(place + 1e-9).astype(int), 0, len(volts) - 1)
-        rest = (place - index)[:, None] * dt
-        return (
-            once[index] + volts[index] * rest,
-            twice[index] + once[index] * rest + 0.5 * volts[index] * rest**2,
-        )
-
-    start = rows * dt - delay_s
-    span = every * dt
-    (a1, a2), (b1, b2) = integrals(start), integrals(start + span)
-    mean = (b1 - a1) / span
-    moment = (0.5 * (a1 + b1) * span - (b2 - a2)) / span**2
-    return mean, 12.0 * moment

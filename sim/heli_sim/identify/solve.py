@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-
 from heli_sim.errors import IdentifyError
-from heli_sim.identify.kernel import Floats
+from heli_sim.identify.functions import Floats
 from heli_sim.identify.noise import balanced, inflation, window_weights
+from heli_sim.identify.normal import bounded_solve, reduce_looks
 from heli_sim.identify.problem import Look, Problem
+from heli_sim.identify.uncertainty import rounding_scatter
 
 _ROUNDS: Final = 8
 """Most updates of the weights."""
@@ -158,9 +159,7 @@ class _Solver:
         return self.evaluations >= self.budget.evaluations or seconds >= self.budget.seconds
 
     def evaluate(self, theta: Floats, states: list[Floats]) -> _Point:
-        looks = [
-            self.problem.look(index, theta, start, fine=self.fine) for index, start in enumerate(states)
-        ]
+        looks = [self.problem.look(index, theta, start, fine=self.fine) for index, start in enumerate(states)]
         self.evaluations += 1
         point = _Point(theta, states, looks)
         point.cost = self.cost(point) if self.variance else math.inf
@@ -175,10 +174,14 @@ class _Solver:
             found = balanced(found, np.mean(look.residual**2, axis=0), grid.record.sigma_rad)
             variance.append(found)
             weights.append(
-                window_weights(look.residual, grid.slices, found) if self.robust else np.ones(len(grid.slices))
+                window_weights(look.residual, grid.slices, found)
+                if self.robust
+                else np.ones(len(grid.slices))
             )
         change = (
-            max(float(np.max(np.abs(new / old - 1))) for new, old in zip(variance, self.variance, strict=True))
+            max(
+                float(np.max(np.abs(new / old - 1))) for new, old in zip(variance, self.variance, strict=True)
+            )
             if self.variance
             else math.inf
         )
@@ -200,30 +203,9 @@ class _Solver:
         return total if math.isfinite(total) else math.inf
 
     def reduce(self, point: _Point) -> tuple[Floats, Floats, list[tuple[Floats, Floats]]]:
-        """Information and gradient of the free parameters, and how the states follow them."""
-        nx, count = self.problem.state_count, len(self.problem.free)
-        information, gradient = np.zeros((count, count)), np.zeros(count)
-        follow = []
-        for index, look in enumerate(point.looks):
-            assert look.gram is not None
-            scale = self.weights[index][:, None] / self.variance[index]
-            normal = np.einsum("wa,waij->wij", scale, look.gram)
-            diagonal = np.arange(nx)
-            own = normal[:, :nx, :nx].copy()
-            coupling = normal[:, :nx, nx:].copy()  # to the parameters, and the gradient as last column
-            if nx > 6:
-                weight = 1.0 / self.problem.state_std**2
-                own[:, diagonal[6:], diagonal[6:]] += weight
-                coupling[:, 6:, -1] += weight * (self.reference[index] - point.states[index])[:, 6:]
-            # A state that a window does not show at all must not make its block singular.
-            own[:, diagonal, diagonal] += 1e-12 * own[:, diagonal, diagonal].max(axis=1, keepdims=True)
-            answer = np.linalg.solve(own, coupling)
-            schur = normal[:, nx:, nx:] - coupling.transpose(0, 2, 1) @ answer
-            columns = self.problem.columns[index]
-            information[np.ix_(columns, columns)] += schur[:, :-1, :-1].sum(axis=0)
-            gradient[columns] += schur[:, :-1, -1].sum(axis=0)
-            follow.append((answer[:, :, -1], answer[:, :, :-1]))
-        return information, gradient, follow
+        return reduce_looks(
+            self.problem, point.looks, point.states, self.reference, self.variance, self.weights
+        )
 
     def step(self, point: _Point) -> tuple[Floats, list[Floats], Floats]:
         """A damped Gauss-Newton step, and the standard errors."""
@@ -231,9 +213,9 @@ class _Solver:
         information, gradient, follow = self.reduce(point)
         weight = 1.0 / problem.prior_std**2
         right = gradient + weight * (problem.prior_mean - point.theta)
-        # Damped in units of the priors: weak combinations of well-known numbers may move that far and no more.
+        # Damped in units of the priors: weak combinations of known numbers may move that far and no more.
         matrix = information + np.diag((1.0 + self.damping) * weight)
-        move = _bounded_solve(matrix, right, *(bound - point.theta for bound in problem.bounds))
+        move = bounded_solve(matrix, right, *(bound - point.theta for bound in problem.bounds))
         states = [
             start + free - np.einsum("wsf,f->ws", slave, move[columns])
             for start, (free, slave), columns in zip(point.states, follow, problem.columns, strict=True)
@@ -241,7 +223,9 @@ class _Solver:
         std = np.sqrt(np.diag(np.linalg.inv(matrix))) if len(move) else np.zeros(0)
         return move, states, std
 
-    def descend(self, point: _Point, stage: str, share: tuple[float, float], most: int = 30) -> tuple[_Point, bool]:
+    def descend(
+        self, point: _Point, stage: str, share: tuple[float, float], most: int = 30
+    ) -> tuple[_Point, bool]:
         """Step until steps are small."""
         growth = 2.0
         for number in range(most):
@@ -280,16 +264,17 @@ def solve(
 ) -> Fit:
     """Fit the free parameters and the windows' initial states.
 
-    The squares of each axis are divided by their variance as `noise.inflation` estimates it from the residuals
-    themselves, so that standard errors stay honest when the model is wrong or a count stands for many samples.
+    The squares of each axis are divided by their variance as `noise.inflation` estimates it from the
+    residuals themselves, so that standard errors stay honest when the model is wrong or a count stands for
+    many samples.
 
     Parameters
     ----------
     problem : Problem
         What to fit.
     start : Fit or Mapping[str, float], optional
-        Where to start: an earlier fit, perhaps of another problem, or values by name; unknown names are passed
-        over.
+        Where to start: an earlier fit, perhaps of another problem, or values by name; unknown names are
+        passed over.
     budget : Budget, optional
         What it may cost.
     robust : bool
@@ -315,13 +300,17 @@ def solve(
     point = solver.evaluate(theta, states)
     solver.reweight(point)
     if not math.isfinite(point.cost):
-        raise IdentifyError("the model's free run diverges from the start values; check the rig's numbers and units")
+        raise IdentifyError(
+            "the model's free run diverges from the start values; check the rig's numbers and units"
+        )
     rounds = _ROUNDS
     converged = True
     for number in range(rounds):
         share = (0.6 * number / rounds, 0.6 * (number + 1) / rounds)
         # Far from the answer the weights are rough: only the last rounds need small steps.
-        point, finished = solver.descend(point, f"coarse fit, round {number + 1}", share, most=4 if number < 3 else 30)
+        point, finished = solver.descend(
+            point, f"coarse fit, round {number + 1}", share, most=4 if number < 3 else 30
+        )
         converged = finished
         change = solver.reweight(point)
         if not finished or (number >= 2 and change < _SETTLED):
@@ -355,7 +344,13 @@ def _result(solver: _Solver, point: _Point, converged: bool) -> Fit:
     problem = solver.problem
     information, _, _ = solver.reduce(point)
     weight = np.diag(1.0 / problem.prior_std**2)
-    covariance = np.linalg.inv(information + weight) if len(problem.free) else np.zeros((0, 0))
+    covariance: Floats = np.linalg.inv(information + weight)
+    if solver.fine and len(problem.free):
+        scatter = rounding_scatter(
+            problem, point.theta, point.states, solver.variance, solver.weights, covariance
+        )
+        wider = np.maximum(1.0, scatter / np.sqrt(np.diag(covariance)))
+        covariance = covariance * np.outer(wider, wider)
     low, high = problem.bounds
     bound = (point.theta <= low) | (point.theta >= high)
     return Fit(
@@ -372,21 +367,3 @@ def _result(solver: _Solver, point: _Point, converged: bool) -> Fit:
         time.perf_counter() - solver.started_s,
         converged,
     )
-
-
-def _bounded_solve(matrix: Floats, right: Floats, low: Floats, high: Floats) -> Floats:
-    """Solve a positive definite system; what leaves its bounds is put on them, and the rest solved again."""
-    move = np.zeros(len(right))
-    fixed = np.zeros(len(right), bool)
-    for _ in range(len(right) + 1):
-        loose = ~fixed
-        if not loose.any():
-            break
-        rest = right[loose] - matrix[np.ix_(loose, fixed)] @ move[fixed]
-        move[loose] = np.linalg.solve(matrix[np.ix_(loose, loose)], rest)
-        outside = loose & ((move < low) | (move > high))
-        if not outside.any():
-            break
-        move[outside] = np.clip(move[outside], low[outside], high[outside])
-        fixed |= outside
-    return move
