@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 from heli_host.flight import Flight
+
 from heli_sim.identify.free import PER_FLIGHT
 from heli_sim.identify.functions import Floats
 from heli_sim.identify.noise import correlation_at, normalised

@@ -9,6 +9,7 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
+
 from heli_sim.compiled import c_source
 from heli_sim.errors import PlantError
 from heli_sim.identify.functions import Floats, Functions, Inputs

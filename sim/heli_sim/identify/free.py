@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+
 from heli_sim.errors import IdentifyError
 from heli_sim.model.base import Model
 from heli_sim.rig import Prior, Rig

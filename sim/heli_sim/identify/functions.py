@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
+
 from heli_sim.model.base import Model
 
 Floats = npt.NDArray[np.float64]

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
 from heli_sim.identify.functions import Floats, Inputs, Integers
 from heli_sim.identify.record import Record
 

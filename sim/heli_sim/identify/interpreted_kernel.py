@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 import numpy as np
+
 from heli_sim.identify.functions import Floats, Functions, Inputs, Integers
 
 

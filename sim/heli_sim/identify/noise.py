@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+
 from heli_sim.identify.functions import Floats
 
 LONGEST_LAG_S: Final = 0.5

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+
 from heli_sim.identify.functions import Floats
 from heli_sim.identify.problem import Look, Problem
 

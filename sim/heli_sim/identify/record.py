@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 from heli_host.flight import Flight
+
 from heli_sim.errors import IdentifyError
 from heli_sim.identify.functions import Floats
 from heli_sim.rig import Rig

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
 from heli_sim.errors import IdentifyError
 from heli_sim.identify.normal import reduce_looks
 from heli_sim.identify.problem import Problem

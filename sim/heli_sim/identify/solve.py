@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+
 from heli_sim.errors import IdentifyError
 from heli_sim.identify.functions import Floats
 from heli_sim.identify.noise import balanced, inflation, window_weights

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+
 from heli_sim.identify.functions import Floats
 from heli_sim.identify.problem import Problem
 
