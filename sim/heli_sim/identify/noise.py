@@ -10,7 +10,7 @@ import numpy as np
 from heli_sim.identify.functions import Floats
 
 LONGEST_LAG_S: Final = 0.5
-LEAST_SHARE: Final = 0.25
+LEAST_SHARE: Final = 0.5
 OUTLIER: Final = 3.0
 """A window whose rms residual is this many times the median window's loses weight."""
 
@@ -78,8 +78,8 @@ def balanced(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floats
 
     Where a model is wrong, dividing each axis by its own error rewards the axis that the free initial states
     can hide the error in (travel) and gives up the one that shows it (pitch): on measured flights pitch came
-    out twice as far off. So no axis' variance, in rad^2, is taken to be less than a quarter of the
-    largest that is not explained by rounding.
+    out twice as far off. So no axis' variance, in rad^2, is taken to be less than half of the largest
+    that is not explained by rounding.
 
     Parameters
     ----------

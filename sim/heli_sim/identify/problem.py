@@ -359,7 +359,8 @@ class Problem:
         grid = make_grid(record, [(row, rows)], 1, delay=self._shape(parameters)[0])
         start = np.zeros((1, self.state_count))
         start[0, :6] = _parabola(record, row)
-        return self.kernel.end(grid.inputs, start, parameters)[0]
+        end: Floats = self.kernel.end(grid.inputs, start, parameters)[0]
+        return end
 
 
 def _parabola(record: Record, row: int) -> Floats:

@@ -24,6 +24,8 @@ _TAKE_OFF_DEG: Final = 10.0
 """A take-off or landing is over only this far above the table."""
 _SETTLE_S: Final = 1.0
 _STOP_MARGIN_DEG: Final = 1.0
+_MOST_UNSURE_DEG: Final = 3.0
+"""A stop that is less sure than this is taken to be where the rig file has it."""
 _AROUND_STOP_S: Final = 0.3
 _LEAST_COUNTS: Final = 10
 """An axis that moved less than this has not moved."""
@@ -211,7 +213,9 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> npt.NDArray[np.bool_
     at_rest = float(np.ptp(elevation_deg[:rest])) < 0.1
     if at_rest and start_deg < elevation_deg.min() + 1.0 and start_deg < np.median(elevation_deg) - 10.0:
         table_deg = max(table_deg, start_deg)
-    contact = elevation_deg < table_deg + rig["elevation_min"].tolerance + _TABLE_MARGIN_DEG
+    contact = (
+        elevation_deg < table_deg + min(rig["elevation_min"].tolerance, _MOST_UNSURE_DEG) + _TABLE_MARGIN_DEG
+    )
     if not contact.any():
         return contact
     clear = elevation_deg > table_deg + _TAKE_OFF_DEG
@@ -237,7 +241,7 @@ def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, npt.N
     for index, (axis, name) in enumerate(zip(AXES, names, strict=True)):
         stop, degrees = rig[name], np.rad2deg(angles_rad[:, index])
         beyond = degrees if axis == "elevation" else np.abs(degrees)
-        at_stop = beyond > stop.value - stop.tolerance - _STOP_MARGIN_DEG
+        at_stop = beyond > stop.value - min(stop.tolerance, _MOST_UNSURE_DEG) - _STOP_MARGIN_DEG
         if not at_stop.any():
             continue
         if beyond.max() > stop.value + stop.tolerance + 5.0:

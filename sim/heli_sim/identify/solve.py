@@ -332,7 +332,7 @@ def _start(problem: Problem, start: Fit | Mapping[str, float] | None) -> tuple[F
     for index, name in enumerate(problem.names):
         if name in given:
             theta[index] = given[name]
-    theta = np.clip(theta, *problem.bounds)
+    theta = np.clip(theta, *problem.bounds).astype(np.float64)
     states = problem.first_states(theta)
     if isinstance(start, Fit) and len(start.states) == len(states):
         for own, old in zip(states, start.states, strict=True):
@@ -345,7 +345,7 @@ def _result(solver: _Solver, point: _Point, converged: bool) -> Fit:
     problem = solver.problem
     information, _, _ = solver.reduce(point)
     weight = np.diag(1.0 / problem.prior_std**2)
-    covariance: Floats = np.linalg.inv(information + weight)
+    covariance: Floats = np.linalg.inv(information + weight).astype(np.float64)
     if solver.fine and len(problem.free):
         scatter = rounding_scatter(
             problem, point.theta, point.states, solver.variance, solver.weights, covariance
