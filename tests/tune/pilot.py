@@ -6,6 +6,7 @@ flies is the flight code behind the simulated line, as any host would.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -102,13 +103,13 @@ def fly(
     ask(lambda number: d.HelloMessage(number, d.LINK_HASH, 7))
     index = {one.name: one.index for one in d.PARAMS}
     for name, value in (parameters or {}).items():
-        ask(lambda number, name=name, value=value: d.ParamSetMessage(number, index[name], value))
+        ask(functools.partial(_param_set, index[name], value))
     ask(d.ArmMessage)
     start_tick = world.tick
     first = send(d.ControlMessage(request + 1, 7, 0.0, 0.0))
     world.native.locked = [False, False, False]
     ticks = np.arange(0, round(1e3 * duration_s), INTERVAL_TICKS)
-    targets_rad = np.radians(path_deg((ticks + LEAD_TICKS) * 1e-3)).tolist()
+    targets_rad = np.radians(path_deg((ticks + LEAD_TICKS).astype(np.float64) * 1e-3)).tolist()
     # The board counts its own ticks from its start, the world from its own.
     for tick, target_rad in zip(ticks.tolist(), targets_rad, strict=True):
         message = d.SetpointMessage(start_tick + tick + LEAD_TICKS, *target_rad)
@@ -118,12 +119,16 @@ def fly(
     return _decoded(b"".join(received), start_tick, path_deg, duration_s)
 
 
+def _param_set(index: int, value: float, request: int) -> d.ParamSetMessage:
+    return d.ParamSetMessage(request, index, value)
+
+
 def _decoded(data: bytes, start_tick: int, path_deg: Callable[[Floats], Floats], duration_s: float) -> Flown:
     frames = FrameParser().feed(data)
     telemetry = TelemetryDecoder().decode([f.payload for f in frames if f.id == d.MessageId.TELEMETRY])
     tick = telemetry.tick.astype(np.int64) - start_tick
     keep = (tick >= 0) & (tick < round(1e3 * duration_s))
-    t_s, values = tick[keep] * 1e-3, telemetry.raw[keep] * _SCALES
+    t_s, values = tick[keep].astype(np.float64) * 1e-3, telemetry.raw[keep] * _SCALES
     return Flown(
         t_s,
         values[:, 0:3] * 360.0 / 4096.0,

@@ -136,6 +136,10 @@ def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
     state[0] = elevation_rad
     # Any voltage above the dead zone: the static curve is nearly straight from there on.
     volts_V = np.full(2, rig["dead_zone"].value + 1.0)
+    if count > 6:
+        # A thrust that lags must not start from none: at no thrust, pitch moves nothing.
+        at = derivatives(model, rig, state, volts_V)
+        state[6:] -= np.linalg.lstsq(at.A[6:, 6:], at.rates[6:], rcond=None)[0]
     for _ in range(_ITERATIONS):
         at = derivatives(model, rig, state, volts_V)
         residual = at.rates[3:]
