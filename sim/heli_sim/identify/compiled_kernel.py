@@ -109,10 +109,22 @@ static void advance(const Row* row, double c, double share, double t, double h, 
   }
 }
 
+/* Adds the products of one axis' row [derivatives | residual]; the lower triangle is filled at the end. */
+static void add_products(const double* row, double* gram) {
+  for (int i = 0; i <= NZ; ++i) {
+    const double value = row[i];
+    double* target = gram + i * (NZ + 1);
+    for (int j = i; j <= NZ; ++j) target[j] += value * row[j];
+  }
+}
+
 void heli_windows(long long windows, const long long* first, const long long* steps, const double* start_s,
                   double step_s, long long substeps, const double* mean, const double* change,
                   const double** mean_by, const double** change_by, const double* x0,
-                  const double* p, double* angles, double* jacobian, double* end) {
+                  const double* p, double* angles, double* jacobian, double* end,
+                  const double* measured, const double* sigma, double* gram) {
+  double derivatives[3][NZ], products[NZ + 1];
+  const int with = jacobian != 0 || gram != 0;
   const double share = 1.0 / (double)substeps, h = step_s * share;
   double s[NX][NZ];
   for (long long w = 0; w < windows; ++w) {
@@ -128,9 +140,21 @@ void heli_windows(long long windows, const long long* first, const long long* st
         row.change_by[j] = change_by[j] ? change_by[j] + 2 * r : 0;
       }
       const double t = start_s[w] + (double)k * step_s;
-      look(&row, t, p, x, s, angles + 3 * r, jacobian ? jacobian + 3 * NZ * r : 0);
+      look(&row, t, p, x, s, angles + 3 * r, with ? derivatives[0] : 0);
+      if (jacobian) memcpy(jacobian + 3 * NZ * r, derivatives, sizeof(derivatives));
+      for (int axis = 0; gram && axis < 3; ++axis) {
+        for (int j = 0; j < NZ; ++j) products[j] = derivatives[axis][j] / sigma[axis];
+        products[NZ] = (measured[3 * r + axis] - angles[3 * r + axis]) / sigma[axis];
+        add_products(products, gram + (3 * w + axis) * (NZ + 1) * (NZ + 1));
+      }
       for (long long m = 0; m < substeps; ++m) {
-        advance(&row, (double)m * share, share, t + (double)m * h, h, p, x, jacobian ? s : 0);
+        advance(&row, (double)m * share, share, t + (double)m * h, h, p, x, with ? s : 0);
+      }
+    }
+    for (int axis = 0; gram && axis < 3; ++axis) {
+      double* target = gram + (3 * w + axis) * (NZ + 1) * (NZ + 1);
+      for (int i = 0; i <= NZ; ++i) {
+        for (int j = 0; j < i; ++j) target[i * (NZ + 1) + j] = target[j * (NZ + 1) + i];
       }
     }
   }
@@ -240,8 +264,39 @@ class CompiledKernel:
         jacobian : ndarray (n, 3, states + free) or None
             Their derivatives.
         """
-        angles, jacobian, _ = self._call(inputs, start, parameters, derivatives)
+        jacobian = np.empty((inputs.rows, 3, self._sizes[1])) if derivatives else None
+        angles, _ = self._call(inputs, start, parameters, jacobian, None)
         return angles, jacobian
+
+    def products(
+        self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
+    ) -> tuple[Floats, Floats]:
+        """Run every window and multiply up what the normal equations need; see `Kernel.products`.
+
+        Parameters
+        ----------
+        inputs : Inputs
+            What drives the windows.
+        start : ndarray (w, states)
+            Initial states.
+        parameters : ndarray (p,)
+            All parameters of the model.
+        measured_rad : ndarray (n, 3)
+            Angles to compare with.
+        sigma_rad : ndarray (3,)
+            Unit of the residuals.
+
+        Returns
+        -------
+        angles_rad : ndarray (n, 3)
+            Measured angles at the beginning of each step.
+        gram : ndarray (w, 3, states + free + 1, states + free + 1)
+            Products of the columns of [Jacobian | residual] of each window and axis.
+        """
+        size = self._sizes[1] + 1
+        gram = np.zeros((len(inputs.steps), 3, size, size))
+        angles, _ = self._call(inputs, start, parameters, None, (measured_rad, sigma_rad, gram))
+        return angles, gram
 
     def end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
         """Run every window and return the states at their ends; see `Kernel.end`.
@@ -260,16 +315,23 @@ class CompiledKernel:
         ndarray (w, states)
             State after each window's last step.
         """
-        return self._call(inputs, start, parameters, False)[2]
+        return self._call(inputs, start, parameters, None, None)[1]
 
     def _call(
-        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool
-    ) -> tuple[Floats, Floats | None, Floats]:
-        states, columns = self._sizes
+        self,
+        inputs: Inputs,
+        start: Floats,
+        parameters: Floats,
+        jacobian: Floats | None,
+        products: tuple[Floats, Floats, Floats] | None,
+    ) -> tuple[Floats, Floats]:
+        states = self._sizes[0]
         windows = len(inputs.steps)
         angles = np.empty((inputs.rows, 3))
-        jacobian = np.empty((inputs.rows, 3, columns)) if derivatives else None
         end = np.empty((windows, states))
+        measured, sigma, gram = (None, None, None) if products is None else products
+        if measured is not None and sigma is not None:
+            measured, sigma = np.ascontiguousarray(measured, float), np.ascontiguousarray(sigma, float)
         mean, change = np.ascontiguousarray(inputs.mean_V), np.ascontiguousarray(inputs.change_V)
         given = {name: arrays for name, *arrays in inputs.shaped_by}
         kept = [[np.ascontiguousarray(a) for a in given.get(name, ())] for name in self._shaping]
@@ -296,6 +358,9 @@ class CompiledKernel:
                 ctypes.c_void_p(angles.ctypes.data),
                 None if jacobian is None else ctypes.c_void_p(jacobian.ctypes.data),
                 ctypes.c_void_p(end[low:].ctypes.data),
+                None if measured is None else ctypes.c_void_p(measured.ctypes.data),
+                None if sigma is None else ctypes.c_void_p(sigma.ctypes.data),
+                None if gram is None else ctypes.c_void_p(gram[low:].ctypes.data),
             )
 
         # The call releases Python's lock. Threads pay from a few hundred steps on.
@@ -307,4 +372,4 @@ class CompiledKernel:
                 other = pool.submit(part, half, windows)
                 part(0, half)
                 other.result()
-        return angles, jacobian, end
+        return angles, end

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 
 import casadi as ca
@@ -47,6 +48,39 @@ class InterpretedKernel:
         """
         angles, jacobian, _ = self._loop(inputs, start, parameters, derivatives)
         return angles, jacobian
+
+    def products(
+        self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
+    ) -> tuple[Floats, Floats]:
+        """Run every window and multiply up what the normal equations need; see `Kernel.products`.
+
+        Parameters
+        ----------
+        inputs : Inputs
+            What drives the windows.
+        start : ndarray (w, states)
+            Initial states.
+        parameters : ndarray (p,)
+            All parameters of the model.
+        measured_rad : ndarray (n, 3)
+            Angles to compare with.
+        sigma_rad : ndarray (3,)
+            Unit of the residuals.
+
+        Returns
+        -------
+        angles_rad : ndarray (n, 3)
+            Measured angles at the beginning of each step.
+        gram : ndarray (w, 3, states + free + 1, states + free + 1)
+            Products of the columns of [Jacobian | residual] of each window and axis.
+        """
+        angles, jacobian, _ = self._loop(inputs, start, parameters, True)
+        assert jacobian is not None
+        columns = np.concatenate((jacobian, (measured_rad - angles)[:, :, None]), axis=2)
+        columns /= sigma_rad[:, None]
+        edges = np.append(inputs.first, inputs.rows)
+        parts = [columns[low:high].transpose(1, 0, 2) for low, high in itertools.pairwise(edges)]
+        return angles, np.array([part.transpose(0, 2, 1) @ part for part in parts])
 
     def end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
         """Run every window and return the states at their ends; see `Kernel.end`.

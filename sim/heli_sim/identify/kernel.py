@@ -45,6 +45,33 @@ class Kernel(Protocol):
         """
         ...
 
+    def products(
+        self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
+    ) -> tuple[Floats, Floats]:
+        """Run every window and multiply up what the normal equations need.
+
+        Parameters
+        ----------
+        inputs : Inputs
+            What drives the windows.
+        start : ndarray (w, states)
+            Initial states.
+        parameters : ndarray (p,)
+            All parameters of the model.
+        measured_rad : ndarray (n, 3)
+            Angles to compare with.
+        sigma_rad : ndarray (3,)
+            Unit of the residuals.
+
+        Returns
+        -------
+        angles_rad : ndarray (n, 3)
+            Measured angles at the beginning of each step.
+        gram : ndarray (w, 3, states + free + 1, states + free + 1)
+            For each window and axis, products of the columns of [Jacobian | residual], both over sigma.
+        """
+        ...
+
     def end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
         """Run every window and return the states at their ends.
 

@@ -299,21 +299,13 @@ class Problem:
             Residuals, and what a Gauss-Newton step needs.
         """
         grid = self.grid(index, fine, theta)
-        angles, jacobian = self.kernel.run(grid.inputs, states, self.parameters(theta, index), derivatives)
-        sigma = grid.record.sigma_rad
-        residual = (grid.measured_rad - angles) / sigma
-        if jacobian is None:
-            return Look(residual, None)
-        columns = jacobian.shape[2]
-        gram = np.empty((len(states), 3, columns + 1, columns + 1))
-        block = np.empty((int(grid.inputs.steps.max()), columns + 1))
-        for window, part in enumerate(grid.slices):
-            rows = block[: part.stop - part.start]
-            for axis in range(3):
-                np.divide(jacobian[part, axis], sigma[axis], out=rows[:, :columns])
-                rows[:, columns] = residual[part, axis]
-                gram[window, axis] = rows.T @ rows
-        return Look(residual, gram)
+        sigma, parameters = grid.record.sigma_rad, self.parameters(theta, index)
+        gram: Floats | None = None
+        if derivatives:
+            angles, gram = self.kernel.products(grid.inputs, states, parameters, grid.measured_rad, sigma)
+        else:
+            angles, _ = self.kernel.run(grid.inputs, states, parameters, False)
+        return Look((grid.measured_rad - angles) / sigma, gram)
 
     def jacobian(
         self, index: int, theta: Floats, states: Floats, *, fine: bool = False

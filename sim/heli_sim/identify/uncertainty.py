@@ -64,7 +64,7 @@ def rounding_scatter(
             scale = np.sqrt(weights[index][window] / variance[index])[:, None]
             rows = (jacobian[part] * scale).reshape(-1, jacobian.shape[2])
             own, shared = rows[:, :nx], rows[:, nx:]
-            rest = shared - own @ np.linalg.lstsq(own, shared, rcond=None)[0]
+            rest = shared - own @ (np.linalg.pinv(own.T @ own, hermitian=True) @ (own.T @ shared))
             scores[:, problem.columns[index]] += (errors[:, part] * scale[:, 0]).reshape(_PHASES, -1) @ rest
     prior = np.diag(1.0 / problem.prior_std**2)
     spread = covariance @ (scores.T @ scores / _PHASES + prior) @ covariance

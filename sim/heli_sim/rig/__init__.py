@@ -5,5 +5,16 @@ from __future__ import annotations
 from heli_sim.rig.quantity import Prior, Quantity
 from heli_sim.rig.rig import Number, Rig, load_rig, rig_names
 from heli_sim.rig.schema import RIG_QUANTITIES
+from heli_sim.rig.write import rig_text, write_rig
 
-__all__ = ["RIG_QUANTITIES", "Number", "Prior", "Quantity", "Rig", "load_rig", "rig_names"]
+__all__ = [
+    "RIG_QUANTITIES",
+    "Number",
+    "Prior",
+    "Quantity",
+    "Rig",
+    "load_rig",
+    "rig_names",
+    "rig_text",
+    "write_rig",
+]

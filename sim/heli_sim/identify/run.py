@@ -1,0 +1,107 @@
+"""Identification from beginning to end: flights in, a rig with uncertainties out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+from heli_host.flight import Flight
+
+from heli_sim.errors import IdentifyError
+from heli_sim.identify.check import check, trace, validate
+from heli_sim.identify.problem import Problem
+from heli_sim.identify.record import Record, prepare
+from heli_sim.identify.result import Identification
+from heli_sim.identify.solve import Budget, Progress, solve
+from heli_sim.model.base import Model
+from heli_sim.rig import Rig
+
+
+def identify(
+    model: Model,
+    rig: Rig,
+    flights: Sequence[Flight | Record],
+    *,
+    validation: Sequence[Flight | Record] = (),
+    free: Sequence[str] | None = None,
+    labels: Sequence[str] | None = None,
+    validation_labels: Sequence[str] | None = None,
+    start_s: float | None = None,
+    stop_s: float | None = None,
+    window_s: float = 2.0,
+    seconds: float = float("inf"),
+    on_progress: Callable[[Progress], None] | None = None,
+) -> Identification:
+    """Find a model's parameters from flights, and measure how good they are.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    rig : Rig
+        Start values and priors.
+    flights : sequence of Flight or Record
+        Flights to fit.
+    validation : sequence of Flight or Record
+        Flights to measure the result on.
+    free : sequence of str, optional
+        Names of the free parameters; see `Problem`.
+    labels, validation_labels : sequence of str, optional
+        Names of the flights.
+    start_s, stop_s : float, optional
+        Fit only this part of each flight.
+    window_s : float
+        Length of the windows that are predicted freely.
+    seconds : float
+        Most time for the fit.
+    on_progress : callable, optional
+        Told where the work is.
+
+    Returns
+    -------
+    Identification
+        Fit and checks.
+
+    Raises
+    ------
+    IdentifyError
+        When nothing can be identified from the flights.
+    """
+    started_s = time.perf_counter()
+    say = on_progress or (lambda _: None)
+    say(Progress("finding the free flight", 0.0, 0.0))
+    records = _prepared(flights, rig, labels, "flight", start_s, stop_s)
+    others = _prepared(validation, rig, validation_labels, "validation", None, None)
+    if any(record is other or record.label == other.label for record in records for other in others):
+        raise IdentifyError("a flight is both fitted and validated on; give another to --validate")
+    problem = Problem(model, rig, records, free=free, window_s=window_s)
+    fit = solve(
+        problem,
+        budget=Budget(seconds=seconds - (time.perf_counter() - started_s)),
+        on_progress=lambda p: say(Progress(p.stage, 0.05 + 0.75 * p.done, p.cost)),
+    )
+    say(Progress("checking", 0.85, fit.cost))
+    held_out = validate(fit, others) if others else None
+    count = range(len(records))
+    return Identification(
+        fit,
+        tuple(check(fit, index) for index in count),
+        tuple(check(held_out, index) for index in range(len(others))) if held_out else (),
+        tuple(trace(fit, index) for index in count),
+        tuple(trace(held_out, index) for index in range(len(others))) if held_out else (),
+    )
+
+
+def _prepared(
+    flights: Sequence[Flight | Record],
+    rig: Rig,
+    labels: Sequence[str] | None,
+    word: str,
+    start_s: float | None,
+    stop_s: float | None,
+) -> list[Record]:
+    names = labels if labels is not None else [f"{word} {number}" for number in range(1, len(flights) + 1)]
+    return [
+        flight if isinstance(flight, Record) else prepare(flight, rig, name, start_s=start_s, stop_s=stop_s)
+        for flight, name in zip(flights, names, strict=True)
+    ]

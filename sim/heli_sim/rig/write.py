@@ -1,0 +1,60 @@
+"""Rigs written as the files that `load_rig` reads."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from pathlib import Path
+
+from heli_sim.rig.rig import Rig
+
+_DIGITS = 7
+
+
+def rig_text(rig: Rig, comment: str = "") -> str:
+    """Spell a rig as TOML.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    comment : str
+        What to say above it.
+
+    Returns
+    -------
+    str
+        The file's content; numbers with seven digits.
+    """
+    lines = [f"# {line}" for line in textwrap.wrap(comment, 108)]
+    lines += [f"name = {_quoted(rig.name)}", f"description = {_quoted(rig.description)}"]
+    for name, number in rig.items():
+        lines += [
+            "",
+            f"[{name}]",
+            f"value = {number.value:.{_DIGITS}g}",
+            f"unit = {_quoted(number.unit)}",
+            f"tolerance = {number.tolerance:.{_DIGITS}g}",
+            f"source = {_quoted(number.source)}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def write_rig(rig: Rig, path: str | Path, comment: str = "") -> None:
+    """Write a rig file.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    path : str or Path
+        File to write.
+    comment : str
+        What to say above it.
+    """
+    Path(path).write_text(rig_text(rig, comment), encoding="utf-8")
+
+
+def _quoted(text: str) -> str:
+    # A JSON string without escaped slashes is a TOML basic string, but for DEL.
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
