@@ -6,6 +6,7 @@ flies is the flight code behind the simulated line, as any host would.
 
 from __future__ import annotations
 
+import copy
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from heli_host.link import declaration as d
 from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.telemetry import TelemetryDecoder
 from heli_sim.plant import Plant
+from heli_sim.rig import Rig
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
@@ -60,6 +62,32 @@ class Flown:
 
     def between(self, start_s: float, stop_s: float) -> npt.NDArray[np.bool_]:
         return (self.t_s >= start_s) & (self.t_s < stop_s)
+
+
+def param_set(index: int, value: float, request: int) -> d.ParamSetMessage:
+    return d.ParamSetMessage(request, index, value)
+
+
+def with_numbers(plant: Plant, rig: Rig, **effects: float) -> Plant:
+    """Another rig, and other numbers of its effects, for the equations that a plant has already compiled.
+
+    Parameters
+    ----------
+    plant : Plant
+        Gives the equations.
+    rig : Rig
+        The rig.
+    effects : float
+        Numbers of the model's effects, by name.
+    """
+    other = copy.copy(plant)
+    other.rig = rig
+    names = [quantity.name for quantity in plant.model.parameters]
+    other.parameters = plant.parameters.copy()
+    other.parameters[: len(names)] = plant.model.parameter_values(rig)
+    for name, value in effects.items():
+        other.parameters[names.index(name)] = value
+    return other
 
 
 def fly(
@@ -116,25 +144,28 @@ def fly(
         received.append(world.advance(INTERVAL_TICKS, first + send(message)))
         first = b""
     received.append(world.advance(40))
-    return _decoded(b"".join(received), start_tick, path_deg, duration_s)
+    counts = 4096.0 * np.array([1.0, 1.0, plant.rig["encoder_travel_ratio"].value])
+    return _decoded(b"".join(received), start_tick, path_deg, duration_s, counts)
 
 
 def _param_set(index: int, value: float, request: int) -> d.ParamSetMessage:
     return d.ParamSetMessage(request, index, value)
 
 
-def _decoded(data: bytes, start_tick: int, path_deg: Callable[[Floats], Floats], duration_s: float) -> Flown:
+def _decoded(
+    data: bytes, start_tick: int, path_deg: Callable[[Floats], Floats], duration_s: float, counts: Floats
+) -> Flown:
     frames = FrameParser().feed(data)
     telemetry = TelemetryDecoder().decode([f.payload for f in frames if f.id == d.MessageId.TELEMETRY])
     tick = telemetry.tick.astype(np.int64) - start_tick
     keep = (tick >= 0) & (tick < round(1e3 * duration_s))
     t_s, values = tick[keep].astype(np.float64) * 1e-3, telemetry.raw[keep] * _SCALES
     return Flown(
-        t_s,
-        values[:, 0:3] * 360.0 / 4096.0,
+        t_s.astype(np.float64),
+        np.asarray(values[:, 0:3] * 360.0 / counts, np.float64),
         np.degrees(values[:, 3:6]),
-        path_deg(t_s),
-        values[:, 6:8],
+        path_deg(t_s.astype(np.float64)),
+        np.asarray(values[:, 6:8], np.float64),
         *(telemetry.raw[keep, column] for column in (8, 9, 10)),
     )
 
@@ -169,8 +200,8 @@ class Marks:
         From when on travel stays within half a degree of the step; the worse of both.
     travel_rms_deg, elevation_rms_deg : float
         Error to the path over the sines.
-    limit_share : float
-        Share of the time at a bound of voltage or pitch setpoint.
+    pitch_setpoint_ripple_deg, volts_ripple_V : float
+        Over the sines: what is left of the pitch setpoint, and of the difference of the voltages, above 2 Hz.
     """
 
     fault: d.Fault

@@ -1,0 +1,153 @@
+"""Margins are what they say: at them, the closed loop begins to grow; and the shaped path is the board's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from heli_sim.errors import OptionError
+from heli_sim.model import MultibodyModel
+from heli_sim.plant import Plant
+from heli_sim.rig import load_rig
+from heli_sim.tune import (
+    Law,
+    LinearPlant,
+    Pid,
+    Spread,
+    is_stable,
+    law_of,
+    linear_plant,
+    loops,
+    margins,
+    paper_gains,
+)
+from heli_sim.tune.plants import spread_plants
+from heli_sim.tune.shaping import shaped_step
+
+from tests.tune.pilot import Floats, fly
+
+GAINS = {
+    "elevation_kp": 0.28,
+    "elevation_ki": 0.49,
+    "elevation_kd": 0.22,
+    "elevation_filter_Hz": 6.0,
+    "pitch_kp": 0.088,
+    "pitch_ki": 0.002,
+    "pitch_kd": 0.025,
+    "pitch_filter_Hz": 16.0,
+    "travel_kp": 0.37,
+    "travel_ki": 0.16,
+    "travel_kd": 4.2,
+    "travel_filter_Hz": 3.0,
+}
+LAW = law_of(GAINS)
+
+
+@pytest.fixture(scope="module")
+def lagging() -> LinearPlant:
+    return linear_plant(load_rig("makki2024"), 0.12)
+
+
+def scaled(pid: Pid, factor: float) -> Pid:
+    return replace(pid, kp=factor * pid.kp, ki=factor * pid.ki, kd=factor * pid.kd)
+
+
+def with_gain(loop: str, factor: float) -> Law:
+    """The law with the gain of one cut loop changed: the differential's cut is in front of both its parts."""
+    axis = {"differential": "pitch"}.get(loop, loop)
+    return replace(LAW, **{axis: scaled(getattr(LAW, axis), factor)})
+
+
+@pytest.mark.parametrize("loop", ["elevation", "travel", "differential"])
+def test_a_loop_is_stable_up_to_its_gain_margin_and_not_beyond(lagging: LinearPlant, loop: str) -> None:
+    most = margins(lagging, LAW)[loop].gain_up
+    # The state space leaves the millisecond of sampling out, the frequency response has it.
+    assert is_stable(lagging, with_gain(loop, 0.97 * most))
+    assert not is_stable(lagging, with_gain(loop, 1.06 * most))
+
+
+def test_the_pitch_loop_alone_is_stable_up_to_its_gain_margin(lagging: LinearPlant) -> None:
+    most = margins(lagging, LAW)["pitch"].gain_up
+
+    def slowest(factor: float) -> float:
+        closed = loops.tilt_closed(lagging, scaled(LAW.pitch, factor), Pid(0.0, 0.0, 0.0, 3.0))
+        growth = np.sort(np.linalg.eigvals(closed).real)
+        # Travel itself is an integrator, and so is the integral of its error, which nothing uses here.
+        return float(growth[growth < -1e-6].max() if growth.max() < 1e-6 else growth.max())
+
+    assert slowest(0.97 * most) < 0.0 < slowest(1.06 * most)
+
+
+@pytest.mark.parametrize("loop", loops.LOOPS)
+def test_a_delay_of_the_delay_margin_puts_the_loop_on_minus_one(lagging: LinearPlant, loop: str) -> None:
+    found = margins(lagging, LAW)[loop]
+    frequency = np.geomspace(0.02, 300.0, 20_000)
+    response = loops.open_loops(lagging, LAW, frequency)[loop]
+
+    def distance(delay_s: float) -> float:
+        return float(np.min(np.abs(1.0 + response * np.exp(-1j * frequency * delay_s))))
+
+    assert distance(found.delay_s) < 0.01
+    assert distance(0.0) == pytest.approx(1.0 / found.sensitivity, rel=1e-3)
+    assert distance(0.5 * found.delay_s) > 0.02
+
+
+def test_peak_sensitivity_bounds_the_other_margins(lagging: LinearPlant) -> None:
+    for margin in margins(lagging, LAW).values():
+        peak = margin.sensitivity
+        assert margin.gain_up >= peak / (peak - 1.0) - 1e-6
+        assert margin.phase_deg >= np.degrees(2.0 * np.arcsin(0.5 / peak)) - 0.1
+
+
+def test_the_spread_begins_with_the_rig_itself_at_every_lag() -> None:
+    spread = Spread(lag_s=(0.0, 0.1), thrust=0.2, counterweight=0.03)
+    plants = spread_plants(load_rig("makki2024"), spread)
+    assert [(p.lag_s, p.thrust, p.counterweight) for p in plants[:2]] == [(0.0, 1.0, 1.0), (0.1, 1.0, 1.0)]
+    assert len(plants) == 2 + 2 * 2 * 2
+    # A heavier counterweight takes the load off the rotors, and with it the pull that moves travel.
+    light, heavy = plants[2], plants[3]
+    assert heavy.hover_V < light.hover_V
+    assert heavy.travel_gain < light.travel_gain
+
+
+@pytest.mark.parametrize(("axis", "size_deg"), [(2, 15.0), (2, -40.0), (0, 6.0)])
+def test_the_shaped_step_is_the_path_that_the_board_flies(axis: int, size_deg: float) -> None:
+    slew, acceleration = (20.0, 5.0) if axis == 2 else (15.0, 30.0)
+    limits = {
+        "travel_slew_deg_s": 20.0,
+        "travel_acceleration_deg_s2": 5.0,
+        "elevation_slew_deg_s": 15.0,
+        "elevation_acceleration_deg_s2": 30.0,
+    }
+
+    def path_deg(t_s: Floats) -> Floats:
+        out = np.zeros((t_s.size, 3))
+        out[t_s >= 4.0, axis] = size_deg
+        return out
+
+    flown = fly(Plant(MultibodyModel(), load_rig("makki2024")), path_deg, 9.5, GAINS | limits)
+    setpoint_deg = flown.setpoint_deg[:, axis]
+    start = 3500 + int(np.argmax(np.abs(setpoint_deg[3500:] - setpoint_deg[3500]) > 2e-3))
+    expected = shaped_step(size_deg, slew, acceleration, 5.0, 0.001)[:, 0]
+    # The host's target is a ramp over its lead of 0.1 s, not a step: the same path, a little later.
+    shifts = [
+        np.abs(setpoint_deg[start + shift : start + shift + 5000] - expected).max()
+        for shift in range(-40, 130, 2)
+    ]
+    assert min(shifts) < 0.02 * abs(size_deg)
+
+
+def test_table_6_is_printed_and_corrected_by_exchanging_P_and_I_of_travel() -> None:
+    printed, corrected = paper_gains("printed"), paper_gains("corrected")
+    assert (printed["travel_kp"], printed["travel_ki"]) == (corrected["travel_ki"], corrected["travel_kp"])
+    assert {key for key in printed if printed[key] != corrected[key]} == {"travel_kp", "travel_ki"}
+    with pytest.raises(OptionError, match="printed or corrected"):
+        paper_gains("improved")
+
+
+def test_the_printed_travel_row_is_unstable_and_the_corrected_one_flies_without_lag() -> None:
+    rig = load_rig("makki2024")
+    assert not is_stable(linear_plant(rig), law_of(paper_gains("printed")))
+    assert is_stable(linear_plant(rig), law_of(paper_gains("corrected")))
+    assert not is_stable(linear_plant(rig, 0.12), law_of(paper_gains("corrected")))

@@ -1,0 +1,128 @@
+"""What the project promises of its gains, flown: with encoders, drivers and a line, with and without lag."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from heli_host.link.declaration import Fault
+from heli_sim.errors import PlantError
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import RotorLag
+from heli_sim.plant import Plant
+from heli_sim.rig import Rig, load_rig
+from heli_sim.tune import LOOPS, Design, find_gains, margins
+from heli_sim.tune.loops import open_loops, peak_sensitivity
+
+from tests.tune.pilot import END_S, SINE_S, Marks, demanding_path_deg, fly, marks_of, with_numbers
+
+RIGS = 200
+
+
+@functools.cache
+def designed() -> Design:
+    return find_gains(load_rig("makki2024"))
+
+
+@functools.cache
+def lagging_plant() -> Plant:
+    return Plant(MultibodyModel((RotorLag(0.12),)), load_rig("makki2024"))
+
+
+@functools.cache
+def flown(lag_s: float) -> Marks:
+    plant = lagging_plant() if lag_s else Plant(MultibodyModel(), load_rig("makki2024"))
+    return marks_of(fly(plant, demanding_path_deg, END_S, designed().parameters))
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.12])
+def test_take_off_reaches_level_within_half_a_degree_in_3_5_s(lag_s: float) -> None:
+    assert flown(lag_s).fault == Fault.NONE
+    assert flown(lag_s).take_off_s <= 3.5
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.12])
+def test_a_travel_step_of_15_degrees_overshoots_by_a_tenth_at_most_and_settles_in_5_s(lag_s: float) -> None:
+    assert flown(lag_s).overshoot <= 0.10
+    assert flown(lag_s).settled_s <= 5.0
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.12])
+def test_sines_are_followed_to_a_degree_of_travel_and_0_4_of_elevation(lag_s: float) -> None:
+    assert flown(lag_s).travel_rms_deg <= 1.0
+    assert flown(lag_s).elevation_rms_deg <= 0.4
+
+
+def random_rig(seed: int) -> tuple[Rig, float]:
+    """Thrust within 20 %, every mass within 3 %, friction from half to double, lag up to 0.15 s."""
+    random, rig = np.random.default_rng(seed), load_rig("makki2024")
+    values = {name: rig[name].value * (1 + random.uniform(-0.03, 0.03)) for name in rig if name[:2] == "M_"}
+    values["thrust_gain"] = rig["thrust_gain"].value * (1 + random.uniform(-0.2, 0.2))
+    for axis in ("elevation", "pitch", "travel"):
+        name = f"friction_{axis}"
+        values[name] = rig[name].value * 2.0 ** random.uniform(-1, 1)
+    return rig.replace(**values), max(random.uniform(0.0, 0.15), 0.001)
+
+
+def faults_of(parameters: Mapping[str, float], seeds: range, duration_s: float) -> dict[int, Fault]:
+    faults = {}
+    for seed in seeds:
+        rig, lag_s = random_rig(seed)
+        plant = with_numbers(lagging_plant(), rig, rotor_lag_s=lag_s)
+        end = fly(plant, demanding_path_deg, duration_s, parameters, seed=seed)
+        assert end.t_s.size == round(1e3 * duration_s), f"rig {seed} never took off"
+        if end.first_fault:
+            faults[seed] = end.first_fault
+    return faults
+
+
+def test_no_limit_is_hit_on_any_of_two_hundred_random_rigs() -> None:
+    assert faults_of(designed().parameters, range(RIGS), SINE_S) == {}
+
+
+def test_gains_without_margin_are_noticed_on_the_same_rigs() -> None:
+    bold = {**designed().parameters, "pitch_kp": 1.5, "pitch_kd": 0.05}
+    assert len(faults_of(bold, range(8), 10.0)) > 4
+
+
+def test_no_loop_of_any_plant_of_the_spread_exceeds_the_sensitivity_bound() -> None:
+    design = designed()
+    peaks = {
+        (loop, plant.lag_s, plant.thrust, plant.counterweight): peak_sensitivity(gain)
+        for plant in design.plants
+        for loop, gain in open_loops(plant, design.law).items()
+    }
+    assert {loop for loop, *_ in peaks} == set(LOOPS)
+    assert max(peaks.values()) <= 1.02 * design.sensitivity
+
+
+def test_the_rig_as_it_is_has_comfortable_margins() -> None:
+    found = margins(designed().plants[0], designed().law)
+    assert min(margin.gain_up for margin in found.values()) > 3.0
+    assert min(margin.phase_deg for margin in found.values()) > 45.0
+    assert min(margin.delay_s for margin in found.values()) > 0.1
+
+
+def test_a_wider_bound_buys_a_smaller_error() -> None:
+    rig = load_rig("makki2024")
+    wide = find_gains(rig, sensitivity=6.0).law
+    assert wide.pitch.kp > 1.2 * designed().law.pitch.kp
+    assert wide.elevation.kp > 1.2 * designed().law.elevation.kp
+
+
+def test_a_rig_of_another_make_is_designed_for_and_flown() -> None:
+    rig = load_rig("quanser-course")
+    design = find_gains(rig)
+    assert design.parameters["travel_counts_per_rev"] == 8192.0
+    assert design.parameters["motor_min_V"] == -5.0
+    plant = Plant(MultibodyModel((RotorLag(0.12),)), rig)
+    end = fly(plant, demanding_path_deg, SINE_S, design.parameters)
+    assert end.first_fault == Fault.NONE
+    assert np.abs(end.angle_deg[end.between(5.0, 6.0), 0]).max() < 2.0
+
+
+def test_a_rig_that_cannot_hover_is_named() -> None:
+    with pytest.raises(PlantError, match="makki2024' cannot hover"):
+        find_gains(load_rig("makki2024").replace(M_w=1.68))
