@@ -7,3 +7,6 @@ from hypothesis import settings
 # The same examples in every run: a failure seen once is seen again.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
+
+# A shell that runs the tests in the background has Ctrl-C ignored, and every process started here would inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
