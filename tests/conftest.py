@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import signal
+
 from hypothesis import settings
 
 # The same examples in every run: a failure seen once is seen again.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 
-# A shell that runs the tests in the background has Ctrl-C ignored, and every process started here would inherit that.
+# A shell that runs the tests in the background ignores Ctrl-C, and every process started here would inherit it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
