@@ -10,5 +10,6 @@ from hypothesis import settings
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 
-# A shell that runs the tests in the background ignores Ctrl-C, and every process started here would inherit it.
+# A shell that runs the tests in the background ignores Ctrl-C; processes started here would inherit
+# that, were it not set back.
 signal.signal(signal.SIGINT, signal.default_int_handler)
