@@ -25,6 +25,7 @@ from heli_host.link.declaration import (
 )
 from heli_host.link.session import HANDSHAKE_TIMEOUT_S, RECONNECT_TIMEOUT_S, Session
 from heli_host.link.transport import open_transport
+from heli_host.parameters import ELEVATION_MARGIN_DEG, TRAVEL_MARGIN_DEG
 from heli_host.samples import Sample
 from heli_host.view import HISTORY_S
 
@@ -37,9 +38,6 @@ LEAD_S = 0.04
 MOST_LEAD_S = 0.5
 
 _STOP_TRIES = 3
-# The board keeps these distances between setpoints and the limits that cut the motors.
-_ELEVATION_MARGIN_DEG = 2.0
-_TRAVEL_MARGIN_DEG = 5.0
 _REACHED_DEG = 2.0
 _REACHED_FOR_S = 0.3
 
@@ -239,9 +237,9 @@ class Heli(BenchCommands):
         """
         params = self.params
         pitch_deg = params["pitch_setpoint_max_deg"]
-        travel_deg = params["travel_max_deg"] - _TRAVEL_MARGIN_DEG
+        travel_deg = params["travel_max_deg"] - TRAVEL_MARGIN_DEG
         return {
-            "elevation": (params["elevation_rest_deg"], params["elevation_max_deg"] - _ELEVATION_MARGIN_DEG),
+            "elevation": (params["elevation_rest_deg"], params["elevation_max_deg"] - ELEVATION_MARGIN_DEG),
             "pitch": (-pitch_deg, pitch_deg),
             "travel": (-travel_deg, travel_deg),
         }

@@ -12,9 +12,8 @@ from heli_host.fly.keys import AXES
 from heli_host.fly.route import Floats
 from heli_host.fly.segments import Segment
 from heli_host.link.declaration import PARAMS
+from heli_host.parameters import ELEVATION_MARGIN_DEG, TRAVEL_MARGIN_DEG
 
-_ELEVATION_MARGIN_DEG = 2.0
-_TRAVEL_MARGIN_DEG = 5.0
 _TABLE_MARGIN_DEG = 2.0
 
 
@@ -60,11 +59,11 @@ class Limits:
         """
         known = {spec.name: spec.default for spec in PARAMS}
         known.update(parameters or {})
-        travel_deg = known["travel_max_deg"] - _TRAVEL_MARGIN_DEG
+        travel_deg = known["travel_max_deg"] - TRAVEL_MARGIN_DEG
         pitch_deg = known["pitch_setpoint_max_deg"]
         return Limits(
             low_deg=np.array([known["elevation_rest_deg"] + _TABLE_MARGIN_DEG, -pitch_deg, -travel_deg]),
-            high_deg=np.array([known["elevation_max_deg"] - _ELEVATION_MARGIN_DEG, pitch_deg, travel_deg]),
+            high_deg=np.array([known["elevation_max_deg"] - ELEVATION_MARGIN_DEG, pitch_deg, travel_deg]),
             low_names=("elevation_rest_deg + 2", "-pitch_setpoint_max_deg", "-(travel_max_deg - 5)"),
             high_names=("elevation_max_deg - 2", "pitch_setpoint_max_deg", "travel_max_deg - 5"),
             slew_deg_s=np.array(
