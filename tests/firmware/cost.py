@@ -1,0 +1,273 @@
+"""What the firmware costs in instructions, counted on the emulated board over its most expensive flights.
+
+Command line: ``python -m tests.firmware.cost ELF`` prints a table. Counts are exact and repeatable: an
+interrupt's are its own, without those of a more urgent one that came in between.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import subprocess
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Final
+
+from heli_host.heli import Heli
+from heli_host.link.declaration import Axes, Param, ParamSetMessage, State
+from heli_sim.due.image import read_image as read_program
+from heli_sim.due.machine import new_due
+
+from firmware.due.report import Image, read_image
+from tests.firmware.desk import TICK_INTERRUPT, TRAVEL_INTERRUPT, Arm, Board
+
+ROOT: Final = Path(__file__).resolve().parents[2]
+PROGRAMS: Final = ROOT / "tests" / "due" / "programs"
+FLAGS: Final = ROOT / "firmware" / "due" / "compile.flags"
+CASCADE: Final = "_ZN4heli7control7Cascade6update"
+PID_LOOPS: Final = "three_loops"
+EXCITATIONS: Final = ("step", "doublet", "chirp", "multisine", "prbs")
+HOVERING: Final = Axes.ELEVATION | Axes.PITCH
+PERIOD_S: Final = 0.02
+
+
+@dataclass(frozen=True)
+class Costs:
+    """Instructions of the parts that must be quick.
+
+    Parameters
+    ----------
+    tick_instructions_max, tick_instructions_mean : float
+        The whole control tick, from its vector to its return.
+    cascade_instructions_max : int
+        The control law alone, as a part of the tick.
+    encoder_isr_instructions_max : int
+        The interrupt at each edge of the travel encoder.
+    pid_v1_three_loops_instructions : int
+        Three loops of Arduino's PID_v1, for scale: arithmetic only, no filter, no mixer, no feed-forward.
+    """
+
+    tick_instructions_max: int
+    tick_instructions_mean: float
+    cascade_instructions_max: int
+    encoder_isr_instructions_max: int
+    pid_v1_three_loops_instructions: int
+
+
+class Flight:
+    """A flight that counts.
+
+    Parameters
+    ----------
+    elf : Path
+        The linked firmware.
+    image : Image
+        The same, taken apart.
+    probes : tuple of str
+        Starts of linker symbols of functions to count.
+    """
+
+    def __init__(self, elf: Path, image: Image, probes: tuple[str, ...] = (CASCADE,)) -> None:
+        self.board = Board(elf, image, Arm())
+        self.addresses = {
+            probe: value & ~1
+            for probe in probes
+            for name, value in image.symbols.items()
+            if name.startswith(probe)
+        }
+        for address in self.addresses.values():
+            self.board.due.add_probe(address)
+        self.heli: Heli = self.board.connect()
+
+    def tick(self) -> tuple[int, int, int]:
+        """Number of ticks, their instructions, and those of the longest."""
+        count, total, most, _ = self.board.due.exception_stats(TICK_INTERRUPT)
+        return count, total, most
+
+    def function(self, probe: str) -> tuple[int, int, int]:
+        """Number of calls of a probed function, their instructions, and those of the longest."""
+        count, total, most, _ = self.board.due.probe(self.addresses[probe])
+        return count, total, most
+
+    def edge(self) -> int:
+        """Instructions of the longest encoder interrupt."""
+        return self.board.due.exception_stats(TRAVEL_INTERRUPT)[2]
+
+    def sweep(self, seconds: float, most_deg: float = 5.0) -> None:
+        """Stream setpoints that keep all three axes moving and both shapers braking."""
+        for k in range(round(seconds / PERIOD_S)):
+            t = k * PERIOD_S
+            sign = 1.0 if math.sin(4.0 * t) > 0.0 else -1.0
+            self.heli.setpoint(
+                elevation_deg=most_deg * (0.4 * sign + 0.6 * math.sin(2.0 * t)),
+                pitch_deg=8.0 * math.sin(5.0 * t),
+                travel_deg=2.0 * most_deg * (0.4 * sign + 0.6 * math.sin(1.3 * t)),
+            )
+            # Parameters change in the tick too.
+            if k % 10 == 0:
+                self.heli.session.command(ParamSetMessage(0, Param.ELEVATION_SLEW_DEG_S, 15.0 + 0.1 * k))
+            self.heli.wait(PERIOD_S)
+
+
+def _excited(flight: Flight) -> None:
+    heli = flight.heli
+    heli.take_off(0.0)
+    for kind in EXCITATIONS:
+        heli.excite(kind, 0.2, -0.15, start_Hz=0.3, stop_Hz=5.0, duration_s=0.8)
+        flight.sweep(1.0)
+    heli.excite("multisine", 0.2, 0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=10.0)
+    flight.sweep(0.4)
+    heli.control(HOVERING)
+    flight.sweep(0.6, 3.0)
+    heli.control()
+    flight.sweep(0.6, 3.0)
+    heli.land()
+
+
+def _abandoned(flight: Flight) -> None:
+    heli = flight.heli
+    heli.take_off(2.0)
+    flight.sweep(1.0)
+    heli.excite("multisine", 0.2, 0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=10.0)
+    heli.keep_alive = False
+    heli.session.wait_for(lambda: heli.session.state is State.HOLD, 3.0)
+    heli.session.wait_for(lambda: heli.session.state is State.LANDING, 5.0)
+    heli.session.wait_for(lambda: heli.session.state is State.IDLE, 20.0)
+
+
+def _streamed(flight: Flight) -> None:
+    heli = flight.heli
+    heli.arm()
+    heli.stream()
+    heli.excite("multisine", 0.3, 0.3, start_Hz=0.3, stop_Hz=5.0, duration_s=2.0)
+    for _ in range(50):
+        heli.voltages(1.5, 1.4)
+        heli.wait(0.01)
+    heli.land()
+    heli.wait(2.0)
+    heli.arm()
+    heli.control(Axes(0), front_V=1.6, back_V=1.5)
+    heli.excite("prbs", 0.3, 0.3, stop_Hz=20.0, duration_s=1.0)
+    heli.wait(0.5)
+    heli.stop()
+
+
+def _tripped(flight: Flight) -> None:
+    heli = flight.heli
+    heli.take_off(2.0)
+    heli.excite("multisine", 0.2, 0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=10.0)
+    flight.sweep(0.5)
+    # 17 degrees in a millisecond: rates beyond their limits.
+    for axis in range(3):
+        for k in range(190):
+            flight.board.due.schedule_step(axis, 1, flight.board.due.now_us + 10.0 + 5.0 * k)
+    heli.session.wait_for(lambda: heli.session.state is State.FAULT, 1.0)
+    heli.clear_fault()
+
+
+def _stopped(flight: Flight) -> None:
+    heli = flight.heli
+    heli.take_off(0.0)
+    heli.excite("multisine", 0.2, 0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=10.0)
+    flight.sweep(0.5)
+    flight.board.press_stop()
+    heli.session.wait_for(lambda: heli.session.state is State.FAULT, 1.0)
+
+
+FLIGHTS: Final[tuple[Callable[[Flight], None], ...]] = (_excited, _abandoned, _streamed, _tripped, _stopped)
+
+
+def fly_the_worst(elf: Path, probes: tuple[str, ...] = (CASCADE,)) -> list[Flight]:
+    """Fly what asks most of a tick: setpoints moving, excitation running, and every way to end.
+
+    Parameters
+    ----------
+    elf : Path
+        The linked firmware.
+    probes : tuple of str
+        Starts of linker symbols of functions to count.
+
+    Returns
+    -------
+    list of Flight
+        Their boards still hold the counts.
+    """
+    image = read_image(elf)
+    flights = []
+    for fly in FLIGHTS:
+        flight = Flight(elf, image, probes)
+        fly(flight)
+        flights.append(flight)
+    return flights
+
+
+def measure_pid_v1(cross: str = "arm-none-eabi-") -> int:
+    """Count three loops of Arduino's PID_v1, compiled with the firmware's flags.
+
+    Parameters
+    ----------
+    cross : str
+        Prefix of the cross-compiler's tools.
+
+    Returns
+    -------
+    int
+        Instructions of three loops, at most.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        elf = Path(folder) / "pid_v1.elf"
+        object_file = Path(folder) / "pid_v1.o"
+        source = Path(__file__).with_name("pid_v1.cpp")
+        subprocess.run([f"{cross}g++", f"@{FLAGS}", "-c", source, "-o", object_file], check=True)
+        subprocess.run(
+            [
+                f"{cross}gcc", "-mcpu=cortex-m3", "-mthumb", "-nostartfiles", "-T", PROGRAMS / "due.ld",
+                PROGRAMS / "start.S", object_file, "-lgcc", "-o", elf,
+            ],
+            check=True,
+        )  # fmt: skip
+        program = read_program(elf)
+        due = new_due(program)
+        address = program.address(PID_LOOPS)
+        due.add_probe(address)
+        due.power_on()
+        due.run_us(20_000.0)
+        return due.probe(address)[2]
+
+
+def measure_costs(elf: Path) -> Costs:
+    """Fly the firmware through its most expensive flights and count.
+
+    Parameters
+    ----------
+    elf : Path
+        The linked firmware.
+
+    Returns
+    -------
+    Costs
+        Over all of them.
+    """
+    flights = fly_the_worst(elf)
+    ticks = [flight.tick() for flight in flights]
+    return Costs(
+        tick_instructions_max=max(most for _, _, most in ticks),
+        tick_instructions_mean=sum(total for _, total, _ in ticks) / sum(count for count, _, _ in ticks),
+        cascade_instructions_max=max(flight.function(CASCADE)[2] for flight in flights),
+        encoder_isr_instructions_max=max(flight.edge() for flight in flights),
+        pid_v1_three_loops_instructions=measure_pid_v1(),
+    )
+
+
+def main() -> None:
+    """Print what a firmware costs."""
+    parser = argparse.ArgumentParser(description="instructions of the firmware's tick, on the emulated board")
+    parser.add_argument("elf", type=Path, help="the linked firmware")
+    for name, value in asdict(measure_costs(parser.parse_args().elf)).items():
+        print(f"{name:36} {value:8,.0f}")
+
+
+if __name__ == "__main__":
+    main()
