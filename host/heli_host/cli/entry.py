@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, NoReturn
 
 import typer
 
-from heli_host.cli import doctor, export, fly, info, log, params, plot, ports, setpoint, sil
+from heli_host.cli import doctor, export, fly, identify, info, log, params, plot, ports, setpoint, sil
+from heli_host.cli.variadic import Variadic
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -38,6 +39,7 @@ app.command("info")(info.info)
 app.command("export")(export.export)
 app.command("plot")(plot.plot)
 app.command("doctor")(doctor.doctor)
+app.command("identify", cls=Variadic)(identify.identify)
 
 # Typer raises its errors from click, or from its own copy of click since 0.25; this class is in both.
 _UsageError = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")

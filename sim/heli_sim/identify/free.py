@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -17,6 +18,9 @@ NOT_FREE: Final = frozenset({"g"})
 
 PER_FLIGHT: Final = ("offset_elevation", "offset_pitch")
 """Numbers that are another in each flight, because encoders are zeroed each time the board starts."""
+
+_LEAST_SHARE: Final = 1e-3
+"""Of a number's value beforehand; what is left of a friction there is none."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +86,7 @@ def free_parameters(
     parameters = []
     for name in dict.fromkeys(free):
         if name not in known:
-            raise IdentifyError(
-                f"the model '{model.name}' has no parameter '{name}'; names: {', '.join(known)}"
-            )
+            raise IdentifyError(_unknown(model, name))
         if name not in given and (name not in rig or rig[name].tolerance == 0):
             raise IdentifyError(
                 f"nothing is known of '{name}' beforehand; give it a tolerance in the rig file, or fix it"
@@ -93,6 +95,49 @@ def free_parameters(
             FreeParameter(name, known[name].unit, given.get(name) or rig_prior(rig, name), name)
         )
     return tuple(parameters)
+
+
+def loose(model: Model, rig: Rig, free: Sequence[str] | None, fixed: Sequence[str]) -> list[str]:
+    """Take fixed parameters out of the free ones.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    rig : Rig
+        Gives tolerances.
+    free : sequence of str or None
+        As for `free_parameters`.
+    fixed : sequence of str
+        Names of parameters that are not to be found.
+
+    Returns
+    -------
+    list of str
+        Names of what is left.
+
+    Raises
+    ------
+    IdentifyError
+        When a name is unknown, asked for and fixed at once, or nothing is left.
+    """
+    known = [quantity.name for quantity in model.parameters]
+    for name in fixed:
+        if name not in known:
+            raise IdentifyError(_unknown(model, name))
+        if name in (free or ()):
+            raise IdentifyError(f"'{name}' is asked for and fixed at once; leave one of them out")
+    names = [one.quantity for one in free_parameters(model, rig, free, {}) if one.quantity not in fixed]
+    if not names:
+        raise IdentifyError("every number is fixed; free at least one")
+    return names
+
+
+def _unknown(model: Model, name: str) -> str:
+    known = [quantity.name for quantity in model.parameters]
+    close = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean {close[0]}? " if close else ""
+    return f"the model '{model.name}' has no parameter '{name}'; {hint}names: {', '.join(known)}"
 
 
 def rig_prior(rig: Rig, name: str) -> Prior:
@@ -108,9 +153,9 @@ def rig_prior(rig: Rig, name: str) -> Prior:
     Returns
     -------
     Prior
-        Normal, with half the tolerance as its standard deviation; bounded by 0 where the number cannot be
-        negative.
+        Normal, with half the tolerance as its standard deviation; where the number cannot be negative it is
+        bounded just above 0, because a rig without a length or a gain cannot be.
     """
     number = rig[name]
-    low = -np.inf if rig.may_be_negative(name) else 0.0
+    low = -np.inf if rig.may_be_negative(name) else _LEAST_SHARE * abs(number.value)
     return Prior(number.value, 0.5 * number.tolerance, low)

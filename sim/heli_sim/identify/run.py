@@ -9,6 +9,7 @@ from heli_host.flight import Flight
 
 from heli_sim.errors import IdentifyError
 from heli_sim.identify.check import check, trace, validate
+from heli_sim.identify.free import loose
 from heli_sim.identify.problem import Problem
 from heli_sim.identify.record import Record, prepare
 from heli_sim.identify.result import Identification
@@ -24,6 +25,7 @@ def identify(
     *,
     validation: Sequence[Flight | Record] = (),
     free: Sequence[str] | None = None,
+    fixed: Sequence[str] = (),
     labels: Sequence[str] | None = None,
     validation_labels: Sequence[str] | None = None,
     start_s: float | None = None,
@@ -46,6 +48,8 @@ def identify(
         Flights to measure the result on.
     free : sequence of str, optional
         Names of the free parameters; see `Problem`.
+    fixed : sequence of str
+        Names of parameters that stay as they are, though they would be free otherwise.
     labels, validation_labels : sequence of str, optional
         Names of the flights.
     start_s, stop_s : float, optional
@@ -74,11 +78,13 @@ def identify(
     others = _prepared(validation, rig, validation_labels, "validation", None, None)
     if any(record is other or record.label == other.label for record in records for other in others):
         raise IdentifyError("a flight is both fitted and validated on; give another to --validate")
-    problem = Problem(model, rig, records, free=free, window_s=window_s)
+    say(Progress("compiling the model, once for each", 0.05, 0.0))
+    names = loose(model, rig, free, fixed)
+    problem = Problem(model, rig, records, free=names, window_s=window_s)
     fit = solve(
         problem,
         budget=Budget(seconds=seconds - (time.perf_counter() - started_s)),
-        on_progress=lambda p: say(Progress(p.stage, 0.05 + 0.75 * p.done, p.cost)),
+        on_progress=lambda p: say(Progress(p.stage, 0.1 + 0.7 * p.done, p.cost)),
     )
     say(Progress("checking", 0.85, fit.cost))
     held_out = validate(fit, others) if others else None

@@ -1,0 +1,73 @@
+"""The bar of work that takes a while without a flight: what is being done, and how long still."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+LINE_EVERY_S = 5.0
+"""When the output goes to a file or another program."""
+
+
+class WorkBar:
+    """Shows what is being done, and the time left; a context manager.
+
+    On a terminal one line is rewritten in place and disappears at the end; elsewhere a line is printed every
+    few seconds.
+
+    Parameters
+    ----------
+    is_terminal : bool or None
+        Whether to rewrite in place; None asks standard output.
+    """
+
+    def __init__(self, is_terminal: bool | None = None) -> None:
+        self._is_terminal = sys.stdout.isatty() if is_terminal is None else is_terminal
+        self._bar: Progress | None = None
+        self._started_s = self._shown_s = time.monotonic()
+
+    def __enter__(self) -> Self:
+        if self._is_terminal:
+            from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+            self._bar = Progress(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                TaskProgressColumn(),
+                TimeRemainingColumn(),
+                TextColumn("left"),
+                transient=True,
+            )
+            self._bar.start()
+            self._bar.add_task("", total=1.0)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def show(self, stage: str, done: float) -> None:
+        """Show where the work is.
+
+        Parameters
+        ----------
+        stage : str
+            What is being done, in a few words.
+        done : float
+            Share of all work done, 0 to 1.
+        """
+        if self._bar is not None:
+            self._bar.update(self._bar.task_ids[0], description=stage, completed=done)
+            return
+        now_s = time.monotonic()
+        if now_s - self._shown_s >= LINE_EVERY_S:
+            self._shown_s = now_s
+            left_s = (now_s - self._started_s) * (1.0 - done) / max(done, 1e-3)
+            print(f"{stage}: {100 * done:.0f} %, about {left_s:.0f} s left", flush=True)

@@ -1,0 +1,45 @@
+"""Models by name, for command lines and files."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+from heli_sim.errors import PlantError
+from heli_sim.model.base import Effect, Model
+from heli_sim.model.multibody import MultibodyModel
+from heli_sim.model.paper import PaperModel
+
+MODELS: Final[Mapping[str, type[Model]]] = MappingProxyType(
+    {model.name: model for model in (MultibodyModel, PaperModel)}
+)
+"""Every model, by its name."""
+
+
+def model_named(name: str, effects: tuple[Effect, ...] = ()) -> Model:
+    """Make a model.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    effects : tuple of Effect
+        Effects on top of it.
+
+    Returns
+    -------
+    Model
+        The model.
+
+    Raises
+    ------
+    PlantError
+        When there is no such model.
+    """
+    if name not in MODELS:
+        close = difflib.get_close_matches(name, MODELS, n=1)
+        hint = f"did you mean {close[0]}? " if close else ""
+        raise PlantError(f"there is no model '{name}'; {hint}give one of: {', '.join(MODELS)}")
+    return MODELS[name](effects)
