@@ -23,8 +23,7 @@ def step_function(model: Model) -> ca.Function:
 
     A stop is inelastic: the angle stays at it and the rate outwards becomes 0. The table is the lower stop of
     the elevation; while the arm rests on it, pitch and travel rates die out with table_damping. A locked axis
-    (pinned for a bench test) keeps its angle with rate 0; a model with coupled axes then sees no
-    reaction from the pin.
+    (pinned for a bench test) keeps its angle with rate 0, and its pin gives the reaction that this takes.
 
     Parameters
     ----------
@@ -46,7 +45,7 @@ def step_function(model: Model) -> ca.Function:
     free = ca.vertcat(1 - locked, 1 - locked, ca.SX.ones(count - 6))
 
     def rates(at: ca.SX) -> ca.SX:
-        return free * model.dynamics(at, u, p_model)
+        return free * model.dynamics(at, u, p_model, pinned=locked)
 
     k1 = rates(x)
     k2 = rates(x + STEP_s / 2 * k1)

@@ -56,12 +56,15 @@ class Situation:
         Scalars by parameter name, in the units of `Model.parameters`.
     time_s : casadi.SX
         Time since the flight's first sample.
+    pinned : casadi.SX
+        1 for each of elevation, pitch and travel that a pin holds, else 0; shape (3, 1).
     """
 
     state: Mapping[str, ca.SX]
     volts_V: ca.SX
     parameter: Mapping[str, ca.SX]
     time_s: ca.SX = field(default_factory=lambda: ca.SX(0))
+    pinned: ca.SX = field(default_factory=lambda: ca.SX.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -200,6 +203,9 @@ class Model(ABC):
     def acceleration(self, at: Situation, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
         """Angular acceleration under given thrust and torque.
 
+        A pinned axis (`Situation.pinned`) has none, and its pin gives whatever torque that takes: where axes
+        are coupled, the others accelerate otherwise than they would with that axis free.
+
         Parameters
         ----------
         at : Situation
@@ -216,7 +222,9 @@ class Model(ABC):
             Acceleration of elevation, pitch and travel in rad/s2, shape (3, 1).
         """
 
-    def situation(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> Situation:
+    def situation(
+        self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None, pinned: ca.SX | None = None
+    ) -> Situation:
         """Name the entries of the three vectors.
 
         Parameters
@@ -229,6 +237,8 @@ class Model(ABC):
             Parameters, in the order of `parameters`.
         time_s : casadi.SX, optional
             Time since the flight's first sample; 0 where it is not given.
+        pinned : casadi.SX, optional
+            1 for each axis that a pin holds, shape (3, 1); none where it is not given.
 
         Returns
         -------
@@ -240,9 +250,12 @@ class Model(ABC):
             u,
             {parameter.name: p[i] for i, parameter in enumerate(self.parameters)},
             ca.SX(0) if time_s is None else time_s,
+            ca.SX.zeros(3) if pinned is None else pinned,
         )
 
-    def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> ca.SX:
+    def dynamics(
+        self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None, pinned: ca.SX | None = None
+    ) -> ca.SX:
         """Time derivative of the state.
 
         Parameters
@@ -255,13 +268,15 @@ class Model(ABC):
             Parameters, in the order of `parameters`.
         time_s : casadi.SX, optional
             Time since the flight's first sample; 0 where it is not given.
+        pinned : casadi.SX, optional
+            1 for each axis that a pin holds, shape (3, 1); none where it is not given.
 
         Returns
         -------
         casadi.SX
-            Rate of each state in its unit per second.
+            Rate of each state in its unit per second. A pinned axis does not accelerate.
         """
-        at = self.situation(x, u, p, time_s)
+        at = self.situation(x, u, p, time_s, pinned)
         p_at = at.parameter
         thrust = thrust_N(at.volts_V, p_at["thrust_gain"], p_at["dead_zone"], p_at["reverse_thrust"])
         torque = friction_torque_Nm(x[3:6], p_at) + ca.vertcat(*(p_at[f"torque_{axis}"] for axis in _AXES))
@@ -269,7 +284,8 @@ class Model(ABC):
             thrust = effect.thrust_N(at, thrust)
             torque = torque + effect.torque_Nm(at)
         rates = [effect.state_rates(at) for effect in self.effects if effect.states]
-        return ca.vertcat(x[3:6], self.acceleration(at, thrust, torque), *rates)
+        acceleration = (1 - at.pinned) * self.acceleration(at, thrust, torque)
+        return ca.vertcat(x[3:6], acceleration, *rates)
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> ca.SX:
         """Angles that encoders without steps would show: those of the state, their zero's offset, effects.

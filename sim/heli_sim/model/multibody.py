@@ -84,7 +84,7 @@ class MultibodyModel(Model):
         force = self._thrust_Nm(at, q, thrust_N) - coriolis - ca.gradient(self._potential_J(at, q), q)
         now, now_rates = _angles(at), _rates(at)
         inertia, force = ca.substitute([inertia, force], [q, rates], [now, now_rates])
-        return _solve(inertia, force + torque_Nm)
+        return _solve(*_with_pins(inertia, force + torque_Nm, at.pinned))
 
     def inertia_kg_m2(self, at: Situation) -> ca.SX:
         """Mass matrix M(q) at the present angles.
@@ -201,6 +201,12 @@ def _angles(at: Situation) -> ca.SX:
 
 def _rates(at: Situation) -> ca.SX:
     return ca.vertcat(*(at.state[f"{axis}_rate_rad_s"] for axis in _AXES))
+
+
+def _with_pins(matrix: ca.SX, right: ca.SX, pinned: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Keep the free axes' block of the equations; a pinned axis has 1 times its acceleration = 0."""
+    free = 1 - pinned
+    return free @ free.T * matrix + ca.diag(pinned), free * right
 
 
 def _solve(matrix: ca.SX, right: ca.SX) -> ca.SX:
