@@ -43,6 +43,41 @@ def test_a_plan_begins_and_ends_where_it_says() -> None:
     assert flown.evaluate(99.0) == pytest.approx((5.0, 0.0, -10.0))
 
 
+@pytest.mark.parametrize(
+    "motion",
+    [
+        'kind = "hold"\nduration_s = 4',
+        'kind = "step"\ntravel_deg = 5\nduration_s = 4',
+        'kind = "sine"\ntravel_amplitude_deg = 5\nperiod_s = 4\nduration_s = 4',
+        'kind = "waypoints"\npoints = [{ at_s = 4, travel_deg = 5 }]',
+    ],
+)
+def test_a_segment_may_be_excited_while_it_moves(motion: str) -> None:
+    signal = 'excite = { signal = "prbs", front_V = 0.3, stop_Hz = 8, seed = 3 }'
+    plain, excited = plan(motion), plan(f"{motion}\n{signal}")
+    assert plain.segments[0].excitation is None
+    added = excited.route.pieces[0].excitation
+    assert added is not None
+    assert (added.signal, added.front_V, added.back_V, added.duration_s, added.seed) == ("prbs", 0.3, 0, 4, 3)
+    t_s = np.linspace(0.0, 4.0, 9)
+    np.testing.assert_array_equal(plain.evaluate(t_s), excited.evaluate(t_s))
+
+
+@pytest.mark.parametrize(
+    ("excite", "said"),
+    [
+        ('"prbs"', "excite is not a table"),
+        ('{ signal = "prbs", front_V = 1 }', "stop_Hz is missing"),
+        ('{ signal = "step", front_V = 1, duration_s = 2 }', "unknown key 'duration_s'"),
+        ('{ signal = "step" }', "it excites no motor"),
+    ],
+)
+def test_a_wrong_excitation_of_a_moving_segment_is_named(excite: str, said: str) -> None:
+    with pytest.raises(PlanError, match=said) as caught:
+        plan(f'kind = "hold"\nduration_s = 4\nexcite = {excite}')
+    assert "segment 1 (hold)" in str(caught.value)
+
+
 def test_one_time_and_many_times_give_the_same() -> None:
     sine = load_plan("sine")
     t_s = np.linspace(-1.0, sine.duration_s + 1.0, 333)

@@ -153,13 +153,23 @@ def _targets(table: Table, commanded: tuple[str, ...]) -> Callable[[Floats], Flo
 
 def _read_hold(table: Table, commanded: tuple[str, ...]) -> Segment:
     duration_s = table.number("duration_s", DURATION)
-    return Segment("hold", table.where, lambda at: _motion(duration_s, route.hold(at), at))
+    return Segment(
+        "hold",
+        table.where,
+        lambda at: _motion(duration_s, route.hold(at), at),
+        excitation=_meanwhile(table, duration_s),
+    )
 
 
 def _read_step(table: Table, commanded: tuple[str, ...]) -> Segment:
     duration_s = table.number("duration_s", DURATION)
     fill = _targets(table, commanded)
-    return Segment("step", table.where, lambda at: _motion(duration_s, route.hold(fill(at)), at, fill(at)))
+    return Segment(
+        "step",
+        table.where,
+        lambda at: _motion(duration_s, route.hold(fill(at)), at, fill(at)),
+        excitation=_meanwhile(table, duration_s),
+    )
 
 
 def _read_ramp(table: Table, commanded: tuple[str, ...]) -> Segment:
@@ -211,7 +221,7 @@ def _read_sine(table: Table, commanded: tuple[str, ...]) -> Segment:
         return _motion(duration_s, shape, at - reach_deg, at + reach_deg, rate_deg_s=rate_deg_s)
 
     keys = (f"{AXES[0]}_amplitude_deg", f"{AXES[1]}_amplitude_deg", f"{AXES[2]}_amplitude_deg")
-    return Segment("sine", table.where, motion, keys, "period_s")
+    return Segment("sine", table.where, motion, keys, "period_s", _meanwhile(table, duration_s))
 
 
 def _period(table: Table, prefix: str) -> float | None:
@@ -267,16 +277,40 @@ def _read_waypoints(table: Table, commanded: tuple[str, ...]) -> Segment:
         )
         return Motion(duration_s, route.waypoints(times, values, smooth), low, high, rate_deg_s)
 
-    return Segment("waypoints", table.where, motion, rate_key="at_s")
+    return Segment(
+        "waypoints", table.where, motion, rate_key="at_s", excitation=_meanwhile(table, duration_s)
+    )
 
 
 def _read_excite(table: Table, commanded: tuple[str, ...]) -> Segment:
+    duration_s = table.number("duration_s", DURATION)
+    return Segment(
+        "excite",
+        table.where,
+        lambda at: _motion(duration_s, route.hold(at), at),
+        excitation=_excitation(table, duration_s),
+    )
+
+
+def _meanwhile(table: Table, duration_s: float) -> Excitation | None:
+    """What the board adds to the voltages while a segment moves."""
+    values = table.values.get("excite")
+    if values is None:
+        return None
+    if not isinstance(values, dict):
+        example = (
+            'excite = { signal = "multisine", front_V = 0.25, back_V = 0.25, start_Hz = 0.1, stop_Hz = 4 }'
+        )
+        table.fail("excite is not a table", f"write {example}")
+    return _excitation(Table(values, f"{table.where}, excite", _EXCITE_KEYS), duration_s)
+
+
+def _excitation(table: Table, duration_s: float) -> Excitation:
     signal = table.choice("signal", SIGNALS)
     front_V = table.number("front_V", VOLTAGE, 0.0)
     back_V = table.number("back_V", VOLTAGE, 0.0)
     if front_V == 0.0 and back_V == 0.0:
         table.fail("it excites no motor", "add front_V = 0.25 or back_V = 0.25")
-    duration_s = table.number("duration_s", DURATION)
     needs_start, needs_stop = signal in ("chirp", "multisine"), signal in ("chirp", "multisine", "prbs")
     for key, needed in (("start_Hz", needs_start), ("stop_Hz", needs_stop)):
         if key in table.values and not needed:
@@ -290,13 +324,7 @@ def _read_excite(table: Table, commanded: tuple[str, ...]) -> Segment:
     seed = int(table.number("seed", SEED, 1))
     if signal == "prbs" and seed == 0:
         table.fail("seed is 0", "give a whole number from 1")
-    excitation = Excitation(signal, front_V, back_V, start_Hz, stop_Hz, duration_s, seed)
-    return Segment(
-        "excite",
-        table.where,
-        lambda at: _motion(duration_s, route.hold(at), at),
-        excitation=excitation,
-    )
+    return Excitation(signal, front_V, back_V, start_Hz, stop_Hz, duration_s, seed)
 
 
 def _read_land(table: Table, commanded: tuple[str, ...]) -> Segment:
@@ -307,12 +335,14 @@ _SINE_KEYS = tuple(
     f"{axis}_{name}" for axis in AXES for name in ("amplitude_deg", "period_s", "frequency_Hz")
 )
 
+_EXCITE_KEYS = ("signal", "front_V", "back_V", "start_Hz", "stop_Hz", "seed")
+
 _KINDS: dict[str, tuple[tuple[str, ...], Callable[[Table, tuple[str, ...]], Segment]]] = {
-    "hold": (("duration_s",), _read_hold),
-    "step": ((*TARGETS, "duration_s"), _read_step),
+    "hold": (("duration_s", "excite"), _read_hold),
+    "step": ((*TARGETS, "duration_s", "excite"), _read_step),
     "ramp": ((*TARGETS, "duration_s", "rate_deg_s"), _read_ramp),
-    "sine": ((*_SINE_KEYS, "period_s", "frequency_Hz", "duration_s"), _read_sine),
-    "waypoints": (("points", "path", "duration_s"), _read_waypoints),
-    "excite": (("signal", "front_V", "back_V", "start_Hz", "stop_Hz", "duration_s", "seed"), _read_excite),
+    "sine": ((*_SINE_KEYS, "period_s", "frequency_Hz", "duration_s", "excite"), _read_sine),
+    "waypoints": (("points", "path", "duration_s", "excite"), _read_waypoints),
+    "excite": ((*_EXCITE_KEYS, "duration_s"), _read_excite),
     "land": ((), _read_land),
 }
