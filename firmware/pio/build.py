@@ -24,6 +24,7 @@ STAND_IN = {"platform.json": "platform.json", "due.json": "boards/due.json", "bu
 # What PlatformIO would fetch, by the versions that it asks for.
 SCONS_VERSION = "4.41101.0"
 TOOLCHAIN_VERSION = "1.90301.200702"
+UPLOADER_VERSION = "1.10700.190624"
 RUN_SCONS = "from SCons.Script import main\n\nmain()\n"
 
 
@@ -63,6 +64,8 @@ def _prepare() -> None:
     _package(
         CORE / "packages" / "toolchain-gccarmnoneeabi", "tool", "toolchain-gccarmnoneeabi", TOOLCHAIN_VERSION
     )
+    # Empty, as the compiler's: heli-host flash finds a real one.
+    _package(CORE / "packages" / "tool-bossac", "tool", "tool-bossac", UPLOADER_VERSION)
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""Builder of the stand-in platform: program, flat binary, size and upload over the system's tools.
+"""Builder of the stand-in platform: program, flat binary and size; upload over heli-host flash.
 
 Compiler and linker flags are not set here: they come from firmware/pio/flags.py, as with the real platform.
 """
@@ -21,17 +21,9 @@ env.Replace(
     PROGNAME="firmware",
     PROGSUFFIX=".elf",
     LINKFLAGS=[],
-    UPLOADER="bossac",
-    UPLOADERFLAGS=[
-        "--info",
-        "--port=$UPLOAD_PORT",
-        "--usb-port=0",
-        "--arduino-erase",
-        "--write",
-        "--verify",
-        "--boot=1",
-        "--reset",
-    ],
+    # The same Python as PlatformIO's: both are installed into one environment.
+    UPLOADER='"$PYTHONEXE" -c "from heli_host.cli import main; main()" flash',
+    UPLOADERFLAGS=["--yes", "--port", '"$UPLOAD_PORT"'],
     UPLOADCMD="$UPLOADER $UPLOADERFLAGS $SOURCES",
 )
 env.Append(BUILDERS={"ElfToBin": Builder(action="$OBJCOPY -O binary $SOURCES $TARGET", suffix=".bin")})

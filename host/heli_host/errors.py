@@ -11,7 +11,10 @@
     │   ├── WrongDevice         bytes arrive, but they are not this link's frames
     │   ├── LinkVersionMismatch the two ends were built from different declarations
     │   ├── CommandTimeout      a command was not answered within its deadline
-    │   └── CommandRefused      the board said no: result, fault or parameter, and the remedy
+    │   ├── CommandRefused      the board said no: result, fault or parameter, and the remedy
+    │   └── FlashError          the board's flash was not written, or what was written does not run
+    ├── ImageError              a file that is not this release's firmware for the Due
+    ├── UploaderError           bossac is missing, or cannot be used
     ├── ParameterError          unknown name, value out of range, damaged dump
     ├── SetpointError           a target outside the limits in force on the board
     ├── ControllerError         a Python control law raised, or returned no two finite voltages
@@ -195,6 +198,18 @@ class CommandRefused(LinkError):
             field = f" (field {detail})" if known is Result.BAD_VALUE else ""
             return known.name.lower() + field, remedy.get(known, "")
         return f"result {self.result}", "update heli_host: it does not know this result"
+
+
+class FlashError(LinkError):
+    """The board's flash was not written, or what was written does not run."""
+
+
+class ImageError(HeliError):
+    """A file that is not this release's firmware for the Due; nothing was erased."""
+
+
+class UploaderError(HeliError):
+    """bossac, which writes the flash, is missing or cannot be used; nothing was erased."""
 
 
 class ParameterError(HeliError):

@@ -15,7 +15,22 @@ from typing import TYPE_CHECKING, NoReturn
 
 import typer
 
-from heli_host.cli import doctor, export, fly, identify, info, log, params, plot, ports, setpoint, sil
+from heli_host.cli import (
+    doctor,
+    export,
+    flash,
+    fly,
+    identify,
+    info,
+    log,
+    motors,
+    params,
+    plot,
+    ports,
+    setpoint,
+    sil,
+    watch,
+)
 from heli_host.cli.variadic import Variadic
 
 if TYPE_CHECKING:
@@ -32,6 +47,9 @@ app = typer.Typer(
 app.command("ports")(ports.ports)
 app.command("fly")(fly.fly)
 app.command("sil")(sil.sil)
+app.command("flash")(flash.flash)
+app.command("watch")(watch.watch)
+app.command("motors")(motors.motors)
 app.command("log")(log.log)
 app.command("setpoint")(setpoint.setpoint)
 app.add_typer(params.app, name="params")

@@ -1,0 +1,213 @@
+"""The uploader: where it is, which options its version takes, and why it failed."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from heli_host.errors import FlashError, UploaderError
+
+# Reported to write and verify a Due that then does not start: BOSSA issue 125, platform-atmelsam issue 78.
+# Not checked here, for want of a board.
+DOUBTFUL_FROM = (1, 8)
+
+# 30 KiB at 115,200 baud take about 6 s, as 128-byte packets with an answer each perhaps three times that.
+WRITE_TIMEOUT_S = 180.0
+
+GET_BOSSAC = (
+    "get version 1.7.0 with pio pkg install -g -t 'platformio/tool-bossac@~1.10700.0', "
+    "or an Arduino IDE with the Due's boards installed"
+)
+
+_ASK_TIMEOUT_S = 10.0
+_PACKAGES = (
+    ".platformio/packages/tool-bossac*/bossac",
+    ".arduino15/packages/arduino/tools/bossac/*/bossac",
+    "Library/Arduino15/packages/arduino/tools/bossac/*/bossac",
+    "AppData/Local/Arduino15/packages/arduino/tools/bossac/*/bossac.exe",
+)
+
+
+@dataclass(frozen=True)
+class Bossac:
+    """An installed uploader.
+
+    Parameters
+    ----------
+    path : str
+        Its file.
+    version : str
+        As it says itself, such as ``1.9.1``.
+    usb_option : tuple of str
+        How this version is told that the port is no native USB port: 1.8 renamed the option, and made its
+        value optional, which must then hang on it.
+    """
+
+    path: str
+    version: str
+    usb_option: tuple[str, ...]
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether this version is reported to leave a Due that does not start."""
+        numbers = tuple(int(number) for number in re.findall(r"\d+", self.version)[:2])
+        return numbers >= DOUBTFUL_FROM
+
+    def arguments(self, port: str, image: Path) -> list[str]:
+        """Command line that writes an image and starts it.
+
+        Parameters
+        ----------
+        port : str
+            The programming port.
+        image : Path
+            The file.
+
+        Returns
+        -------
+        list of str
+            Program and arguments. Without ``--info``, which is reported to crash 1.6.1.
+        """
+        options = ("--erase", "--write", "--verify", "--boot=1", "--reset")
+        return [self.path, f"--port={_port_name(port)}", *self.usb_option, *options, str(image)]
+
+
+def find_bossac(named: Path | None = None) -> Bossac:
+    """Find the uploader that suits a Due best: on the path, or as PlatformIO and the Arduino IDE keep it.
+
+    Parameters
+    ----------
+    named : Path or None
+        Use this one.
+
+    Returns
+    -------
+    Bossac
+        The first that is not `Bossac.doubtful`, otherwise the first.
+
+    Raises
+    ------
+    UploaderError
+        There is none, or the one named is no bossac.
+    """
+    if named is not None:
+        return _ask(str(named))
+    found = []
+    for path in _candidates():
+        try:
+            bossac = _ask(path)
+        except UploaderError:
+            continue
+        if not bossac.doubtful:
+            return bossac
+        found.append(bossac)
+    if not found:
+        raise UploaderError("bossac, which writes the Due's flash, is not installed", GET_BOSSAC)
+    return found[0]
+
+
+def _candidates() -> Iterable[str]:
+    on_path = shutil.which("bossac")
+    if on_path is not None:
+        yield on_path
+    for pattern in _PACKAGES:
+        yield from (str(path) for path in sorted(Path.home().glob(pattern)))
+
+
+def _ask(path: str) -> Bossac:
+    try:
+        # Its --help ends with 1.
+        done = subprocess.run(
+            [path, "--help"], capture_output=True, text=True, timeout=_ASK_TIMEOUT_S, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it does not answer"
+        raise UploaderError(f"{path} does not run: {reason}", GET_BOSSAC) from error
+    text = done.stdout + done.stderr
+    version = re.search(r"\(BOSSA\) Version (\S+)", text)
+    if version is None:
+        raise UploaderError(f"{path} is no bossac: it does not tell its version", GET_BOSSAC)
+    usb_option: tuple[str, ...] = ()
+    if "--usb-port" in text:
+        usb_option = ("--usb-port=0",)
+    elif "--force_usb_port" in text:
+        usb_option = ("--force_usb_port=false",)
+    return Bossac(path, version[1], usb_option)
+
+
+def _port_name(port: str) -> str:
+    """Name as every version takes it: the real device, on Unix without /dev/, which versions to 1.7 add."""
+    return os.path.realpath(port).removeprefix("/dev/") if os.name == "posix" else port
+
+
+def write_image(bossac: Bossac, port: str, image: Path, timeout_s: float = WRITE_TIMEOUT_S) -> None:
+    """Write an image into an erased chip, verify it, have the chip start from flash, and reset it.
+
+    Parameters
+    ----------
+    bossac : Bossac
+        The uploader.
+    port : str
+        The programming port, closed.
+    image : Path
+        The file.
+    timeout_s : float
+        Longest wait [s].
+
+    Raises
+    ------
+    FlashError
+        It failed; the board's flash is then erased or half written, and its bridges stay off.
+    """
+    try:
+        done = subprocess.run(
+            bossac.arguments(port, image),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            timeout=timeout_s,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise FlashError(
+            f"bossac {bossac.version} did not end within {timeout_s:g} s",
+            "press RESET on the board, then flash again",
+        ) from None
+    except OSError as error:
+        raise FlashError(f"{bossac.path} does not run: {error.strerror}", GET_BOSSAC) from error
+    if done.returncode != 0:
+        raise _failure(bossac, port, done.returncode, done.stdout)
+
+
+def _failure(bossac: Bossac, port: str, code: int, output: str) -> FlashError:
+    """Why bossac failed, from what it said."""
+    lines = [line.strip() for line in re.split(r"[\r\n]+", output) if line.strip()]
+    said = lines[-1] if lines else "nothing"
+    if "No device found" in output:
+        return FlashError(
+            f"the chip's loader does not answer on {port}: not erased, or another program has the port",
+            "press the board's ERASE button for a second, then RESET, and flash again; "
+            "heli-host doctor says whether ModemManager is in the way",
+        )
+    if "Verify failed" in output:
+        errors = re.search(r"Byte errors: *(\d+)", output)
+        count = f"{errors[1]} bytes differ" if errors else "it differs"
+        return FlashError(
+            f"the flash does not hold what was written: {count}",
+            "flash again over a short cable without a hub; if it stays, the flash is worn: use another board",
+        )
+    if "-h' or" in output or "extra arguments" in output or "Usage:" in output:
+        return FlashError(f"bossac {bossac.version} does not take the options given to it", GET_BOSSAC)
+    if code < 0:
+        return FlashError(f"bossac {bossac.version} crashed (signal {-code})", GET_BOSSAC)
+    return FlashError(
+        f"bossac {bossac.version} failed with code {code} and said: {said}",
+        "check cable and power, press RESET, then flash again",
+    )

@@ -1,0 +1,53 @@
+"""The touch at 1200 baud that erases a Due."""
+
+from __future__ import annotations
+
+import errno
+import time
+
+import serial
+
+from heli_host.errors import FlashError
+
+ERASING_BAUD = 1200
+# Once a control line changes at this rate, the ATmega16U2 holds ERASE, then RESET: 180 rounds of 4.096 ms in all,
+# 0.74 s (its published source). The loader in the chip needs a moment more.
+ERASE_S = 1.2
+
+_NO_CONTROL_LINES = (errno.ENOTTY, errno.EINVAL)
+
+
+def erase_chip(port: str, wait_s: float = ERASE_S) -> None:
+    """Erase all flash of the Due behind its programming port; the chip's own loader (SAM-BA) then answers.
+
+    Parameters
+    ----------
+    port : str
+        The programming port.
+    wait_s : float
+        How long the erasing takes [s].
+
+    Raises
+    ------
+    FlashError
+        The port cannot be opened at that rate.
+    """
+    try:
+        with serial.Serial(port, ERASING_BAUD) as touched:
+            _drop_dtr(touched)
+    except (serial.SerialException, OSError, ValueError) as error:
+        raise FlashError(
+            f"{port} cannot be opened at {ERASING_BAUD} baud to erase the board: {error}",
+            "close other programs that use it (heli-host doctor names ModemManager), then try again",
+        ) from error
+    time.sleep(wait_s)
+
+
+def _drop_dtr(port: serial.Serial) -> None:
+    """Change a control line, which is what makes the ATmega16U2 look at the rate."""
+    try:
+        port.dtr = False
+    except OSError as error:
+        # A pseudo-terminal has no such line; whatever is behind it sees the rate.
+        if error.errno not in _NO_CONTROL_LINES:
+            raise

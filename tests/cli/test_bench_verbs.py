@@ -1,0 +1,91 @@
+"""Verbs for the bench: `watch` moves nothing, `motors` leaves everything off."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+from pathlib import Path
+
+import heli_host
+import numpy as np
+import pytest
+from heli_host.cli import motors
+from heli_host.heli import Heli
+from heli_host.link.declaration import State
+from heli_host.link.requests import Command
+from heli_host.link.session import Session
+from heli_sim.sil.process import SilProcess
+
+from tests.cli.terminal import Terminal, process, refusal
+
+ASKED, ABORTED = 2, 4
+SIL = ("--sil", "--speed", "max")
+
+
+def test_watch_shows_counts_angles_and_errors_of_each_axis(terminal: Terminal) -> None:
+    ended = terminal("watch", *SIL, "--for-s", "1")
+    assert ended.code == 0, ended
+    first, *lines = ended.out.splitlines()
+    assert "simulated board, firmware 0.1.0" in first
+    # On the table, at -25 degrees, 284 counts of 4096 below level.
+    assert lines[0].startswith("elevation   -284 ( -24.96 deg, 0 bad)  pitch     +0")
+    assert lines[0].endswith("front +0.00 V, back +0.00 V  idle")
+
+
+def test_watch_commands_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_session: Session, command: Command, timeout_s: float = 0.0) -> None:
+        raise AssertionError(f"watch commanded {command}")
+
+    monkeypatch.setattr(Session, "command", refuse)
+    monkeypatch.setattr(Session, "stream", refuse)
+    # Its own session ends in stop(), but only where the motors may run.
+    assert terminal("watch", *SIL, "--for-s", "1").code == 0
+
+
+def test_motors_get_the_voltage_for_the_time_and_are_off_afterwards() -> None:
+    with heli_host.connect("sil://?speed=max") as heli:
+        heli.arm()
+        motors._drive(heli, 1.0, 0.5, 1.0)
+        heli.stop()
+        heli.wait(0.1)
+        flown = heli.samples()
+        acted = flown.state == State.OPEN_LOOP
+        assert 0.9 <= np.count_nonzero(acted) * 1e-3 <= 1.3
+        # The board's own filter takes a while to get there.
+        assert flown.front_V[acted][-1] == pytest.approx(1.0, abs=0.05)
+        assert flown.back_V[acted][-1] == pytest.approx(0.5, abs=0.03)
+        assert flown.state[-1] == State.IDLE
+        assert flown.front_V[-1] == 0.0
+
+
+def test_motors_without_a_voltage_only_enable(terminal: Terminal) -> None:
+    ended = terminal("motors", *SIL, "--for-s", "1")
+    assert ended.code == 0, ended
+    assert "drivers off again" in ended.out
+
+
+def test_motors_refuse_a_voltage_beyond_the_limits_and_enable_nothing(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    armed: list[Heli] = []
+    monkeypatch.setattr(Heli, "arm", armed.append)
+    assert "motor_max_V" in refusal(terminal("motors", *SIL, "--front-V", "50"), code=ASKED)
+    assert armed == []
+
+
+def test_motors_that_the_board_switches_off_say_why(terminal: Terminal) -> None:
+    # Back motor alone: the short arm turns over.
+    line = refusal(terminal("motors", *SIL, "--back-V", "6", "--for-s", "10"), code=ABORTED)
+    assert "pitch" in line
+
+
+def test_ctrl_c_switches_the_motors_off(tmp_path: Path) -> None:
+    with SilProcess() as board:
+        with process(tmp_path, "motors", "--port", board.url, "--for-s", "30") as running:
+            with pytest.raises(subprocess.TimeoutExpired):
+                running.wait(timeout=3.0)
+            running.send_signal(signal.SIGINT)
+            running.communicate(timeout=20.0)
+            assert running.returncode == 130
+        with heli_host.connect(board.url) as heli:
+            assert heli.state is State.IDLE

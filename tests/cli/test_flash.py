@@ -1,0 +1,339 @@
+"""``heli-host flash``: the real path, a stand-in for ``bossac``, and a simulated board behind a real port."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import struct
+import subprocess
+import termios
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from heli_host.cli import flash as flash_verb
+from heli_host.cli.flash import ANSWER_TIMEOUT_S
+from heli_host.errors import FlashError, ImageError, UploaderError
+from heli_host.flash import bossac as uploading
+from heli_host.flash import erase
+from heli_host.flash.bossac import Bossac, find_bossac, write_image
+from heli_host.flash.erase import erase_chip
+from heli_host.flash.image import FLASH_START, RAM_START, VECTORS, read_image
+from heli_host.link.declaration import LINK_HASH
+from heli_sim.sil.process import SilProcess
+from hypothesis import given
+from hypothesis import strategies as st
+from serial.tools import list_ports
+
+from tests.cli.terminal import Terminal, refusal
+from tests.cli.uploader import Uploader
+
+ASKED, LINK, FILE = 2, 3, 5
+ENTRY = FLASH_START + 4 * VECTORS + 1
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals on this system")
+
+
+def image_bytes(stack: int = RAM_START + 0xC00, entry: int = ENTRY, link_hash: int = LINK_HASH) -> bytes:
+    """The least that is an image of ours."""
+    vectors = struct.pack(f"<{VECTORS}I", stack, *[entry] * (VECTORS - 1))
+    return vectors + struct.pack("<3I", 0xE7FEE7FE, link_hash, 0)
+
+
+@pytest.fixture
+def image(tmp_path: Path) -> Path:
+    path = tmp_path / "firmware.bin"
+    path.write_bytes(image_bytes())
+    return path
+
+
+@pytest.fixture
+def board() -> Iterator[SilProcess]:
+    with SilProcess(speed=None) as process:
+        yield process
+
+
+@pytest.fixture
+def silent_port() -> Iterator[str]:
+    """A port behind which nobody answers."""
+    ours, theirs = os.openpty()
+    yield os.ttyname(theirs)
+    os.close(ours)
+    os.close(theirs)
+
+
+@pytest.fixture(autouse=True)
+def quick_and_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """No wait for a chip that is not there, and no uploader of this machine."""
+    monkeypatch.setattr(erase.erase_chip, "__defaults__", (0.0,))
+    monkeypatch.setattr(flash_verb, "ANSWER_TIMEOUT_S", 0.3)
+    monkeypatch.setenv("PATH", str(tmp_path / "empty"))
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+
+
+def on_path(monkeypatch: pytest.MonkeyPatch, uploader: Uploader) -> None:
+    monkeypatch.setenv("PATH", str(uploader.folder))
+
+
+def test_a_board_is_flashed_and_answers(
+    terminal: Terminal, image: Path, board: SilProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(flash_verb, "ANSWER_TIMEOUT_S", ANSWER_TIMEOUT_S)
+    uploader = Uploader(tmp_path / "bin")
+    on_path(monkeypatch, uploader)
+    ended = terminal("flash", image, "--port", board.url, "--yes")
+    assert ended.code == 0, ended
+    device = os.path.realpath(board.url).removeprefix("/dev/")
+    assert uploader.calls == [
+        [
+            f"--port={device}",
+            "--force_usb_port=false",
+            "--erase",
+            "--write",
+            "--verify",
+            "--boot=1",
+            "--reset",
+            str(image),
+        ]
+    ]
+    assert "flashed: simulated board, firmware 0.1.0" in ended.out
+    assert "nothing to keep" in ended.out
+
+
+def test_parameters_that_were_changed_are_kept_in_a_file_that_restores_them(
+    terminal: Terminal, image: Path, board: SilProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(flash_verb, "ANSWER_TIMEOUT_S", ANSWER_TIMEOUT_S)
+    assert terminal("params", "set", "hover_V", "1.25", "--save", "--port", board.url).code == 0
+    ended = terminal(
+        "flash", image, "--port", board.url, "--yes", "--bossac", Uploader(tmp_path / "bin").program
+    )
+    assert ended.code == 0, ended
+    [kept] = tmp_path.glob("parameters-*.toml")
+    assert f"params restore {kept.name} --save --port {board.url}" in ended.out
+    # The flash of the simulated board is not erased; a changed value shows that the file has the old one.
+    assert terminal("params", "set", "hover_V", "1.75", "--port", board.url).code == 0
+    assert terminal("params", "restore", kept, "--port", board.url).code == 0
+    assert terminal("params", "get", "hover_V", "--port", board.url).out.strip() == "1.25"
+
+
+def test_nothing_is_erased_before_somebody_agreed(
+    terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
+) -> None:
+    uploader = Uploader(tmp_path / "bin")
+    ended = terminal("flash", image, "--port", silent_port, "--bossac", uploader.program)
+    assert "--yes" in refusal(ended, code=ASKED)
+    assert uploader.calls == []
+
+
+def test_a_board_without_this_firmware_is_flashed_without_its_parameters(
+    terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
+) -> None:
+    uploader = Uploader(tmp_path / "bin")
+    ended = terminal("flash", image, "--port", silent_port, "--yes", "--bossac", uploader.program)
+    assert "no parameters could be read" in ended.out
+    assert len(uploader.calls) == 1
+
+
+def test_the_touch_that_erases_is_at_1200_baud() -> None:
+    ours, theirs = os.openpty()
+    try:
+        erase_chip(os.ttyname(theirs), wait_s=0.0)
+        assert termios.tcgetattr(theirs)[5] == termios.B1200
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+def test_the_wait_covers_the_erasing() -> None:
+    # 180 rounds of 4.096 ms: sim/due/board/usb_bridge.hpp.
+    assert erase.ERASE_S > 180 * 4.096e-3
+
+
+@pytest.mark.parametrize(
+    ("ending", "says"),
+    [
+        ("no device", "ERASE button"),
+        ("verify", "17 bytes differ"),
+        ("options", "does not take the options"),
+        ("io", "SAM-BA operation failed"),
+        ("crash", "crashed"),
+    ],
+)
+def test_each_way_in_which_the_uploader_fails_has_its_remedy(
+    terminal: Terminal, image: Path, silent_port: str, tmp_path: Path, ending: str, says: str
+) -> None:
+    uploader = Uploader(tmp_path / "bin", ending)
+    ended = terminal("flash", image, "--port", silent_port, "--yes", "--bossac", uploader.program)
+    assert says in refusal(ended, code=LINK)
+    assert len(uploader.calls) == 1
+
+
+def test_an_uploader_that_hangs_is_ended(image: Path, tmp_path: Path) -> None:
+    hanging = find_bossac(Uploader(tmp_path / "bin", "hang").program)
+    with pytest.raises(FlashError, match="did not end within"):
+        write_image(hanging, "/dev/ttyACM0", image, timeout_s=0.5)
+
+
+def test_a_board_that_does_not_answer_afterwards_is_an_error(
+    terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
+) -> None:
+    ended = terminal(
+        "flash", image, "--port", silent_port, "--yes", "--bossac", Uploader(tmp_path / "bin").program
+    )
+    line = refusal(ended, code=LINK)
+    assert "written and verified, but the board does not answer" in line
+    assert "RESET" in line
+
+
+def test_a_version_that_is_reported_not_to_boot_is_named_before_and_after(
+    terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
+) -> None:
+    new = Uploader(tmp_path / "bin", version="1.9.1")
+    ended = terminal("flash", image, "--port", silent_port, "--yes", "--bossac", new.program)
+    assert "1.9.1 is reported" in ended.out
+    assert "1.7.0" in refusal(ended, code=LINK)
+    assert "--usb-port=0" in new.calls[0]
+
+
+def test_a_busy_port_is_named_and_nothing_erased(
+    terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
+) -> None:
+    import serial
+
+    uploader = Uploader(tmp_path / "bin")
+    with serial.Serial(silent_port, exclusive=True):
+        ended = terminal("flash", image, "--port", silent_port, "--yes", "--bossac", uploader.program)
+    assert "in use by another program" in refusal(ended, code=LINK)
+    assert uploader.calls == []
+
+
+def test_a_missing_uploader_says_how_to_get_it(terminal: Terminal, image: Path, silent_port: str) -> None:
+    line = refusal(terminal("flash", image, "--port", silent_port, "--yes"), code=ASKED)
+    assert "not installed" in line
+    assert "tool-bossac" in line
+
+
+@pytest.mark.parametrize("port", ["socket://127.0.0.1:5000", "sil://"])
+def test_only_a_port_of_this_computer_can_be_flashed(
+    terminal: Terminal, image: Path, tmp_path: Path, port: str
+) -> None:
+    ended = terminal("flash", image, "--port", port, "--yes", "--bossac", Uploader(tmp_path / "bin").program)
+    assert "port of this computer" in refusal(ended, code=ASKED)
+
+
+def test_no_board_is_found_where_none_is_plugged_in(
+    terminal: Terminal, image: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(list_ports, "comports", list)
+    ended = terminal("flash", image, "--yes", "--bossac", Uploader(tmp_path / "bin").program)
+    assert "no board is plugged in" in refusal(ended, code=LINK)
+
+
+def test_a_missing_file_is_named(terminal: Terminal) -> None:
+    assert "nowhere.bin" in refusal(terminal("flash", "nowhere.bin", "--yes"), code=FILE)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"\x7fELF" + image_bytes(), "ELF"),
+        (b":020000040008F2\n" * 40, "Intel HEX"),
+        (b"", "0 bytes"),
+        (image_bytes()[:200], "200 bytes"),
+        (image_bytes() + bytes(512 * 1024), "bytes"),
+        (b"\xff" * 4096, "stack at 0xffffffff"),
+        (image_bytes(stack=0x2008_9000), "stack at 0x20089000"),
+        (image_bytes(entry=ENTRY - 1), "entry"),
+        (image_bytes(entry=0x0010_0001), "entry"),
+        (image_bytes(link_hash=LINK_HASH ^ 1), f"{LINK_HASH:08x}"),
+    ],
+    ids=["elf", "hex", "empty", "short", "long", "erased", "stack", "arm", "elsewhere", "hash"],
+)
+def test_a_file_that_is_no_firmware_of_ours_erases_nothing(
+    terminal: Terminal, tmp_path: Path, silent_port: str, content: bytes, says: str
+) -> None:
+    path = tmp_path / "firmware.bin"
+    path.write_bytes(content)
+    uploader = Uploader(tmp_path / "bin")
+    ended = terminal("flash", path, "--port", silent_port, "--yes", "--bossac", uploader.program)
+    assert says in refusal(ended, code=ASKED)
+    assert uploader.calls == []
+
+
+@given(st.binary(max_size=2048))
+def test_no_bytes_crash_the_check_of_an_image(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes
+) -> None:
+    path = tmp_path_factory.mktemp("image") / "any.bin"
+    path.write_bytes(content)
+    with pytest.raises(ImageError):
+        read_image(path)
+
+
+def test_an_uploader_that_is_trusted_comes_before_the_one_on_the_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on_path(monkeypatch, Uploader(tmp_path / "bin", version="1.9.1"))
+    assert find_bossac().version == "1.9.1"
+    package = Uploader(tmp_path / "home/.platformio/packages/tool-bossac", version="1.7.0")
+    assert find_bossac().path == str(package.program)
+
+
+def test_a_program_that_is_no_bossac_is_refused(tmp_path: Path) -> None:
+    program = tmp_path / "bossac"
+    with pytest.raises(UploaderError, match="does not run"):
+        find_bossac(program)
+    program.write_text("#!/bin/sh\necho hello\n")
+    program.chmod(0o755)
+    with pytest.raises(UploaderError, match="is no bossac"):
+        find_bossac(program)
+
+
+@pytest.mark.parametrize(
+    ("version", "doubtful"), [("1.6.1-arduino", False), ("1.7.0", False), ("1.9.1", True)]
+)
+def test_versions_that_are_reported_not_to_boot_are_known(version: str, doubtful: bool) -> None:
+    assert Bossac("bossac", version, ()).doubtful is doubtful
+
+
+def test_the_real_uploader_takes_these_options_as_far_as_the_missing_board(
+    image: Path, silent_port: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", os.defpath)
+    path = shutil.which("bossac", path=os.defpath + ":/usr/bin")
+    if path is None:
+        pytest.skip("bossac is not installed; on Debian: apt-get install bossa-cli")
+    with pytest.raises(FlashError, match="loader does not answer"):
+        write_image(find_bossac(Path(path)), silent_port, image)
+
+
+def test_options_of_platformio_are_not_those_of_the_new_uploader(image: Path) -> None:
+    """Why the version is asked: with 1.9.1 the value of -U hangs on it, or it is taken for the file."""
+    path = shutil.which("bossac", path=os.defpath + ":/usr/bin")
+    if path is None or not find_bossac(Path(path)).version.startswith("1.9"):
+        pytest.skip("bossac 1.9 is not installed; on Debian: apt-get install bossa-cli")
+    done = subprocess.run(
+        [path, "--port", "nowhere", "--write", "-U", "false", str(image)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert "extra arguments" in done.stderr
+    failed = uploading._failure(find_bossac(Path(path)), "nowhere", done.returncode, done.stderr)
+    assert "does not take the options" in str(failed)
+
+
+def test_a_board_that_flies_is_not_flashed(
+    terminal: Terminal, image: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import heli_host
+
+    monkeypatch.setattr(flash_verb, "ANSWER_TIMEOUT_S", ANSWER_TIMEOUT_S)
+    uploader = Uploader(tmp_path / "bin")
+    with SilProcess(speed=5.0) as board:
+        heli = heli_host.connect(board.url)
+        heli.take_off()
+        # Ends the session but not the flight: the board holds level for a while.
+        heli.session.close()
+        ended = terminal("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
+    assert "land or stop first" in refusal(ended, code=LINK)
+    assert uploader.calls == []
