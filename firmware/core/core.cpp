@@ -5,6 +5,11 @@ namespace heli {
 using control::Constants;
 using control::ControlInput;
 using control::ControlOutput;
+using control::Fixed;
+using control::Gain;
+using control::product;
+using control::Quantity;
+using control::Whole;
 using link::Event;
 using link::MessageId;
 using link::Reply;
@@ -15,11 +20,21 @@ namespace {
 
 constexpr std::uint8_t kAllAxes = link::axes::elevation | link::axes::pitch | link::axes::travel;
 
-std::int16_t duty_of(float voltage_V, float duty_per_V) {
-  const std::int32_t duty = control::round_to_int(voltage_V * duty_per_V);
+std::int16_t duty_of(Quantity voltage_V, Gain duty_per_V) {
+  const std::int32_t duty = product<0>(voltage_V, duty_per_V).raw();
   const std::int32_t full = kDutyFull;
   return static_cast<std::int16_t>(duty > full ? full : (duty < -full ? -full : duty));
 }
+
+// Units on the wire per unit.
+using Wire = Fixed<14>;
+constexpr Wire kElevationSetpointWire = Wire::of(link::kElevationSetpointPerUnit);
+constexpr Wire kPitchSetpointWire = Wire::of(link::kPitchSetpointPerUnit);
+constexpr Wire kTravelSetpointWire = Wire::of(link::kTravelSetpointPerUnit);
+constexpr Wire kFrontWire = Wire::of(link::kFrontPerUnit);
+constexpr Wire kBackWire = Wire::of(link::kBackPerUnit);
+
+std::int32_t wire(Quantity value, Wire per_unit) { return product<0>(value, per_unit).raw(); }
 
 }  // namespace
 
@@ -73,7 +88,7 @@ void Core::measure(const EncoderReading& reading, const Constants& c) {
         static_cast<std::int32_t>((c.count_sign[axis] < 0 ? 0U - turned : turned) + zero);
   }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    angle_rad_[axis] = static_cast<float>(count_[axis]) * c.rad_per_count[axis];
+    angle_rad_[axis] = product<24>(Whole::from_raw(count_[axis]), c.rad_per_count[axis]);
     rate_rad_s_[axis] = filters_[axis].update(angle_rad_[axis], c.smoothing[axis]);
     counters_.illegal[axis] = reading.illegal[axis];
   }
@@ -153,8 +168,8 @@ void Core::actuate(const ControlOutput& out, const Constants& c) {
     command.back_duty = duty_of(out.back_V, c.back_duty_per_V);
   }
   board_.write_motors(command);
-  acted_ = {static_cast<float>(command.front_duty) * c.front_V_per_duty,
-            static_cast<float>(command.back_duty) * c.back_V_per_duty};
+  acted_ = {product<24>(Whole::from_raw(command.front_duty), c.front_V_per_duty),
+            product<24>(Whole::from_raw(command.back_duty), c.back_V_per_duty)};
 }
 
 void Core::log_tick(const ControlOutput& out, TickTiming timing) {
@@ -168,14 +183,11 @@ void Core::log_tick(const ControlOutput& out, TickTiming timing) {
   put(Channel::pitch_count, count_[kPitch]);
   put(Channel::travel_count, count_[kTravel]);
   put(Channel::elevation_setpoint,
-      control::round_to_int(supervisor_.setpoint(kElevation).angle_rad *
-                            link::kElevationSetpointPerUnit));
-  put(Channel::pitch_setpoint,
-      control::round_to_int(out.pitch_setpoint_rad * link::kPitchSetpointPerUnit));
-  put(Channel::travel_setpoint, control::round_to_int(supervisor_.setpoint(kTravel).angle_rad *
-                                                      link::kTravelSetpointPerUnit));
-  put(Channel::front, control::round_to_int(acted_.front_V * link::kFrontPerUnit));
-  put(Channel::back, control::round_to_int(acted_.back_V * link::kBackPerUnit));
+      wire(supervisor_.setpoint_rad(kElevation), kElevationSetpointWire));
+  put(Channel::pitch_setpoint, wire(out.pitch_setpoint_rad, kPitchSetpointWire));
+  put(Channel::travel_setpoint, wire(supervisor_.setpoint_rad(kTravel), kTravelSetpointWire));
+  put(Channel::front, wire(acted_.front_V, kFrontWire));
+  put(Channel::back, wire(acted_.back_V, kBackWire));
   put(Channel::state, static_cast<std::int32_t>(supervisor_.state()));
   put(Channel::fault, static_cast<std::int32_t>(supervisor_.fault()));
   std::uint8_t flags = 0;

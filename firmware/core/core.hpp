@@ -72,8 +72,8 @@ class Core {
   bool zeroed_ = false;
   std::int32_t zero_count_[kAxisCount] = {};
   std::int32_t count_[kAxisCount] = {};
-  float angle_rad_[kAxisCount] = {};
-  float rate_rad_s_[kAxisCount] = {};
+  control::Quantity angle_rad_[kAxisCount];
+  control::Quantity rate_rad_s_[kAxisCount];
   flight::OpenVoltages acted_{};
   bool excited_ = false;
   link::TickCounters counters_;

@@ -18,6 +18,7 @@
 #include "control/cascade.hpp"
 #include "control/constants.hpp"
 #include "control/excitation.hpp"
+#include "control/fixed.hpp"
 #include "control/math.hpp"
 #include "control/mixer.hpp"
 #include "control/rate_filter.hpp"
@@ -30,6 +31,7 @@ namespace nb = nanobind;
 
 namespace {
 
+using heli::control::Quantity;
 using Triple = std::array<float, heli::kAxisCount>;
 using ParamValues = std::vector<std::tuple<int, float>>;
 
@@ -54,19 +56,20 @@ class Law {
               const std::array<float, 2>& excitation_V) {
     heli::control::ControlInput in{};
     for (std::size_t axis = 0; axis < heli::kAxisCount; ++axis) {
-      in.angle_rad[axis] = angle_rad[axis];
-      in.rate_rad_s[axis] = rate_rad_s[axis];
-      in.setpoint_rad[axis] = setpoint_rad[axis];
-      in.setpoint_rate_rad_s[axis] = setpoint_rate_rad_s[axis];
-      in.setpoint_acceleration_rad_s2[axis] = setpoint_acceleration_rad_s2[axis];
+      in.angle_rad[axis] = Quantity::of(angle_rad[axis]);
+      in.rate_rad_s[axis] = Quantity::of(rate_rad_s[axis]);
+      in.setpoint_rad[axis] = Quantity::of(setpoint_rad[axis]);
+      in.setpoint_rate_rad_s[axis] = Quantity::of(setpoint_rate_rad_s[axis]);
+      in.setpoint_acceleration_rad_s2[axis] = Quantity::of(setpoint_acceleration_rad_s2[axis]);
     }
     in.axes = axes;
-    in.open_front_V = open_V[0];
-    in.open_back_V = open_V[1];
-    in.excitation_front_V = excitation_V[0];
-    in.excitation_back_V = excitation_V[1];
+    in.open_front_V = Quantity::of(open_V[0]);
+    in.open_back_V = Quantity::of(open_V[1]);
+    in.excitation_front_V = Quantity::of(excitation_V[0]);
+    in.excitation_back_V = Quantity::of(excitation_V[1]);
     const heli::control::ControlOutput out = law_.update(in, constants_);
-    return std::make_tuple(out.front_V, out.back_V, out.pitch_setpoint_rad, out.front_saturated,
+    return std::make_tuple(out.front_V.to_float(), out.back_V.to_float(),
+                           out.pitch_setpoint_rad.to_float(), out.front_saturated,
                            out.back_saturated, out.pitch_limited);
   }
 
@@ -93,8 +96,8 @@ nb::ndarray<nb::numpy, float, nb::ndim<2>> excitation(std::uint8_t kind, float f
   const nb::capsule owner(values, [](void* p) noexcept { delete[] static_cast<float*>(p); });
   for (std::size_t tick = 0; tick < ticks; ++tick) {
     const heli::control::ExcitationValue value = exciter.next();
-    values[2 * tick] = value.front_V;
-    values[2 * tick + 1] = value.back_V;
+    values[2 * tick] = value.front_V.to_float();
+    values[2 * tick + 1] = value.back_V.to_float();
   }
   return {values, {ticks, 2}, owner};
 }
@@ -158,21 +161,34 @@ void bind_control(nb::module_& module) {
            nb::arg("excitation_V"));
   nb::class_<heli::control::RateFilter>(m, "RateFilter")
       .def(nb::init<>())
-      .def("update", &heli::control::RateFilter::update, nb::arg("angle_rad"),
-           nb::arg("smoothing"));
+      .def(
+          "update",
+          [](heli::control::RateFilter& self, float angle_rad, float smoothing) {
+            return self.update(Quantity::of(angle_rad), heli::control::Share::of(smoothing))
+                .to_float();
+          },
+          nb::arg("angle_rad"), nb::arg("smoothing"));
   m.def(
       "mix",
       [](float collective_V, float differential_V, float least_V, float most_V,
          float differential_max_V) {
-        const heli::control::Mixed mixed =
-            heli::control::mix(collective_V, differential_V, {least_V, most_V, differential_max_V});
-        return std::make_tuple(mixed.front_V, mixed.back_V, mixed.collective_V,
-                               mixed.differential_V);
+        const heli::control::Mixed mixed = heli::control::mix(
+            Quantity::of(collective_V), Quantity::of(differential_V),
+            heli::control::MixerLimits::of(Quantity::of(least_V), Quantity::of(most_V),
+                                           Quantity::of(differential_max_V)));
+        return std::make_tuple(mixed.front_V.to_float(), mixed.back_V.to_float(),
+                               mixed.collective_V.to_float(), mixed.differential_V.to_float());
       },
       nb::arg("collective_V"), nb::arg("differential_V"), nb::arg("least_V"), nb::arg("most_V"),
       nb::arg("differential_max_V"));
-  m.def("motor_from_lift_V", &heli::control::motor_from_lift_V, nb::arg("lift_V"),
-        nb::arg("dead_zone_V"));
+  m.def(
+      "motor_from_lift_V",
+      [](float lift_V, float dead_zone_V) {
+        return heli::control::motor_from_lift_V(Quantity::of(lift_V),
+                                                heli::control::DeadZone::of(dead_zone_V))
+            .to_float();
+      },
+      nb::arg("lift_V"), nb::arg("dead_zone_V"));
   m.def("square_root", &heli::control::square_root, nb::arg("value"));
   m.def("reciprocal", &heli::control::reciprocal, nb::arg("value"));
   m.def("excitation", &excitation, nb::arg("kind"), nb::arg("front_V"), nb::arg("back_V"),

@@ -117,7 +117,11 @@ class ReferenceLaw:
         )
         closed_V = feed_forward_V + self.elevation.wanted(elevation_error, braked_deg_s)
         plus = closed_V if axes & ELEVATION else sum(lifts)
-        minus = self.pitch.wanted(pitch_error, rate_deg_s[1]) if axes & PITCH else lifts[0] - lifts[1]
+        minus = (
+            p["pitch_hold_ff"] * pitch_setpoint + self.pitch.wanted(pitch_error, rate_deg_s[1])
+            if axes & PITCH
+            else lifts[0] - lifts[1]
+        )
         plus = self._without_jump("plus", plus, bool(changed & ELEVATION))
         minus = self._without_jump("minus", minus, bool(changed & PITCH))
 

@@ -1,6 +1,6 @@
 // The arithmetic of Arduino's PID_v1, written anew from its documentation for comparison of cost:
-// three loops, proportional on error, derivative on measurement, output limited, integral limited to
-// the output's range. In double as there, which on a Due takes 64 bits. No gains of the rig, no
+// three loops, proportional on error, derivative on measurement, output limited, integral limited
+// to the output's range. In double as there, which on a Due takes 64 bits. No gains of the rig, no
 // filters, no feed-forward, no mixer: everything that the firmware's law does besides.
 namespace {
 

@@ -6,17 +6,6 @@ namespace heli::control {
 
 namespace axes = link::axes;
 
-namespace {
-
-// Rounding in the mixer is below this; limits that bind differ by more.
-constexpr float kLimited_V = 1e-4F;
-
-bool limited(float wanted_V, float achieved_V) {
-  return magnitude(wanted_V - achieved_V) > kLimited_V;
-}
-
-}  // namespace
-
 ControlOutput Cascade::update(const ControlInput& in, const Constants& c) {
   const std::uint8_t changed =
       started_ ? static_cast<std::uint8_t>(in.axes ^ axes_) : static_cast<std::uint8_t>(0xffU);
@@ -38,71 +27,71 @@ ControlOutput Cascade::update(const ControlInput& in, const Constants& c) {
     travel_.reset();
   }
 
-  const float pitch_setpoint_rad =
+  const Quantity pitch_setpoint_rad =
       follow_pitch_setpoint(in, c, (changed & (axes::travel | axes::pitch)) != 0U);
-  const float pitch_error_rad = pitch_setpoint_rad - in.angle_rad[kPitch];
-  const float elevation_error_rad = in.setpoint_rad[kElevation] - in.angle_rad[kElevation];
+  const Quantity pitch_error_rad = pitch_setpoint_rad - in.angle_rad[kPitch];
+  const Quantity elevation_error_rad = in.setpoint_rad[kElevation] - in.angle_rad[kElevation];
 
-  const float open_front_V = lift_from_motor_V(in.open_front_V, c.dead_zone_V);
-  const float open_back_V = lift_from_motor_V(in.open_back_V, c.dead_zone_V);
+  const Quantity open_front_V = lift_from_motor_V(in.open_front_V, c.dead_zone);
+  const Quantity open_back_V = lift_from_motor_V(in.open_back_V, c.dead_zone);
   const bool elevation_closed = (in.axes & axes::elevation) != 0U;
   const bool pitch_closed = (in.axes & axes::pitch) != 0U;
-  const float collective_V =
+  const Quantity collective_V =
       collective_fade_.apply(elevation_closed ? lift_for_elevation(in, c, elevation_error_rad)
                                               : open_front_V + open_back_V,
                              collective_V_, (changed & axes::elevation) != 0U, c.bumpless_keep);
-  const float differential_V = differential_fade_.apply(
-      pitch_closed ? pitch_.output(c.pitch, pitch_error_rad, in.rate_rad_s[kPitch])
+  const Quantity differential_V = differential_fade_.apply(
+      pitch_closed ? c.pitch_hold_V_per_rad * pitch_setpoint_rad +
+                         pitch_.output(c.pitch, pitch_error_rad, in.rate_rad_s[kPitch])
                    : open_front_V - open_back_V,
       differential_V_, (changed & axes::pitch) != 0U, c.bumpless_keep);
 
-  const float excitation_sum_V = in.excitation_front_V + in.excitation_back_V;
-  const float excitation_difference_V = in.excitation_front_V - in.excitation_back_V;
-  const float wanted_collective_V = collective_V + excitation_sum_V;
-  const float wanted_differential_V = differential_V + excitation_difference_V;
+  const Quantity excitation_sum_V = in.excitation_front_V + in.excitation_back_V;
+  const Quantity excitation_difference_V = in.excitation_front_V - in.excitation_back_V;
+  const Quantity wanted_collective_V = collective_V + excitation_sum_V;
+  const Quantity wanted_differential_V = differential_V + excitation_difference_V;
   const Mixed mixed = mix(wanted_collective_V, wanted_differential_V, c.mixer);
   collective_V_ = mixed.collective_V - excitation_sum_V;
   differential_V_ = mixed.differential_V - excitation_difference_V;
 
-  const float differential_excess_V = wanted_differential_V - mixed.differential_V;
+  const Quantity collective_excess_V = wanted_collective_V - mixed.collective_V;
+  const Quantity differential_excess_V = wanted_differential_V - mixed.differential_V;
   if (elevation_closed) {
-    elevation_.integrate(c.elevation, elevation_error_rad,
-                         wanted_collective_V - mixed.collective_V);
+    elevation_.integrate(c.elevation, elevation_error_rad, collective_excess_V);
   }
   if (pitch_closed) {
     pitch_.integrate(c.pitch, pitch_error_rad, differential_excess_V);
   }
   if ((in.axes & axes::travel) != 0U) {
     // Asking for more pitch is as useless when the mixer is at its limit as when the setpoint is.
-    const float excess =
-        pitch_setpoint_excess_rad_ != 0.0F ? pitch_setpoint_excess_rad_ : differential_excess_V;
+    const Quantity excess = pitch_setpoint_excess_rad_ != Quantity{} ? pitch_setpoint_excess_rad_
+                                                                     : differential_excess_V;
     travel_.integrate(c.travel, in.setpoint_rad[kTravel] - in.angle_rad[kTravel], excess);
   }
 
-  front_V_ = clamp(motor_from_lift_V(mixed.front_V, c.dead_zone_V), c.motor_min_V, c.motor_max_V);
-  back_V_ = clamp(motor_from_lift_V(mixed.back_V, c.dead_zone_V), c.motor_min_V, c.motor_max_V);
+  front_V_ = clamp(motor_from_lift_V(mixed.front_V, c.dead_zone), c.motor_min_V, c.motor_max_V);
+  back_V_ = clamp(motor_from_lift_V(mixed.back_V, c.dead_zone), c.motor_min_V, c.motor_max_V);
   ControlOutput out{};
   out.front_V = front_V_;
   out.back_V = back_V_;
   out.pitch_setpoint_rad = pitch_setpoint_rad;
-  out.front_saturated =
-      limited(0.5F * (wanted_collective_V + wanted_differential_V), mixed.front_V);
-  out.back_saturated = limited(0.5F * (wanted_collective_V - wanted_differential_V), mixed.back_V);
-  out.pitch_limited = pitch_setpoint_excess_rad_ != 0.0F;
+  out.front_saturated = collective_excess_V + differential_excess_V != Quantity{};
+  out.back_saturated = collective_excess_V != differential_excess_V;
+  out.pitch_limited = pitch_setpoint_excess_rad_ != Quantity{};
   return out;
 }
 
-float Cascade::lift_for_elevation(const ControlInput& in, const Constants& c,
-                                  float error_rad) const {
-  const float braked_rad_s =
+Quantity Cascade::lift_for_elevation(const ControlInput& in, const Constants& c,
+                                     Quantity error_rad) const {
+  const Quantity braked_rad_s =
       in.rate_rad_s[kElevation] - c.elevation_rate_ff * in.setpoint_rate_rad_s[kElevation];
   return c.hover_V + c.hover_V_per_rad * in.setpoint_rad[kElevation] +
          c.elevation_acceleration_ff * in.setpoint_acceleration_rad_s2[kElevation] +
          elevation_.output(c.elevation, error_rad, braked_rad_s);
 }
 
-float Cascade::pitch_for_travel(const ControlInput& in, const Constants& c) const {
-  const float braked_rad_s =
+Quantity Cascade::pitch_for_travel(const ControlInput& in, const Constants& c) const {
+  const Quantity braked_rad_s =
       in.rate_rad_s[kTravel] - c.travel_rate_ff * in.setpoint_rate_rad_s[kTravel];
   return c.travel_acceleration_ff * in.setpoint_acceleration_rad_s2[kTravel] +
          travel_.output(c.travel, in.setpoint_rad[kTravel] - in.angle_rad[kTravel], braked_rad_s);
@@ -113,27 +102,28 @@ float Cascade::pitch_for_travel(const ControlInput& in, const Constants& c) cons
 ControlOutput Cascade::all_open(const ControlInput& in, const Constants& c, bool changed) {
   front_V_ = front_fade_.apply(in.open_front_V, front_V_, changed, c.bumpless_keep);
   back_V_ = back_fade_.apply(in.open_back_V, back_V_, changed, c.bumpless_keep);
-  const float front_V = front_V_ + in.excitation_front_V;
-  const float back_V = back_V_ + in.excitation_back_V;
+  const Quantity front_V = front_V_ + in.excitation_front_V;
+  const Quantity back_V = back_V_ + in.excitation_back_V;
   ControlOutput out{};
   out.front_V = clamp(front_V, c.motor_min_V, c.motor_max_V);
   out.back_V = clamp(back_V, c.motor_min_V, c.motor_max_V);
-  out.front_saturated = limited(front_V, out.front_V);
-  out.back_saturated = limited(back_V, out.back_V);
+  out.front_saturated = out.front_V != front_V;
+  out.back_saturated = out.back_V != back_V;
   out.pitch_setpoint_rad = in.setpoint_rad[kPitch];
-  const float front_lift_V = lift_from_motor_V(front_V_, c.dead_zone_V);
-  const float back_lift_V = lift_from_motor_V(back_V_, c.dead_zone_V);
+  const Quantity front_lift_V = lift_from_motor_V(front_V_, c.dead_zone);
+  const Quantity back_lift_V = lift_from_motor_V(back_V_, c.dead_zone);
   collective_V_ = front_lift_V + back_lift_V;
   differential_V_ = front_lift_V - back_lift_V;
   return out;
 }
 
-float Cascade::follow_pitch_setpoint(const ControlInput& in, const Constants& c, bool changed) {
+Quantity Cascade::follow_pitch_setpoint(const ControlInput& in, const Constants& c, bool changed) {
   const bool travel_closed = (in.axes & axes::travel) != 0U;
-  const float wanted_rad =
+  const Quantity wanted_rad =
       pitch_setpoint_fade_.apply(travel_closed ? pitch_for_travel(in, c) : in.setpoint_rad[kPitch],
                                  pitch_setpoint_rad_, changed, c.bumpless_keep);
-  const float limited_rad = clamp(wanted_rad, -c.pitch_setpoint_max_rad, c.pitch_setpoint_max_rad);
+  const Quantity limited_rad =
+      clamp(wanted_rad, -c.pitch_setpoint_max_rad, c.pitch_setpoint_max_rad);
   pitch_setpoint_rad_ = clamp(limited_rad, pitch_setpoint_rad_ - c.pitch_step_max_rad,
                               pitch_setpoint_rad_ + c.pitch_step_max_rad);
   pitch_setpoint_excess_rad_ = wanted_rad - pitch_setpoint_rad_;

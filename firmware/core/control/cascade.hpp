@@ -11,13 +11,13 @@ namespace heli::control {
 // added to it and fades out.
 class Fade {
  public:
-  float apply(float fresh, float previous, bool changed, float keep) {
-    jump_ = changed ? previous - fresh : jump_ * keep;
+  Quantity apply(Quantity fresh, Quantity previous, bool changed, Share keep) {
+    jump_ = changed ? previous - fresh : shrunk(jump_, keep);
     return fresh + jump_;
   }
 
  private:
-  float jump_ = 0.0F;
+  Quantity jump_;
 };
 
 class Cascade {
@@ -25,13 +25,14 @@ class Cascade {
   // Called before the first update() after the motors were off: forgets everything.
   void reset() { *this = Cascade{}; }
 
-  ControlOutput update(const ControlInput& in, const Constants& c);
+  // Never inlined: its instructions are counted by its name.
+  [[gnu::noinline]] ControlOutput update(const ControlInput& in, const Constants& c);
 
  private:
   ControlOutput all_open(const ControlInput& in, const Constants& c, bool changed);
-  float lift_for_elevation(const ControlInput& in, const Constants& c, float error_rad) const;
-  float pitch_for_travel(const ControlInput& in, const Constants& c) const;
-  float follow_pitch_setpoint(const ControlInput& in, const Constants& c, bool changed);
+  Quantity lift_for_elevation(const ControlInput& in, const Constants& c, Quantity error_rad) const;
+  Quantity pitch_for_travel(const ControlInput& in, const Constants& c) const;
+  Quantity follow_pitch_setpoint(const ControlInput& in, const Constants& c, bool changed);
 
   Pid elevation_;
   Pid pitch_;
@@ -43,12 +44,12 @@ class Cascade {
   Fade back_fade_;
   std::uint8_t axes_ = 0;
   bool started_ = false;
-  float front_V_ = 0.0F;  // motor volts of the previous tick, without excitation
-  float back_V_ = 0.0F;
-  float collective_V_ = 0.0F;  // lift volts achieved in the previous tick, without excitation
-  float differential_V_ = 0.0F;
-  float pitch_setpoint_rad_ = 0.0F;
-  float pitch_setpoint_excess_rad_ = 0.0F;
+  Quantity front_V_;  // motor volts of the previous tick, without excitation
+  Quantity back_V_;
+  Quantity collective_V_;  // lift volts achieved in the previous tick, without excitation
+  Quantity differential_V_;
+  Quantity pitch_setpoint_rad_;
+  Quantity pitch_setpoint_excess_rad_;
 };
 
 }  // namespace heli::control

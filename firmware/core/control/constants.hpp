@@ -4,6 +4,7 @@
 #include <cstdint>
 
 #include "board.hpp"
+#include "control/fixed.hpp"
 #include "control/mixer.hpp"
 #include "control/pid.hpp"
 #include "params/params.hpp"
@@ -11,35 +12,36 @@
 namespace heli::control {
 
 struct Constants {
-  float rad_per_count[kAxisCount];
+  PerCount rad_per_count[kAxisCount];
   std::int32_t count_sign[kAxisCount];
   std::int32_t elevation_rest_counts;
-  float smoothing[kAxisCount];
+  Share smoothing[kAxisCount];
 
   PidGains elevation;
   PidGains pitch;
   PidGains travel;  // output is the pitch setpoint in rad
-  float hover_V;
-  float hover_V_per_rad;
-  float elevation_rate_ff;
-  float travel_rate_ff;
-  float elevation_acceleration_ff;  // V per rad/s2
-  float travel_acceleration_ff;     // rad per rad/s2
-  float pitch_setpoint_max_rad;
-  float pitch_step_max_rad;  // per tick
-  float bumpless_keep;       // share of the jump left after one tick
+  Quantity hover_V;
+  Gain hover_V_per_rad;
+  Gain pitch_hold_V_per_rad;
+  Share elevation_rate_ff;
+  Share travel_rate_ff;
+  Gain elevation_acceleration_ff;  // V per rad/s2
+  Gain travel_acceleration_ff;     // rad per rad/s2
+  Quantity pitch_setpoint_max_rad;
+  Quantity pitch_step_max_rad;  // per tick
+  Share bumpless_keep;          // of the jump left after one tick
 
-  float dead_zone_V;
+  DeadZone dead_zone;
   MixerLimits mixer;
-  float motor_min_V;
-  float motor_max_V;
-  float front_duty_per_V;  // signed
-  float back_duty_per_V;
-  float front_V_per_duty;
-  float back_V_per_duty;
+  Quantity motor_min_V;
+  Quantity motor_max_V;
+  Gain front_duty_per_V;  // signed
+  Gain back_duty_per_V;
+  Share front_V_per_duty;
+  Share back_V_per_duty;
 };
 
-// Uses divisions and exponentials: idle loop only.
+// Uses floats, divisions and exponentials: idle loop only.
 Constants constants_of(const params::Params& params);
 
 }  // namespace heli::control

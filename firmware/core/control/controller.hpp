@@ -10,22 +10,22 @@
 namespace heli::control {
 
 struct ControlInput {
-  float angle_rad[kAxisCount];
-  float rate_rad_s[kAxisCount];
-  float setpoint_rad[kAxisCount];  // pitch counts only while travel is not closed
-  float setpoint_rate_rad_s[kAxisCount];
-  float setpoint_acceleration_rad_s2[kAxisCount];
-  std::uint8_t axes;   // link::axes bits of the closed loops
-  float open_front_V;  // motor volts for what is not closed
-  float open_back_V;
-  float excitation_front_V;  // added to the motors
-  float excitation_back_V;
+  Quantity angle_rad[kAxisCount];
+  Quantity rate_rad_s[kAxisCount];
+  Quantity setpoint_rad[kAxisCount];  // pitch counts only while travel is not closed
+  Quantity setpoint_rate_rad_s[kAxisCount];
+  Quantity setpoint_acceleration_rad_s2[kAxisCount];
+  std::uint8_t axes;      // link::axes bits of the closed loops
+  Quantity open_front_V;  // motor volts for what is not closed
+  Quantity open_back_V;
+  Quantity excitation_front_V;  // added to the motors
+  Quantity excitation_back_V;
 };
 
 struct ControlOutput {
-  float front_V;  // motor volts, within the motor limits
-  float back_V;
-  float pitch_setpoint_rad;  // the one that was used
+  Quantity front_V;  // motor volts, within the motor limits
+  Quantity back_V;
+  Quantity pitch_setpoint_rad;  // the one that was used
   bool front_saturated;
   bool back_saturated;
   bool pitch_limited;

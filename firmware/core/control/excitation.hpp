@@ -3,17 +3,20 @@
 
 #include <cstdint>
 
+#include "control/fixed.hpp"
 #include "link/declaration.hpp"
 
 namespace heli::control {
 
 struct ExcitationValue {
-  float front_V;
-  float back_V;
+  Quantity front_V;
+  Quantity back_V;
 };
 
 class Exciter {
  public:
+  static constexpr std::uint32_t kTones = 8;  // of a multisine, per motor
+
   // The caller has checked amplitude and duration against the parameters.
   void start(const link::ExciteMessage& message);
   void stop() { kind_ = link::Excitation::none; }
@@ -24,12 +27,11 @@ class Exciter {
   ExcitationValue next();
 
  private:
-  static constexpr std::size_t kTones = 8;  // of a multisine, per motor
-
-  float shape(std::size_t motor);
+  // Of unit size.
+  Share shape(std::size_t motor);
 
   link::Excitation kind_ = link::Excitation::none;
-  float amplitude_V_[2] = {};
+  Quantity amplitude_V_[2];
   std::uint32_t tick_ = 0;
   std::uint32_t duration_ticks_ = 0;
   std::uint32_t phase_[2][kTones] = {};  // 2^32 is one turn

@@ -1,4 +1,4 @@
-// Arithmetic that the tick can afford on a Cortex-M3 without FPU.
+// Constants and small functions of the tick and of the idle loop.
 #pragma once
 
 #include <cstdint>
@@ -12,7 +12,8 @@ inline constexpr float kDegPerRad = 180.0F / kPi;
 inline constexpr float kTick_s = 0.001F;
 inline constexpr float kTickRate_Hz = 1000.0F;
 
-constexpr float clamp(float value, float least, float most) {
+template <class Number>
+constexpr Number clamp(Number value, Number least, Number most) {
   return value < least ? least : (value > most ? most : value);
 }
 
@@ -40,20 +41,6 @@ inline float reciprocal(float value) {
   guess *= 2.0F - value * guess;
   guess *= 2.0F - value * guess;
   return guess;
-}
-
-// Square root of a positive normal number, by its reciprocal's root: multiplications only.
-inline float square_root(float value) {
-  std::uint32_t bits = 0;
-  std::memcpy(&bits, &value, sizeof bits);
-  bits = 0x5f375a86U - (bits >> 1U);
-  float guess = 0.0F;
-  std::memcpy(&guess, &bits, sizeof guess);
-  const float half = 0.5F * value;
-  guess *= 1.5F - half * guess * guess;
-  guess *= 1.5F - half * guess * guess;
-  guess *= 1.5F - half * guess * guess;
-  return value * guess;
 }
 
 }  // namespace heli::control

@@ -1,53 +1,69 @@
 // Collective and differential to two motor voltages, and the thrust curve's dead zone.
 #pragma once
 
+#include "control/fixed.hpp"
 #include "control/math.hpp"
 
 namespace heli::control {
 
 // Thrust of a rotor is k (V - dead_zone) above the dead zone and nothing below (paper, eq. 31).
 // The control law therefore works in "lift volts", V minus the dead zone, and this turns them into
-// motor volts. Within kBlend_V of zero the dead zone fades in, so that a loop that hovers around
+// motor volts. Within kBlend of zero the dead zone fades in, so that a loop that hovers around
 // zero lift does not chop the motor between 0 and 1 V.
-inline constexpr float kBlend_V = 0.05F;
-inline constexpr float kPerBlend = 1.0F / kBlend_V;
+inline constexpr Quantity kBlend_V = Quantity::of(0.05F);
+inline constexpr float kPerBlend = 1.0F / 0.05F;
 
-inline float motor_from_lift_V(float lift_V, float dead_zone_V) {
-  return lift_V + dead_zone_V * clamp(lift_V * kPerBlend, -1.0F, 1.0F);
+struct DeadZone {
+  Quantity zone_V;
+  Gain slope;  // volts of the zone per volt of lift within the blend
+
+  static DeadZone of(float zone_V) { return {Quantity::of(zone_V), Gain::of(zone_V * kPerBlend)}; }
+};
+
+inline Quantity motor_from_lift_V(Quantity lift_V, const DeadZone& dead) {
+  if (lift_V >= kBlend_V) {
+    return lift_V + dead.zone_V;
+  }
+  return lift_V <= -kBlend_V ? lift_V - dead.zone_V : lift_V + dead.slope * lift_V;
 }
 
-inline float lift_from_motor_V(float motor_V, float dead_zone_V) {
-  if (motor_V > dead_zone_V) {
-    return motor_V - dead_zone_V;
+inline Quantity lift_from_motor_V(Quantity motor_V, const DeadZone& dead) {
+  if (motor_V > dead.zone_V) {
+    return motor_V - dead.zone_V;
   }
-  return motor_V < -dead_zone_V ? motor_V + dead_zone_V : 0.0F;
+  return motor_V < -dead.zone_V ? motor_V + dead.zone_V : Quantity{};
 }
 
 struct MixerLimits {
-  float lift_min_V;          // lowest lift voltage of one motor
-  float lift_max_V;          // highest
-  float differential_max_V;  // bound of front minus back
+  Quantity collective_min_V;    // both motors at their lowest
+  Quantity collective_max_V;    // both at their highest
+  Quantity differential_max_V;  // bound of front minus back
+
+  // From the lowest and highest lift voltage of one motor.
+  static MixerLimits of(Quantity lift_min_V, Quantity lift_max_V, Quantity differential_max_V) {
+    const Quantity span_V = lift_max_V - lift_min_V;
+    return {lift_min_V + lift_min_V, lift_max_V + lift_max_V,
+            span_V < differential_max_V ? span_V : differential_max_V};
+  }
 };
 
 struct Mixed {
-  float front_V;  // lift volts
-  float back_V;
-  float collective_V;    // front + back as achieved
-  float differential_V;  // front - back as achieved
+  Quantity front_V;  // lift volts
+  Quantity back_V;
+  Quantity collective_V;    // front + back as achieved
+  Quantity differential_V;  // front - back as achieved
 };
 
 // Paper eq. (32) inverted, with limits. Pitch has priority: the differential keeps its size and the
 // collective gives way, because a tandem that cannot hold its pitch cannot hold anything.
-inline Mixed mix(float collective_V, float differential_V, const MixerLimits& limits) {
-  const float span_V = limits.lift_max_V - limits.lift_min_V;
-  const float bound_V = span_V < limits.differential_max_V ? span_V : limits.differential_max_V;
+inline Mixed mix(Quantity collective_V, Quantity differential_V, const MixerLimits& limits) {
   Mixed m{};
-  m.differential_V = clamp(differential_V, -bound_V, bound_V);
-  const float taken_V = magnitude(m.differential_V);
+  m.differential_V = clamp(differential_V, -limits.differential_max_V, limits.differential_max_V);
+  const Quantity taken_V = magnitude(m.differential_V);
   m.collective_V =
-      clamp(collective_V, 2.0F * limits.lift_min_V + taken_V, 2.0F * limits.lift_max_V - taken_V);
-  m.front_V = 0.5F * (m.collective_V + m.differential_V);
-  m.back_V = 0.5F * (m.collective_V - m.differential_V);
+      clamp(collective_V, limits.collective_min_V + taken_V, limits.collective_max_V - taken_V);
+  m.front_V = (m.collective_V + m.differential_V).half();
+  m.back_V = (m.collective_V - m.differential_V).half();
   return m;
 }
 

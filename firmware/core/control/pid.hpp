@@ -1,38 +1,50 @@
 // One PID loop: derivative on the measurement, integrator that knows what the actuator achieved.
 #pragma once
 
+#include <cstdint>
+
+#include "control/fixed.hpp"
 #include "control/math.hpp"
 
 namespace heli::control {
 
 struct PidGains {
-  float kp;            // output per rad
-  float ki_per_tick;   // output per rad and tick
-  float kd;            // output per rad/s
-  float integral_max;  // bound of the integrator's share of the output
+  Gain kp;                // output per rad
+  Share ki_per_tick;      // output per rad and tick
+  Gain kd;                // output per rad/s
+  Quantity integral_max;  // bound of the integrator's share of the output
 };
 
 class Pid {
  public:
-  float output(const PidGains& gains, float error_rad, float rate_rad_s) const {
-    return gains.kp * error_rad + integral_ - gains.kd * rate_rad_s;
+  Quantity output(const PidGains& gains, Quantity error_rad, Quantity rate_rad_s) const {
+    return gains.kp * error_rad + integral() - gains.kd * rate_rad_s;
   }
 
   // `excess` is wanted minus achieved output. The integrator stands still while it would only
   // push further into the limit, and moves freely out of it.
-  void integrate(const PidGains& gains, float error_rad, float excess) {
-    if (excess * error_rad > 0.0F) {
+  void integrate(const PidGains& gains, Quantity error_rad, Quantity excess) {
+    const bool same_sign = (excess.raw() ^ error_rad.raw()) >= 0;
+    if (same_sign && excess != Quantity{} && error_rad != Quantity{}) {
       return;
     }
-    integral_ =
-        clamp(integral_ + gains.ki_per_tick * error_rad, -gains.integral_max, gains.integral_max);
+    const std::int64_t most = static_cast<std::int64_t>(gains.integral_max.raw()) << kFiner;
+    const std::int64_t step = static_cast<std::int64_t>(gains.ki_per_tick.raw()) * error_rad.raw();
+    integral_ = clamp(integral_ + step, -most, most);
   }
 
-  void reset() { integral_ = 0.0F; }
-  float integral() const { return integral_; }
+  void reset() { integral_ = 0; }
+
+  Quantity integral() const {
+    return Quantity::from_raw(static_cast<std::int32_t>(integral_ >> kFiner));
+  }
 
  private:
-  float integral_ = 0.0F;
+  // Bits of the integral behind those of the output: those of a Share, so that each product is
+  // added whole. A tick's share of a small error is below the resolution of the output.
+  static constexpr int kFiner = 30;
+
+  std::int64_t integral_ = 0;
 };
 
 }  // namespace heli::control

@@ -1,7 +1,7 @@
 // Rate of an angle that comes in encoder counts.
 #pragma once
 
-#include "control/math.hpp"
+#include "control/fixed.hpp"
 
 namespace heli::control {
 
@@ -10,23 +10,25 @@ namespace heli::control {
 class RateFilter {
  public:
   // `smoothing` is 1 - exp(-2 pi f T), computed once for each change of the cut-off.
-  float update(float angle_rad, float smoothing) {
+  Quantity update(Quantity angle_rad, Share smoothing) {
     if (!started_) {
       first_rad_ = angle_rad;
       second_rad_ = angle_rad;
       started_ = true;
     }
     first_rad_ += smoothing * (angle_rad - first_rad_);
-    const float step_rad = smoothing * (first_rad_ - second_rad_);
+    const Quantity step_rad = smoothing * (first_rad_ - second_rad_);
     second_rad_ += step_rad;
-    return step_rad * kTickRate_Hz;
+    return kTickRate * step_rad;
   }
 
   void restart() { started_ = false; }
 
  private:
-  float first_rad_ = 0.0F;
-  float second_rad_ = 0.0F;
+  static constexpr Gain kTickRate = Gain::of(1000.0F);
+
+  Quantity first_rad_;
+  Quantity second_rad_;
   bool started_ = false;
 };
 

@@ -7,7 +7,6 @@ namespace heli::flight {
 using control::kDegPerRad;
 using control::kRadPerDeg;
 using control::kTickRate_Hz;
-using control::magnitude;
 using link::Fault;
 using link::Param;
 
@@ -16,6 +15,8 @@ namespace {
 std::uint32_t ticks_of(float seconds) {
   return static_cast<std::uint32_t>(seconds * kTickRate_Hz + 0.5F);
 }
+
+float deg(Quantity rad) { return rad.to_float() * kDegPerRad; }
 
 constexpr Fault kAngleFault[kAxisCount] = {Fault::elevation_limit, Fault::pitch_limit,
                                            Fault::travel_limit};
@@ -27,7 +28,7 @@ constexpr Fault kEncoderFault[kAxisCount] = {Fault::encoder_elevation, Fault::en
 }  // namespace
 
 Limits limits_of(const params::Params& params) {
-  const auto rad = [&params](Param p) { return params.get(p) * kRadPerDeg; };
+  const auto rad = [&params](Param p) { return Quantity::of(params.get(p) * kRadPerDeg); };
   Limits l{};
   l.angle_max_rad[kElevation] = rad(Param::elevation_max_deg);
   l.angle_max_rad[kPitch] = rad(Param::pitch_max_deg);
@@ -59,12 +60,13 @@ Verdict check_flight(const Situation& s, const Limits& l) {
   }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     // Downwards the table is the elevation's limit.
-    const float angle_rad = axis == kElevation ? s.angle_rad[axis] : magnitude(s.angle_rad[axis]);
+    const Quantity angle_rad =
+        axis == kElevation ? s.angle_rad[axis] : magnitude(s.angle_rad[axis]);
     if (angle_rad > l.angle_max_rad[axis]) {
-      return {kAngleFault[axis], s.angle_rad[axis] * kDegPerRad};
+      return {kAngleFault[axis], deg(s.angle_rad[axis])};
     }
     if (magnitude(s.rate_rad_s[axis]) > l.rate_max_rad_s[axis]) {
-      return {kRateFault[axis], s.rate_rad_s[axis] * kDegPerRad};
+      return {kRateFault[axis], deg(s.rate_rad_s[axis])};
     }
     if (s.illegal[axis] > l.encoder_illegal_max) {
       return {kEncoderFault[axis], static_cast<float>(s.illegal[axis])};
@@ -87,19 +89,19 @@ Verdict check_before_arming(const Situation& s, const Limits& l, std::uint32_t l
   if (link_age_ticks > l.hold_ticks) {
     return {Fault::link_not_alive, static_cast<float>(link_age_ticks) * control::kTick_s};
   }
-  for (const float rate_rad_s : s.rate_rad_s) {
+  for (const Quantity rate_rad_s : s.rate_rad_s) {
     if (magnitude(rate_rad_s) > l.arm_rate_max_rad_s) {
-      return {Fault::moving, rate_rad_s * kDegPerRad};
+      return {Fault::moving, deg(rate_rad_s)};
     }
   }
   if (magnitude(s.angle_rad[kElevation] - l.rest_rad) > l.arm_elevation_tolerance_rad) {
-    return {Fault::not_at_rest, s.angle_rad[kElevation] * kDegPerRad};
+    return {Fault::not_at_rest, deg(s.angle_rad[kElevation])};
   }
   if (magnitude(s.angle_rad[kPitch]) > l.arm_pitch_tolerance_rad) {
-    return {Fault::pitch_not_level, s.angle_rad[kPitch] * kDegPerRad};
+    return {Fault::pitch_not_level, deg(s.angle_rad[kPitch])};
   }
   if (magnitude(s.angle_rad[kTravel]) > l.angle_max_rad[kTravel]) {
-    return {Fault::travel_limit, s.angle_rad[kTravel] * kDegPerRad};
+    return {Fault::travel_limit, deg(s.angle_rad[kTravel])};
   }
   return {Fault::none, 0.0F};
 }

@@ -4,21 +4,24 @@
 #include <cstdint>
 
 #include "board.hpp"
+#include "control/fixed.hpp"
 #include "link/declaration.hpp"
 #include "params/params.hpp"
 
 namespace heli::flight {
 
+using control::Quantity;
+
 // From the parameters, in the idle loop.
 struct Limits {
-  float angle_max_rad[kAxisCount];
-  float rate_max_rad_s[kAxisCount];
+  Quantity angle_max_rad[kAxisCount];
+  Quantity rate_max_rad_s[kAxisCount];
   std::uint32_t encoder_illegal_max;
   std::uint32_t overrun_max;
-  float arm_rate_max_rad_s;
-  float arm_elevation_tolerance_rad;
-  float arm_pitch_tolerance_rad;
-  float rest_rad;
+  Quantity arm_rate_max_rad_s;
+  Quantity arm_elevation_tolerance_rad;
+  Quantity arm_pitch_tolerance_rad;
+  Quantity rest_rad;
   std::uint32_t hold_ticks;
   std::uint32_t land_ticks;
   std::uint32_t landing_timeout_ticks;
@@ -34,8 +37,8 @@ Limits limits_of(const params::Params& params);
 
 // What the checks look at.
 struct Situation {
-  float angle_rad[kAxisCount];
-  float rate_rad_s[kAxisCount];
+  Quantity angle_rad[kAxisCount];
+  Quantity rate_rad_s[kAxisCount];
   std::uint32_t illegal[kAxisCount];  // since arming
   std::uint32_t overruns;             // since arming
   bool hardware_stop;

@@ -1,14 +1,20 @@
 #include "flight/setpoints.hpp"
 
+#include <array>
+
 #include "control/math.hpp"
 
 namespace heli::flight {
 
 using control::clamp;
+using control::Fixed;
+using control::Gain;
 using control::kRadPerDeg;
 using control::kTick_s;
 using control::kTickRate_Hz;
 using control::magnitude;
+using control::product;
+using control::Share;
 using link::Param;
 
 namespace {
@@ -21,22 +27,47 @@ constexpr float kRestMargin_rad = 1.0F * kRadPerDeg;
 
 // Near the path the setpoint closes in exponentially, this share of the distance a tick (10/s).
 constexpr float kCloseIn = 0.01F;
+constexpr Step kCloseInShare = Step::of(kCloseIn);
 constexpr float kPerCloseInSquared = 1.0F / (kCloseIn * kCloseIn);
 
 // The host sends the path in 20 ms pieces; their corners are smoothed over five of them before
 // the control law sees an acceleration.
-constexpr float kSmoothing = 0.01F;
+constexpr Share kSmoothing = Share::of(0.01F);
 
-// Fastest approach to a point this far away that can still brake in time.
-float approach(float distance_rad, float change_max_rad) {
-  const float away_rad = magnitude(distance_rad);
-  const float exponential_rad = change_max_rad * kPerCloseInSquared;
-  if (away_rad <= exponential_rad) {
-    return distance_rad * kCloseIn;
+constexpr Gain kTickRate = Gain::of(kTickRate_Hz);
+constexpr Fixed<10> kTickRateSquared = Fixed<10>::of(kTickRate_Hz * kTickRate_Hz);
+
+using PerTicks = std::array<Share, Setpoints::kMaxAhead_ticks + 1>;
+
+constexpr PerTicks make_per_ticks() {
+  PerTicks table{};
+  for (std::size_t ticks = 1; ticks < table.size(); ++ticks) {
+    table[ticks] = Share::of(1.0F / static_cast<float>(ticks));
   }
-  const float step_rad =
-      control::square_root(2.0F * change_max_rad * (away_rad - 0.5F * exponential_rad));
-  return distance_rad < 0.0F ? -step_rad : step_rad;
+  return table;
+}
+
+// Spares the tick a division.
+constexpr PerTicks kPerTicks = make_per_ticks();
+
+// Squares of steps, 72 bits behind the point, are bounded here: beyond it lie 10 milliradians a
+// tick, and no setpoint may slew at more than 3.5.
+constexpr std::uint64_t kMostSquare = std::uint64_t{1} << 59U;
+
+// Fastest approach to a goal this far away that can still brake in time.
+Step approach(Place here, Place goal, Step change_max_rad, Quantity near_rad) {
+  const Quantity distance_rad = here.distance_rad(goal);
+  const Quantity away_rad = magnitude(distance_rad);
+  if (away_rad <= near_rad) {
+    return product<36>(here.little_rad(goal), kCloseInShare);
+  }
+  // Root of 2 change (away - near / 2).
+  const auto twice = static_cast<std::uint32_t>((away_rad + away_rad - near_rad).raw());
+  const std::uint64_t square_60 =
+      control::long_product(static_cast<std::uint32_t>(change_max_rad.raw()), twice);
+  const std::uint64_t square = square_60 < (kMostSquare >> 12U) ? square_60 << 12U : kMostSquare;
+  const auto step_rad = Step::from_raw(static_cast<std::int32_t>(control::square_root(square)));
+  return distance_rad < Quantity{} ? -step_rad : step_rad;
 }
 
 }  // namespace
@@ -44,73 +75,78 @@ float approach(float distance_rad, float change_max_rad) {
 SetpointLimits setpoint_limits_of(const params::Params& params) {
   const auto rad = [&params](Param p) { return params.get(p) * kRadPerDeg; };
   const float travel_rad = rad(Param::travel_max_deg) - kTravelMargin_rad;
-  const float pitch_rad = rad(Param::pitch_setpoint_max_deg);
+  const Quantity pitch_rad = Quantity::of(rad(Param::pitch_setpoint_max_deg));
   SetpointLimits limits{};
-  limits.step_max_rad[kElevation] = rad(Param::elevation_slew_deg_s) * kTick_s;
-  limits.step_max_rad[kPitch] = rad(Param::pitch_slew_deg_s) * kTick_s;
-  limits.step_max_rad[kTravel] = rad(Param::travel_slew_deg_s) * kTick_s;
-  limits.change_max_rad[kElevation] = rad(Param::elevation_acceleration_deg_s2) * kTick_s * kTick_s;
-  limits.change_max_rad[kTravel] = rad(Param::travel_acceleration_deg_s2) * kTick_s * kTick_s;
-  limits.least_rad[kElevation] = rad(Param::elevation_rest_deg) - kRestMargin_rad;
-  limits.most_rad[kElevation] = rad(Param::elevation_max_deg) - kElevationMargin_rad;
+  limits.step_max_rad[kElevation] = Step::of(rad(Param::elevation_slew_deg_s) * kTick_s);
+  limits.step_max_rad[kPitch] = Step::of(rad(Param::pitch_slew_deg_s) * kTick_s);
+  limits.step_max_rad[kTravel] = Step::of(rad(Param::travel_slew_deg_s) * kTick_s);
+  const auto shape = [&limits, &rad](std::size_t axis, Param acceleration) {
+    const float change_rad = rad(acceleration) * kTick_s * kTick_s;
+    limits.change_max_rad[axis] = Step::of(change_rad);
+    limits.near_rad[axis] = Quantity::of(change_rad * kPerCloseInSquared);
+  };
+  shape(kElevation, Param::elevation_acceleration_deg_s2);
+  shape(kTravel, Param::travel_acceleration_deg_s2);
+  limits.least_rad[kElevation] = Quantity::of(rad(Param::elevation_rest_deg) - kRestMargin_rad);
+  limits.most_rad[kElevation] = Quantity::of(rad(Param::elevation_max_deg) - kElevationMargin_rad);
   limits.least_rad[kPitch] = -pitch_rad;
   limits.most_rad[kPitch] = pitch_rad;
-  limits.least_rad[kTravel] = -travel_rad;
-  limits.most_rad[kTravel] = travel_rad;
-  limits.landing_step_rad = rad(Param::landing_rate_deg_s) * kTick_s;
+  limits.least_rad[kTravel] = Quantity::of(-travel_rad);
+  limits.most_rad[kTravel] = Quantity::of(travel_rad);
+  limits.landing_step_rad = Step::of(rad(Param::landing_rate_deg_s) * kTick_s);
   return limits;
 }
 
-void Setpoints::start_at(const float (&angle_rad)[kAxisCount]) {
+void Setpoints::start_at(const Quantity (&angle_rad)[kAxisCount]) {
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     hold_at(axis, angle_rad[axis]);
   }
 }
 
-void Setpoints::hold_at(std::size_t axis, float angle_rad) {
+void Setpoints::hold_at(std::size_t axis, Quantity angle_rad) {
   axes_[axis] = Axis{};
-  axes_[axis].path_rad = angle_rad;
-  axes_[axis].target_rad = angle_rad;
-  axes_[axis].angle_rad = angle_rad;
+  axes_[axis].path = Place::at(angle_rad);
+  axes_[axis].target = Place::at(angle_rad);
+  axes_[axis].place = Place::at(angle_rad);
 }
 
 Setpoint Setpoints::of(std::size_t axis) const {
   const Axis& a = axes_[axis];
-  return {a.angle_rad, a.step_rad * kTickRate_Hz,
-          a.smooth_change_rad * (kTickRate_Hz * kTickRate_Hz)};
+  return {a.place.angle_rad(), product<24>(a.step_rad, kTickRate),
+          product<24>(a.smooth_change_rad, kTickRateSquared)};
 }
 
-bool Setpoints::aim(const float (&target_rad)[kAxisCount], std::uint32_t apply_tick,
+bool Setpoints::aim(const Quantity (&target_rad)[kAxisCount], std::uint32_t apply_tick,
                     std::uint32_t now_tick, const SetpointLimits& limits) {
   const auto ahead = static_cast<std::int32_t>(apply_tick - now_tick);
   if (ahead > static_cast<std::int32_t>(kMaxAhead_ticks)) {
     return false;
   }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    if (!(target_rad[axis] >= limits.least_rad[axis] &&
-          target_rad[axis] <= limits.most_rad[axis])) {
+    if (target_rad[axis] < limits.least_rad[axis] || target_rad[axis] > limits.most_rad[axis]) {
       return false;
     }
   }
   ramp_ticks_ = ahead > 0 ? static_cast<std::uint32_t>(ahead) : 0U;
-  const float per_tick =
-      ramp_ticks_ > 0U ? control::reciprocal(static_cast<float>(ramp_ticks_)) : 0.0F;
-  for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    axes_[axis].target_rad = target_rad[axis];
-    axes_[axis].slope_rad = (target_rad[axis] - axes_[axis].path_rad) * per_tick;
+  for (std::size_t i = 0; i < kAxisCount; ++i) {
+    Axis& axis = axes_[i];
+    axis.target = Place::at(target_rad[i]);
+    axis.slope_rad = product<36>(axis.path.distance_rad(axis.target), kPerTicks[ramp_ticks_]);
   }
   return true;
 }
 
-void Setpoints::follow(Axis& axis, float step_max_rad, float change_max_rad) {
-  const float slope_rad = clamp(axis.slope_rad, -step_max_rad, step_max_rad);
-  const float wanted_rad =
-      clamp(slope_rad + approach(axis.path_rad - axis.angle_rad, change_max_rad), -step_max_rad,
+void Setpoints::follow(Axis& axis, Step step_max_rad, Step change_max_rad, Quantity near_rad) {
+  const Step slope_rad = clamp(axis.slope_rad, -step_max_rad, step_max_rad);
+  const Step wanted_rad =
+      clamp(slope_rad + approach(axis.place, axis.path, change_max_rad, near_rad), -step_max_rad,
             step_max_rad);
-  const float change_rad = clamp(wanted_rad - axis.step_rad, -change_max_rad, change_max_rad);
+  const Step change_rad = clamp(wanted_rad - axis.step_rad, -change_max_rad, change_max_rad);
   axis.step_rad += change_rad;
-  axis.angle_rad += axis.step_rad;
-  axis.smooth_change_rad += kSmoothing * (change_rad - axis.smooth_change_rad);
+  axis.place.add(axis.step_rad);
+  // 256: from a Step's to a Change's resolution.
+  const Change fine_rad = Change::from_raw(change_rad.raw() * 256);
+  axis.smooth_change_rad += product<44>(kSmoothing, fine_rad - axis.smooth_change_rad);
 }
 
 void Setpoints::advance(const SetpointLimits& limits) {
@@ -120,26 +156,27 @@ void Setpoints::advance(const SetpointLimits& limits) {
   for (std::size_t i = 0; i < kAxisCount; ++i) {
     Axis& axis = axes_[i];
     if (ramp_ticks_ > 0U) {
-      axis.path_rad += axis.slope_rad;
+      axis.path.add(axis.slope_rad);
     } else {
-      axis.path_rad = axis.target_rad;
-      axis.slope_rad = 0.0F;
+      axis.path = axis.target;
+      axis.slope_rad = Step{};
     }
     if (i == kPitch) {
-      const float step_max_rad = limits.step_max_rad[i];
-      axis.angle_rad += clamp(axis.path_rad - axis.angle_rad, -step_max_rad, step_max_rad);
+      const Step most_rad = limits.step_max_rad[i];
+      axis.place.add(clamp(axis.place.towards(axis.path), -most_rad, most_rad));
     } else {
-      follow(axis, limits.step_max_rad[i], limits.change_max_rad[i]);
+      follow(axis, limits.step_max_rad[i], limits.change_max_rad[i], limits.near_rad[i]);
     }
   }
 }
 
-void Setpoints::descend(const SetpointLimits& limits, float floor_rad) {
+void Setpoints::descend(const SetpointLimits& limits, Quantity floor_rad) {
   Axis& axis = axes_[kElevation];
-  axis.target_rad = floor_rad;
-  axis.path_rad = floor_rad;
-  axis.slope_rad = 0.0F;
-  follow(axis, limits.landing_step_rad, limits.change_max_rad[kElevation]);
+  axis.target = Place::at(floor_rad);
+  axis.path = axis.target;
+  axis.slope_rad = Step{};
+  follow(axis, limits.landing_step_rad, limits.change_max_rad[kElevation],
+         limits.near_rad[kElevation]);
 }
 
 }  // namespace heli::flight

@@ -5,24 +5,67 @@
 #include <cstdint>
 
 #include "board.hpp"
+#include "control/fixed.hpp"
 #include "params/params.hpp"
 
 namespace heli::flight {
 
+using control::Quantity;
+
 // Of one axis, as the control law gets it.
 struct Setpoint {
-  float angle_rad;
-  float rate_rad_s;
-  float acceleration_rad_s2;
+  Quantity angle_rad;
+  Quantity rate_rad_s;
+  Quantity acceleration_rad_s2;
+};
+
+// Angle per tick: up to 1,790 degrees a second, to 1e-11 rad. An acceleration of 1 deg/s2 is 1,200
+// of these a tick.
+using Step = control::Fixed<36>;
+// Change of a step, smoothed: finer still, so that it fades to nothing.
+using Change = control::Fixed<44>;
+
+// An angle that sums up steps.
+class Place {
+ public:
+  constexpr Place() = default;
+  static constexpr Place at(Quantity angle_rad) {
+    Place place;
+    place.raw_ = static_cast<std::int64_t>(angle_rad.raw()) << kFiner;
+    return place;
+  }
+  constexpr void add(Step step_rad) { raw_ += step_rad.raw(); }
+  constexpr Quantity angle_rad() const {
+    return Quantity::from_raw(
+        control::saturated((raw_ + (std::int64_t{1} << (kFiner - 1))) >> kFiner));
+  }
+  // Of what is left of the way to `goal`, as much as a step can be.
+  constexpr Step towards(Place goal) const {
+    return Step::from_raw(control::saturated(goal.raw_ - raw_));
+  }
+  // The same to half a radian, which a step cannot be.
+  constexpr control::Fixed<32> little_rad(Place goal) const {
+    return control::Fixed<32>::from_raw(control::saturated((goal.raw_ - raw_) >> 4));
+  }
+  // The whole of it, with less resolution.
+  constexpr Quantity distance_rad(Place goal) const {
+    return Quantity::from_raw(control::saturated((goal.raw_ - raw_) >> kFiner));
+  }
+
+ private:
+  static constexpr int kFiner = 36 - 24;
+
+  std::int64_t raw_ = 0;  // as a Step's
 };
 
 // From the parameters, in the idle loop.
 struct SetpointLimits {
-  float step_max_rad[kAxisCount];    // slew, per tick
-  float change_max_rad[kAxisCount];  // of the step from one tick to the next
-  float least_rad[kAxisCount];
-  float most_rad[kAxisCount];
-  float landing_step_rad;  // per tick
+  Step step_max_rad[kAxisCount];    // slew, per tick
+  Step change_max_rad[kAxisCount];  // of the step from one tick to the next
+  Quantity near_rad[kAxisCount];    // closer than this the setpoint closes in exponentially
+  Quantity least_rad[kAxisCount];
+  Quantity most_rad[kAxisCount];
+  Step landing_step_rad;  // per tick
 };
 
 SetpointLimits setpoint_limits_of(const params::Params& params);
@@ -35,30 +78,31 @@ class Setpoints {
   // Farthest a target may lie ahead; a link that delivers later than this is not in control.
   static constexpr std::uint32_t kMaxAhead_ticks = 500;
 
-  void start_at(const float (&angle_rad)[kAxisCount]);
-  void hold_at(std::size_t axis, float angle_rad);
+  void start_at(const Quantity (&angle_rad)[kAxisCount]);
+  void hold_at(std::size_t axis, Quantity angle_rad);
 
   // False when a target lies outside the bounds or too far ahead; then nothing changes.
-  bool aim(const float (&target_rad)[kAxisCount], std::uint32_t apply_tick, std::uint32_t now_tick,
-           const SetpointLimits& limits);
+  bool aim(const Quantity (&target_rad)[kAxisCount], std::uint32_t apply_tick,
+           std::uint32_t now_tick, const SetpointLimits& limits);
 
   void advance(const SetpointLimits& limits);
   // One tick of descent, below the bounds, towards `floor_rad`; the other axes stay.
-  void descend(const SetpointLimits& limits, float floor_rad);
+  void descend(const SetpointLimits& limits, Quantity floor_rad);
 
   Setpoint of(std::size_t axis) const;
+  Quantity angle_rad(std::size_t axis) const { return axes_[axis].place.angle_rad(); }
 
  private:
   struct Axis {
-    float path_rad = 0.0F;
-    float slope_rad = 0.0F;  // of the path, per tick
-    float target_rad = 0.0F;
-    float angle_rad = 0.0F;  // the setpoint
-    float step_rad = 0.0F;   // its last change
-    float smooth_change_rad = 0.0F;
+    Place path;
+    Step slope_rad;  // of the path, per tick
+    Place target;
+    Place place;    // of the setpoint
+    Step step_rad;  // its last change
+    Change smooth_change_rad;
   };
 
-  static void follow(Axis& axis, float step_max_rad, float change_max_rad);
+  static void follow(Axis& axis, Step step_max_rad, Step change_max_rad, Quantity near_rad);
 
   Axis axes_[kAxisCount];
   std::uint32_t ramp_ticks_ = 0;

@@ -19,9 +19,9 @@ namespace {
 constexpr std::uint8_t kAllAxes = link::axes::elevation | link::axes::pitch | link::axes::travel;
 
 // Landing: the setpoint goes this far below rest, so that the collective lets go of the arm.
-constexpr float kBelowRest_rad = 5.0F * kRadPerDeg;
-constexpr float kTouchdown_rad = 1.5F * kRadPerDeg;
-constexpr float kTouchdown_rad_s = 5.0F * kRadPerDeg;
+constexpr Quantity kBelowRest_rad = Quantity::of(5.0F * kRadPerDeg);
+constexpr Quantity kTouchdown_rad = Quantity::of(1.5F * kRadPerDeg);
+constexpr Quantity kTouchdown_rad_s = Quantity::of(5.0F * kRadPerDeg);
 constexpr std::uint32_t kTouchdown_ticks = 300;
 
 // A host that streams nonsense gets one event in this time, not one a message.
@@ -92,19 +92,19 @@ void Supervisor::enter(State next, Trigger cause) {
     end_excitation();
   }
   if (next == State::hold) {
-    const float elevation_rad = seen_.angle_rad[kElevation];
+    const Quantity elevation_rad = seen_.angle_rad[kElevation];
     setpoints_.hold_at(kElevation, elevation_rad < bounds_.most_rad[kElevation]
                                        ? elevation_rad
                                        : bounds_.most_rad[kElevation]);
     setpoints_.hold_at(kTravel, seen_.angle_rad[kTravel]);
-    setpoints_.hold_at(kPitch, 0.0F);
+    setpoints_.hold_at(kPitch, Quantity{});
   }
   if (next == State::landing && state_ != State::landing) {
     for (const std::size_t axis : {kElevation, kTravel}) {
       const bool closed = (axes() & (1U << axis)) != 0U;
       setpoints_.hold_at(axis, closed ? setpoints_.of(axis).angle_rad : seen_.angle_rad[axis]);
     }
-    setpoints_.hold_at(kPitch, 0.0F);
+    setpoints_.hold_at(kPitch, Quantity{});
     quiet_ticks_ = 0;
   }
   if (next == State::fault) {
@@ -220,7 +220,7 @@ Reply Supervisor::control(const link::ControlMessage& message) {
     }
   }
   axes_ = wanted;
-  open_ = {message.front_V, message.back_V};
+  open_ = {Quantity::of(message.front_V), Quantity::of(message.back_V)};
   fresh_tick_ = seen_.tick;
   return {Result::ok, code(state_), 0.0F};
 }
@@ -271,8 +271,9 @@ void Supervisor::take_setpoint(const link::SetpointMessage& message) {
     reject(Result::bad_state);
     return;
   }
-  const float target_rad[kAxisCount] = {message.elevation_rad, message.pitch_rad,
-                                        message.travel_rad};
+  const Quantity target_rad[kAxisCount] = {Quantity::of(message.elevation_rad),
+                                           Quantity::of(message.pitch_rad),
+                                           Quantity::of(message.travel_rad)};
   if (!setpoints_.aim(target_rad, message.apply_tick, seen_.tick, bounds_)) {
     reject(Result::bad_value);
     return;
@@ -293,7 +294,7 @@ void Supervisor::take_voltages(const link::VoltagesMessage& message) {
     reject(Result::bad_value);
     return;
   }
-  open_ = {message.front_V, message.back_V};
+  open_ = {Quantity::of(message.front_V), Quantity::of(message.back_V)};
   const std::uint32_t valid_ticks = message.valid_ms < limits_.voltage_valid_max_ticks
                                         ? message.valid_ms
                                         : limits_.voltage_valid_max_ticks;

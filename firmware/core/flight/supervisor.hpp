@@ -14,15 +14,15 @@ namespace heli::flight {
 
 // Motor voltages that nobody's control law decides: open loop, or streamed by the host.
 struct OpenVoltages {
-  float front_V;
-  float back_V;
+  Quantity front_V;
+  Quantity back_V;
 };
 
 // Seen once a tick, after the encoders were read.
 struct Observation {
   std::uint32_t tick;
-  float angle_rad[kAxisCount];
-  float rate_rad_s[kAxisCount];
+  Quantity angle_rad[kAxisCount];
+  Quantity rate_rad_s[kAxisCount];
   std::uint32_t illegal[kAxisCount];  // since power-up
   std::uint32_t overruns;             // since power-up
   bool hardware_stop;
@@ -50,6 +50,7 @@ class Supervisor {
   std::uint8_t axes() const;
   OpenVoltages open_voltages() const { return open_; }
   Setpoint setpoint(std::size_t axis) const { return setpoints_.of(axis); }
+  Quantity setpoint_rad(std::size_t axis) const { return setpoints_.angle_rad(axis); }
   bool link_alive() const { return seen_.link_age_ticks <= limits_.hold_ticks; }
   control::Exciter& exciter() { return exciter_; }
   std::uint32_t refused_streams() const { return refused_streams_; }

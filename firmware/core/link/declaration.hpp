@@ -9,7 +9,7 @@
 
 namespace heli::link {
 
-inline constexpr std::uint32_t kLinkHash = 0xdd629c23U;
+inline constexpr std::uint32_t kLinkHash = 0x8cfe2c69U;
 inline constexpr std::uint8_t kLinkMajor = 1;
 inline constexpr std::uint8_t kLinkMinor = 0;
 inline constexpr std::uint8_t kFirmwareMajor = 0;
@@ -181,46 +181,47 @@ enum class Param : std::uint8_t {
   pitch_kp = 17,  // V/deg: pitch proportional gain (paper Table 6: 0.66)
   pitch_ki = 18,  // V/(deg s): pitch integral gain (paper Table 6: 3)
   pitch_kd = 19,  // V s/deg: pitch derivative gain, on the measurement (paper Table 6: 0.1)
-  travel_kp = 20,  // deg/deg: travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)
-  travel_ki = 21,  // deg/(deg s): travel integral gain (paper Table 6 with P and I exchanged: 0.13)
-  travel_kd = 22,  // deg s/deg: travel derivative gain, on the measurement (paper Table 6: 1.462)
-  travel_rate_ff = 23,  // : share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone
-  travel_acceleration_ff = 24,  // deg s2/deg: pitch for the setpoint's own acceleration: inertia over hover thrust and arm
-  elevation_integral_max_V = 25,  // V: bound of the elevation integrator
-  pitch_integral_max_V = 26,  // V: bound of the pitch integrator
-  travel_integral_max_deg = 27,  // deg: bound of the travel integrator
-  elevation_filter_Hz = 28,  // Hz: cut-off of the elevation rate filter (two poles)
-  pitch_filter_Hz = 29,  // Hz: cut-off of the pitch rate filter (two poles)
-  travel_filter_Hz = 30,  // Hz: cut-off of the travel rate filter (two poles)
-  pitch_setpoint_max_deg = 31,  // deg: bound of the pitch setpoint, from the travel loop or the host
-  differential_max_V = 32,  // V: bound of front minus back: pitch has priority in the mixer, so more than this would lift the arm
-  elevation_slew_deg_s = 33,  // deg/s: fastest change of the elevation setpoint
-  pitch_slew_deg_s = 34,  // deg/s: fastest change of the pitch setpoint, from the travel loop or the host
-  travel_slew_deg_s = 35,  // deg/s: fastest change of the travel setpoint
-  elevation_acceleration_deg_s2 = 36,  // deg/s2: fastest change of the elevation setpoint's rate: a step becomes a ramp that starts and stops gently
-  travel_acceleration_deg_s2 = 37,  // deg/s2: fastest change of the travel setpoint's rate; travel can only accelerate by tilting
-  bumpless_s = 38,  // s: time constant with which the jump of a mode change is faded out
-  elevation_max_deg = 39,  // deg: elevation above which the motors are cut; setpoints are refused from 2 degrees below it
-  pitch_max_deg = 40,  // deg: pitch beyond which the motors are cut
-  travel_max_deg = 41,  // deg: travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it
-  elevation_rate_max_deg_s = 42,  // deg/s: elevation rate beyond which the motors are cut
-  pitch_rate_max_deg_s = 43,  // deg/s: pitch rate beyond which the motors are cut
-  travel_rate_max_deg_s = 44,  // deg/s: travel rate beyond which the motors are cut
-  encoder_illegal_max = 45,  // : illegal transitions of one encoder since arming that are tolerated
-  overrun_max = 46,  // : late ticks since arming that are tolerated
-  arm_rate_max_deg_s = 47,  // deg/s: arming needs every axis slower than this
-  arm_elevation_tolerance_deg = 48,  // deg: arming needs the elevation this close to rest
-  arm_pitch_tolerance_deg = 49,  // deg: arming needs the pitch this close to level
-  setpoint_hold_s = 50,  // s: without a fresh setpoint for this long the board holds level
-  setpoint_land_s = 51,  // s: without a fresh setpoint for this long the board lands
-  landing_rate_deg_s = 52,  // deg/s: descent of the elevation setpoint while landing
-  landing_timeout_s = 53,  // s: landing takes at most this long; then motors off with a fault
-  voltage_valid_max_ms = 54,  // ms: a streamed voltage acts at most this long, whatever its sender asked for
-  excitation_max_V = 55,  // V: largest amplitude that excite accepts
-  excitation_max_s = 56,  // s: longest duration that excite accepts
-  telemetry_batch_ticks = 57,  // tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+  pitch_hold_ff = 20,  // V/deg: difference of the voltages that holds a degree of pitch setpoint against masses that hang below the pitch axis
+  travel_kp = 21,  // deg/deg: travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)
+  travel_ki = 22,  // deg/(deg s): travel integral gain (paper Table 6 with P and I exchanged: 0.13)
+  travel_kd = 23,  // deg s/deg: travel derivative gain, on the measurement (paper Table 6: 1.462)
+  travel_rate_ff = 24,  // : share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone
+  travel_acceleration_ff = 25,  // deg s2/deg: pitch for the setpoint's own acceleration: inertia over hover thrust and arm
+  elevation_integral_max_V = 26,  // V: bound of the elevation integrator
+  pitch_integral_max_V = 27,  // V: bound of the pitch integrator
+  travel_integral_max_deg = 28,  // deg: bound of the travel integrator
+  elevation_filter_Hz = 29,  // Hz: cut-off of the elevation rate filter (two poles)
+  pitch_filter_Hz = 30,  // Hz: cut-off of the pitch rate filter (two poles)
+  travel_filter_Hz = 31,  // Hz: cut-off of the travel rate filter (two poles)
+  pitch_setpoint_max_deg = 32,  // deg: bound of the pitch setpoint, from the travel loop or the host
+  differential_max_V = 33,  // V: bound of front minus back: pitch has priority in the mixer, so more than this would lift the arm
+  elevation_slew_deg_s = 34,  // deg/s: fastest change of the elevation setpoint
+  pitch_slew_deg_s = 35,  // deg/s: fastest change of the pitch setpoint, from the travel loop or the host
+  travel_slew_deg_s = 36,  // deg/s: fastest change of the travel setpoint
+  elevation_acceleration_deg_s2 = 37,  // deg/s2: fastest change of the elevation setpoint's rate: a step becomes a ramp that starts and stops gently
+  travel_acceleration_deg_s2 = 38,  // deg/s2: fastest change of the travel setpoint's rate; travel can only accelerate by tilting
+  bumpless_s = 39,  // s: time constant with which the jump of a mode change is faded out
+  elevation_max_deg = 40,  // deg: elevation above which the motors are cut; setpoints are refused from 2 degrees below it
+  pitch_max_deg = 41,  // deg: pitch beyond which the motors are cut
+  travel_max_deg = 42,  // deg: travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it
+  elevation_rate_max_deg_s = 43,  // deg/s: elevation rate beyond which the motors are cut
+  pitch_rate_max_deg_s = 44,  // deg/s: pitch rate beyond which the motors are cut
+  travel_rate_max_deg_s = 45,  // deg/s: travel rate beyond which the motors are cut
+  encoder_illegal_max = 46,  // : illegal transitions of one encoder since arming that are tolerated
+  overrun_max = 47,  // : late ticks since arming that are tolerated
+  arm_rate_max_deg_s = 48,  // deg/s: arming needs every axis slower than this
+  arm_elevation_tolerance_deg = 49,  // deg: arming needs the elevation this close to rest
+  arm_pitch_tolerance_deg = 50,  // deg: arming needs the pitch this close to level
+  setpoint_hold_s = 51,  // s: without a fresh setpoint for this long the board holds level
+  setpoint_land_s = 52,  // s: without a fresh setpoint for this long the board lands
+  landing_rate_deg_s = 53,  // deg/s: descent of the elevation setpoint while landing
+  landing_timeout_s = 54,  // s: landing takes at most this long; then motors off with a fault
+  voltage_valid_max_ms = 55,  // ms: a streamed voltage acts at most this long, whatever its sender asked for
+  excitation_max_V = 56,  // V: largest amplitude that excite accepts
+  excitation_max_s = 57,  // s: longest duration that excite accepts
+  telemetry_batch_ticks = 58,  // tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
 };
-inline constexpr std::size_t kParamCount = 58;
+inline constexpr std::size_t kParamCount = 59;
 
 struct ParamInfo {
   float min;
@@ -251,6 +252,7 @@ inline constexpr ParamInfo kParams[kParamCount] = {
     {0.0F, 20.0F, 0.25F, false, false, false},  // pitch_kp
     {0.0F, 20.0F, 0.02F, false, false, false},  // pitch_ki
     {0.0F, 20.0F, 0.043F, false, false, false},  // pitch_kd
+    {-1.0F, 1.0F, 0.0F, false, false, false},  // pitch_hold_ff
     {0.0F, 20.0F, 2.2F, false, false, false},  // travel_kp
     {0.0F, 20.0F, 0.06F, false, false, false},  // travel_ki
     {0.0F, 20.0F, 3.3F, false, false, false},  // travel_kd

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import ClassVar
 
-LINK_HASH = 0xDD629C23
+LINK_HASH = 0x8CFE2C69
 LINK_VERSION = "1.0"
 FIRMWARE_VERSION = "0.1.0"
 PROTOCOL = 1
@@ -213,44 +213,45 @@ class Param(IntEnum):
     PITCH_KP = 17  # V/deg: pitch proportional gain (paper Table 6: 0.66)
     PITCH_KI = 18  # V/(deg s): pitch integral gain (paper Table 6: 3)
     PITCH_KD = 19  # V s/deg: pitch derivative gain, on the measurement (paper Table 6: 0.1)
-    TRAVEL_KP = 20  # deg/deg: travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)
-    TRAVEL_KI = 21  # deg/(deg s): travel integral gain (paper Table 6 with P and I exchanged: 0.13)
-    TRAVEL_KD = 22  # deg s/deg: travel derivative gain, on the measurement (paper Table 6: 1.462)
-    TRAVEL_RATE_FF = 23  # : share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone
-    TRAVEL_ACCELERATION_FF = 24  # deg s2/deg: pitch for the setpoint's own acceleration: inertia over hover thrust and arm
-    ELEVATION_INTEGRAL_MAX_V = 25  # V: bound of the elevation integrator
-    PITCH_INTEGRAL_MAX_V = 26  # V: bound of the pitch integrator
-    TRAVEL_INTEGRAL_MAX_DEG = 27  # deg: bound of the travel integrator
-    ELEVATION_FILTER_HZ = 28  # Hz: cut-off of the elevation rate filter (two poles)
-    PITCH_FILTER_HZ = 29  # Hz: cut-off of the pitch rate filter (two poles)
-    TRAVEL_FILTER_HZ = 30  # Hz: cut-off of the travel rate filter (two poles)
-    PITCH_SETPOINT_MAX_DEG = 31  # deg: bound of the pitch setpoint, from the travel loop or the host
-    DIFFERENTIAL_MAX_V = 32  # V: bound of front minus back: pitch has priority in the mixer, so more than this would lift the arm
-    ELEVATION_SLEW_DEG_S = 33  # deg/s: fastest change of the elevation setpoint
-    PITCH_SLEW_DEG_S = 34  # deg/s: fastest change of the pitch setpoint, from the travel loop or the host
-    TRAVEL_SLEW_DEG_S = 35  # deg/s: fastest change of the travel setpoint
-    ELEVATION_ACCELERATION_DEG_S2 = 36  # deg/s2: fastest change of the elevation setpoint's rate: a step becomes a ramp that starts and stops gently
-    TRAVEL_ACCELERATION_DEG_S2 = 37  # deg/s2: fastest change of the travel setpoint's rate; travel can only accelerate by tilting
-    BUMPLESS_S = 38  # s: time constant with which the jump of a mode change is faded out
-    ELEVATION_MAX_DEG = 39  # deg: elevation above which the motors are cut; setpoints are refused from 2 degrees below it
-    PITCH_MAX_DEG = 40  # deg: pitch beyond which the motors are cut
-    TRAVEL_MAX_DEG = 41  # deg: travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it
-    ELEVATION_RATE_MAX_DEG_S = 42  # deg/s: elevation rate beyond which the motors are cut
-    PITCH_RATE_MAX_DEG_S = 43  # deg/s: pitch rate beyond which the motors are cut
-    TRAVEL_RATE_MAX_DEG_S = 44  # deg/s: travel rate beyond which the motors are cut
-    ENCODER_ILLEGAL_MAX = 45  # : illegal transitions of one encoder since arming that are tolerated
-    OVERRUN_MAX = 46  # : late ticks since arming that are tolerated
-    ARM_RATE_MAX_DEG_S = 47  # deg/s: arming needs every axis slower than this
-    ARM_ELEVATION_TOLERANCE_DEG = 48  # deg: arming needs the elevation this close to rest
-    ARM_PITCH_TOLERANCE_DEG = 49  # deg: arming needs the pitch this close to level
-    SETPOINT_HOLD_S = 50  # s: without a fresh setpoint for this long the board holds level
-    SETPOINT_LAND_S = 51  # s: without a fresh setpoint for this long the board lands
-    LANDING_RATE_DEG_S = 52  # deg/s: descent of the elevation setpoint while landing
-    LANDING_TIMEOUT_S = 53  # s: landing takes at most this long; then motors off with a fault
-    VOLTAGE_VALID_MAX_MS = 54  # ms: a streamed voltage acts at most this long, whatever its sender asked for
-    EXCITATION_MAX_V = 55  # V: largest amplitude that excite accepts
-    EXCITATION_MAX_S = 56  # s: longest duration that excite accepts
-    TELEMETRY_BATCH_TICKS = 57  # tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+    PITCH_HOLD_FF = 20  # V/deg: difference of the voltages that holds a degree of pitch setpoint against masses that hang below the pitch axis
+    TRAVEL_KP = 21  # deg/deg: travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)
+    TRAVEL_KI = 22  # deg/(deg s): travel integral gain (paper Table 6 with P and I exchanged: 0.13)
+    TRAVEL_KD = 23  # deg s/deg: travel derivative gain, on the measurement (paper Table 6: 1.462)
+    TRAVEL_RATE_FF = 24  # : share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone
+    TRAVEL_ACCELERATION_FF = 25  # deg s2/deg: pitch for the setpoint's own acceleration: inertia over hover thrust and arm
+    ELEVATION_INTEGRAL_MAX_V = 26  # V: bound of the elevation integrator
+    PITCH_INTEGRAL_MAX_V = 27  # V: bound of the pitch integrator
+    TRAVEL_INTEGRAL_MAX_DEG = 28  # deg: bound of the travel integrator
+    ELEVATION_FILTER_HZ = 29  # Hz: cut-off of the elevation rate filter (two poles)
+    PITCH_FILTER_HZ = 30  # Hz: cut-off of the pitch rate filter (two poles)
+    TRAVEL_FILTER_HZ = 31  # Hz: cut-off of the travel rate filter (two poles)
+    PITCH_SETPOINT_MAX_DEG = 32  # deg: bound of the pitch setpoint, from the travel loop or the host
+    DIFFERENTIAL_MAX_V = 33  # V: bound of front minus back: pitch has priority in the mixer, so more than this would lift the arm
+    ELEVATION_SLEW_DEG_S = 34  # deg/s: fastest change of the elevation setpoint
+    PITCH_SLEW_DEG_S = 35  # deg/s: fastest change of the pitch setpoint, from the travel loop or the host
+    TRAVEL_SLEW_DEG_S = 36  # deg/s: fastest change of the travel setpoint
+    ELEVATION_ACCELERATION_DEG_S2 = 37  # deg/s2: fastest change of the elevation setpoint's rate: a step becomes a ramp that starts and stops gently
+    TRAVEL_ACCELERATION_DEG_S2 = 38  # deg/s2: fastest change of the travel setpoint's rate; travel can only accelerate by tilting
+    BUMPLESS_S = 39  # s: time constant with which the jump of a mode change is faded out
+    ELEVATION_MAX_DEG = 40  # deg: elevation above which the motors are cut; setpoints are refused from 2 degrees below it
+    PITCH_MAX_DEG = 41  # deg: pitch beyond which the motors are cut
+    TRAVEL_MAX_DEG = 42  # deg: travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it
+    ELEVATION_RATE_MAX_DEG_S = 43  # deg/s: elevation rate beyond which the motors are cut
+    PITCH_RATE_MAX_DEG_S = 44  # deg/s: pitch rate beyond which the motors are cut
+    TRAVEL_RATE_MAX_DEG_S = 45  # deg/s: travel rate beyond which the motors are cut
+    ENCODER_ILLEGAL_MAX = 46  # : illegal transitions of one encoder since arming that are tolerated
+    OVERRUN_MAX = 47  # : late ticks since arming that are tolerated
+    ARM_RATE_MAX_DEG_S = 48  # deg/s: arming needs every axis slower than this
+    ARM_ELEVATION_TOLERANCE_DEG = 49  # deg: arming needs the elevation this close to rest
+    ARM_PITCH_TOLERANCE_DEG = 50  # deg: arming needs the pitch this close to level
+    SETPOINT_HOLD_S = 51  # s: without a fresh setpoint for this long the board holds level
+    SETPOINT_LAND_S = 52  # s: without a fresh setpoint for this long the board lands
+    LANDING_RATE_DEG_S = 53  # deg/s: descent of the elevation setpoint while landing
+    LANDING_TIMEOUT_S = 54  # s: landing takes at most this long; then motors off with a fault
+    VOLTAGE_VALID_MAX_MS = 55  # ms: a streamed voltage acts at most this long, whatever its sender asked for
+    EXCITATION_MAX_V = 56  # V: largest amplitude that excite accepts
+    EXCITATION_MAX_S = 57  # s: longest duration that excite accepts
+    TELEMETRY_BATCH_TICKS = 58  # tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -349,44 +350,45 @@ PARAMS: tuple[ParamSpec, ...] = (
     ParamSpec(17, "pitch_kp", "V/deg", 0.0, 20.0, 0.25, False, False, False, "pitch proportional gain (paper Table 6: 0.66)"),
     ParamSpec(18, "pitch_ki", "V/(deg s)", 0.0, 20.0, 0.02, False, False, False, "pitch integral gain (paper Table 6: 3)"),
     ParamSpec(19, "pitch_kd", "V s/deg", 0.0, 20.0, 0.043, False, False, False, "pitch derivative gain, on the measurement (paper Table 6: 0.1)"),
-    ParamSpec(20, "travel_kp", "deg/deg", 0.0, 20.0, 2.2, False, False, False, "travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)"),
-    ParamSpec(21, "travel_ki", "deg/(deg s)", 0.0, 20.0, 0.06, False, False, False, "travel integral gain (paper Table 6 with P and I exchanged: 0.13)"),
-    ParamSpec(22, "travel_kd", "deg s/deg", 0.0, 20.0, 3.3, False, False, False, "travel derivative gain, on the measurement (paper Table 6: 1.462)"),
-    ParamSpec(23, "travel_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, "share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone"),
-    ParamSpec(24, "travel_acceleration_ff", "deg s2/deg", 0.0, 20.0, 1.5, False, False, False, "pitch for the setpoint's own acceleration: inertia over hover thrust and arm"),
-    ParamSpec(25, "elevation_integral_max_V", "V", 0.0, 20.0, 3.0, False, False, False, "bound of the elevation integrator"),
-    ParamSpec(26, "pitch_integral_max_V", "V", 0.0, 20.0, 2.0, False, False, False, "bound of the pitch integrator"),
-    ParamSpec(27, "travel_integral_max_deg", "deg", 0.0, 45.0, 10.0, False, False, False, "bound of the travel integrator"),
-    ParamSpec(28, "elevation_filter_Hz", "Hz", 0.5, 200.0, 4.0, False, False, False, "cut-off of the elevation rate filter (two poles)"),
-    ParamSpec(29, "pitch_filter_Hz", "Hz", 0.5, 200.0, 16.0, False, False, False, "cut-off of the pitch rate filter (two poles)"),
-    ParamSpec(30, "travel_filter_Hz", "Hz", 0.5, 200.0, 3.0, False, False, False, "cut-off of the travel rate filter (two poles)"),
-    ParamSpec(31, "pitch_setpoint_max_deg", "deg", 1.0, 45.0, 20.0, False, False, False, "bound of the pitch setpoint, from the travel loop or the host"),
-    ParamSpec(32, "differential_max_V", "V", 0.1, 24.0, 1.4, False, False, False, "bound of front minus back: pitch has priority in the mixer, so more than this would lift the arm"),
-    ParamSpec(33, "elevation_slew_deg_s", "deg/s", 0.5, 200.0, 15.0, False, False, False, "fastest change of the elevation setpoint"),
-    ParamSpec(34, "pitch_slew_deg_s", "deg/s", 1.0, 1000.0, 90.0, False, False, False, "fastest change of the pitch setpoint, from the travel loop or the host"),
-    ParamSpec(35, "travel_slew_deg_s", "deg/s", 0.5, 200.0, 20.0, False, False, False, "fastest change of the travel setpoint"),
-    ParamSpec(36, "elevation_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 30.0, False, False, False, "fastest change of the elevation setpoint's rate: a step becomes a ramp that starts and stops gently"),
-    ParamSpec(37, "travel_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 5.0, False, False, False, "fastest change of the travel setpoint's rate; travel can only accelerate by tilting"),
-    ParamSpec(38, "bumpless_s", "s", 0.02, 5.0, 0.3, False, False, False, "time constant with which the jump of a mode change is faded out"),
-    ParamSpec(39, "elevation_max_deg", "deg", 1.0, 60.0, 24.0, False, False, True, "elevation above which the motors are cut; setpoints are refused from 2 degrees below it"),
-    ParamSpec(40, "pitch_max_deg", "deg", 5.0, 80.0, 45.0, False, False, True, "pitch beyond which the motors are cut"),
-    ParamSpec(41, "travel_max_deg", "deg", 10.0, 3600.0, 175.0, False, False, True, "travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it"),
-    ParamSpec(42, "elevation_rate_max_deg_s", "deg/s", 10.0, 1000.0, 120.0, False, False, True, "elevation rate beyond which the motors are cut"),
-    ParamSpec(43, "pitch_rate_max_deg_s", "deg/s", 10.0, 2000.0, 400.0, False, False, True, "pitch rate beyond which the motors are cut"),
-    ParamSpec(44, "travel_rate_max_deg_s", "deg/s", 10.0, 1000.0, 150.0, False, False, True, "travel rate beyond which the motors are cut"),
-    ParamSpec(45, "encoder_illegal_max", "", 0.0, 1000.0, 5.0, False, False, True, "illegal transitions of one encoder since arming that are tolerated"),
-    ParamSpec(46, "overrun_max", "", 0.0, 1000.0, 10.0, False, False, True, "late ticks since arming that are tolerated"),
-    ParamSpec(47, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, "arming needs every axis slower than this"),
-    ParamSpec(48, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, "arming needs the elevation this close to rest"),
-    ParamSpec(49, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, "arming needs the pitch this close to level"),
-    ParamSpec(50, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, "without a fresh setpoint for this long the board holds level"),
-    ParamSpec(51, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, "without a fresh setpoint for this long the board lands"),
-    ParamSpec(52, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, "descent of the elevation setpoint while landing"),
-    ParamSpec(53, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, "landing takes at most this long; then motors off with a fault"),
-    ParamSpec(54, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, "a streamed voltage acts at most this long, whatever its sender asked for"),
-    ParamSpec(55, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, "largest amplitude that excite accepts"),
-    ParamSpec(56, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, "longest duration that excite accepts"),
-    ParamSpec(57, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, "ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data"),
+    ParamSpec(20, "pitch_hold_ff", "V/deg", -1.0, 1.0, 0.0, False, False, False, "difference of the voltages that holds a degree of pitch setpoint against masses that hang below the pitch axis"),
+    ParamSpec(21, "travel_kp", "deg/deg", 0.0, 20.0, 2.2, False, False, False, "travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)"),
+    ParamSpec(22, "travel_ki", "deg/(deg s)", 0.0, 20.0, 0.06, False, False, False, "travel integral gain (paper Table 6 with P and I exchanged: 0.13)"),
+    ParamSpec(23, "travel_kd", "deg s/deg", 0.0, 20.0, 3.3, False, False, False, "travel derivative gain, on the measurement (paper Table 6: 1.462)"),
+    ParamSpec(24, "travel_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, "share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone"),
+    ParamSpec(25, "travel_acceleration_ff", "deg s2/deg", 0.0, 20.0, 1.5, False, False, False, "pitch for the setpoint's own acceleration: inertia over hover thrust and arm"),
+    ParamSpec(26, "elevation_integral_max_V", "V", 0.0, 20.0, 3.0, False, False, False, "bound of the elevation integrator"),
+    ParamSpec(27, "pitch_integral_max_V", "V", 0.0, 20.0, 2.0, False, False, False, "bound of the pitch integrator"),
+    ParamSpec(28, "travel_integral_max_deg", "deg", 0.0, 45.0, 10.0, False, False, False, "bound of the travel integrator"),
+    ParamSpec(29, "elevation_filter_Hz", "Hz", 0.5, 200.0, 4.0, False, False, False, "cut-off of the elevation rate filter (two poles)"),
+    ParamSpec(30, "pitch_filter_Hz", "Hz", 0.5, 200.0, 16.0, False, False, False, "cut-off of the pitch rate filter (two poles)"),
+    ParamSpec(31, "travel_filter_Hz", "Hz", 0.5, 200.0, 3.0, False, False, False, "cut-off of the travel rate filter (two poles)"),
+    ParamSpec(32, "pitch_setpoint_max_deg", "deg", 1.0, 45.0, 20.0, False, False, False, "bound of the pitch setpoint, from the travel loop or the host"),
+    ParamSpec(33, "differential_max_V", "V", 0.1, 24.0, 1.4, False, False, False, "bound of front minus back: pitch has priority in the mixer, so more than this would lift the arm"),
+    ParamSpec(34, "elevation_slew_deg_s", "deg/s", 0.5, 200.0, 15.0, False, False, False, "fastest change of the elevation setpoint"),
+    ParamSpec(35, "pitch_slew_deg_s", "deg/s", 1.0, 1000.0, 90.0, False, False, False, "fastest change of the pitch setpoint, from the travel loop or the host"),
+    ParamSpec(36, "travel_slew_deg_s", "deg/s", 0.5, 200.0, 20.0, False, False, False, "fastest change of the travel setpoint"),
+    ParamSpec(37, "elevation_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 30.0, False, False, False, "fastest change of the elevation setpoint's rate: a step becomes a ramp that starts and stops gently"),
+    ParamSpec(38, "travel_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 5.0, False, False, False, "fastest change of the travel setpoint's rate; travel can only accelerate by tilting"),
+    ParamSpec(39, "bumpless_s", "s", 0.02, 5.0, 0.3, False, False, False, "time constant with which the jump of a mode change is faded out"),
+    ParamSpec(40, "elevation_max_deg", "deg", 1.0, 60.0, 24.0, False, False, True, "elevation above which the motors are cut; setpoints are refused from 2 degrees below it"),
+    ParamSpec(41, "pitch_max_deg", "deg", 5.0, 80.0, 45.0, False, False, True, "pitch beyond which the motors are cut"),
+    ParamSpec(42, "travel_max_deg", "deg", 10.0, 3600.0, 175.0, False, False, True, "travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it"),
+    ParamSpec(43, "elevation_rate_max_deg_s", "deg/s", 10.0, 1000.0, 120.0, False, False, True, "elevation rate beyond which the motors are cut"),
+    ParamSpec(44, "pitch_rate_max_deg_s", "deg/s", 10.0, 2000.0, 400.0, False, False, True, "pitch rate beyond which the motors are cut"),
+    ParamSpec(45, "travel_rate_max_deg_s", "deg/s", 10.0, 1000.0, 150.0, False, False, True, "travel rate beyond which the motors are cut"),
+    ParamSpec(46, "encoder_illegal_max", "", 0.0, 1000.0, 5.0, False, False, True, "illegal transitions of one encoder since arming that are tolerated"),
+    ParamSpec(47, "overrun_max", "", 0.0, 1000.0, 10.0, False, False, True, "late ticks since arming that are tolerated"),
+    ParamSpec(48, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, "arming needs every axis slower than this"),
+    ParamSpec(49, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, "arming needs the elevation this close to rest"),
+    ParamSpec(50, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, "arming needs the pitch this close to level"),
+    ParamSpec(51, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, "without a fresh setpoint for this long the board holds level"),
+    ParamSpec(52, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, "without a fresh setpoint for this long the board lands"),
+    ParamSpec(53, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, "descent of the elevation setpoint while landing"),
+    ParamSpec(54, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, "landing takes at most this long; then motors off with a fault"),
+    ParamSpec(55, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, "a streamed voltage acts at most this long, whatever its sender asked for"),
+    ParamSpec(56, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, "largest amplitude that excite accepts"),
+    ParamSpec(57, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, "longest duration that excite accepts"),
+    ParamSpec(58, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, "ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data"),
 )
 
 FAULTS: tuple[FaultSpec, ...] = (

@@ -1,0 +1,149 @@
+// Fixed-point numbers: what the tick calculates with.
+//
+// A Cortex-M3 without FPU takes about 45 instructions for a float's sum and 33 for its product, but
+// 4 and 11 for these. Every operation saturates instead of wrapping, so that a number that left its
+// range still has the right sign and is larger than any limit.
+#pragma once
+
+#include <cstdint>
+
+namespace heli::control {
+
+constexpr std::int32_t saturated(std::int64_t value) {
+  const auto low = static_cast<std::int32_t>(value);
+  if (low == value) {
+    return low;
+  }
+  return value < 0 ? INT32_MIN : INT32_MAX;
+}
+
+template <int kFraction>
+class Fixed {
+  static_assert(kFraction >= 0 && kFraction < 63, "bits behind the point");
+
+ public:
+  constexpr Fixed() = default;
+
+  static constexpr Fixed from_raw(std::int32_t raw) {
+    Fixed result;
+    result.raw_ = raw;
+    return result;
+  }
+
+  // Nearest, or the end of the range.
+  static constexpr Fixed of(float value) {
+    const float scaled = value * static_cast<float>(std::int64_t{1} << kFraction);
+    if (!(scaled > -2147483648.0F)) {
+      return from_raw(INT32_MIN);
+    }
+    if (!(scaled < 2147483648.0F)) {
+      return from_raw(INT32_MAX);
+    }
+    return from_raw(static_cast<std::int32_t>(scaled + (scaled < 0.0F ? -0.5F : 0.5F)));
+  }
+
+  constexpr std::int32_t raw() const { return raw_; }
+
+  constexpr float to_float() const {
+    return static_cast<float>(raw_) * (1.0F / static_cast<float>(std::int64_t{1} << kFraction));
+  }
+
+  constexpr Fixed half() const { return from_raw(raw_ >> 1); }
+
+  friend constexpr Fixed operator+(Fixed a, Fixed b) {
+    std::int32_t sum = 0;
+    if (__builtin_add_overflow(a.raw_, b.raw_, &sum)) {
+      sum = b.raw_ < 0 ? INT32_MIN : INT32_MAX;
+    }
+    return from_raw(sum);
+  }
+
+  friend constexpr Fixed operator-(Fixed a, Fixed b) {
+    std::int32_t difference = 0;
+    if (__builtin_sub_overflow(a.raw_, b.raw_, &difference)) {
+      difference = b.raw_ < 0 ? INT32_MAX : INT32_MIN;
+    }
+    return from_raw(difference);
+  }
+
+  friend constexpr Fixed operator-(Fixed a) { return Fixed{} - a; }
+
+  constexpr Fixed& operator+=(Fixed other) { return *this = *this + other; }
+  constexpr Fixed& operator-=(Fixed other) { return *this = *this - other; }
+
+  friend constexpr bool operator==(Fixed a, Fixed b) { return a.raw_ == b.raw_; }
+  friend constexpr bool operator!=(Fixed a, Fixed b) { return a.raw_ != b.raw_; }
+  friend constexpr bool operator<(Fixed a, Fixed b) { return a.raw_ < b.raw_; }
+  friend constexpr bool operator>(Fixed a, Fixed b) { return a.raw_ > b.raw_; }
+  friend constexpr bool operator<=(Fixed a, Fixed b) { return a.raw_ <= b.raw_; }
+  friend constexpr bool operator>=(Fixed a, Fixed b) { return a.raw_ >= b.raw_; }
+
+ private:
+  std::int32_t raw_ = 0;
+};
+
+// Whatever has a unit of its own: rad, rad/s, rad/s2, V. Up to 128 (7,300 degrees), to 6e-8.
+using Quantity = Fixed<24>;
+// Factors up to 2048, to 1e-6: gains in V/rad reach 1146.
+using Gain = Fixed<20>;
+// Factors below 2, to 1e-9: shares, and gains per tick.
+using Share = Fixed<30>;
+// Angle of an encoder's count: up to 8 rad, to 4e-9.
+using PerCount = Fixed<28>;
+// Counts, PWM steps, telemetry.
+using Whole = Fixed<0>;
+
+// The product, rounded, with kTo bits behind the point.
+template <int kTo, int kA, int kB>
+constexpr Fixed<kTo> product(Fixed<kA> a, Fixed<kB> b) {
+  constexpr int kShift = kA + kB - kTo;
+  static_assert(kShift > 0, "the product has no more bits to give");
+  const std::int64_t exact = static_cast<std::int64_t>(a.raw()) * b.raw();
+  return Fixed<kTo>::from_raw(saturated((exact + (std::int64_t{1} << (kShift - 1))) >> kShift));
+}
+
+// A quantity times a factor is a quantity.
+template <int kFactor>
+constexpr Quantity operator*(Fixed<kFactor> factor, Quantity quantity) {
+  return product<24>(factor, quantity);
+}
+
+// The product rounded towards zero: what shrinks again and again becomes zero.
+constexpr Quantity shrunk(Quantity quantity, Share keep) {
+  const std::int64_t exact = static_cast<std::int64_t>(quantity.raw()) * keep.raw();
+  const std::int64_t up = exact < 0 ? (std::int64_t{1} << 30) - 1 : 0;
+  return Quantity::from_raw(saturated((exact + up) >> 30));
+}
+
+template <int kFraction>
+constexpr Fixed<kFraction> magnitude(Fixed<kFraction> value) {
+  return value < Fixed<kFraction>{} ? -value : value;
+}
+
+constexpr std::uint64_t long_product(std::uint32_t a, std::uint32_t b) {
+  return static_cast<std::uint64_t>(a) * b;
+}
+
+// Square root of a whole number below 2^62, to one part in 10^8 or one, whichever is more.
+constexpr std::uint32_t square_root(std::uint64_t value) {
+  if (value == 0U) {
+    return 0U;
+  }
+  const unsigned shift = static_cast<unsigned>(__builtin_clzll(value)) & ~1U;
+  // In [1/4, 1), 32 bits behind the point.
+  const auto part = static_cast<std::uint32_t>((value << shift) >> 32U);
+  // 1 / sqrt(part), 30 bits behind the point: the line 2.2 - 1.26 part is right to 12 %, and each
+  // step of Newton's method makes 1.5 e^2 of an error of e.
+  std::uint32_t inverse =
+      2362232013U - static_cast<std::uint32_t>(long_product(part, 1352914698U) >> 32U);
+  for (int step = 0; step < 4; ++step) {
+    const auto square = static_cast<std::uint32_t>(long_product(inverse, inverse) >> 31U);
+    const auto ratio = static_cast<std::uint32_t>(long_product(part, square) >> 32U);
+    constexpr std::uint32_t kThree = 3U << 29U;
+    inverse = static_cast<std::uint32_t>(long_product(inverse, kThree - ratio) >> 30U);
+  }
+  const auto root = static_cast<std::uint32_t>(long_product(part, inverse) >> 31U);
+  return root >> (shift / 2U - 1U);
+}
+
+}  // namespace heli::control
