@@ -6,6 +6,7 @@
     ├── RigError            a rig file is missing, incomplete or holds something it may not
     ├── PlantError          the plant cannot be put together, compiled or loaded
     ├── EndpointError       the simulated serial port cannot be opened or did not appear
+    ├── EffectError         an effect that is unknown, badly written or has a value it may not have
     ├── IdentifyError       a flight and a model from which nothing can be identified
     └── OptionError         an option of a sil:// address or of the server is unknown or out of range
 """
@@ -35,3 +36,7 @@ class OptionError(SimError):
 
 class IdentifyError(SimError):
     """A flight and a model from which nothing can be identified."""
+
+
+class EffectError(SimError):
+    """An effect that is unknown, badly written or has a value it may not have."""

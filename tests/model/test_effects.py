@@ -31,7 +31,7 @@ def test_rotor_lag_changes_no_hover_and_adds_a_pole_for_each_rotor() -> None:
     assert np.sum(np.isclose(poles, -1 / 0.12)) == 2
 
 
-@pytest.mark.parametrize("lag_s", [0.0, -0.1, 1e-4, float("nan")])
-def test_a_lag_too_short_for_a_millisecond_is_refused(lag_s: float) -> None:
+@pytest.mark.parametrize("lag_s", [-0.1, float("nan")])
+def test_a_lag_that_cannot_be_is_refused(lag_s: float) -> None:
     with pytest.raises(PlantError, match="leave the effect out"):
         RotorLag(lag_s)

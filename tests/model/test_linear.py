@@ -78,7 +78,7 @@ def test_names_go_with_the_numbers() -> None:
     assert linear.input_labels == ["front_V", "back_V"]
     assert linear.output_labels == ["elevation_rad", "pitch_rad", "travel_rad"]
     assert linear.state_labels[:2] == ["elevation_rad", "pitch_rad"]
-    assert linear.state_labels[6:] == ["front_thrust_N", "back_thrust_N"]
+    assert linear.state_labels[6:] == ["rotor_lag_front_N", "rotor_lag_back_N"]
 
 
 def test_travel_follows_pitch_and_hover_leans_against_a_heavier_front() -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from heli_sim.model.base import Effect, Model, Situation
+from heli_sim.model.base import Model
+from heli_sim.model.effect import Effect, Situation, Stage
 from heli_sim.model.multibody import MultibodyModel
 from heli_sim.model.paper import PaperModel
 from heli_sim.rig.quantity import Quantity
 
-__all__ = ["Effect", "Model", "MultibodyModel", "PaperModel", "Quantity", "Situation"]
+__all__ = ["Effect", "Model", "MultibodyModel", "PaperModel", "Quantity", "Situation", "Stage"]

@@ -1,4 +1,4 @@
-"""What every model of the rig has in common: names, symbols, and the places where an effect may act.
+"""What every model of the rig has in common: names, symbols, and the chain from voltage to measured angle.
 
 A model says how thrust and torque become angular acceleration (`Model.acceleration`). Everything before that,
 voltage to thrust and friction to torque, is shared; an `Effect` changes one step of that chain and may bring
@@ -8,8 +8,7 @@ parameters and states of its own.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import replace
 from typing import Final
 
 import casadi as ca
@@ -17,9 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from heli_sim.errors import PlantError
+from heli_sim.model.effect import Effect, Situation, Stage
 from heli_sim.model.parts import friction_torque_Nm, thrust_N
 from heli_sim.rig import RIG_QUANTITIES, Rig
-from heli_sim.rig.quantity import Prior, Quantity
+from heli_sim.rig.quantity import Quantity
 
 STATES: Final[tuple[Quantity, ...]] = (
     Quantity("elevation_rad", "rad", "long arm above level, up positive"),
@@ -33,6 +33,8 @@ INPUTS: Final[tuple[Quantity, ...]] = (
     Quantity("front_V", "V", "voltage that acts on the front motor"),
     Quantity("back_V", "V", "voltage that acts on the back motor"),
 )
+__all__ = ["INPUTS", "STATES", "Effect", "Model", "Situation", "Stage"]
+
 _AXES: Final = ("elevation", "pitch", "travel")
 _SHARED: Final = (
     *("thrust_gain", "dead_zone", "reverse_thrust"),
@@ -42,131 +44,13 @@ _SHARED: Final = (
 _RIG: Final = {quantity.name: quantity for quantity in RIG_QUANTITIES}
 
 
-@dataclass(frozen=True)
-class Situation:
-    """What an equation may look at, by name.
-
-    Parameters
-    ----------
-    state : Mapping[str, casadi.SX]
-        Scalars by state name, those of effects included.
-    volts_V : casadi.SX
-        Voltages that act on the front and the back motor, shape (2, 1).
-    parameter : Mapping[str, casadi.SX]
-        Scalars by parameter name, in the units of `Model.parameters`.
-    time_s : casadi.SX
-        Time since the flight's first sample.
-    pinned : casadi.SX
-        1 for each of elevation, pitch and travel that a pin holds, else 0; shape (3, 1).
-    """
-
-    state: Mapping[str, ca.SX]
-    volts_V: ca.SX
-    parameter: Mapping[str, ca.SX]
-    time_s: ca.SX = field(default_factory=lambda: ca.SX(0))
-    pinned: ca.SX = field(default_factory=lambda: ca.SX.zeros(3))
-
-
-@dataclass(frozen=True)
-class Effect:
-    """Something that a model lacks; a subclass overrides the steps that it changes.
-
-    Parameters
-    ----------
-    name : str
-        Name of the effect, with its axis or rotor where it has one.
-    parameters : tuple of Quantity
-        Numbers of its own, none of them a number of the rig.
-    values : Mapping[str, float]
-        Value of each of `parameters`.
-    states : tuple of Quantity
-        States of its own; they start at 0.
-    priors : Mapping[str, Prior]
-        What is known of each of `parameters` before a flight; needed to identify it.
-    delay : str
-        Name of the one of `parameters`, in s, by which the voltages act late; empty for no delay. Whoever
-        integrates the model hands it voltages that are late by this much.
-    """
-
-    name: str
-    parameters: tuple[Quantity, ...] = ()
-    values: Mapping[str, float] = field(default_factory=dict)
-    states: tuple[Quantity, ...] = ()
-    priors: Mapping[str, Prior] = field(default_factory=dict)
-    delay: str = ""
-
-    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
-        """Change the thrust.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages and parameters.
-        thrust_N : casadi.SX
-            Thrust of the front and the back rotor before this effect, shape (2, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Thrust with this effect, shape (2, 1).
-        """
-        return thrust_N
-
-    def torque_Nm(self, at: Situation) -> ca.SX:
-        """Add a torque.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages and parameters.
-
-        Returns
-        -------
-        casadi.SX
-            Torque about the elevation, pitch and travel axes, shape (3, 1).
-        """
-        return ca.SX.zeros(3)
-
-    def measured_rad(self, at: Situation, angles_rad: ca.SX) -> ca.SX:
-        """Change what the encoders see.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages and parameters.
-        angles_rad : casadi.SX
-            Elevation, pitch and travel before this effect, shape (3, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Angles with this effect, shape (3, 1).
-        """
-        return angles_rad
-
-    def state_rates(self, at: Situation) -> ca.SX:
-        """Time derivatives of the effect's own states.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages and parameters.
-
-        Returns
-        -------
-        casadi.SX
-            One rate for each of `states`, in its unit per second.
-        """
-        return ca.SX.zeros(len(self.states))
-
-
 class Model(ABC):
     """Equations of motion of a rig, d/dt x = dynamics(x, u, p).
 
     Parameters
     ----------
     effects : tuple of Effect
-        Effects on top of the model, applied in this order.
+        Effects on top of the model, in any order; they are applied by their stage.
 
     Raises
     ------
@@ -181,7 +65,7 @@ class Model(ABC):
     """Names of the rig's numbers that the model itself uses."""
 
     def __init__(self, effects: tuple[Effect, ...] = ()) -> None:
-        self.effects = effects
+        self.effects = effects = tuple(sorted(effects, key=lambda effect: effect.stage))
         self.states: tuple[Quantity, ...] = STATES + tuple(s for e in effects for s in e.states)
         self.inputs: tuple[Quantity, ...] = INPUTS
         names = dict.fromkeys(self.rig_parameters + _SHARED)
@@ -276,16 +160,86 @@ class Model(ABC):
         casadi.SX
             Rate of each state in its unit per second. A pinned axis does not accelerate.
         """
-        at = self.situation(x, u, p, time_s, pinned)
+        at = self._as_changed(self.situation(x, u, p, time_s, pinned))
+        for effect in self.effects:
+            at = replace(at, volts_V=effect.voltage_V(at, at.volts_V))
         p_at = at.parameter
         thrust = thrust_N(at.volts_V, p_at["thrust_gain"], p_at["dead_zone"], p_at["reverse_thrust"])
+        rates = []
+        for effect in self.effects:
+            at = replace(at, thrust_N=thrust)
+            thrust = effect.thrust_N(at, thrust)
+            if effect.states:
+                rates.append(effect.state_rates(at))
+        at = replace(at, thrust_N=thrust)
         torque = friction_torque_Nm(x[3:6], p_at) + ca.vertcat(*(p_at[f"torque_{axis}"] for axis in _AXES))
         for effect in self.effects:
-            thrust = effect.thrust_N(at, thrust)
             torque = torque + effect.torque_Nm(at)
-        rates = [effect.state_rates(at) for effect in self.effects if effect.states]
         acceleration = (1 - at.pinned) * self.acceleration(at, thrust, torque)
         return ca.vertcat(x[3:6], acceleration, *rates)
+
+    def settled(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> ca.SX:
+        """State as it is set anew after each step of an integration, for effects that a rate cannot say.
+
+        Parameters
+        ----------
+        x : casadi.SX
+            State after the step, in the order of `states`.
+        u : casadi.SX
+            Voltages that act, in the order of `inputs`.
+        p : casadi.SX
+            Parameters, in the order of `parameters`.
+        time_s : casadi.SX, optional
+            Time after the step since the flight's first sample; 0 where it is not given.
+
+        Returns
+        -------
+        casadi.SX
+            State to go on from; `x` itself where no effect changes it.
+        """
+        at = self._as_changed(self.situation(x, u, p, time_s))
+        return ca.vertcat(x[:6], *(effect.settled(at) for effect in self.effects if effect.states))
+
+    def pushed(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX, step_s: float, normal: ca.SX) -> ca.SX:
+        """Change of the state by chance in one step of a simulation.
+
+        Parameters
+        ----------
+        x : casadi.SX
+            State after the step, in the order of `states`.
+        u : casadi.SX
+            Voltages that act, in the order of `inputs`.
+        p : casadi.SX
+            Parameters, in the order of `parameters`.
+        time_s : casadi.SX
+            Time after the step.
+        step_s : float
+            Length of the step.
+        normal : casadi.SX
+            Independent random numbers with mean 0 and variance 1, shape (shaken, 1).
+
+        Returns
+        -------
+        casadi.SX
+            Change, in the order of `states`.
+        """
+        at = self._as_changed(self.situation(x, u, p, time_s))
+        pushes, used = [ca.SX.zeros(6)], 0
+        for effect in self.effects:
+            if effect.states:
+                pushes.append(effect.pushed(at, step_s, normal[used : used + effect.shaken]))
+                used += effect.shaken
+        return ca.vertcat(*pushes)
+
+    @property
+    def shaken(self) -> int:
+        """Number of random pushes that its effects take each step of a simulation."""
+        return sum(effect.shaken for effect in self.effects)
+
+    def _as_changed(self, at: Situation) -> Situation:
+        for effect in self.effects:
+            at = replace(at, parameter={**at.parameter, **effect.changed(at)})
+        return at
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> ca.SX:
         """Angles that encoders without steps would show: those of the state, their zero's offset, effects.
@@ -306,7 +260,7 @@ class Model(ABC):
         casadi.SX
             Elevation, pitch and travel in rad, shape (3, 1).
         """
-        at = self.situation(x, u, p, time_s)
+        at = self._as_changed(self.situation(x, u, p, time_s))
         offsets_deg = ca.vertcat(at.parameter["offset_elevation"], at.parameter["offset_pitch"], 0)
         angles = x[0:3] + offsets_deg * (np.pi / 180.0)
         for effect in self.effects:

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Final
 
 import casadi as ca
+
+AXES: Final = ("elevation", "pitch", "travel")
+_ABRUPT_s: Final = 0.01
 
 
 def thrust_N(volts_V: ca.SX, gain_N_per_V: ca.SX, dead_zone_V: ca.SX, reverse: ca.SX | float = 0.0) -> ca.SX:
@@ -53,3 +57,88 @@ def friction_torque_Nm(rates_rad_s: ca.SX, parameter: Mapping[str, ca.SX]) -> ca
         parameter["friction_elevation"], parameter["friction_pitch"], parameter["friction_travel"]
     )
     return -coefficients * rates_rad_s
+
+
+def rotor_climb_m_s(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -> ca.SX:
+    """Speed of each rotor along its thrust axis, positive when it climbs.
+
+    Virtual work says what it is: thrust times climb is the power that the thrust gives to the axes.
+
+    Parameters
+    ----------
+    state : Mapping[str, casadi.SX]
+        Angles and rates of the rig.
+    parameter : Mapping[str, casadi.SX]
+        Holds L_a, L_h and L_theta in m.
+
+    Returns
+    -------
+    casadi.SX
+        Front and back, m/s, shape (2, 1).
+    """
+    c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
+    c_pitch, s_pitch = ca.cos(state["pitch_rad"]), ca.sin(state["pitch_rad"])
+    travel = state["travel_rate_rad_s"]
+    both = (
+        parameter["L_a"] * c_pitch * state["elevation_rate_rad_s"]
+        + (parameter["L_a"] * c + parameter["L_theta"] * s) * s_pitch * travel
+    )
+    apart = parameter["L_h"] * (state["pitch_rate_rad_s"] - s * travel)
+    return ca.vertcat(both + apart, both - apart)
+
+
+def rotor_height_m(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -> ca.SX:
+    """Height of each rotor's centre above the elevation axis.
+
+    Parameters
+    ----------
+    state : Mapping[str, casadi.SX]
+        Angles of the rig.
+    parameter : Mapping[str, casadi.SX]
+        Holds L_a, L_h and L_theta in m.
+
+    Returns
+    -------
+    casadi.SX
+        Front and back, m, shape (2, 1).
+    """
+    c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
+    middle = parameter["L_a"] * s - parameter["L_theta"] * c
+    beside = parameter["L_h"] * ca.sin(state["pitch_rad"]) * c
+    return ca.vertcat(middle + beside, middle - beside)
+
+
+def since(time_s: ca.SX, moment_s: ca.SX) -> ca.SX:
+    """Unit step at a moment, rounded over some 20 ms so that it has a derivative to the moment.
+
+    Parameters
+    ----------
+    time_s : casadi.SX
+        Time, s.
+    moment_s : casadi.SX
+        When it happens, s.
+
+    Returns
+    -------
+    casadi.SX
+        0 before, 1 after.
+    """
+    return 0.5 * (1 + ca.tanh((time_s - moment_s) / _ABRUPT_s))
+
+
+def on_axis(axis: str, value: ca.SX) -> ca.SX:
+    """Put a scalar at an axis' place.
+
+    Parameters
+    ----------
+    axis : str
+        elevation, pitch or travel.
+    value : casadi.SX
+        Scalar.
+
+    Returns
+    -------
+    casadi.SX
+        It, and 0 at the other two axes; shape (3, 1).
+    """
+    return ca.vertcat(*(value if axis == one else ca.SX(0) for one in AXES))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -76,6 +76,10 @@ class Rig(Mapping[str, Number]):
         One line.
     numbers : Mapping[str, Number]
         One entry for each quantity of `RIG_QUANTITIES`; those of `UNSTATED` may be left out.
+    effects : Mapping[str, Mapping[str, Number]]
+        Effects beyond the model, by their ids (`heli_sim.model.effects`), each with its own numbers.
+    model : str
+        Name of the model whose numbers these are; empty where any may use them.
 
     Raises
     ------
@@ -86,6 +90,8 @@ class Rig(Mapping[str, Number]):
     name: str
     description: str
     numbers: Mapping[str, Number]
+    effects: Mapping[str, Mapping[str, Number]] = field(default_factory=dict)
+    model: str = ""
 
     def __post_init__(self) -> None:
         numbers = dict(self.numbers)
@@ -143,7 +149,7 @@ class Rig(Mapping[str, Number]):
             if name not in numbers:
                 raise RigError(_unknown(self.name, name))
             numbers[name] = replace(numbers[name], value=float(value))
-        return Rig(self.name, self.description, numbers)
+        return replace(self, numbers=numbers)
 
 
 def rig_names() -> list[str]:
@@ -197,11 +203,27 @@ def _rig_from_table(path: Path, table: Mapping[str, Any]) -> Rig:
         if not isinstance(value, str):
             raise RigError(f'rig file {path} lacks {key} = "..."; add it at the top')
         texts[key] = value
-    numbers = {name: _number(path, name, entry) for name, entry in table.items() if name not in _TEXTS}
+    apart = {*_TEXTS, "effects", "model"}
+    numbers = {name: _number(path, name, entry) for name, entry in table.items() if name not in apart}
     stated = {q.name: numbers.pop(q.name) for q in STATED_INERTIAS if q.name in numbers}
-    rig = Rig(texts["name"], texts["description"], numbers)
+    model = table.get("model", "")
+    if not isinstance(model, str):
+        raise RigError(f"rig file {path}: model must be a text, not {model!r}")
+    rig = Rig(texts["name"], texts["description"], numbers, _effects(path, table.get("effects", {})), model)
     _check_inertias(rig, stated)
     return rig
+
+
+def _effects(path: Path, table: object) -> dict[str, dict[str, Number]]:
+    if not isinstance(table, dict):
+        raise RigError(f"rig file {path}: effects must hold one table for each effect")
+    for name, numbers in table.items():
+        if not isinstance(numbers, dict) or any(field in numbers for field in _FIELDS):
+            raise RigError(f'rig file {path}: write [effects."{name}".NUMBER] for each number of an effect')
+    return {
+        name: {what: _number(path, f"effects.{name}.{what}", entry) for what, entry in numbers.items()}
+        for name, numbers in table.items()
+    }
 
 
 def _number(path: Path, name: str, entry: object) -> Number:
@@ -212,12 +234,12 @@ def _number(path: Path, name: str, entry: object) -> Number:
     unknown = [field for field in entry if field not in _FIELDS]
     if missing or unknown:
         raise RigError(f"{where} needs exactly {', '.join(_FIELDS)}; wrong: {', '.join(missing + unknown)}")
-    for field in ("value", "tolerance"):
-        if isinstance(entry[field], bool) or not isinstance(entry[field], int | float):
-            raise RigError(f"{where}: {field} must be a number, not {entry[field]!r}")
-    for field in ("unit", "source"):
-        if not isinstance(entry[field], str) or not entry[field]:
-            raise RigError(f"{where}: {field} must be a text, not {entry[field]!r}")
+    for key in ("value", "tolerance"):
+        if isinstance(entry[key], bool) or not isinstance(entry[key], int | float):
+            raise RigError(f"{where}: {key} must be a number, not {entry[key]!r}")
+    for key in ("unit", "source"):
+        if not isinstance(entry[key], str) or not entry[key]:
+            raise RigError(f"{where}: {key} must be a text, not {entry[key]!r}")
     return Number(float(entry["value"]), entry["unit"], float(entry["tolerance"]), entry["source"])
 
 

@@ -6,7 +6,7 @@ import json
 import textwrap
 from pathlib import Path
 
-from heli_sim.rig.rig import Rig
+from heli_sim.rig.rig import Number, Rig
 
 _DIGITS = 7
 
@@ -28,16 +28,25 @@ def rig_text(rig: Rig, comment: str = "") -> str:
     """
     lines = [f"# {line}" for line in textwrap.wrap(comment, 108)]
     lines += [f"name = {_quoted(rig.name)}", f"description = {_quoted(rig.description)}"]
+    if rig.model:
+        lines.append(f"model = {_quoted(rig.model)}")
     for name, number in rig.items():
-        lines += [
-            "",
-            f"[{name}]",
-            f"value = {number.value:.{_DIGITS}g}",
-            f"unit = {_quoted(number.unit)}",
-            f"tolerance = {number.tolerance:.{_DIGITS}g}",
-            f"source = {_quoted(number.source)}",
-        ]
+        lines += _table(name, number)
+    for effect, numbers in rig.effects.items():
+        for what, number in numbers.items():
+            lines += _table(f"effects.{_quoted(effect)}.{what}", number)
     return "\n".join(lines) + "\n"
+
+
+def _table(name: str, number: Number) -> list[str]:
+    return [
+        "",
+        f"[{name}]",
+        f"value = {number.value:.{_DIGITS}g}",
+        f"unit = {_quoted(number.unit)}",
+        f"tolerance = {number.tolerance:.{_DIGITS}g}",
+        f"source = {_quoted(number.source)}",
+    ]
 
 
 def write_rig(rig: Rig, path: str | Path, comment: str = "") -> None:

@@ -1,7 +1,18 @@
-"""Effects that a model may be extended by, one file each."""
+"""Effects that a model may be extended by, one file each, and the catalogue of them all."""
 
 from __future__ import annotations
 
+from heli_sim.model.effects.catalogue import catalogue
+from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.effects.rotor_lag import RotorLag
+from heli_sim.model.effects.spelled import effect_numbers, effects_of, parse_effects
 
-__all__ = ["RotorLag"]
+__all__ = [
+    "EffectKind",
+    "Parameter",
+    "RotorLag",
+    "catalogue",
+    "effect_numbers",
+    "effects_of",
+    "parse_effects",
+]

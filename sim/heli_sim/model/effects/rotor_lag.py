@@ -7,64 +7,62 @@ from typing import Final
 import casadi as ca
 
 from heli_sim.errors import PlantError
-from heli_sim.model.base import Effect, Situation
-from heli_sim.model.parts import thrust_N as static_thrust_N
+from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.rig.quantity import Prior, Quantity
 
-# The millisecond of Runge-Kutta is stable down to 0.36 ms and accurate to 0.1 % from here on.
-_LEAST_s: Final = 0.001
+# Runge-Kutta steps of 10 ms, as identification takes them, are stable down to 3.6 ms.
+_LEAST_s: Final = 0.004
 
 
 class RotorLag(Effect):
-    """First-order lag of each rotor's thrust behind its static value F(V).
+    """First-order lag of each rotor's thrust behind the thrust that its voltage asks for.
 
-    Real rigs of this kind show 0.09 to 0.15 s. It replaces the thrust, so it comes first among the effects
-    that change the thrust.
+    A lag T below 4 ms cannot be integrated in steps of 10 ms. There the thrust is the mean of one that lags
+    4 ms and one that does not, so weighted that their mean delay is T: at T = 0 the effect does nothing, and
+    has a derivative.
 
     Parameters
     ----------
     lag_s : float
-        Time constant, s.
+        Time constant, s. Real rigs of this kind show 0.09 to 0.15 s.
+    **fields : object
+        What `EffectKind.make` gives instead.
 
     Raises
     ------
     PlantError
-        When the time constant is too short to be simulated in millisecond steps.
+        When the time constant is negative or not a number.
     """
 
-    def __init__(self, lag_s: float) -> None:
-        if not lag_s >= _LEAST_s:
-            raise PlantError(f"rotor_lag_s = {lag_s} is below {_LEAST_s}; leave the effect out instead")
-        super().__init__(
-            "rotor_lag",
-            parameters=(Quantity("rotor_lag_s", "s", "time constant of thrust behind voltage"),),
-            values={"rotor_lag_s": lag_s},
-            states=(
-                Quantity("front_thrust_N", "N", "thrust of the front rotor"),
-                Quantity("back_thrust_N", "N", "thrust of the back rotor"),
-            ),
-            priors={"rotor_lag_s": Prior(0.08, 0.06, low=_LEAST_s, high=0.6)},
-        )
+    def __init__(self, lag_s: float = 0.0, **fields: object) -> None:
+        if not fields:
+            if not lag_s >= 0.0:
+                raise PlantError(f"rotor_lag_s = {lag_s} must not be negative; leave the effect out instead")
+            made = KIND.make({"rotor_lag_s": lag_s})
+            fields = {name: getattr(made, name) for name in Effect.__dataclass_fields__}
+        super().__init__(**fields)  # type: ignore[arg-type]
 
     def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
-        """Replace the static thrust by the state.
+        """Thrust that the rotors have reached.
 
         Parameters
         ----------
         at : Situation
             Present state, voltages and parameters.
         thrust_N : casadi.SX
-            Static thrust, shape (2, 1).
+            Thrust that the voltages ask for, shape (2, 1).
 
         Returns
         -------
         casadi.SX
             Lagged thrust, shape (2, 1).
         """
-        return ca.vertcat(at.state["front_thrust_N"], at.state["back_thrust_N"])
+        share = ca.fmin(self.own(at, "s") / _LEAST_s, 1.0)
+        return share * self._reached_N(at) + (1 - share) * thrust_N
 
     def state_rates(self, at: Situation) -> ca.SX:
-        """Pull each thrust towards its static value.
+        """Pull each thrust towards what its voltage asks for.
 
         Parameters
         ----------
@@ -76,6 +74,23 @@ class RotorLag(Effect):
         casadi.SX
             Rates in N/s, shape (2, 1).
         """
-        p = at.parameter
-        wanted_N = static_thrust_N(at.volts_V, p["thrust_gain"], p["dead_zone"], p["reverse_thrust"])
-        return (wanted_N - self.thrust_N(at, wanted_N)) / p["rotor_lag_s"]
+        return (at.thrust_N - self._reached_N(at)) / ca.fmax(self.own(at, "s"), _LEAST_s)
+
+    def _reached_N(self, at: Situation) -> ca.SX:
+        return ca.vertcat(self.own(at, "front_N"), self.own(at, "back_N"))
+
+
+KIND: Final = EffectKind(
+    id="rotor_lag",
+    effect=RotorLag,
+    says="the rotors' thrust lags their voltage by {s}",
+    equation=r"T \dot F_i = F(V_i) - F_i",
+    acts_on="thrust",
+    stage=Stage.LAG,
+    numbers=(Parameter("s", "s", "time constant T", 0.1, Prior(0.08, 0.06, low=0.0, high=0.6), size=True),),
+    states=(
+        Quantity("front_N", "N", "thrust that the front rotor has reached"),
+        Quantity("back_N", "N", "thrust that the back rotor has reached"),
+    ),
+    source="first-order model of a motor with a propeller about an operating point",
+)

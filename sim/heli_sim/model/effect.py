@@ -1,0 +1,271 @@
+"""The places where an effect may act on the way from voltage to measured angle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import casadi as ca
+
+from heli_sim.rig.quantity import Prior, Quantity
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What an equation may look at, by name.
+
+    Parameters
+    ----------
+    state : Mapping[str, casadi.SX]
+        Scalars by state name, those of effects included.
+    volts_V : casadi.SX
+        Voltages that act on the front and the back motor, shape (2, 1).
+    parameter : Mapping[str, casadi.SX]
+        Scalars by parameter name, in the units of `Model.parameters`.
+    time_s : casadi.SX
+        Time since the flight's first sample.
+    pinned : casadi.SX
+        1 for each of elevation, pitch and travel that a pin holds, else 0; shape (3, 1).
+    thrust_N : casadi.SX
+        Thrust of the front and the back rotor, shape (2, 1): in a torque the final one; in a thrust and in
+        the rates of an effect's states that of the effects before it. Zero in a measurement.
+    """
+
+    state: Mapping[str, ca.SX]
+    volts_V: ca.SX
+    parameter: Mapping[str, ca.SX]
+    time_s: ca.SX = field(default_factory=lambda: ca.SX(0))
+    pinned: ca.SX = field(default_factory=lambda: ca.SX.zeros(3))
+    thrust_N: ca.SX = field(default_factory=lambda: ca.SX.zeros(2))
+
+
+class Stage(IntEnum):
+    """Where an effect acts in the chain; a model sorts by it, and within one the order must not matter."""
+
+    CURVE = 0
+    """The static curve of thrust against voltage."""
+    GAIN = 1
+    """A factor on a rotor's thrust."""
+    LAG = 2
+    """Speed of motor and propeller, which cannot jump."""
+    INFLOW = 3
+    """The air that the propeller meets."""
+    GROUND = 4
+    """The air that the propeller leaves behind."""
+    TORQUE = 5
+    """Torques about the axes."""
+    PLAY = 6
+    """Between an axis and its encoder's shaft."""
+    SHAFT = 7
+    """On the encoder's shaft."""
+    ZERO = 8
+    """Where the encoder's zero is."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Something that a model lacks; a subclass overrides the steps that it changes.
+
+    Parameters
+    ----------
+    name : str
+        Name of the effect, with its axis or rotor where it has one, as in ``coulomb_friction.travel``.
+    parameters : tuple of Quantity
+        Numbers of its own, none of them a number of the rig. Their names begin with `prefix`.
+    values : Mapping[str, float]
+        Value of each of `parameters`.
+    states : tuple of Quantity
+        States of its own; they start at 0. Their names begin with `prefix`.
+    priors : Mapping[str, Prior]
+        What is known before a flight of those of `parameters` that a flight may find; the others are fixed.
+    delay : str
+        Name of the one of `parameters`, in s, by which the voltages act late; empty for no delay. Whoever
+        integrates the model hands it voltages that are late by this much.
+    stage : Stage
+        Where it acts.
+    shaken : int
+        Number of independent random pushes that it takes each millisecond of a simulation.
+    """
+
+    name: str
+    parameters: tuple[Quantity, ...] = ()
+    values: Mapping[str, float] = field(default_factory=dict)
+    states: tuple[Quantity, ...] = ()
+    priors: Mapping[str, Prior] = field(default_factory=dict)
+    delay: str = ""
+    stage: Stage = Stage.GAIN
+    shaken: int = 0
+
+    @property
+    def prefix(self) -> str:
+        """What the names of its parameters and states begin with: its name with underscores for dots."""
+        return self.name.replace(".", "_")
+
+    @property
+    def place(self) -> str:
+        """Axis or rotor: what its name has after the last dot."""
+        return self.name.rpartition(".")[2]
+
+    def own(self, at: Situation, what: str) -> ca.SX:
+        """Look up a parameter or a state of the effect.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state, voltages and parameters.
+        what : str
+            Its name after the prefix, such as ``share`` of ``thrust_step_front_share``.
+
+        Returns
+        -------
+        casadi.SX
+            Scalar, in its own unit.
+        """
+        name = f"{self.prefix}_{what}"
+        return at.parameter[name] if name in at.parameter else at.state[name]
+
+    def changed(self, at: Situation) -> Mapping[str, ca.SX]:
+        """Change numbers of the rig, before anything is computed with them.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state, voltages and parameters.
+
+        Returns
+        -------
+        Mapping[str, casadi.SX]
+            New values by name.
+        """
+        return {}
+
+    def voltage_V(self, at: Situation, volts_V: ca.SX) -> ca.SX:
+        """Change the voltages before the thrust curve.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state, voltages and parameters.
+        volts_V : casadi.SX
+            Voltages of the front and the back motor before this effect, shape (2, 1).
+
+        Returns
+        -------
+        casadi.SX
+            Voltages with this effect, shape (2, 1).
+        """
+        return volts_V
+
+    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
+        """Change the thrust.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state, voltages and parameters.
+        thrust_N : casadi.SX
+            Thrust of the front and the back rotor before this effect, shape (2, 1).
+
+        Returns
+        -------
+        casadi.SX
+            Thrust with this effect, shape (2, 1).
+        """
+        return thrust_N
+
+    def torque_Nm(self, at: Situation) -> ca.SX:
+        """Add a torque.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state, voltages and parameters, and the final thrust.
+
+        Returns
+        -------
+        casadi.SX
+            Torque about the elevation, pitch and travel axes, shape (3, 1).
+        """
+        return ca.SX.zeros(3)
+
+    def energy_J(self, at: Situation) -> ca.SX:
+        """Potential energy of a torque that has one, such as a spring's.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state, voltages and parameters.
+
+        Returns
+        -------
+        casadi.SX
+            Energy in J.
+        """
+        return ca.SX(0)
+
+    def measured_rad(self, at: Situation, angles_rad: ca.SX) -> ca.SX:
+        """Change what the encoders see.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state, voltages and parameters.
+        angles_rad : casadi.SX
+            Elevation, pitch and travel before this effect, shape (3, 1).
+
+        Returns
+        -------
+        casadi.SX
+            Angles with this effect, shape (3, 1).
+        """
+        return angles_rad
+
+    def state_rates(self, at: Situation) -> ca.SX:
+        """Time derivatives of the effect's own states.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state, voltages and parameters.
+
+        Returns
+        -------
+        casadi.SX
+            One rate for each of `states`, in its unit per second.
+        """
+        return ca.SX.zeros(len(self.states))
+
+    def settled(self, at: Situation) -> ca.SX:
+        """Set own states anew after a step of whatever length, for what a rate cannot say, such as play.
+
+        Parameters
+        ----------
+        at : Situation
+            State after the step, voltages and parameters.
+
+        Returns
+        -------
+        casadi.SX
+            Own states, in the order of `states`.
+        """
+        return ca.vertcat(*(at.state[state.name] for state in self.states))
+
+    def pushed(self, at: Situation, step_s: float, normal: ca.SX) -> ca.SX:
+        """Change of own states by chance in one step of a simulation; identification leaves it out.
+
+        Parameters
+        ----------
+        at : Situation
+            State after the step, voltages and parameters.
+        step_s : float
+            Length of the step.
+        normal : casadi.SX
+            Independent random numbers with mean 0 and variance 1, shape (shaken, 1).
+
+        Returns
+        -------
+        casadi.SX
+            Change of own states, in the order of `states`.
+        """
+        return ca.SX.zeros(len(self.states))

@@ -1,0 +1,90 @@
+"""The travel axis is not plumb, so that gravity turns travel towards the low side."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import casadi as ca
+
+from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.parts import AXES
+from heli_sim.rig.quantity import Prior
+
+
+class AxisTilt(Effect):
+    """Gravity of all masses along a direction that leans in the rig's own frame.
+
+    The plumb line is given by where it points up: by `x_rad` towards the direction of the long arm at travel
+    0, by `y_rad` a quarter of a turn in positive travel from there.
+    """
+
+    def torque_Nm(self, at: Situation) -> ca.SX:
+        """Minus the gradient of the potential that the tilt adds.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state and parameters.
+
+        Returns
+        -------
+        casadi.SX
+            Torque in N m, shape (3, 1).
+        """
+        q = ca.SX.sym("q", 3)
+        torque = -ca.gradient(self._potential_J(at, q), q)
+        return ca.substitute(torque, q, ca.vertcat(*(at.state[f"{axis}_rad"] for axis in AXES)))
+
+    def energy_J(self, at: Situation) -> ca.SX:
+        """Potential energy, less that about a plumb axis.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state and parameters.
+
+        Returns
+        -------
+        casadi.SX
+            Energy in J.
+        """
+        return self._potential_J(at, ca.vertcat(*(at.state[f"{axis}_rad"] for axis in AXES)))
+
+    def _potential_J(self, at: Situation, q: ca.SX) -> ca.SX:
+        x, y = self.own(at, "x_rad"), self.own(at, "y_rad")
+        size2 = x**2 + y**2
+        # The unit vector (sin, cos) of small angles, finite at 0: sin|a|/|a| to 4th order is enough to 1 rad.
+        up = ca.vertcat(ca.vertcat(x, y) * (1 - size2 / 6 + size2**2 / 120), -size2 / 2 + size2**2 / 24)
+        return at.parameter["g"] * ca.dot(up, _moment_kg_m(at.parameter, q))
+
+
+def _moment_kg_m(p: Mapping[str, ca.SX], q: ca.SX) -> ca.SX:
+    """Sum of mass times place over the five masses, in the rig's frame."""
+    c, s = ca.cos(q[0]), ca.sin(q[0])
+    c_pitch, s_pitch = ca.cos(q[1]), ca.sin(q[1])
+    short = p["M_f"] + p["M_b"] + p["M_h"]
+    # Before pitch, the short arm's masses lie L_phi below its axis, the rotors L_h beside it.
+    beside, below = (p["M_b"] - p["M_f"]) * p["L_h"], -p["L_phi"] * short
+    y, z = beside * c_pitch + below * s_pitch, below * c_pitch - beside * s_pitch
+    x = p["M_l"] * p["L_x"] - p["M_w"] * p["L_b"] + short * p["L_a"]
+    z = z - p["L_theta"] * (p["M_l"] + p["M_w"] + short)
+    along, up = x * c - z * s, x * s + z * c
+    return ca.vertcat(along * ca.cos(q[2]) - y * ca.sin(q[2]), along * ca.sin(q[2]) + y * ca.cos(q[2]), up)
+
+
+KIND: Final = EffectKind(
+    id="axis_tilt",
+    effect=AxisTilt,
+    says="the travel axis leans: plumb is off by {x_rad} towards the arm at travel 0 and {y_rad} across",
+    equation=r"U = g\, \boldsymbol n \cdot \sum m_j \boldsymbol r_j, \ \boldsymbol n \approx (a_x, a_y, 1)",
+    acts_on="torque.travel",
+    stage=Stage.TORQUE,
+    numbers=(
+        Parameter("x_rad", "rad", "lean a_x towards the arm", 0.03, Prior(0.0, 0.03, -0.5, 0.5), size=True),
+        Parameter("y_rad", "rad", "lean a_y across the arm", 0.0, Prior(0.0, 0.03, -0.5, 0.5), size=True),
+    ),
+    needs=("M_f", "M_b", "M_w", "M_h", "M_l", "L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x", "g"),
+    source="potential of the five masses of Table 2",
+)

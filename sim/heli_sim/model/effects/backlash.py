@@ -1,0 +1,77 @@
+"""Play between an axis and its encoder, as of a worn coupling or a gear."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import casadi as ca
+
+from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.parts import AXES
+from heli_sim.rig.quantity import Prior, Quantity
+
+
+class Backlash(Effect):
+    """The encoder's shaft stays where it is until the axis has crossed the play and takes it along.
+
+    The rotors sit on the arm itself, so there is no drive train whose play could matter: the play is between
+    axis and encoder, and moves nothing but what is measured.
+    """
+
+    def settled(self, at: Situation) -> ca.SX:
+        """Where the shaft is after a step: taken along by whichever side of the play touches it.
+
+        Parameters
+        ----------
+        at : Situation
+            State after the step and parameters.
+
+        Returns
+        -------
+        casadi.SX
+            The shaft's angle, rad.
+        """
+        angle, half = at.state[f"{self.place}_rad"], 0.5 * self.own(at, "rad")
+        return ca.fmin(ca.fmax(self.own(at, "shaft_rad"), angle - half), angle + half)
+
+    def measured_rad(self, at: Situation, angles_rad: ca.SX) -> ca.SX:
+        """Put the shaft's angle in place of the axis'.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state and parameters.
+        angles_rad : casadi.SX
+            Angles without play, shape (3, 1).
+
+        Returns
+        -------
+        casadi.SX
+            Angles with it, shape (3, 1).
+        """
+        index, shaft = AXES.index(self.place), self.settled(at)
+        behind = shaft - at.state[f"{self.place}_rad"]
+        return angles_rad + ca.vertcat(*(behind if i == index else ca.SX(0) for i in range(3)))
+
+
+def _kind(axis: str) -> EffectKind:
+    return EffectKind(
+        id=f"backlash.{axis}",
+        effect=Backlash,
+        says=f"the {axis} encoder has a play of {{rad}}",
+        equation=r"y \to \min(\max(y, q - b/2), q + b/2)",
+        acts_on=f"measurement.{axis}",
+        stage=Stage.PLAY,
+        # Without any play the shaft has no memory of which side it lies on, and the size no derivative.
+        numbers=(
+            Parameter(
+                "rad", "rad", "whole play b", 0.01, Prior(0.0, 0.01, 0.0, 0.3), size=True, neutral=1e-6
+            ),
+        ),
+        states=(Quantity("shaft_rad", "rad", f"angle y of the {axis} encoder's shaft"),),
+        source="play operator; the play lies between axis and encoder, since no gear drives the arm",
+    )
+
+
+KINDS: Final = tuple(_kind(axis) for axis in AXES)

@@ -1,0 +1,52 @@
+"""The counterweight slips along the arm at one moment of the flight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import casadi as ca
+
+from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.thrust_step import moments_s
+from heli_sim.model.parts import since
+from heli_sim.rig.quantity import Prior
+
+
+class CounterweightShift(Effect):
+    """From an unknown moment on the counterweight is elsewhere on the arm."""
+
+    def changed(self, at: Situation) -> Mapping[str, ca.SX]:
+        """Move the counterweight.
+
+        Parameters
+        ----------
+        at : Situation
+            Parameters and time.
+
+        Returns
+        -------
+        Mapping[str, casadi.SX]
+            New L_b.
+        """
+        moved = self.own(at, "m") * since(at.time_s, self.own(at, "at_s"))
+        return {"L_b": at.parameter["L_b"] + moved}
+
+
+KIND: Final = EffectKind(
+    id="counterweight_shift",
+    effect=CounterweightShift,
+    says="the counterweight slips by {m} outwards at {at_s}",
+    equation=r"L_b \to L_b + \Delta\, [t > t_0]",
+    acts_on="parameters",
+    stage=Stage.TORQUE,
+    numbers=(
+        Parameter(
+            "m", "m", "distance Delta, outwards", 0.005, Prior(0.0, 0.01, low=-0.1, high=0.1), size=True
+        ),
+        Parameter("at_s", "s", "moment t_0", 20.0, Prior(30.0, 60.0, low=0.0), scan=moments_s),
+    ),
+    needs=("L_b", "M_w"),
+    source="definition; a mass that falls off it is told apart from a shift by no flight",
+)

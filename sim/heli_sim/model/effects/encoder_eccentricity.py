@@ -1,0 +1,62 @@
+"""An encoder disc off its centre shows the angle wrong by a sine of the angle."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import casadi as ca
+
+from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.parts import AXES, on_axis
+from heli_sim.rig.quantity import Prior
+
+
+class EncoderEccentricity(Effect):
+    """Error with the sine and the cosine of the shaft's angle, once or several times a revolution."""
+
+    def measured_rad(self, at: Situation, angles_rad: ca.SX) -> ca.SX:
+        """Add the error.
+
+        Parameters
+        ----------
+        at : Situation
+            Parameters.
+        angles_rad : casadi.SX
+            Angles of the shafts, shape (3, 1).
+
+        Returns
+        -------
+        casadi.SX
+            Angles shown, shape (3, 1).
+        """
+        turned = self.own(at, "order") * angles_rad[AXES.index(self.place)]
+        error = self.own(at, "sin_rad") * ca.sin(turned) + self.own(at, "cos_rad") * ca.cos(turned)
+        return angles_rad + on_axis(self.place, error)
+
+
+def _kind(axis: str) -> EffectKind:
+    return EffectKind(
+        id=f"encoder_eccentricity.{axis}",
+        effect=EncoderEccentricity,
+        says=(
+            f"the {axis} encoder is off by {{sin_rad}} with the sine and {{cos_rad}} with the cosine, "
+            "{order} periods a revolution"
+        ),
+        equation=r"y = q + a \sin n q + b \cos n q",
+        acts_on=f"measurement.{axis}",
+        stage=Stage.SHAFT,
+        numbers=(
+            Parameter(
+                "sin_rad", "rad", "error a with the sine", 0.01, Prior(0.0, 0.02, -0.5, 0.5), size=True
+            ),
+            Parameter(
+                "cos_rad", "rad", "error b with the cosine", 0.0, Prior(0.0, 0.02, -0.5, 0.5), size=True
+            ),
+            Parameter("order", "count", "periods n a revolution", 1.0, scan=(1.0, 2.0)),
+        ),
+        source="geometry: a disc whose centre is off runs out once a revolution, an oval one twice",
+    )
+
+
+KINDS: Final = tuple(_kind(axis) for axis in AXES)

@@ -1,0 +1,63 @@
+"""Near the table a rotor pushes more, because its wake cannot leave freely."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import casadi as ca
+
+from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.parts import rotor_height_m
+from heli_sim.rig.quantity import Prior
+
+
+class GroundEffect(Effect):
+    """Each rotor gains a share that dies out exponentially with its height above the resting place."""
+
+    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
+        """Add what the table gives.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state, voltages and parameters.
+        thrust_N : casadi.SX
+            Thrust far from the table, shape (2, 1).
+
+        Returns
+        -------
+        casadi.SX
+            Thrust at this height, shape (2, 1).
+        """
+        p, table = at.parameter, self.own(at, "table_rad")
+        resting_m = p["L_a"] * ca.sin(table) - p["L_theta"] * ca.cos(table)
+        above_m = rotor_height_m(at.state, p) - resting_m
+        return thrust_N * (1 + self.own(at, "share") * ca.exp(-above_m / self.own(at, "height_m")))
+
+
+KIND: Final = EffectKind(
+    id="ground_effect",
+    effect=GroundEffect,
+    says="on the table the rotors push {share} more; over {height_m} of height this falls by a factor e",
+    equation=r"F_i \to F_i (1 + a\, e^{-h_i / h_0})",
+    acts_on="thrust",
+    stage=Stage.GROUND,
+    numbers=(
+        Parameter("share", "1", "share a gained on the table", 0.2, Prior(0.0, 0.3, -0.5, 5.0), size=True),
+        Parameter(
+            "height_m",
+            "m",
+            "height h_0 over which it falls by a factor e",
+            0.15,
+            Prior(0.15, 0.1, low=0.02, high=1.5),
+            scan=(0.05, 0.1, 0.2, 0.4),
+        ),
+        Parameter("table_rad", "rad", "elevation of the arm at rest, where h_i = 0", -0.436),
+    ),
+    needs=("L_a", "L_h", "L_theta"),
+    source=(
+        "measured thrust of rotors near the ground falls off about exponentially; over one radius of "
+        "height Cheeseman and Bennett's 1 / (1 - (R / 4h)^2) differs from an exponential by 1 % of the thrust"
+    ),
+)

@@ -1,0 +1,298 @@
+"""What is known of an effect before a flight: its numbers, what they mean, and how to make one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from heli_sim.errors import EffectError
+from heli_sim.model.base import Model
+from heli_sim.model.effect import Effect, Stage
+from heli_sim.rig.quantity import Prior, Quantity
+
+Scan = tuple[float, ...] | Callable[[float], tuple[float, ...]]
+"""Values to try, or a function that gives them for a flight of so many seconds."""
+
+_DEG: Final = 180.0 / math.pi
+_SHOWN: Final[Mapping[str, tuple[float, str]]] = {
+    "rad": (_DEG, " deg"),
+    "1": (100.0, " %"),
+    "count": (1.0, ""),
+}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of an effect.
+
+    Parameters
+    ----------
+    what : str
+        Its name, without the effect's; ends in the unit.
+    unit : str
+        Unit, spelled as in rig files; ``1`` for a share.
+    meaning : str
+        One line in words.
+    typical : float
+        A size at which the effect is plain to see, or for a number that is no size the value to start from.
+    prior : Prior or None
+        What is known before a flight; None for a number that no flight is to find.
+    size : bool
+        Whether it measures the size of the effect: at `neutral` there is no effect, and it enters about
+        linearly.
+    neutral : float or None
+        Value at which the effect does nothing while derivatives still exist; of a number that is no size,
+        any value does. None stands for 0 where it is a size, and for `typical` where it is none.
+    scan : tuple of float, callable or None
+        Values to search over, for a number that no descent finds; a callable gets the flight's length in s.
+    """
+
+    what: str
+    unit: str
+    meaning: str
+    typical: float
+    prior: Prior | None = None
+    size: bool = False
+    neutral: float | None = None
+    scan: Scan | None = None
+
+    @property
+    def at_rest(self) -> float:
+        """Value at which the effect does nothing, or where it is no size the one to start from."""
+        if self.neutral is not None:
+            return self.neutral
+        return 0.0 if self.size else self.typical
+
+
+@dataclass(frozen=True)
+class EffectKind:
+    """An effect of the catalogue.
+
+    Parameters
+    ----------
+    id : str
+        Its name, with the axis, rotor or term after a dot where it has one.
+    effect : type of Effect
+        Class of its equations; made with the keyword arguments of `Effect`.
+    says : str
+        One sentence for the report, with ``{what}`` where the number of that name belongs.
+    equation : str
+        LaTeX.
+    acts_on : str
+        ``input``, ``thrust``, ``torque.<axis>``, ``measurement.<axis>`` or ``parameters``.
+    stage : Stage
+        Where in the chain it acts.
+    numbers : tuple of Parameter
+        Its numbers. The first is the one that ``ID=VALUE`` sets.
+    states : tuple of Quantity
+        Its states, named without the effect's name.
+    source : str
+        Where the equation comes from.
+    delay : str
+        Which of its numbers delays the voltages; empty for none.
+    shaken : int
+        Random pushes a millisecond in a simulation.
+    needs : tuple of str
+        Numbers of the rig that a model must use for the effect to make sense.
+    models : tuple of str
+        Names of the models that it makes sense for; empty for all that have what it needs.
+    baseline : bool
+        Whether it takes away a term that the model has, instead of adding one that it lacks.
+    held : Mapping[str, float]
+        With `baseline`: numbers of the rig and the value that each has with the term gone.
+    """
+
+    id: str
+    effect: type[Effect]
+    says: str
+    equation: str
+    acts_on: str
+    stage: Stage
+    numbers: tuple[Parameter, ...]
+    states: tuple[Quantity, ...] = ()
+    source: str = ""
+    delay: str = ""
+    shaken: int = 0
+    needs: tuple[str, ...] = ()
+    models: tuple[str, ...] = ()
+    baseline: bool = False
+    held: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def prefix(self) -> str:
+        """What the names of its parameters and states begin with."""
+        return self.id.replace(".", "_")
+
+    @property
+    def parameters(self) -> tuple[Quantity, ...]:
+        """Its numbers by their full names, as a model with the effect has them."""
+        return tuple(Quantity(self.full(one.what), one.unit, one.meaning) for one in self.numbers)
+
+    @property
+    def priors(self) -> dict[str, Prior]:
+        """What is known before a flight of each number that a flight may find, by full name."""
+        return {self.full(one.what): one.prior for one in self.numbers if one.prior is not None}
+
+    @property
+    def neutral(self) -> dict[str, float]:
+        """Values of all numbers at which the effect does nothing, by full name."""
+        return {self.full(one.what): one.at_rest for one in self.numbers}
+
+    @property
+    def typical(self) -> dict[str, float]:
+        """Values of all numbers at which the effect is plain to see, by full name."""
+        return {self.full(one.what): one.typical for one in self.numbers}
+
+    @property
+    def size(self) -> tuple[str, ...]:
+        """Full names of the numbers that enter about linearly and measure the size."""
+        return tuple(self.full(one.what) for one in self.numbers if one.size)
+
+    @property
+    def scan(self) -> dict[str, Scan]:
+        """Numbers that must be searched, by full name, with the values to try."""
+        return {self.full(one.what): one.scan for one in self.numbers if one.scan is not None}
+
+    def full(self, what: str) -> str:
+        """Full name of a number.
+
+        Parameters
+        ----------
+        what : str
+            Its name without the effect's.
+
+        Returns
+        -------
+        str
+            Such as ``thrust_step_front_share``.
+        """
+        return f"{self.prefix}_{what}"
+
+    def suits(self, model: Model) -> bool:
+        """Whether a model has what the effect changes.
+
+        Parameters
+        ----------
+        model : Model
+            The model.
+
+        Returns
+        -------
+        bool
+            False when the model lacks a number that the effect needs, or the term that it takes away.
+        """
+        if self.models and model.name not in self.models:
+            return False
+        return {*self.needs, *self.held} <= {quantity.name for quantity in model.parameters}
+
+    def make(self, values: Mapping[str, float] | None = None) -> Effect:
+        """Make the effect.
+
+        Parameters
+        ----------
+        values : Mapping[str, float], optional
+            Values by full name; `neutral` for those not given.
+
+        Returns
+        -------
+        Effect
+            The effect, for a model.
+
+        Raises
+        ------
+        EffectError
+            When a name is unknown or a value is out of range.
+        """
+        given = dict(values or {})
+        for name, value in given.items():
+            self._check(name, value)
+        return self.effect(
+            name=self.id,
+            parameters=self.parameters,
+            values={**self.neutral, **{name: float(value) for name, value in given.items()}},
+            states=tuple(Quantity(self.full(s.name), s.unit, s.meaning) for s in self.states),
+            priors=self.priors,
+            delay=self.full(self.delay) if self.delay else "",
+            stage=self.stage,
+            shaken=self.shaken,
+        )
+
+    def scanned(self, seconds: float) -> dict[str, tuple[float, ...]]:
+        """Values to search over on a flight.
+
+        Parameters
+        ----------
+        seconds : float
+            Length of the flight.
+
+        Returns
+        -------
+        dict
+            Values of each number of `scan`.
+        """
+        return {name: one(seconds) if callable(one) else one for name, one in self.scan.items()}
+
+    def sentence(self, values: Mapping[str, float], stds: Mapping[str, float] | None = None) -> str:
+        """Say the effect with its numbers.
+
+        Parameters
+        ----------
+        values : Mapping[str, float]
+            Values by full name; `neutral` for those not given.
+        stds : Mapping[str, float], optional
+            Standard errors by full name.
+
+        Returns
+        -------
+        str
+            One sentence without its full stop; angles in degrees, shares in per cent.
+        """
+        known = {**self.neutral, **values}
+        texts = {
+            one.what: spell(known[self.full(one.what)], (stds or {}).get(self.full(one.what)), one.unit)
+            for one in self.numbers
+        }
+        return self.says.format(**texts)
+
+    def _check(self, name: str, value: float) -> None:
+        ranges = {q.name: self.priors.get(q.name) for q in self.parameters}
+        if name not in ranges:
+            raise EffectError(f"'{self.id}' has no '{name}'; it has: {', '.join(ranges)}")
+        prior = ranges[name]
+        low, high = (prior.low, prior.high) if prior is not None else (-math.inf, math.inf)
+        if not (math.isfinite(value) and low <= value <= high):
+            unit = next(q.unit for q in self.parameters if q.name == name)
+            raise EffectError(f"{name} = {value:g} {unit} is out of range; give {low:g} to {high:g}")
+
+
+def spell(value: float, std: float | None, unit: str) -> str:
+    """Write a number with its standard error, as people read it.
+
+    Parameters
+    ----------
+    value : float
+        The number, in `unit`.
+    std : float or None
+        Its standard error.
+    unit : str
+        Unit of both; rad become degrees, shares per cent.
+
+    Returns
+    -------
+    str
+        Such as ``0.12 +- 0.01 s``; two digits of the error, three of a number without one.
+    """
+    factor, name = _SHOWN.get(unit, (1.0, f" {unit}"))
+    value *= factor
+    if std is None or not math.isfinite(std) or std <= 0.0:
+        return f"{value:.3g}{name}"
+    std *= factor
+    # Two digits where they begin with 1 or 2, one digit otherwise.
+    digits = -math.floor(np.log10(std)) + (1 if std / 10 ** math.floor(np.log10(std)) < 2.95 else 0)
+    if digits <= 0:
+        return f"{round(value, digits):.0f} +- {round(std, digits):.0f}{name}"
+    return f"{value:.{digits}f} +- {std:.{digits}f}{name}"

@@ -1,0 +1,65 @@
+"""A torque that comes and goes at a fixed frequency, as of an unbalanced shaft or a shaking table."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import casadi as ca
+import numpy as np
+
+from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.parts import AXES, on_axis
+from heli_sim.rig.quantity import Prior
+
+_HIGHEST_Hz: Final = 5.0
+"""Above it an axis is too heavy to show what a torque of this kind does."""
+
+
+class PeriodicTorque(Effect):
+    """Sine and cosine of time."""
+
+    def torque_Nm(self, at: Situation) -> ca.SX:
+        """Torque now.
+
+        Parameters
+        ----------
+        at : Situation
+            Parameters and time.
+
+        Returns
+        -------
+        casadi.SX
+            Torque in N m, shape (3, 1).
+        """
+        turned = 2 * np.pi * self.own(at, "Hz") * at.time_s
+        torque = self.own(at, "sin_Nm") * ca.sin(turned) + self.own(at, "cos_Nm") * ca.cos(turned)
+        return on_axis(self.place, torque)
+
+
+def _frequencies_Hz(seconds: float) -> tuple[float, ...]:
+    """Half the spacing at which a flight of this length tells two frequencies apart."""
+    return tuple(np.arange(0.05, _HIGHEST_Hz, 0.5 / seconds).tolist())
+
+
+def _kind(axis: str, typical_Nm: float) -> EffectKind:
+    wide = Prior(0.0, 2 * typical_Nm, -1.0, 1.0)
+    return EffectKind(
+        id=f"periodic_torque.{axis}",
+        effect=PeriodicTorque,
+        says=f"a torque of {{sin_Nm}} (sine) and {{cos_Nm}} (cosine) shakes {axis} at {{Hz}}",
+        equation=r"\tau = a \sin 2\pi f t + b \cos 2\pi f t",
+        acts_on=f"torque.{axis}",
+        stage=Stage.TORQUE,
+        numbers=(
+            Parameter("sin_Nm", "N m", "amplitude a of the sine", typical_Nm, wide, size=True),
+            Parameter("cos_Nm", "N m", "amplitude b of the cosine", 0.0, wide, size=True),
+            Parameter(
+                "Hz", "Hz", "frequency f", 0.5, Prior(0.5, 2.0, low=0.01, high=20.0), scan=_frequencies_Hz
+            ),
+        ),
+        source="definition",
+    )
+
+
+KINDS: Final = tuple(_kind(axis, size) for axis, size in zip(AXES, (0.05, 0.01, 0.03), strict=True))

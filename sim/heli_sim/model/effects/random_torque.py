@@ -1,0 +1,97 @@
+"""Gusts: a torque that chance makes, with a size and a time over which it forgets itself."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import casadi as ca
+
+from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.parts import AXES, on_axis
+from heli_sim.rig.quantity import Prior, Quantity
+
+
+class RandomTorque(Effect):
+    """Ornstein-Uhlenbeck process: white noise through a first-order lag.
+
+    A simulation draws it from its seed. Identification, which cannot know the draw, sees the mean: what there
+    was at a window's beginning dies out.
+    """
+
+    def torque_Nm(self, at: Situation) -> ca.SX:
+        """Torque now.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state.
+
+        Returns
+        -------
+        casadi.SX
+            Torque in N m, shape (3, 1).
+        """
+        return on_axis(self.place, self.own(at, "now_Nm"))
+
+    def state_rates(self, at: Situation) -> ca.SX:
+        """Forget.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state and parameters.
+
+        Returns
+        -------
+        casadi.SX
+            Rate in N m/s.
+        """
+        return -self.own(at, "now_Nm") / self.own(at, "s")
+
+    def pushed(self, at: Situation, step_s: float, normal: ca.SX) -> ca.SX:
+        """Push it by what keeps its standard deviation.
+
+        Parameters
+        ----------
+        at : Situation
+            Parameters.
+        step_s : float
+            Length of the step.
+        normal : casadi.SX
+            One random number, shape (1, 1).
+
+        Returns
+        -------
+        casadi.SX
+            Change in N m.
+        """
+        return self.own(at, "Nm") * ca.sqrt(1 - ca.exp(-2 * step_s / self.own(at, "s"))) * normal
+
+
+def _kind(axis: str, typical_Nm: float) -> EffectKind:
+    return EffectKind(
+        id=f"random_torque.{axis}",
+        effect=RandomTorque,
+        says=f"gusts of {{Nm}} (standard deviation) that last {{s}} push {axis}",
+        equation=r"\dot d = -d / T + \sigma \sqrt{2 / T}\, w, \quad \tau = d",
+        acts_on=f"torque.{axis}",
+        stage=Stage.TORQUE,
+        numbers=(
+            Parameter(
+                "Nm",
+                "N m",
+                "standard deviation sigma",
+                typical_Nm,
+                Prior(0.0, typical_Nm, 0.0, 2.0),
+                size=True,
+            ),
+            Parameter("s", "s", "time T over which it forgets", 0.5, Prior(0.5, 0.5, low=0.02, high=20.0)),
+        ),
+        states=(Quantity("now_Nm", "N m", f"random torque d on the {axis} axis"),),
+        shaken=1,
+        source="the simplest coloured noise; Dryden's gusts are of this kind",
+    )
+
+
+KINDS: Final = tuple(_kind(axis, size) for axis, size in zip(AXES, (0.03, 0.005, 0.02), strict=True))

@@ -1,0 +1,65 @@
+"""A rotor that turns the air one way is itself turned the other way."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import casadi as ca
+
+from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.rig.quantity import Prior
+
+
+class RotorReactionTorque(Effect):
+    """Torque of each rotor about its thrust axis, in proportion to its thrust.
+
+    Each rotor has its own number, with a sign: equal signs where both turn the same way, opposite ones where
+    they turn against each other.
+    """
+
+    def torque_Nm(self, at: Situation) -> ca.SX:
+        """Torque about the short arm's upright, as the three axes feel it.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state, parameters and final thrust.
+
+        Returns
+        -------
+        casadi.SX
+            Torque in N m, shape (3, 1).
+        """
+        torque = self.own(at, "front_m") * at.thrust_N[0] + self.own(at, "back_m") * at.thrust_N[1]
+        pitch, elevation = at.state["pitch_rad"], at.state["elevation_rad"]
+        return torque * ca.vertcat(-ca.sin(pitch), 0, ca.cos(pitch) * ca.cos(elevation))
+
+
+KIND: Final = EffectKind(
+    id="rotor_reaction_torque",
+    effect=RotorReactionTorque,
+    says="the rotors' air drag turns the rig about their axes by {front_m} (front) and {back_m} (back)",
+    equation=r"\tau_n = q_f F_f + q_b F_b, \quad \tau = \tau_n (-\sin\phi,\, 0,\, \cos\phi \cos\theta)",
+    acts_on="torque.travel",
+    stage=Stage.TORQUE,
+    numbers=(
+        Parameter(
+            "front_m",
+            "N m/N",
+            "torque q_f for each newton in front",
+            0.02,
+            Prior(0.0, 0.03, -1, 1),
+            size=True,
+        ),
+        Parameter(
+            "back_m",
+            "N m/N",
+            "torque q_b for each newton at the back",
+            -0.02,
+            Prior(0.0, 0.03, -1, 1),
+            size=True,
+        ),
+    ),
+    source="propeller theory: thrust and drag torque both go with the square of the speed",
+)
