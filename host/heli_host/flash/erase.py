@@ -10,8 +10,8 @@ import serial
 from heli_host.errors import FlashError
 
 ERASING_BAUD = 1200
-# Once a control line changes at this rate, the ATmega16U2 holds ERASE, then RESET: 180 rounds of 4.096 ms in all,
-# 0.74 s (its published source). The loader in the chip needs a moment more.
+# When a control line changes at this rate, the ATmega16U2 holds ERASE and then RESET for 180 rounds
+# of 4.096 ms, 0.74 s (its published source). The loader in the chip needs a moment more.
 ERASE_S = 1.2
 
 _NO_CONTROL_LINES = (errno.ENOTTY, errno.EINVAL)

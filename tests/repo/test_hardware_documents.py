@@ -1,0 +1,121 @@
+"""What the documents say of the hardware is what the firmware and the host do."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shlex
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from heli_host.cli import run
+from heli_host.flash.bossac import Bossac
+
+from tests.repo.test_documents import DOCUMENTS, ROOT, blocks, verbs
+
+DOCS = ROOT / "docs"
+PINS = ROOT / "firmware/due/pins.hpp"
+CHECKLIST = DOCS / "first-power-up.md"
+# Programs of others whose options no test here can know.
+OTHERS = {"make", "sudo", "stty", "pio", "bossac"}
+# Verbs of the checklist that look at this computer, or need the board's own flash.
+NOT_SIMULATED = {"doctor", "ports", "flash"}
+
+
+def wiring() -> ModuleType:
+    """The program that draws the diagram."""
+    spec = importlib.util.spec_from_file_location("wiring", DOCS / "figures/wiring.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["wiring"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def constants() -> dict[str, tuple[str, str]]:
+    """Pins of the firmware: printed name and chip's name by constant."""
+    return {name: (pin.due, pin.chip) for name, pin in wiring().read_pins(PINS.read_text()).items()}
+
+
+def table() -> dict[str, tuple[str, str]]:
+    """Pins of the wiring table."""
+    row = re.compile(r"^\| `(\w+)` \| (\w+) \| (\w+) \|", re.MULTILINE)
+    return {match[1]: (match[2], match[3]) for match in row.finditer((DOCS / "wiring.md").read_text())}
+
+
+def test_the_wiring_table_is_the_firmwares_pins() -> None:
+    assert table() == constants()
+    assert len(table()) == PINS.read_text().count("inline constexpr Pin k")
+
+
+def test_no_pin_is_used_twice_or_beside_its_shorted_twin() -> None:
+    printed = [due for due, _ in table().values()]
+    chips = [chip for _, chip in table().values()]
+    assert len(set(printed)) == len(printed)
+    assert len(set(chips)) == len(chips)
+    # D4 and D10 have a second pin of the chip; D10 and A6 are the decoders' index inputs.
+    assert not {"PA28", "PA29", "PC29", "PA3"} & set(chips)
+
+
+def test_the_wiring_diagram_is_the_firmwares_pins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["wiring.py", str(tmp_path / "wiring.svg")])
+    wiring().main()
+
+    def texts(path: Path) -> list[str]:
+        return re.findall(r"<text[^>]*>([^<]*)</text>", path.read_text())
+
+    drawn = texts(DOCS / "figures/wiring.svg")
+    # Coordinates may differ between versions of matplotlib; what is written may not.
+    assert drawn == texts(tmp_path / "wiring.svg")
+    for due, chip in constants().values():
+        assert any(due in re.findall(r"\w+", text) for text in drawn), (due, chip)
+
+
+def test_the_stop_is_documented_as_the_firmware_reads_it() -> None:
+    assert "kStopIsHigh = true" in (ROOT / "firmware/due/motors.cpp").read_text()
+    assert "normally closed" in (DOCS / "wiring.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("version", "option"), [("1.7.0", "--force_usb_port=false"), ("1.9.1", "--usb-port=0")]
+)
+def test_bossac_by_hand_is_what_flash_does(version: str, option: str) -> None:
+    image = Path("build/pio/due/firmware.bin")
+    ours = Bossac("bossac", version, (option,)).arguments("/dev/ttyACM0-of-no-machine", image)
+    ours[1] = "--port=ttyACM0"
+    commands = [command for block in blocks(DOCS / "flashing.md") for command in block.commands]
+    assert ours in commands
+
+
+def test_every_program_in_the_documents_is_known() -> None:
+    for path in DOCUMENTS:
+        for block in blocks(path):
+            if block.language == "console":
+                for command in block.commands:
+                    assert Path(command[0]).name in OTHERS | {"heli-host"}, f"{path.name}: {command[0]}"
+
+
+def checklist() -> list[list[str]]:
+    commands = [command for block in blocks(CHECKLIST) for command in block.commands]
+    return [words[1:] for words in commands if words[0] == "heli-host" and words[1] not in NOT_SIMULATED]
+
+
+def test_the_checklist_works_from_top_to_bottom_on_a_simulated_board(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for words in checklist():
+        code = run(simulated(words))
+        assert code == 0, f"heli-host {shlex.join(words)}: {capsys.readouterr().err}"
+
+
+def simulated(words: list[str]) -> list[str]:
+    """The same command for a simulated board, as fast as it goes."""
+    verb = verbs()[words[0]]
+    options = {name for parameter in getattr(verb, "params", []) for name in parameter.opts}
+    if words[0] == "info":
+        return words
+    return [*words, "--sil", *(("--speed", "max") if "--speed" in options else ())]
