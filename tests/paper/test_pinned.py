@@ -19,14 +19,18 @@ IMMOVABLE = 1e9
 PINS = [(1, 0, 1), (0, 1, 1), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
 
 
-@pytest.mark.parametrize("pinned", PINS, ids=lambda p: "".join(j[0] for j, on in zip(JOINTS, p) if on))
+@pytest.mark.parametrize(
+    "pinned", PINS, ids=lambda p: "".join(j[0] for j, on in zip(JOINTS, p, strict=True) if on)
+)
 def test_the_free_axes_move_as_mujocos_do_with_the_pinned_joints_immovable(pinned: tuple[int, ...]) -> None:
     rig, model = load_rig("makki2024"), MultibodyModel()
     state = np.array([0.15, 0.25, -0.2, 0.3, -0.4, 0.5])
     state[3:] *= 1 - np.array(pinned)
     volts_V = np.array([1.9, 1.6])
     x, u = ca.SX.sym("x", 6), ca.SX.sym("u", 2)
-    f = ca.Function("f", [x, u], [model.dynamics(x, u, model.parameter_values(rig), pinned=ca.SX(pinned))])
+    f = ca.Function(
+        "f", [x, u], [model.dynamics(x, u, ca.SX(model.parameter_values(rig)), pinned=ca.SX(pinned))]
+    )
     steps = round(SECONDS / STEP_S)
     path = runge_kutta(f, x, u, STEP_S).mapaccum(steps)
     ours = np.asarray(path(state, ca.repmat(ca.DM(volts_V), 1, steps))).T[:, :3]

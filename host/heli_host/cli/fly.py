@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from heli_host.cli.gains import GainsOption, check_gains, load_gains
 from heli_host.cli.options import (
     ClearFaultOption,
     PortOption,
@@ -33,6 +34,7 @@ def fly(
     speed: SpeedOption = "1",
     seed: SeedOption = 1,
     clear_fault: ClearFaultOption = False,
+    gains: GainsOption = None,
     log: Annotated[Path | None, typer.Option("--log", metavar="FILE", help="Log, MCAP.")] = None,
     json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Summary.")] = None,
     figure: Annotated[
@@ -55,6 +57,7 @@ def fly(
     from heli_host.fly.runner import fly as fly_plans
 
     parse_speed(speed)
+    check_gains(gains, sil)
     loaded = [load_plan(plan) for plan in plans]
     for target in (json, figure):
         if target is not None:
@@ -64,6 +67,7 @@ def fly(
     with open_board(port, sil, rig, speed, seed) as heli:
         if clear_fault:
             clear_latched_fault(heli)
+        load_gains(heli, gains)
         everything = log is None and json is None and figure is None
         folder = flight_folder() if log is None else log.parent
         log = log if log is not None else folder / "flight.mcap"
