@@ -7,6 +7,7 @@ import shutil
 import struct
 import subprocess
 import termios
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from heli_host.flash import erase
 from heli_host.flash.bossac import Bossac, find_bossac, write_image
 from heli_host.flash.erase import erase_chip
 from heli_host.flash.image import FLASH_START, RAM_START, VECTORS, read_image
-from heli_host.link.declaration import LINK_HASH
+from heli_host.link.declaration import BAUD, LINK_HASH
 from heli_sim.sil.process import SilProcess
 from hypothesis import given
 from hypothesis import strategies as st
@@ -135,14 +136,42 @@ def test_a_board_without_this_firmware_is_flashed_without_its_parameters(
     assert len(uploader.calls) == 1
 
 
-def test_the_touch_that_erases_is_at_1200_baud() -> None:
+def test_the_rate_that_erases_is_left_again_before_the_next_program_opens_the_port(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     ours, theirs = os.openpty()
+    rates: list[int] = []
+    monkeypatch.setattr(time, "sleep", lambda _s: rates.append(termios.tcgetattr(theirs)[5]))
     try:
-        erase_chip(os.ttyname(theirs), wait_s=0.0)
-        assert termios.tcgetattr(theirs)[5] == termios.B1200
+        erase_chip(os.ttyname(theirs), wait_s=1.0)
+        assert rates == [termios.B1200]
+        assert termios.tcgetattr(theirs)[5] != termios.B1200
     finally:
         os.close(ours)
         os.close(theirs)
+
+
+def test_the_touch_erases_an_emulated_board_once_and_leaves_its_loader_running() -> None:
+    pytest.importorskip("heli_sim.due._due")
+    from tests.due.chip import Chip
+
+    def touched(rate_afterwards: int) -> Chip:
+        chip = Chip()
+        chip.due.usb_line_coding(erase.ERASING_BAUD)
+        chip.due.usb_control_lines(False)
+        chip.due.run_us(round(erase.ERASE_S * 1e6))
+        chip.due.usb_line_coding(rate_afterwards)
+        # The uploader opens the port, and waits half a second for the reset to pass.
+        chip.due.usb_control_lines(True)
+        chip.due.run_us(500_000)
+        return chip
+
+    chip = touched(BAUD)
+    assert set(chip.due.flash()) == {0xFF}
+    assert chip.due.in_rom
+    assert chip.due.resets == 3  # power-up, the touch, the opening
+    # Left at 1200 baud the board would still be in its second erasing.
+    assert touched(erase.ERASING_BAUD).due.resets == 2
 
 
 def test_the_wait_covers_the_erasing() -> None:

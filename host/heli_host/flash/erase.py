@@ -8,6 +8,7 @@ import time
 import serial
 
 from heli_host.errors import FlashError
+from heli_host.link.declaration import BAUD
 
 ERASING_BAUD = 1200
 # When a control line changes at this rate, the ATmega16U2 holds ERASE and then RESET for 180 rounds
@@ -35,12 +36,14 @@ def erase_chip(port: str, wait_s: float = ERASE_S) -> None:
     try:
         with serial.Serial(port, ERASING_BAUD) as touched:
             _drop_dtr(touched)
+            time.sleep(wait_s)
+            # Whoever opens the port next raises DTR before it sets its rate: at 1200 baud that erases again.
+            touched.baudrate = BAUD
     except (serial.SerialException, OSError, ValueError) as error:
         raise FlashError(
             f"{port} cannot be opened at {ERASING_BAUD} baud to erase the board: {error}",
             "close other programs that use it (heli-host doctor names ModemManager), then try again",
         ) from error
-    time.sleep(wait_s)
 
 
 def _drop_dtr(port: serial.Serial) -> None:
