@@ -9,7 +9,6 @@
 
 #include <algorithm>
 #include <array>
-#include <cstring>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -29,9 +28,9 @@ using heli_sim::CompiledStep;
 using heli_sim::Edge;
 using heli_sim::EncoderConfig;
 using heli_sim::Encoders;
-using heli_sim::MemoryBoard;
 using heli_sim::NativeBoard;
 using heli_sim::PlantStep;
+using heli_sim::SimBoard;
 using heli_sim::World;
 
 using Axes = std::array<double, heli::kAxisCount>;
@@ -81,69 +80,35 @@ EncoderConfig encoder_config(const Axes& counts_per_rad, const Axes& offset_coun
   return config;
 }
 
-// The native board and its world, as Python sees them.
-class NativeWorld {
- public:
-  NativeWorld(std::shared_ptr<PlantStep> step, std::vector<double> state,
-              std::vector<double> parameters, double supply_V, double dead_band,
-              const Axes& counts_per_rad, const Axes& offset_count, const std::string& flash_file,
-              bool from_edges)
-      : NativeWorld(std::make_unique<NativeBoard>(flash_file, from_edges), std::move(step),
-                    std::move(state), std::move(parameters), {supply_V, dead_band},
-                    encoder_config(counts_per_rad, offset_count)) {}
+// A world of some board; a native one when none is given.
+void make_world(World* place, std::shared_ptr<PlantStep> step, std::vector<double> state,
+                std::vector<double> parameters, double supply_V, double dead_band,
+                const Axes& counts_per_rad, const Axes& offset_count,
+                std::shared_ptr<SimBoard> board) {
+  if (!board) board = std::make_shared<NativeBoard>("", false);
+  new (place) World(std::move(board), std::move(step), std::move(state), std::move(parameters),
+                    {supply_V, dead_band}, encoder_config(counts_per_rad, offset_count));
+}
 
-  nb::tuple advance(std::uint64_t ticks, const nb::bytes& rx, bool until_output,
-                    std::uint64_t least) {
-    world_.line().host_write(reinterpret_cast<const std::uint8_t*>(rx.c_str()), rx.size());
-    to_host_.clear();
-    std::uint64_t passed = 0;
-    {
-      nb::gil_scoped_release no_gil;
-      passed = world_.advance(ticks, until_output, least, to_host_);
-    }
-    return nb::make_tuple(passed, nb::bytes(to_host_.data(), to_host_.size()));
+nb::tuple advance(World& world, std::uint64_t ticks, const nb::bytes& rx, bool until_output,
+                  std::uint64_t least) {
+  world.line().host_write(reinterpret_cast<const std::uint8_t*>(rx.c_str()), rx.size());
+  std::vector<std::uint8_t> to_host;
+  std::uint64_t passed = 0;
+  {
+    nb::gil_scoped_release no_gil;
+    passed = world.advance(ticks, until_output, least, to_host);
   }
-
-  World& world() { return world_; }
-  MemoryBoard& memory() { return board_->memory(); }
-  const NativeBoard& board() const { return *board_; }
-
- private:
-  NativeWorld(std::unique_ptr<NativeBoard> board, std::shared_ptr<PlantStep> step,
-              std::vector<double> state, std::vector<double> parameters,
-              const heli_sim::PowerStage& power, const EncoderConfig& encoders)
-      : board_(board.get()),
-        world_(std::move(board), std::move(step), std::move(state), std::move(parameters), power,
-               encoders) {}
-
-  NativeBoard* board_;  // owned by world_
-  World world_;
-  std::vector<std::uint8_t> to_host_;
-};
-
-nb::bytes flash_bytes(NativeWorld& self) {
-  return nb::bytes(self.memory().flash.data(), self.memory().flash.size());
+  return nb::make_tuple(passed, nb::bytes(to_host.data(), to_host.size()));
 }
 
-void set_flash(NativeWorld& self, const nb::bytes& flash) {
-  if (flash.size() != MemoryBoard::kFlashBytes) {
-    throw std::invalid_argument("the flash holds " + std::to_string(MemoryBoard::kFlashBytes) +
-                                " bytes");
-  }
-  std::memcpy(self.memory().flash.data(), flash.c_str(), flash.size());
-}
-
-void set_illegal(NativeWorld& self, const std::array<std::uint16_t, heli::kAxisCount>& count) {
-  std::copy(count.begin(), count.end(), self.memory().encoders.illegal);
-}
-
-nb::dict line_counters(NativeWorld& self) {
-  const heli_sim::LineCounters& counters = self.world().line().counters();
+nb::dict line_counters(World& world) {
+  const heli_sim::LineCounters& counters = world.line().counters();
   nb::dict result;
   result["to_board_bytes"] = counters.to_board_bytes;
   result["to_host_bytes"] = counters.to_host_bytes;
   result["to_host_overflow"] = counters.to_host_overflow;
-  result["to_board_overflow"] = counters.to_board_overflow + self.memory().rx_overflow;
+  result["to_board_overflow"] = counters.to_board_overflow;
   return result;
 }
 
@@ -183,73 +148,37 @@ void bind_world(nb::module_& module) {
       .def(nb::init<nb::object, std::size_t, std::size_t>(), "callable"_a, "state_count"_a,
            "parameter_count"_a);
 
-  nb::class_<NativeWorld>(module, "World",
-                          "Native board, serial line, power stage and rig on one 1 ms clock.")
-      .def(nb::init<std::shared_ptr<PlantStep>, std::vector<double>, std::vector<double>, double,
-                    double, const Axes&, const Axes&, const std::string&, bool>(),
-           "step"_a, "state"_a, "parameters"_a, nb::kw_only(), "supply_V"_a, "dead_band"_a,
-           "counts_per_rad"_a, "offset_count"_a, "flash_file"_a = "", "from_edges"_a = false)
-      .def("advance", &NativeWorld::advance, "ticks"_a, "rx"_a, "until_output"_a = false,
-           "least"_a = 1,
+  nb::class_<World>(module, "World", "Board, serial line, power stage and rig on one 1 ms clock.")
+      .def("__init__", &make_world, "step"_a, "state"_a, "parameters"_a, nb::kw_only(),
+           "supply_V"_a, "dead_band"_a, "counts_per_rad"_a, "offset_count"_a,
+           "board"_a = nb::none())
+      .def("advance", &advance, "ticks"_a, "rx"_a, "until_output"_a = false, "least"_a = 1,
            "Hand `rx` to the line and let time pass; (milliseconds passed, bytes at the host).")
       .def(
-          "reset_board",
-          [](NativeWorld& self) { self.world().reset_board(heli::link::Reset::user); },
-          "Pulse the board's reset line, as opening the programming port does.")
-      .def(
-          "unplug", [](NativeWorld& self) { self.world().line().clear(); },
+          "unplug", [](World& self) { self.line().clear(); },
           "Lose every byte that is under way, as pulling the USB plug does.")
-      .def_prop_ro("tick", [](NativeWorld& self) { return self.world().tick(); })
-      .def_prop_ro("in_reset", [](NativeWorld& self) { return self.board().in_reset(); })
-      .def_prop_ro("boot_count", [](NativeWorld& self) { return self.memory().boot.boot_count; })
-      .def_prop_ro("motors_enabled", [](NativeWorld& self) { return self.memory().motors.enable; })
-      .def_prop_rw(
-          "state", [](NativeWorld& self) { return self.world().state(); },
-          [](NativeWorld& self, const std::vector<double>& state) {
-            self.world().set_state(state);
-          })
-      .def_prop_rw(
-          "parameters", [](NativeWorld& self) { return self.world().parameters(); },
-          [](NativeWorld& self, const std::vector<double>& parameters) {
-            self.world().set_parameters(parameters);
-          })
-      .def_prop_ro("volts_V", [](NativeWorld& self) { return self.world().volts_V(); })
-      .def_prop_ro("board_counts",
-                   [](NativeWorld& self) {
-                     const std::int32_t* count = self.memory().encoders.count;
-                     return std::array<std::int32_t, 3>{count[0], count[1], count[2]};
-                   })
+      .def_prop_ro("tick", &World::tick)
+      .def_prop_rw("state", &World::state, &World::set_state)
+      .def_prop_rw("parameters", &World::parameters, &World::set_parameters)
+      .def_prop_ro("volts_V", &World::volts_V)
       .def_prop_ro("counts",
-                   [](NativeWorld& self) {
-                     const std::int32_t* count = self.world().encoders().count();
+                   [](World& self) {
+                     const std::int32_t* count = self.encoders().count();
                      return std::array<std::int32_t, 3>{count[0], count[1], count[2]};
                    })
       .def_prop_rw(
           "locked",
-          [](NativeWorld& self) {
-            const Axes& locked = self.world().locked();
+          [](World& self) {
+            const Axes& locked = self.locked();
             return std::array<bool, 3>{locked[0] != 0.0, locked[1] != 0.0, locked[2] != 0.0};
           },
-          [](NativeWorld& self, const std::array<bool, 3>& locked) {
-            self.world().set_locked(
-                {locked[0] ? 1.0 : 0.0, locked[1] ? 1.0 : 0.0, locked[2] ? 1.0 : 0.0});
+          [](World& self, const std::array<bool, 3>& locked) {
+            self.set_locked({locked[0] ? 1.0 : 0.0, locked[1] ? 1.0 : 0.0, locked[2] ? 1.0 : 0.0});
           })
       .def_prop_rw(
-          "host_reading", [](NativeWorld& self) { return self.world().line().host_reading(); },
-          [](NativeWorld& self, bool reading) { self.world().line().set_host_reading(reading); })
-      .def_prop_ro("to_board_waiting",
-                   [](NativeWorld& self) { return self.world().line().to_board_waiting(); })
-      .def_prop_rw("flash", &flash_bytes, &set_flash)
-      .def_prop_rw(
-          "hardware_stop", [](NativeWorld& self) { return self.memory().stop_input; },
-          [](NativeWorld& self, bool active) { self.memory().stop_input = active; })
-      .def_prop_rw(
-          "encoder_illegal",
-          [](NativeWorld& self) {
-            const std::uint16_t* illegal = self.memory().encoders.illegal;
-            return std::array<std::uint16_t, 3>{illegal[0], illegal[1], illegal[2]};
-          },
-          &set_illegal)
+          "host_reading", [](World& self) { return self.line().host_reading(); },
+          [](World& self, bool reading) { self.line().set_host_reading(reading); })
+      .def_prop_ro("to_board_waiting", [](World& self) { return self.line().to_board_waiting(); })
       .def("line_counters", &line_counters);
 
   module.def(

@@ -19,16 +19,9 @@ void Encoders::move(const double* angle_rad) {
         angle_rad[axis] * config_.counts_per_rad[axis] + config_.offset_count[axis];
     before_[axis] = moved_ ? now_[axis] : position;
     now_[axis] = position;
-    count_[axis] = static_cast<std::int32_t>(floor_count(position) - origin_[axis]);
+    count_[axis] = static_cast<std::int32_t>(floor_count(position));
   }
   moved_ = true;
-}
-
-void Encoders::restart() {
-  for (std::size_t axis = 0; axis < heli::kAxisCount; ++axis) {
-    origin_[axis] = floor_count(now_[axis]);
-    count_[axis] = 0;
-  }
 }
 
 const std::vector<Edge>& Encoders::edges() {

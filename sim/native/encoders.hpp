@@ -1,4 +1,4 @@
-// Incremental encoders: angles to counts since power-up, and to the edges inside a millisecond.
+// Incremental encoders: angles to counts, and to the edges inside a millisecond.
 #pragma once
 
 #include <cstdint>
@@ -22,9 +22,6 @@ class Encoders {
   // Reads the angles; those of the last call stay as the start of the millisecond for edges().
   void move(const double* angle_rad);
 
-  // Counters restart from 0, as the timer counters of a microcontroller do at reset.
-  void restart();
-
   const std::int32_t* count() const { return count_; }
 
   // Edges between the last two calls of move(), in order of time. The angle is taken as linear in
@@ -35,7 +32,6 @@ class Encoders {
   EncoderConfig config_;
   double before_[heli::kAxisCount] = {};  // position in counts
   double now_[heli::kAxisCount] = {};
-  std::int64_t origin_[heli::kAxisCount] = {};
   std::int32_t count_[heli::kAxisCount] = {};
   std::vector<Edge> edges_;
   bool moved_ = false;

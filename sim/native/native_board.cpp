@@ -56,25 +56,31 @@ void NativeBoard::boot(heli::link::Reset cause) {
   core_->start();
 }
 
-void NativeBoard::count(const EncoderInput& encoders) {
-  if (!from_edges_) {
-    std::copy_n(encoders.count, heli::kAxisCount, memory_.encoders.count);
-    return;
-  }
-  for (std::size_t i = 0; i < encoders.edge_count; ++i) {
-    memory_.encoders.count[encoders.edges[i].axis] += encoders.edges[i].direction;
-  }
-}
-
-void NativeBoard::run(const EncoderInput& encoders) {
-  count(encoders);
+void NativeBoard::tick(const std::int32_t* count) {
+  std::copy_n(count, heli::kAxisCount, disc_.begin());
   if (reset_ticks_ > 0) {
     --reset_ticks_;
     return;
   }
+  if (!from_edges_) {
+    for (std::size_t axis = 0; axis < heli::kAxisCount; ++axis) {
+      memory_.encoders.count[axis] = disc_[axis] - origin_[axis];
+    }
+  }
+  if (erased_) return;
   if (!core_) boot(cause_);
   core_->tick();
   core_->poll();
+}
+
+void NativeBoard::rest(const Edge* edges, std::size_t edge_count) {
+  for (std::size_t i = 0; i < edge_count; ++i) {
+    memory_.encoders.count[edges[i].axis] += edges[i].direction;
+  }
+  while (!arriving_.empty()) {
+    const std::uint8_t byte = arriving_.pop();
+    if (!in_reset() && !memory_.rx.push(byte)) ++memory_.rx_overflow;
+  }
 }
 
 MotorOutput NativeBoard::motors() const {
@@ -87,15 +93,17 @@ void NativeBoard::reset(heli::link::Reset cause) {
   core_.reset();
   memory_.motors = {};
   memory_.encoders = {};
+  origin_ = disc_;
   memory_.rx.clear();
   memory_.tx.clear();
   cause_ = cause;
   reset_ticks_ = kResetTicks;
 }
 
-void NativeBoard::uart_receive(std::uint8_t byte) {
-  if (in_reset()) return;
-  if (!memory_.rx.push(byte)) ++memory_.rx_overflow;
+void NativeBoard::erase() {
+  reset(heli::link::Reset::user);
+  memory_.flash.fill(0xFF);
+  erased_ = true;
 }
 
 bool NativeBoard::uart_transmit(std::uint8_t& byte) {

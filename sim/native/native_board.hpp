@@ -50,30 +50,36 @@ class NativeBoard final : public SimBoard {
   // The 16U2 holds the reset line for about 205 ms when the port is opened.
   static constexpr std::uint32_t kResetTicks = 205;
 
-  // With `from_edges` the counters are this board's own and follow the edges, as they do on a
-  // board with registers; the tick then comes at the end of its millisecond.
+  // With `from_edges` the counters follow the edges, as they do on a board with registers.
   // Throws std::runtime_error when the flash file exists but cannot be read.
   NativeBoard(const std::string& flash_file, bool from_edges);
 
   bool wants_edges() const override { return from_edges_; }
-  void run(const EncoderInput& encoders) override;
+  void tick(const std::int32_t* count) override;
   MotorOutput motors() const override;
+  void rest(const Edge* edges, std::size_t edge_count) override;
   void reset(heli::link::Reset cause) override;
-  void uart_receive(std::uint8_t byte) override;
+  bool in_reset() const override { return reset_ticks_ > 0; }
+  std::uint64_t boots() const override { return memory_.boot.boot_count; }
+  void erase() override;
+  void set_stop(bool pressed) override { memory_.stop_input = pressed; }
+  void uart_receive(std::uint8_t byte) override { arriving_.push(byte); }
   bool uart_transmit(std::uint8_t& byte) override;
 
   MemoryBoard& memory() { return memory_; }
-  bool in_reset() const { return reset_ticks_ > 0; }
 
  private:
   void boot(heli::link::Reset cause);
-  void count(const EncoderInput& encoders);
 
   bool from_edges_;
+  bool erased_ = false;
   MemoryBoard memory_;
   std::optional<heli::Core> core_;
   std::uint32_t reset_ticks_ = 0;
   heli::link::Reset cause_ = heli::link::Reset::power_up;
+  std::array<std::int32_t, heli::kAxisCount> disc_{};    // as of the last tick
+  std::array<std::int32_t, heli::kAxisCount> origin_{};  // where the counters stood at 0
+  ByteRing<64> arriving_;                                // more than a millisecond carries
 };
 
 }  // namespace heli_sim

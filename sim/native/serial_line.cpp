@@ -14,11 +14,6 @@ void SerialLine::host_write(const std::uint8_t* bytes, std::size_t count) {
   driver_.insert(driver_.end(), bytes, bytes + taken);
 }
 
-void SerialLine::tick(SimBoard& board, std::vector<std::uint8_t>& to_host) {
-  carry_to_board(board);
-  carry_to_host(board, to_host);
-}
-
 void SerialLine::carry_to_board(SimBoard& board) {
   for (std::uint32_t slot = 0; slot < kBytesPerTick; ++slot) {
     while (driver_first_ < driver_.size() && to_board_.push(driver_[driver_first_])) {

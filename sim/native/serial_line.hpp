@@ -35,8 +35,9 @@ class SerialLine {
 
   void host_write(const std::uint8_t* bytes, std::size_t count);
 
-  // Carries one millisecond both ways; appends what reaches the host to `to_host`.
-  void tick(SimBoard& board, std::vector<std::uint8_t>& to_host);
+  // Carry one millisecond, once each; what reaches the host is appended to `to_host`.
+  void carry_to_board(SimBoard& board);
+  void carry_to_host(SimBoard& board, std::vector<std::uint8_t>& to_host);
 
   // False: the host has the port closed or does not read; the ring towards it fills.
   void set_host_reading(bool reading) { host_reading_ = reading; }
@@ -49,8 +50,6 @@ class SerialLine {
   std::size_t to_board_waiting() const { return driver_.size() - driver_first_ + to_board_.size(); }
 
  private:
-  void carry_to_board(SimBoard& board);
-  void carry_to_host(SimBoard& board, std::vector<std::uint8_t>& to_host);
   void hand_over(std::vector<std::uint8_t>& to_host);
 
   std::vector<std::uint8_t> driver_;

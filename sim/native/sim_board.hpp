@@ -1,4 +1,8 @@
-// What the simulated world needs of a board. NativeBoard is one; an emulated Due can be another.
+// What the simulated world needs of a board: NativeBoard and the emulated Due are two.
+//
+// A millisecond of a board is cut where its control tick has commanded the motors. Before the cut
+// it has read its encoders; after it the rig moves under that command, and the encoders step. So
+// the command of a tick acts during its own millisecond, whatever the board is made of.
 #pragma once
 
 #include <cstddef>
@@ -16,13 +20,6 @@ struct Edge {
   std::int8_t direction;  // +1 or -1
 };
 
-// What the encoders do during one millisecond of the board's time.
-struct EncoderInput {
-  std::int32_t count[heli::kAxisCount];  // at the start of the millisecond, since power-up
-  const Edge* edges;                     // in order of time; only for boards that want edges
-  std::size_t edge_count;
-};
-
 struct MotorOutput {
   double front_duty;  // -1 ... 1
   double back_duty;
@@ -33,19 +30,28 @@ class SimBoard {
  public:
   virtual ~SimBoard() = default;
 
-  // False: the board reads the count at the start of the millisecond and its motor command acts
-  // during that millisecond. True: the board gets the edges of the millisecond as they happen,
-  // and its motor command acts from the next millisecond on.
+  // True: the board follows the edges of each millisecond. False: the counts are enough.
   virtual bool wants_edges() const = 0;
 
-  // Lets one millisecond of the board's time pass.
-  virtual void run(const EncoderInput& encoders) = 0;
+  // Lets time pass up to the motor command of this millisecond's control tick. `count` is where
+  // the encoders' discs stand at the start of the millisecond, one for each axis.
+  virtual void tick(const std::int32_t* count) = 0;
   virtual MotorOutput motors() const = 0;
+  // Lets the rest of the millisecond pass; edges in order of time, none when they are not wanted.
+  virtual void rest(const Edge* edges, std::size_t edge_count) = 0;
 
-  // Stops the board as its reset line does: motors off, nothing sent or received.
+  // Pulls the board's reset line: motors off at once, nothing sent or received for about 205 ms.
   virtual void reset(heli::link::Reset cause) = 0;
+  virtual bool in_reset() const = 0;
+  // How often the program has been started.
+  virtual std::uint64_t boots() const = 0;
+  // What the 16U2 does at 1200 baud: the flash is empty, and no program starts any more.
+  virtual void erase() = 0;
+  // The hardware stop: a switch to ground that opens.
+  virtual void set_stop(bool pressed) = 0;
 
-  // One byte from the UART, and the next byte for it; false when there is none.
+  // One byte for the UART, heard by the end of the millisecond whose tick() comes next; and the
+  // next byte that it has sent, false when there is none.
   virtual void uart_receive(std::uint8_t byte) = 0;
   virtual bool uart_transmit(std::uint8_t& byte) = 0;
 };

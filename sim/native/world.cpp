@@ -25,7 +25,7 @@ double PowerStage::volts(double duty) const {
   return std::copysign(effective * supply_V, duty);
 }
 
-World::World(std::unique_ptr<SimBoard> board, std::shared_ptr<PlantStep> step,
+World::World(std::shared_ptr<SimBoard> board, std::shared_ptr<PlantStep> step,
              std::vector<double> state, std::vector<double> parameters, const PowerStage& power,
              const EncoderConfig& encoders)
     : board_(std::move(board)),
@@ -53,11 +53,6 @@ void World::set_parameters(const std::vector<double>& parameters) {
   parameters_ = parameters;
 }
 
-void World::reset_board(heli::link::Reset cause) {
-  board_->reset(cause);
-  encoders_.restart();
-}
-
 std::uint64_t World::advance(std::uint64_t ticks, bool until_output, std::uint64_t least,
                              std::vector<std::uint8_t>& to_host) {
   std::uint64_t passed = 0;
@@ -70,25 +65,17 @@ std::uint64_t World::advance(std::uint64_t ticks, bool until_output, std::uint64
 }
 
 void World::one_tick(std::vector<std::uint8_t>& to_host) {
+  line_.carry_to_board(*board_);
+  board_->tick(encoders_.count());
+  move_rig();
   if (board_->wants_edges()) {
-    move_rig();
     const std::vector<Edge>& edges = encoders_.edges();
-    run_board(edges.data(), edges.size());
+    board_->rest(edges.data(), edges.size());
   } else {
-    run_board(nullptr, 0);
-    move_rig();
+    board_->rest(nullptr, 0);
   }
-  line_.tick(*board_, to_host);
+  line_.carry_to_host(*board_, to_host);
   ++tick_;
-}
-
-void World::run_board(const Edge* edges, std::size_t edge_count) {
-  EncoderInput input{};
-  std::copy_n(encoders_.count(), heli::kAxisCount, input.count);
-  for (std::size_t i = 0; i < edge_count; ++i) input.count[edges[i].axis] -= edges[i].direction;
-  input.edges = edges;
-  input.edge_count = edge_count;
-  board_->run(input);
 }
 
 void World::move_rig() {

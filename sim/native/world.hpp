@@ -26,15 +26,13 @@ class World {
  public:
   // `state` begins with elevation, pitch, travel (rad) and their rates (rad/s).
   // Throws std::invalid_argument when the sizes do not fit the step.
-  World(std::unique_ptr<SimBoard> board, std::shared_ptr<PlantStep> step, std::vector<double> state,
+  World(std::shared_ptr<SimBoard> board, std::shared_ptr<PlantStep> step, std::vector<double> state,
         std::vector<double> parameters, const PowerStage& power, const EncoderConfig& encoders);
 
   // Lets up to `ticks` milliseconds pass. With `until_output` it ends early, after the first
   // `least` of them, as soon as bytes reached the host. Returns the milliseconds that passed.
   std::uint64_t advance(std::uint64_t ticks, bool until_output, std::uint64_t least,
                         std::vector<std::uint8_t>& to_host);
-
-  void reset_board(heli::link::Reset cause);
 
   SimBoard& board() { return *board_; }
   SerialLine& line() { return line_; }
@@ -50,10 +48,9 @@ class World {
 
  private:
   void one_tick(std::vector<std::uint8_t>& to_host);
-  void run_board(const Edge* edges, std::size_t edge_count);
   void move_rig();
 
-  std::unique_ptr<SimBoard> board_;
+  std::shared_ptr<SimBoard> board_;
   std::shared_ptr<PlantStep> step_;
   SerialLine line_;
   PowerStage power_;

@@ -11,8 +11,8 @@ from heli_sim.due.image import Image
 
 from tests.due.conftest import Build
 
-POWER_UP, USER = 0, 1
 STILL = (0, 0, 0)
+SYSTICK = 15
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_the_reset_line_stops_the_motors_for_205_ms(image: Image) -> None:
     board.due.poke(image.address("duty"), struct.pack("<4I", 1050, 0, 0, 700))
     board.due.poke(image.address("on"), struct.pack("<I", 1))
     assert board.run(STILL, [])[2]
-    board.reset(USER)
+    board.reset()
     # The pins are inputs; pull-downs hold the enables.
     assert not board.run(STILL, [])[2]
     for _ in range(203):
@@ -99,32 +99,73 @@ def test_the_reset_line_stops_the_motors_for_205_ms(image: Image) -> None:
 
 def test_power_up_starts_the_program_again(image: Image) -> None:
     board = booted(image)
-    board.reset(POWER_UP)
+    board.power_cycle()
     for _ in range(20):
         board.run(STILL, [])
     assert board.due.last_reset == "general"
     assert words(board, image, "loops", 1)[0] > 0
 
 
-@pytest.mark.parametrize("phase_us", [5.0, 300.0, 800.0])
-def test_milliseconds_can_be_aligned_to_the_programs_own_tick(build: Build, phase_us: float) -> None:
+def ticking(build: Build) -> tuple[DueBoard, Image]:
+    """A program whose SysTick comes every millisecond."""
     image = read_image(build("hello.c", "-O1"))
     board = DueBoard()
     for address, data in image.segments:
         board.due.load(address, data)
-    board.align(15, phase_us)
+    board.align(SYSTICK)
+    return board, image
+
+
+def test_milliseconds_begin_with_the_programs_own_tick_after_every_start(build: Build) -> None:
+    board, _ = ticking(build)
     for _ in range(2):
         for _ in range(30):
             board.run(STILL, [])
         for _ in range(20):
-            end = board.due.cycles
+            end, before = board.due.cycles, board.due.last_entry_cycle(SYSTICK)
             board.run(STILL, [])
-            assert board.due.last_entry_cycle(15) - end == pytest.approx(phase_us * 84, abs=20)
-        board.reset(POWER_UP)
+            assert board.due.last_entry_cycle(SYSTICK) - before == pytest.approx(84_000, abs=20)
+            # The quiet moment after the last edge, and the entry itself.
+            assert board.due.last_entry_cycle(SYSTICK) - end == pytest.approx(5 * 84, abs=30)
+        board.power_cycle()
 
 
-def test_a_tick_late_in_the_millisecond_has_seen_its_edges(image: Image) -> None:
+def test_time_begins_with_the_first_tick(build: Build) -> None:
+    board, _ = ticking(build)
+    board.run(STILL, [])
+    assert board.due.last_entry_cycle(SYSTICK) > 0
+    assert board.due.exception_stats(SYSTICK)[0] == 1
+
+
+def test_edges_of_a_millisecond_come_between_its_command_and_the_next_tick(build: Build) -> None:
+    board, _ = ticking(build)
+    for _ in range(5):
+        board.run(STILL, [])
+    board.run(STILL, [(0.0, 2, 1), (999.9, 2, 1)])
+    assert board.due.encoder(2) == 2
+    assert board.due.cycles < board.due.last_entry_cycle(SYSTICK) + 84_000
+
+
+def test_an_arm_that_is_put_elsewhere_is_told_by_edges(image: Image) -> None:
     board = booted(image)
-    board.align(0, 800.0)
-    board.run(STILL, [(999.0, 0, 1)])
-    assert words(board, image, "counts", 3)[0] == 1
+    for _ in range(10):
+        board.run((1000, 0, -400), [])
+    assert words(board, image, "counts", 3) == (1000, 0, -400)
+
+
+def test_the_stop_switch_is_closed_until_it_is_pressed_or_its_wire_is_cut(image: Image) -> None:
+    board = booted(image)
+    assert not board.due.pin("PD6")
+    board.set_stop(True)
+    assert board.due.pin("PD6")
+    board.set_stop(False)
+    assert not board.due.pin("PD6")
+
+
+def test_an_erased_board_starts_nothing(image: Image) -> None:
+    board = booted(image)
+    board.erase()
+    for _ in range(300):
+        board.run(STILL, [])
+    assert board.due.in_rom
+    assert set(board.due.flash()) == {0xFF}

@@ -106,12 +106,12 @@ def test_pulling_the_cable_loses_what_is_under_way_and_the_board_flies_on() -> N
     host.drive(1.9, 1.9)
     host.wait(1000 - host.world.tick)
     assert host.world.unplugged
-    boots = host.world.native.boot_count
+    boots = host.world.board.sim.boots
     assert host.wait(300, bytes(300)) == []
     assert host.world.native.to_board_waiting == 0
     host.wait(250)
     assert not host.world.unplugged
-    assert host.world.native.boot_count == boots
+    assert host.world.board.sim.boots == boots
 
 
 @pytest.mark.parametrize(

@@ -96,14 +96,14 @@ def test_pulling_the_cable_loses_the_link_until_it_is_back_and_the_board_flies_o
     assert refused == 5
     transport.write(hello_frame())
     assert transport.read(0.1)
-    assert flown.native.boot_count == 1
+    assert flown.board.sim.boots == 1
 
 
 def test_opening_resets_the_board_when_asked_to() -> None:
     flown = world(reset_on_open="1")
     flown.advance(100)
     InProcessTransport(flown).read(0.3)
-    assert flown.native.boot_count == 2
+    assert flown.board.sim.boots == 2
 
 
 @pytest.mark.parametrize(("url", "error"), [("sil://?rig=none", RigError), ("sil://?x=1", OptionError)])

@@ -55,7 +55,7 @@ def test_the_port_survives_hosts_that_come_and_go(port: tuple[Endpoint, Opener])
         greet(bench, host, seq)
         host.close()
         bench.until(lambda: not endpoint.ready)
-    assert bench.world.native.boot_count == 1
+    assert bench.world.board.sim.boots == 1
 
 
 def test_the_next_host_hears_nothing_that_was_meant_for_the_last(port: tuple[Endpoint, Opener]) -> None:
@@ -106,7 +106,7 @@ def test_opening_resets_the_board_only_when_asked_to(port: tuple[Endpoint, Opene
     host = open_port(endpoint.url)
     bench.until(lambda: endpoint.ready)
     bench.turn(80)
-    assert bench.world.native.boot_count == (2 if reset else 1)
+    assert bench.world.board.sim.boots == (2 if reset else 1)
     host.close()
 
 
@@ -125,7 +125,7 @@ def test_pulling_the_cable_takes_the_port_away_and_brings_it_back(port: tuple[En
     again = open_port(url)
     bench.until(lambda: endpoint.ready)
     greet(bench, again, seq=1)
-    assert bench.world.native.boot_count == 1
+    assert bench.world.board.sim.boots == 1
 
 
 def test_a_terminal_is_raw_before_any_host_sets_it_up(tmp_path: Path) -> None:

@@ -69,15 +69,15 @@ def test_a_reset_in_flight_stops_the_motors_at_once_and_the_board_is_back_after_
     host = Host()
     host.drive(1.9, 1.9)
     assert host.world.native.volts_V == pytest.approx([1.9, 1.9], abs=0.006)
-    boots = host.world.native.boot_count
+    boots = host.world.board.sim.boots
     host.world.reset_board()
-    assert host.world.native.in_reset
+    assert host.world.board.sim.in_reset
     host.wait(1)
     assert host.world.native.volts_V == [0.0, 0.0]
     host.wait(203)
-    assert host.world.native.in_reset
+    assert host.world.board.sim.in_reset
     host.wait(2)
-    assert not host.world.native.in_reset
+    assert not host.world.board.sim.in_reset
     welcome = Host(host.world).hello()
     assert (welcome.reset, welcome.boot_count) == (Reset.USER, boots + 1)
 
@@ -93,16 +93,22 @@ def test_bytes_sent_to_a_board_in_reset_are_not_heard() -> None:
 
 def test_encoder_counters_restart_at_a_reset() -> None:
     pushed = world()
+    board = pushed.board.sim
+    assert isinstance(board, _native.NativeBoard)
     pushed.state = np.array([0.1, 0.05, 0.3, 0, 0, 0])
+    pushed.native.locked = [True] * 3
+    pushed.advance(1)
+    assert board.counts == pushed.native.counts
     pushed.reset_board()
-    assert pushed.native.counts == [0, 0, 0]
+    pushed.advance(300)
+    assert board.counts == [0, 0, 0]
 
 
 def test_the_stop_input_cuts_the_motors_by_itself() -> None:
     host = Host()
     host.drive(1.9, 1.9)
     assert host.world.native.volts_V[0] > 0.0
-    host.world.native.hardware_stop = True
+    host.world.board.sim.set_stop(True)
     host.wait(1)
     assert host.world.native.volts_V == [0.0, 0.0]
 
@@ -155,15 +161,19 @@ def test_flash_can_be_taken_out_and_put_back() -> None:
     first.hello()
     first.order(ParamSetMessage, Param.HOVER_V, 1.25)
     first.order(ParamsSaveMessage)
-    second.world.native.flash = first.world.native.flash
+    board, other = first.world.board.sim, second.world.board.sim
+    assert isinstance(board, _native.NativeBoard)
+    assert isinstance(other, _native.NativeBoard)
+    other.flash = board.flash
     assert second.hello().params_source == ParamsSource.STORED
     with pytest.raises(ValueError, match="flash holds"):
-        second.world.native.flash = b""
+        other.flash = b""
 
 
 def test_a_board_that_counts_edges_agrees_with_the_encoders_every_millisecond() -> None:
     plant = Plant(PaperModel(), load_rig("makki2024"))
     swinging = [0.3, 0.6, 0.1, 0.2, -1.0, 0.8]
+    board = _native.NativeBoard(from_edges=True)
     native = _native.World(
         plant.native_step(),
         swinging,
@@ -172,13 +182,13 @@ def test_a_board_that_counts_edges_agrees_with_the_encoders_every_millisecond() 
         dead_band=0.06,
         counts_per_rad=[4096 / (2 * np.pi)] * 3,
         offset_count=[123.4, -55.5, 0.9],
-        from_edges=True,
+        board=board,
     )
     start = np.array(native.counts)
     moved = 0
     for _ in range(3000):
         native.advance(1, b"")
         turned = np.array(native.counts) - start
-        assert native.board_counts == turned.tolist()
+        assert board.counts == turned.tolist()
         moved = max(moved, int(np.abs(turned).max()))
     assert moved > 300

@@ -402,8 +402,14 @@ def set_read_interval(transport: Transport, interval_s: float) -> None:
 def _open_serial(url: str, baud: int) -> serial.SerialBase:
     is_file = os.name == "posix" and "://" not in url
     options: dict[str, Any] = {"exclusive": True} if is_file else {}
+    if url.lower().startswith("rfc2217://"):
+        # pyserial's own client refuses a write_timeout, its socket has one; and with a timeout of 0 its read
+        # returns one byte, however many wait.
+        options |= {"timeout": _POLL_S}
+    else:
+        options |= {"timeout": 0, "write_timeout": _WRITE_TIMEOUT_S}
     try:
-        return serial.serial_for_url(url, baud, timeout=0, write_timeout=_WRITE_TIMEOUT_S, **options)
+        return serial.serial_for_url(url, baud, **options)
     except ValueError as error:
         if "protocol" in str(error):
             scheme = url.partition("://")[0]

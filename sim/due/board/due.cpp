@@ -23,6 +23,7 @@ Due::Due() : bridge(chip), id_(chip.system.scheduler.add(this)) {
     chip.pins.set_external(motor.left_enable, External::kPullDown, 0);
   }
   for (int axis = 0; axis < kEncoders; ++axis) drive_lines(axis);
+  set_stop(false);
 }
 
 void Due::load(std::uint32_t address, const std::uint8_t* bytes, std::size_t count) {

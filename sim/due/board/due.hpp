@@ -64,8 +64,12 @@ class Due final : public EventSink {
   // Signed duty of a motor's bridge, and whether both of its enables are high.
   double motor_duty(int motor) const;
   bool motor_enabled(int motor) const;
-  // The stop input: open, it is pulled up by the chip; pressed, it is at ground.
-  void set_stop(External state) { chip.pins.set_external(kStopPin, state, chip.system.now()); }
+  // The stop input hangs on a normally closed switch to ground. Pressed, or with a cut wire, it is
+  // open and the chip's pull-up makes it high, which stops.
+  void set_stop(bool pressed) {
+    const External state = pressed ? External::kOpen : External::kLow;
+    chip.pins.set_external(kStopPin, state, chip.system.now());
+  }
 
   void event(std::uint64_t now) override;
   void clock_changed() override { plan(); }

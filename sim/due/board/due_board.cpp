@@ -1,13 +1,30 @@
 #include "board/due_board.hpp"
 
 #include <algorithm>
+#include <cstdlib>
+#include <vector>
 
 namespace heli_due {
 
 namespace {
 
-// One bit of the line between the 16U2 and the chip.
+// One bit of the line between the 16U2 and the chip, and a byte with its start and stop bits.
 constexpr BoardTime kBit = BoardTime{1000000} * kOneUs / heli::link::kBaud;
+constexpr BoardTime kByte = 10 * kBit;
+
+// The last byte of a millisecond comes so long after the next tick has begun: while that runs, the
+// idle loop does not, so whole frames are seen once a tick, as on a board without registers.
+constexpr BoardTime kLastByte = 15 * kOneUs;
+// Edges end so long before the next tick: their filters and interrupts are done by then.
+constexpr BoardTime kQuiet = 5 * kOneUs;
+// When to look whether the handler has returned, and how often after that.
+constexpr BoardTime kFirstLook = 100 * kOneUs;
+constexpr BoardTime kLook = 25 * kOneUs;
+constexpr BoardTime kPwmPeriod = 50 * kOneUs;
+// A program has this many PWM periods, 0.1 s, to begin its first tick.
+constexpr int kMostBoot = 2000;
+// A jump of the arm (a test puts it somewhere else) is told at 200,000 steps a second at most.
+constexpr std::int32_t kMostJump = 150;
 
 }  // namespace
 
@@ -15,43 +32,84 @@ DueBoard::DueBoard() : due_(std::make_unique<Due>()), id_(due_->chip.system.sche
   due_->chip.uart.set_peer(this);
 }
 
-void DueBoard::run(const heli_sim::EncoderInput& encoders) {
-  if (!due_->chip.powered()) due_->power_on();
-  const BoardTime start = tick_end_;
-  tick_end_ = start + kOneMs;
-  for (int axis = 0; axis < kEncoders; ++axis) {
-    if (due_->encoder(axis) != encoders.count[axis]) due_->set_encoder(axis, encoders.count[axis]);
-  }
-  for (std::size_t i = 0; i < encoders.edge_count; ++i) {
-    const heli_sim::Edge& edge = encoders.edges[i];
-    const double share = edge.time_us / 1000.0 * static_cast<double>(phase_);
-    const auto offset = static_cast<BoardTime>(share);
-    due_->schedule_step(edge.axis, edge.direction, start + offset);
-  }
-  due_->run_until(tick_end_);
-  if (aligned_to_ != 0) shift_phase(start);
+void DueBoard::align(std::uint8_t handler) {
+  handler_ = handler;
+  aligned_ = false;
+}
+
+void DueBoard::run_until(BoardTime until) {
+  if (until > due_->now()) due_->run_until(until);
   if (due_->chip.system.cpu.halt() == Halt::kLockup) throw Stop("the processor is locked up");
 }
 
-void DueBoard::align(std::uint8_t number, double phase_us) {
-  aligned_to_ = number;
-  aligned_ = false;
-  phase_ = static_cast<BoardTime>(phase_us * static_cast<double>(kOneUs));
+// Whether the handler has begun anew; the millisecond then begins with it.
+bool DueBoard::ticked() {
+  const std::uint64_t entry = due_->chip.system.cpu.stats(handler_).last_entry;
+  if (handler_ == 0 || entry == entry_seen_) return false;
+  entry_seen_ = entry;
+  if (aligned_) return true;
+  tick_at_ = due_->chip.system.clock.time_at(entry);
+  aligned_ = true;
+  return true;
 }
 
-void DueBoard::shift_phase(BoardTime start) {
-  const Chip& chip = due_->chip;
-  if (chip.resets() != resets_seen_) {
-    resets_seen_ = chip.resets();
+void DueBoard::start() {
+  due_->power_on();
+  tick_at_ = due_->now();
+  if (handler_ == 0 || in_reset()) return;
+  for (int look = 0; look < kMostBoot && !ticked(); ++look) run_until(due_->now() + kPwmPeriod);
+  if (!aligned_) tick_at_ = due_->now();
+}
+
+void DueBoard::wait_for_command() {
+  run_until(tick_at_ + kFirstLook);
+  if (!ticked()) {
+    // In reset, starting, or hung: the next handler that begins is followed again.
     aligned_ = false;
+    return;
   }
-  const BoardTime entry = chip.system.clock.time_at(chip.system.cpu.stats(aligned_to_).last_entry);
-  if (aligned_ || entry <= start || entry > tick_end_) return;
-  // The handler was `entry - start` into this millisecond; from the next one on it is at phase_.
-  const BoardTime shift = (entry - start + kOneMs - phase_) % kOneMs;
-  tick_end_ += shift;
-  due_->run_until(tick_end_);
-  aligned_ = true;
+  const Exceptions& exceptions = due_->chip.system.exceptions;
+  const BoardTime latest = tick_at_ + kOneMs - kPwmPeriod - kQuiet;
+  while (exceptions.active(handler_) && due_->now() < latest) run_until(due_->now() + kLook);
+  run_until(due_->now() + kPwmPeriod);
+}
+
+void DueBoard::tick(const std::int32_t* count) {
+  for (int axis = 0; axis < kEncoders; ++axis) {
+    if (!due_->chip.powered()) due_->set_encoder(axis, count[axis]);
+    jump_[static_cast<std::size_t>(axis)] = count[axis] - due_->encoder(axis);
+  }
+  const bool first = !due_->chip.powered();
+  if (first) start();
+  plan_bytes();
+  if (handler_ == 0) return;
+  if (first) entry_seen_ = 0;
+  wait_for_command();
+}
+
+void DueBoard::rest(const heli_sim::Edge* edges, std::size_t edge_count) {
+  const BoardTime from = due_->now();
+  const BoardTime end = tick_at_ + kOneMs;
+  const BoardTime until = std::max(from, end - kQuiet);
+  const double per_us = static_cast<double>(until - from) / 1000.0;
+  std::vector<heli_sim::Edge> steps(edges, edges + edge_count);
+  for (std::uint8_t axis = 0; axis < kEncoders; ++axis) {
+    const std::int32_t jump = std::clamp(jump_[axis], -kMostJump, kMostJump);
+    for (std::int32_t k = 0; k < std::abs(jump); ++k) {
+      const double time_us = 1000.0 * (k + 0.5) / std::abs(jump);
+      steps.push_back({time_us, axis, static_cast<std::int8_t>(jump > 0 ? 1 : -1)});
+    }
+  }
+  std::stable_sort(steps.begin(), steps.end(),
+                   [](const auto& a, const auto& b) { return a.time_us < b.time_us; });
+  for (const heli_sim::Edge& step : steps) {
+    due_->schedule_step(step.axis, step.direction,
+                        from + static_cast<BoardTime>(step.time_us * per_us));
+  }
+  run_until(until);
+  if (handler_ == 0) run_until(end);
+  tick_at_ = end;
+  if (handler_ != 0 && !aligned_ && ticked()) tick_at_ += kOneMs;
 }
 
 heli_sim::MotorOutput DueBoard::motors() const {
@@ -63,7 +121,7 @@ heli_sim::MotorOutput DueBoard::motors() const {
 void DueBoard::reset(heli::link::Reset cause) {
   to_uart_.clear();
   from_uart_.clear();
-  byte_due_ = 0;
+  aligned_ = false;
   if (cause == heli::link::Reset::power_up) {
     due_->power_off();
     due_->power_on();
@@ -74,9 +132,13 @@ void DueBoard::reset(heli::link::Reset cause) {
   plan();
 }
 
-void DueBoard::uart_receive(std::uint8_t byte) {
-  to_uart_.push_back(byte);
-  plan();
+void DueBoard::erase() {
+  reset(heli::link::Reset::user);
+  // The processor must be in reset before its program goes.
+  run_until(due_->now() + kOneUs);
+  due_->chip.efc0.erase_all();
+  due_->chip.efc1.erase_all();
+  due_->chip.flash.gpnvm = 0;
 }
 
 bool DueBoard::uart_transmit(std::uint8_t& byte) {
@@ -90,15 +152,25 @@ void DueBoard::byte_from_uart(std::uint8_t byte, std::uint32_t, std::uint64_t) {
   from_uart_.push_back(byte);
 }
 
-void DueBoard::plan() {
-  const BoardTime now = due_->now();
-  if (byte_due_ == 0 && !to_uart_.empty()) {
-    const BoardTime start = std::max(now, wire_free_);
-    byte_due_ = start + kBit * 19 / 2;  // the middle of the stop bit
-    wire_free_ = start + kBit * 10;
+// The new bytes follow each other without a gap, up to the end of the millisecond.
+void DueBoard::plan_bytes() {
+  const auto is_new = [](const Arrival& arrival) { return arrival.when == 0; };
+  const auto count =
+      static_cast<BoardTime>(std::count_if(to_uart_.begin(), to_uart_.end(), is_new));
+  const BoardTime last = tick_at_ + kOneMs + kLastByte;
+  BoardTime when = std::max({due_->now(), wire_free_, last + kByte - count * kByte});
+  for (Arrival& arrival : to_uart_) {
+    if (!is_new(arrival)) continue;
+    arrival.when = when;
+    when += kByte;
+    wire_free_ = when;
   }
+  plan();
+}
+
+void DueBoard::plan() {
   BoardTime first = ~BoardTime{0};
-  if (byte_due_ != 0) first = std::min(first, byte_due_);
+  if (!to_uart_.empty() && to_uart_.front().when != 0) first = to_uart_.front().when;
   if (reset_end_ != 0) first = std::min(first, reset_end_);
   const bool any = first != ~BoardTime{0};
   due_->chip.system.scheduler.set(id_, any ? due_->chip.system.clock.cycle_at(first) : kNever);
@@ -106,10 +178,9 @@ void DueBoard::plan() {
 
 void DueBoard::event(std::uint64_t) {
   const BoardTime now = due_->now();
-  if (byte_due_ != 0 && byte_due_ <= now) {
-    byte_due_ = 0;
+  if (!to_uart_.empty() && to_uart_.front().when != 0 && to_uart_.front().when <= now) {
     const BoardTime cycle = BoardTime{kFull_Hz} * kOneCycle / due_->chip.system.clock.mck_Hz();
-    due_->chip.uart.receive(to_uart_.front(), kBit / cycle);
+    due_->chip.uart.receive(to_uart_.front().byte, kBit / cycle);
     to_uart_.pop_front();
   }
   if (reset_end_ != 0 && reset_end_ <= now) {

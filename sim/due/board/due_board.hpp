@@ -1,10 +1,12 @@
 // The emulated Due behind SimBoard, for the simulated world: it has its own serial line, so the USB
 // bridge of the board stays out of the way.
 //
-// A millisecond is 84,000 cycles of board time. Edges arrive as they happen; motors() is what the
-// pins do at the end of the millisecond, so that it acts from the next one on.
+// A millisecond is 84,000 cycles of board time. It begins just before the program's tick, the
+// handler that align() names. The edges of a millisecond come after its command has reached the
+// pins and before the next tick; its bytes come at 40 us each, the last one while that tick runs.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <deque>
 #include <memory>
@@ -21,19 +23,26 @@ class DueBoard final : public heli_sim::SimBoard, public SerialPeer, public Even
 
   DueBoard();
 
+  // Names the handler, an exception that comes every millisecond. Its command acts once it has
+  // returned and a PWM period has ended. The first tick of a program that starts shifts the
+  // milliseconds, once. With 0 they follow nothing: a command is what the pins did at the end of
+  // the last one.
+  void align(std::uint8_t handler);
+
   bool wants_edges() const override { return true; }
-  // Throws Stop when strict mode finds something, or when the processor locks up.
-  void run(const heli_sim::EncoderInput& encoders) override;
+  // Both throw Stop when strict mode finds something, or when the processor locks up. The first
+  // tick() of all switches the power on, and time begins with the program's first tick.
+  void tick(const std::int32_t* count) override;
+  void rest(const heli_sim::Edge* edges, std::size_t edge_count) override;
   heli_sim::MotorOutput motors() const override;
   // power_up switches the power off and on; every other cause pulls the reset line.
   void reset(heli::link::Reset cause) override;
-  void uart_receive(std::uint8_t byte) override;
+  bool in_reset() const override { return reset_end_ != 0; }
+  std::uint64_t boots() const override { return due_->chip.resets(); }
+  void erase() override;
+  void set_stop(bool pressed) override { due_->set_stop(pressed); }
+  void uart_receive(std::uint8_t byte) override { to_uart_.push_back({byte, 0}); }
   bool uart_transmit(std::uint8_t& byte) override;
-
-  // Shifts the milliseconds once after each boot, so that the handler of exception `number`, which
-  // runs every millisecond, begins `phase_us` into them; edges then come before it. A control tick
-  // at 800 us sees all edges of its millisecond, and its command is at the pins before the end.
-  void align(std::uint8_t number, double phase_us);
 
   Due& due() { return *due_; }
 
@@ -42,21 +51,29 @@ class DueBoard final : public heli_sim::SimBoard, public SerialPeer, public Even
   void clock_changed() override { plan(); }
 
  private:
+  struct Arrival {
+    std::uint8_t byte;
+    BoardTime when;  // 0: not yet planned
+  };
+
+  void start();
+  void run_until(BoardTime until);
+  bool ticked();
+  void wait_for_command();
+  void plan_bytes();
   void plan();
-  void shift_phase(BoardTime start);
 
   std::unique_ptr<Due> due_;
   Scheduler::Id id_;
-  BoardTime tick_end_ = 0;
-  std::deque<std::uint8_t> to_uart_;
-  std::deque<std::uint8_t> from_uart_;
-  BoardTime byte_due_ = 0;  // when the byte on the wire is sampled; 0: the wire is idle
-  BoardTime wire_free_ = 0;
-  BoardTime reset_end_ = 0;
-  std::uint8_t aligned_to_ = 0;  // exception number; 0: none
-  BoardTime phase_ = kOneMs;
+  std::uint8_t handler_ = 0;  // exception number; 0: none
+  BoardTime tick_at_ = 0;     // when this millisecond's tick begins
   bool aligned_ = false;
-  std::uint64_t resets_seen_ = 0;
+  std::uint64_t entry_seen_ = 0;
+  std::array<std::int32_t, kEncoders> jump_{};  // steps that no edge has told of
+  std::deque<Arrival> to_uart_;
+  BoardTime wire_free_ = 0;
+  std::deque<std::uint8_t> from_uart_;
+  BoardTime reset_end_ = 0;
 };
 
 }  // namespace heli_due

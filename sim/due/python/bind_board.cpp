@@ -25,7 +25,8 @@ std::tuple<double, double, bool> run(DueBoard& board, const std::array<std::int3
   for (const auto& [time_us, axis, direction] : edges) {
     list.push_back({time_us, static_cast<std::uint8_t>(axis), static_cast<std::int8_t>(direction)});
   }
-  board.run({{count[0], count[1], count[2]}, list.data(), list.size()});
+  board.tick(count.data());
+  board.rest(list.data(), list.size());
   const heli_sim::MotorOutput motors = board.motors();
   return {motors.front_duty, motors.back_duty, motors.enable};
 }
@@ -39,9 +40,11 @@ nb::bytes take_sent(DueBoard& board) {
 }  // namespace
 
 void bind_board(nb::module_& module) {
-  nb::class_<DueBoard>(module, "DueBoard", "The emulated Due as a board of the simulated world.")
+  nb::class_<DueBoard, heli_sim::SimBoard>(module, "DueBoard",
+                                           "The emulated Due as a board of the simulated world.")
       .def(nb::init<>())
-      .def("run", &run, nb::arg("count"), nb::arg("edges"))
+      .def("run", &run, nb::arg("count"), nb::arg("edges"),
+           "One millisecond: the duties and the enable at its end.")
       .def(
           "receive",
           [](DueBoard& board, const nb::bytes& data) {
@@ -50,16 +53,8 @@ void bind_board(nb::module_& module) {
             }
           },
           nb::arg("data"))
-      .def(
-          "align",
-          [](DueBoard& board, int number, double phase_us) {
-            board.align(static_cast<std::uint8_t>(number), phase_us);
-          },
-          nb::arg("number"), nb::arg("phase_us"))
+      .def("align", &DueBoard::align, nb::arg("handler"))
       .def("take_sent", &take_sent)
-      .def(
-          "reset",
-          [](DueBoard& board, int cause) { board.reset(static_cast<heli::link::Reset>(cause)); },
-          nb::arg("cause"))
+      .def("power_cycle", [](DueBoard& board) { board.reset(heli::link::Reset::power_up); })
       .def_prop_ro("due", &DueBoard::due, nb::rv_policy::reference_internal);
 }

@@ -5,6 +5,8 @@
     SimError
     └── DueError            anything that goes wrong with the emulated board
         ├── ImageError      the program cannot be read, or is none for the Due
+        ├── FirmwareError   the flight code's ELF is missing, or speaks another version of the link
+        ├── BoardStopped    the emulator found something that the chip does not promise to take
         └── GdbError        the debugger's port cannot be opened
 """
 
@@ -19,6 +21,14 @@ class DueError(SimError):
 
 class ImageError(DueError):
     """The program cannot be read, or is none for the Due."""
+
+
+class FirmwareError(DueError):
+    """The flight code's ELF is missing, or speaks another version of the link."""
+
+
+class BoardStopped(DueError):
+    """The emulator found something that the chip does not promise to take."""
 
 
 class GdbError(DueError):

@@ -32,12 +32,25 @@ def new_due(image: Image | None = None, *, strict: bool = True) -> Due:
     due = Due()
     due.set_strict(strict)
     if image is not None:
-        for address, data in image.segments:
-            due.load(address, data)
-        for symbol in image.symbols:
-            if symbol.is_function:
-                due.add_symbol(symbol.address, symbol.size, symbol.name)
+        load_image(due, image)
     return due
+
+
+def load_image(due: Due, image: Image) -> None:
+    """Load a program into the flash, with the names of its functions.
+
+    Parameters
+    ----------
+    due
+        The board.
+    image
+        The program.
+    """
+    for address, data in image.segments:
+        due.load(address, data)
+    for symbol in image.symbols:
+        if symbol.is_function:
+            due.add_symbol(symbol.address, symbol.size, symbol.name)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
+
+
+@dataclass(frozen=True)
+class LineChange:
+    """The host has changed DTR.
+
+    Parameters
+    ----------
+    dtr : bool
+        The line now; a Due's bridge resets the board when it rises.
+    baud : int
+        Rate of the port, bits a second; 0 where nobody says it. At 1200 a Due's bridge erases the flash.
+    """
+
+    dtr: bool
+    baud: int = 0
 
 
 class Endpoint(Protocol):
@@ -30,8 +47,8 @@ class Endpoint(Protocol):
         """Whether a host has the port open and takes its bytes."""
         ...
 
-    def take_opened(self) -> bool:
-        """Whether the port was opened since the last call."""
+    def take_lines(self) -> list[LineChange]:
+        """What became of DTR since the last call, in order."""
         ...
 
     def fileno(self) -> int:

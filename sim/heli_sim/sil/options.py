@@ -11,9 +11,14 @@ from heli_sim.errors import OptionError
 from heli_sim.sil.faults import FaultPlan, Span
 
 _KEYS: Final = (
-    *("rig", "seed", "speed", "slice_ms", "flash", "reset_on_open"),
+    *("board", "elf", "rig", "seed", "speed", "slice_ms", "flash", "reset_on_open"),
     *("flip", "drop", "double", "stall", "unplug"),
 )
+
+NATIVE: Final = "native"
+DUE: Final = "due"
+AUTO: Final = "auto"
+BOARDS: Final = (NATIVE, DUE, AUTO)
 
 
 @dataclass(frozen=True)
@@ -33,8 +38,14 @@ class SilOptions:
         beginning of a stretch.
     flash_file : str
         File that keeps the board's flash pages; empty to forget them.
-    reset_on_open : bool
-        Whether opening the port resets the board, as DTR does on a Due unless ``stty -hupcl`` was given.
+    board : str
+        ``native``: the flight code compiled for this machine. ``due``: its ELF on an emulated Due. ``auto``:
+        ``due`` when there is such an ELF.
+    elf : str
+        ELF for ``due``; empty for the newest that speaks this host's link.
+    reset_on_open : bool or None
+        Whether a rising DTR resets the board, as it does on a Due. None: behind a port it does so on ``due``,
+        in process, where nobody opens anything, it does not.
     faults : FaultPlan
         What goes wrong on the link.
 
@@ -49,10 +60,16 @@ class SilOptions:
     speed: float | None = None
     slice_ms: int = 20
     flash_file: str = ""
-    reset_on_open: bool = False
+    board: str = NATIVE
+    elf: str = ""
+    reset_on_open: bool | None = None
     faults: FaultPlan = field(default_factory=FaultPlan)
 
     def __post_init__(self) -> None:
+        if self.board not in BOARDS:
+            raise OptionError(f"board={self.board} is unknown; boards are: {', '.join(BOARDS)}")
+        if self.elf and self.board == NATIVE:
+            raise OptionError("an ELF runs on board=due only; give that, or leave elf out")
         if self.seed < 0:
             raise OptionError(f"seed={self.seed} must not be negative")
         if self.speed is not None and not (math.isfinite(self.speed) and self.speed > 0.0):
@@ -117,7 +134,11 @@ def parse_options(values: dict[str, str]) -> SilOptions:
         speed=None if speed == "max" else _number("speed", speed),
         slice_ms=int(_number("slice_ms", values.get("slice_ms", "20"), whole=True)),
         flash_file=values.get("flash", ""),
-        reset_on_open=_flag("reset_on_open", values.get("reset_on_open", "0")),
+        board=values.get("board", NATIVE),
+        elf=values.get("elf", ""),
+        reset_on_open=(
+            _flag("reset_on_open", values["reset_on_open"]) if "reset_on_open" in values else None
+        ),
         faults=FaultPlan(
             flip=_number("flip", values.get("flip", "0")),
             drop=_number("drop", values.get("drop", "0")),

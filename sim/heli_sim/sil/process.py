@@ -19,7 +19,7 @@ _STOP_s = 3.0
 
 
 class SilProcess:
-    """A simulated board behind a pseudo-terminal, served by a child process; a context manager.
+    """A simulated board behind a port, served by a child process; a context manager.
 
     The child ends when this process does, however that ends: it watches its standard input. It is in a
     session of its own, so that Ctrl-C reaches the host alone, which can then still land the rig.
@@ -36,6 +36,8 @@ class SilProcess:
         More options, spelled as in a ``sil://`` address (``flip``, ``stall``, ``flash``, ...).
     pty : str or Path or None
         Where to make the link to the pseudo-terminal; None for a folder of its own.
+    rfc2217 : str or None
+        ``HOST:PORT`` to listen on instead of a pseudo-terminal; port 0 takes any free one.
     timeout_s : float
         Longest wait for the port to appear, s.
 
@@ -53,6 +55,7 @@ class SilProcess:
         *,
         options: dict[str, str] | None = None,
         pty: str | Path | None = None,
+        rfc2217: str | None = None,
         timeout_s: float = 30.0,
     ) -> None:
         self._folder = None if pty is not None else Path(tempfile.mkdtemp(prefix="heli-sil-"))
@@ -63,7 +66,8 @@ class SilProcess:
         self._process = subprocess.Popen(
             [
                 *(sys.executable, "-m", "heli_sim.sil.server", "--watch-stdin"),
-                *("--pty", str(path), "--options", urlencode({**values, **(options or {})})),
+                *(("--pty", str(path)) if rfc2217 is None else ("--rfc2217", rfc2217)),
+                *("--options", urlencode({**values, **(options or {})})),
             ],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

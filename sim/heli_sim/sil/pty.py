@@ -10,15 +10,21 @@ from pathlib import Path
 from typing import Final
 
 from heli_sim.errors import EndpointError
+from heli_sim.sil.endpoint import LineChange
 
 _CHUNK: Final = 65536
+# Places in what tcgetattr returns.
+_CFLAG: Final = 2
+_OSPEED: Final = 5
 
 
 class PtyEndpoint:
     """The board's side of a pseudo-terminal.
 
     A host opens the link like a device file. When it closes the port, what it has not read is thrown away,
-    and the terminal stays for the next one.
+    and the terminal stays for the next one. A pseudo-terminal has no DTR, so opening stands for its rise, and
+    closing for its fall, unless the host has cleared the hang-up flag (``stty -hupcl``): then, as with a
+    serial port of Linux, the line stays up and the next opening is no edge.
 
     Parameters
     ----------
@@ -35,7 +41,8 @@ class PtyEndpoint:
         self._link = Path(link) if link is not None else None
         self._master = -1
         self._open = False
-        self._opened = False
+        self._dtr = False
+        self._changes: list[LineChange] = []
         self._kept = b""
         self.url = ""
         self.plug()
@@ -65,7 +72,8 @@ class PtyEndpoint:
                 self._hang_up()
             return b""
         if not self._open:
-            self._open = self._opened = True
+            self._open = True
+            self._set_dtr(True)
         return data
 
     def send(self, data: bytes) -> None:
@@ -88,16 +96,16 @@ class PtyEndpoint:
         except OSError:
             self._hang_up()
 
-    def take_opened(self) -> bool:
-        """Whether the port was opened since the last call.
+    def take_lines(self) -> list[LineChange]:
+        """What became of DTR since the last call.
 
         Returns
         -------
-        bool
-            True once for each opening.
+        list of LineChange
+            In order.
         """
-        opened, self._opened = self._opened, False
-        return opened
+        changes, self._changes = self._changes, []
+        return changes
 
     def fileno(self) -> int:
         """File descriptor to watch for bytes.
@@ -117,7 +125,7 @@ class PtyEndpoint:
             self._link.unlink()
         os.close(self._master)
         self._master = -1
-        self._open, self._kept = False, b""
+        self._open, self._dtr, self._kept = False, False, b""
 
     def plug(self) -> None:
         """Make a new terminal, and the link to it.
@@ -138,6 +146,10 @@ class PtyEndpoint:
         # Without this a host sees its own bytes, and the board's zeros and returns changed, until it sets the
         # port up. The settings last as long as this side is open.
         tty.setraw(slave)
+        # Serial ports start with this flag set, pseudo-terminals without.
+        settings = termios.tcgetattr(slave)
+        settings[_CFLAG] |= termios.HUPCL
+        termios.tcsetattr(slave, termios.TCSANOW, settings)
         os.close(slave)
         os.set_blocking(self._master, False)
         try:
@@ -167,6 +179,8 @@ class PtyEndpoint:
 
     def _hang_up(self) -> None:
         self._open, self._kept = False, b""
+        if termios.tcgetattr(self._master)[_CFLAG] & termios.HUPCL:
+            self._set_dtr(False)
         # Linux keeps up to 4095 unread bytes for the next host; only the other side can drop them.
         with contextlib.suppress(OSError, termios.error):
             slave = os.open(self.terminal, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
@@ -174,3 +188,11 @@ class PtyEndpoint:
                 termios.tcflush(slave, termios.TCIOFLUSH)
             finally:
                 os.close(slave)
+
+    def _set_dtr(self, on: bool) -> None:
+        if on == self._dtr:
+            return
+        self._dtr = on
+        # Of the rates only the one that erases matters; the one of the link is in no table of constants.
+        erases = termios.tcgetattr(self._master)[_OSPEED] == termios.B1200
+        self._changes.append(LineChange(on, 1200 if erases else 0))

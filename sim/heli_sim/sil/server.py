@@ -1,4 +1,4 @@
-"""A simulated board behind a pseudo-terminal or a TCP port.
+"""A simulated board behind a pseudo-terminal, a TCP port or an RFC 2217 port.
 
 ``python -m heli_sim.sil.server --pty PATH --options 'rig=makki2024&seed=1&speed=1'`` serves until it is told
 to stop by a signal, or, with ``--watch-stdin``, by the end of its standard input.
@@ -21,9 +21,10 @@ from urllib.parse import parse_qsl
 
 from heli_sim.errors import OptionError, SimError
 from heli_sim.sil.endpoint import Endpoint
-from heli_sim.sil.options import SilOptions, parse_options
+from heli_sim.sil.options import DUE, SilOptions, parse_options
 from heli_sim.sil.pace import Pace, make_pace
 from heli_sim.sil.pty import PtyEndpoint
+from heli_sim.sil.rfc2217 import Rfc2217Endpoint
 from heli_sim.sil.tcp import TcpEndpoint
 from heli_sim.sil.world import SilWorld
 
@@ -54,6 +55,8 @@ class SilServer:
         self._world = world
         self._pace = pace
         self._clock = clock
+        resets = world.options.reset_on_open
+        self._resets = resets if resets is not None else world.options.board == DUE
         self._plugged = True
         self._received = b""
 
@@ -71,8 +74,9 @@ class SilServer:
         if received:
             self._received += received
             self._pace.heard(now_s, world.tick)
-        if endpoint.take_opened() and world.options.reset_on_open:
-            world.reset_board()
+        for change in endpoint.take_lines():
+            if self._resets:
+                world.control_lines(dtr=change.dtr, baud=change.baud)
         ticks = self._pace.due(now_s, world.tick)
         if ticks == 0:
             return self._pace.wait_s(now_s, world.tick)
@@ -134,6 +138,7 @@ def run_server(
     *,
     pty: str | Path | None = None,
     tcp: str | None = None,
+    rfc2217: str | None = None,
     stop_fd: int | None = None,
     on_ready: Callable[[str], None] = lambda url: None,
 ) -> dict[str, int]:
@@ -147,6 +152,8 @@ def run_server(
         Symbolic link to make to the pseudo-terminal.
     tcp : str or None
         ``HOST:PORT`` to listen on instead of a pseudo-terminal.
+    rfc2217 : str or None
+        The same, with the control lines and the rate in the connection, as RFC 2217 has them.
     stop_fd : int or None
         File descriptor; serving ends as soon as something can be read from it, or it is at its end.
     on_ready : callable
@@ -167,7 +174,13 @@ def run_server(
         for number in (signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.default_int_handler)
     world = SilWorld(options)
-    endpoint: Endpoint = PtyEndpoint(pty) if tcp is None else TcpEndpoint(*_address(tcp))
+    endpoint: Endpoint
+    if rfc2217 is not None:
+        endpoint = Rfc2217Endpoint(*_address(rfc2217))
+    elif tcp is not None:
+        endpoint = TcpEndpoint(*_address(tcp))
+    else:
+        endpoint = PtyEndpoint(pty)
     try:
         on_ready(endpoint.url)
         serve(endpoint, world, make_pace(options.speed), stop_fd)
@@ -211,6 +224,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="heli_sim.sil.server", description="Serve a simulated board.")
     parser.add_argument("--pty", help="symbolic link to make to the pseudo-terminal")
     parser.add_argument("--tcp", help="HOST:PORT to listen on instead")
+    parser.add_argument("--rfc2217", help="the same, with the control lines")
     parser.add_argument("--options", default="", help="rig=makki2024&seed=1&speed=max&...")
     parser.add_argument("--watch-stdin", action="store_true", help="stop when standard input ends")
     given = parser.parse_args(arguments)
@@ -220,6 +234,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options,
             pty=given.pty,
             tcp=given.tcp,
+            rfc2217=given.rfc2217,
             stop_fd=sys.stdin.fileno() if given.watch_stdin else None,
             on_ready=lambda url: _say(url=url),
         )

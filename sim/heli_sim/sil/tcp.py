@@ -7,6 +7,7 @@ import socket
 from typing import Final
 
 from heli_sim.errors import EndpointError
+from heli_sim.sil.endpoint import LineChange
 
 _CHUNK: Final = 65536
 # A host that does not read must see the bridge overflow in the end, as with a serial driver, and not only
@@ -30,11 +31,14 @@ class TcpEndpoint:
         When the address cannot be listened on.
     """
 
+    scheme = "socket"
+    """Of the addresses that pyserial knows."""
+
     def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
         self._address = (host, port)
         self._listener: socket.socket | None = None
         self._peer: socket.socket | None = None
-        self._opened = False
+        self._changes: list[LineChange] = []
         self._kept = b""
         self.url = ""
         self.plug()
@@ -86,16 +90,16 @@ class TcpEndpoint:
         except OSError:
             self._hang_up()
 
-    def take_opened(self) -> bool:
-        """Whether a host connected since the last call.
+    def take_lines(self) -> list[LineChange]:
+        """What became of DTR since the last call: a connection carries none, so it stands for it.
 
         Returns
         -------
-        bool
-            True once for each connection.
+        list of LineChange
+            A rise for each connection, a fall for each end of one.
         """
-        opened, self._opened = self._opened, False
-        return opened
+        changes, self._changes[:] = self._changes[:], []
+        return changes
 
     def fileno(self) -> int:
         """File descriptor to watch for bytes, or for the next host.
@@ -134,7 +138,7 @@ class TcpEndpoint:
         listener.setblocking(False)
         self._listener = listener
         self._address = (self._address[0], listener.getsockname()[1])
-        self.url = f"socket://{self._address[0]}:{self._address[1]}"
+        self.url = f"{self.scheme}://{self._address[0]}:{self._address[1]}"
 
     def close(self) -> None:
         """Close the connection and stop listening, for good."""
@@ -148,9 +152,17 @@ class TcpEndpoint:
             peer.setblocking(False)
             peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             peer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
-            self._peer, self._opened = peer, True
+            self._peer = peer
+            self._rise()
 
     def _hang_up(self) -> None:
-        if self._peer is not None:
-            self._peer.close()
-        self._peer, self._kept = None, b""
+        peer, self._peer, self._kept = self._peer, None, b""
+        if peer is not None:
+            peer.close()
+            self._fall()
+
+    def _rise(self) -> None:
+        self._changes.append(LineChange(True))
+
+    def _fall(self) -> None:
+        self._changes.append(LineChange(False))

@@ -9,18 +9,21 @@ import numpy as np
 import numpy.typing as npt
 
 from heli_sim import _native
+from heli_sim.due.errors import BoardStopped
 from heli_sim.model import PaperModel
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig, load_rig
+from heli_sim.sil.boards import make_board, settled
 from heli_sim.sil.faults import FaultyStream
 from heli_sim.sil.options import SilOptions
 
 # Counters of the encoders stand anywhere at power-up.
 _OFFSET_COUNTS: Final = 50_000.0
+ERASING_BAUD: Final = 1200
 
 
 class SilWorld:
-    """Native board, serial line with its faults, power stage and plant.
+    """A board, its serial line with faults, power stage and plant.
 
     Parameters
     ----------
@@ -35,15 +38,19 @@ class SilWorld:
         When the rig cannot be read.
     PlantError
         When the plant cannot be compiled.
+    DueError
+        When there is no firmware for the emulated Due, or only for another version of the link.
     """
 
     def __init__(self, options: SilOptions, plant: Plant | None = None) -> None:
-        self.options = options
+        self.options = options = settled(options)
         self.plant = plant if plant is not None else Plant(PaperModel(), load_rig(options.rig))
         self.rig: Rig = self.plant.rig
         random = np.random.default_rng(options.seed)
         per_rad = self.rig["encoder_counts"].value / (2.0 * np.pi)
         counts_per_rad = [per_rad, per_rad, per_rad * self.rig["encoder_travel_ratio"].value]
+        self.board = make_board(options)
+        """The board; its ``sim`` is what the world drives."""
         self.native = _native.World(
             self.plant.native_step(),
             self.plant.rest_state().tolist(),
@@ -52,7 +59,7 @@ class SilWorld:
             dead_band=self.rig["driver_dead_band"].value,
             counts_per_rad=counts_per_rad,
             offset_count=random.uniform(-_OFFSET_COUNTS, _OFFSET_COUNTS, 3).tolist(),
-            flash_file=options.flash_file,
+            board=self.board.sim,
         )
         self.to_board = FaultyStream(options.faults, options.seed, 0)
         self.to_host = FaultyStream(options.faults, options.seed, 1)
@@ -102,6 +109,11 @@ class SilWorld:
         -------
         bytes
             Bytes that reached the host.
+
+        Raises
+        ------
+        BoardStopped
+            When the emulated Due met what the chip does not promise to take.
         """
         faults = self.options.faults
         self._held += self.to_board.pass_through(rx)
@@ -117,7 +129,7 @@ class SilWorld:
             if write:
                 self._held = b""
             stretch = min(ticks, faults.next_edge(tick) - tick)
-            passed, data = self.native.advance(stretch, write, until_output, least)
+            passed, data = self._pass(stretch, write, until_output, least)
             received += data
             ticks -= passed
             least = max(1, least - passed)
@@ -127,7 +139,22 @@ class SilWorld:
 
     def reset_board(self) -> None:
         """Pulse the board's reset line: motors off at once, the flight code starts 205 ms later."""
-        self.native.reset_board()
+        self.board.sim.reset()
+
+    def control_lines(self, *, dtr: bool, baud: int) -> None:
+        """Do what the 16U2 does when the host changes DTR.
+
+        Parameters
+        ----------
+        dtr : bool
+            The line now. A rising one resets the board.
+        baud : int
+            Rate of the port. At 1200 baud any change erases the flash; the board then waits for a program.
+        """
+        if baud == ERASING_BAUD:
+            self.board.sim.erase()
+        elif dtr:
+            self.reset_board()
 
     def counters(self) -> dict[str, int]:
         """Bytes carried, lost and spoiled so far.
@@ -138,9 +165,19 @@ class SilWorld:
             The line's own counters, and flipped_bits, dropped_bytes and doubled_bytes of both directions.
         """
         both = (self.to_board.counters, self.to_host.counters)
+        line = self.native.line_counters()
         return {
-            **self.native.line_counters(),
+            **line,
+            "to_board_overflow": line["to_board_overflow"] + self.board.bytes_lost,
             "flipped_bits": sum(counters.flipped for counters in both),
             "dropped_bytes": sum(counters.dropped for counters in both),
             "doubled_bytes": sum(counters.doubled for counters in both),
         }
+
+    def _pass(self, ticks: int, write: bytes, until_output: bool, least: int) -> tuple[int, bytes]:
+        try:
+            passed = self.native.advance(ticks, write, until_output, least)
+        except self.board.stops as error:
+            raise BoardStopped(f"the emulated Due stopped: {error}; mend the firmware") from error
+        self.board.keep_flash()
+        return passed

@@ -1,0 +1,130 @@
+"""The flight code's own ELF: where it is, whether this host understands it, and an emulated board with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from heli_sim.due.errors import FirmwareError
+from heli_sim.due.image import Image, read_image
+from heli_sim.due.machine import load_image
+
+if TYPE_CHECKING:
+    from heli_sim.due._due import DueBoard
+
+# The control tick is the interrupt of timer channel TC3, number 30 after the 16 exceptions.
+TICK_HANDLER: Final = 16 + 30
+# Where `make firmware`, and make in firmware/due, leave it.
+_BUILT: Final = ("build/pio/due/firmware.elf", "build/firmware/heli.elf")
+_MAKE: Final = "make firmware"
+
+
+def candidates() -> list[Path]:
+    """Every ELF of the flight code that is there, newest first.
+
+    Returns
+    -------
+    list of Path
+        What the package ships, when it was built where a cross-compiler is, and, in a checkout, what was
+        built since.
+    """
+    import heli_sim
+
+    places = [Path(folder) / "due" / "firmware" / "heli.elf" for folder in heli_sim.__path__]
+    root = Path(heli_sim.__file__).resolve().parents[2]
+    if (root / "firmware" / "link.toml").exists():
+        places += [root / name for name in _BUILT]
+    return sorted((path for path in places if path.is_file()), key=lambda path: -path.stat().st_mtime)
+
+
+def new_board(image: Image) -> DueBoard:
+    """An emulated Due for the simulated world, with a program that lies in its flash and ticks like ours.
+
+    Parameters
+    ----------
+    image : Image
+        The program.
+
+    Returns
+    -------
+    DueBoard
+        Powered off; its power comes on when time begins.
+    """
+    from heli_sim.due._due import DueBoard
+
+    board = DueBoard()
+    load_image(board.due, image)
+    # The flight code has a handler of its own, which stops the motors and starts anew.
+    board.due.stop_at_hardfault(False)
+    board.align(TICK_HANDLER)
+    return board
+
+
+def check_firmware(path: Path) -> Image:
+    """Read an ELF, and ask it on an emulated board of its own which link it speaks.
+
+    Parameters
+    ----------
+    path : Path
+        The ELF.
+
+    Returns
+    -------
+    Image
+        The program, which speaks this host's link.
+
+    Raises
+    ------
+    ImageError
+        It cannot be read, or is none for the Due.
+    FirmwareError
+        It does not answer, or speaks another version of the link; the message has both.
+    """
+    from heli_sim import _native
+    from heli_sim.due._due import Stop
+
+    image = read_image(path)
+    try:
+        board = _native.greet(new_board(image))
+    except Stop as stop:
+        raise FirmwareError(f"{path} does not start on the emulated Due ({stop}): {_MAKE}") from stop
+    if board is None:
+        raise FirmwareError(f"{path} does not answer a host: give the flight code's ELF, or {_MAKE}")
+    own = _native.identity()
+    if board[0] != own[0]:
+        raise FirmwareError(
+            f"{path} (firmware {board[3]}) speaks link {board[1]}.{board[2]} ({board[0]:08x}), "
+            f"this host link {own[1]}.{own[2]} ({own[0]:08x}): build it again, {_MAKE}"
+        )
+    return image
+
+
+def find_firmware() -> Path:
+    """The newest ELF that speaks this host's link.
+
+    Returns
+    -------
+    Path
+        One of `candidates`.
+
+    Raises
+    ------
+    FirmwareError
+        There is none; the message says what to do, and why the newest will not do.
+    """
+    found = candidates()
+    reason: FirmwareError | None = None
+    for path in found:
+        try:
+            check_firmware(path)
+        except FirmwareError as error:
+            reason = reason or error
+            continue
+        return path
+    if reason is not None:
+        raise reason
+    raise FirmwareError(
+        "no firmware for the emulated Due is built: "
+        "sudo apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi libstdc++-arm-none-eabi-dev, then "
+        f"{_MAKE}; or fly --board native"
+    )

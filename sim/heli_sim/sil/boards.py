@@ -1,0 +1,199 @@
+"""Boards that a simulated world can fly: the flight code compiled for this machine, or an emulated Due."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from heli_sim import _native
+from heli_sim.errors import SimError
+from heli_sim.sil.options import AUTO, DUE, NATIVE, SilOptions
+
+if TYPE_CHECKING:
+    from heli_sim.due._due import DueBoard
+
+# The two pages of the parameters, as in firmware/due/flash.hpp. A flash file has them first, and is as long
+# as the native board's flash, so that the two boards can take each other's.
+_PAGES_AT: Final = 0x000FFE00
+_PAGES_BYTES: Final = 512
+_FILE_BYTES: Final = 1024
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which board is flown, and why not the other.
+
+    Parameters
+    ----------
+    name : str
+        ``native`` or ``due``.
+    elf : str
+        ELF of the emulated Due; empty for the native board.
+    text : str
+        For people, such as ``emulated Due, heli.elf``.
+    """
+
+    name: str
+    elf: str
+    text: str
+
+
+def choose(board: str, elf: str = "") -> Choice:
+    """Settle which board is flown.
+
+    Parameters
+    ----------
+    board : str
+        ``native``, ``due``, or ``auto``: the emulated Due when there is firmware for it that speaks this
+        host's link.
+    elf : str
+        ELF to fly; empty for the newest that is found. With ``auto`` it means ``due``.
+
+    Returns
+    -------
+    Choice
+        ``native`` or ``due``.
+
+    Raises
+    ------
+    DueError
+        ``due`` was asked for, and there is no firmware for it, or only for another version of the link.
+    """
+    if board == NATIVE:
+        return Choice(NATIVE, "", "native board")
+    from heli_sim.due.firmware import check_firmware, find_firmware
+
+    try:
+        if elf:
+            check_firmware(Path(elf))
+        path = Path(elf) if elf else find_firmware()
+    except (SimError, ImportError) as error:
+        if board == AUTO and not elf:
+            return Choice(NATIVE, "", f"native board ({error})")
+        raise
+    return Choice(DUE, str(path), f"emulated Due, {path.name}")
+
+
+def settled(options: SilOptions) -> SilOptions:
+    """Options that name their board and its ELF.
+
+    Parameters
+    ----------
+    options : SilOptions
+        As asked for.
+
+    Returns
+    -------
+    SilOptions
+        The same, with ``native`` or ``due``.
+
+    Raises
+    ------
+    DueError
+        As `choose`.
+    """
+    choice = choose(options.board, options.elf)
+    return replace(options, board=choice.name, elf=choice.elf)
+
+
+class NativeBoard:
+    """The flight code compiled for this machine.
+
+    Parameters
+    ----------
+    flash_file : str
+        File that keeps its flash pages; empty to forget them.
+    """
+
+    stops: tuple[type[Exception], ...] = ()
+    """What the board may raise while time passes."""
+
+    def __init__(self, flash_file: str) -> None:
+        self.sim = _native.NativeBoard(flash_file)
+
+    @property
+    def bytes_lost(self) -> int:
+        """Bytes from the host that the board had no room for."""
+        return self.sim.rx_overflow
+
+    def keep_flash(self) -> None:
+        """Do nothing: this board writes its file by itself."""
+
+
+class EmulatedDue:
+    """The ELF that is flashed, on an emulated Due.
+
+    Parameters
+    ----------
+    elf : str
+        The flight code.
+    flash_file : str
+        File that keeps its parameter pages; empty to forget them.
+
+    Raises
+    ------
+    DueError
+        When the ELF cannot be read or flown.
+    SimError
+        When the flash file has another length.
+    """
+
+    def __init__(self, elf: str, flash_file: str) -> None:
+        from heli_sim.due._due import Stop
+        from heli_sim.due.firmware import new_board
+        from heli_sim.due.image import read_image
+
+        self.stops: tuple[type[Exception], ...] = (Stop,)
+        """What the board may raise while time passes."""
+        self.sim: DueBoard = new_board(read_image(elf))
+        self._file = Path(flash_file) if flash_file else None
+        if self._file is not None and self._file.exists():
+            kept = self._file.read_bytes()
+            if len(kept) != _FILE_BYTES:
+                raise SimError(
+                    f"the flash file {self._file} is not {_FILE_BYTES} bytes long; delete it, "
+                    "it is made again"
+                )
+            self.sim.due.load(_PAGES_AT, kept[:_PAGES_BYTES])
+        self._writes = self.sim.due.flash_writes
+
+    @property
+    def bytes_lost(self) -> int:
+        """Bytes from the host that the board had no room for."""
+        return self.sim.due.uart_overruns
+
+    def keep_flash(self) -> None:
+        """Write the parameter pages to their file, if the program has changed them."""
+        due = self.sim.due
+        if self._file is None or due.flash_writes == self._writes or due.flash_busy:
+            return
+        self._writes = due.flash_writes
+        pages = due.peek(_PAGES_AT, _PAGES_BYTES)
+        self._file.write_bytes(pages.ljust(_FILE_BYTES, b"\xff"))
+
+
+SimBoard = NativeBoard | EmulatedDue
+
+
+def make_board(options: SilOptions) -> SimBoard:
+    """Make the board of a simulation.
+
+    Parameters
+    ----------
+    options : SilOptions
+        Settled, see `settled`.
+
+    Returns
+    -------
+    SimBoard
+        Powered off.
+
+    Raises
+    ------
+    SimError
+        When the ELF or the flash file cannot be used.
+    """
+    if options.board == DUE:
+        return EmulatedDue(options.elf, options.flash_file)
+    return NativeBoard(options.flash_file)

@@ -1,0 +1,127 @@
+"""A TCP port that carries the control lines and the rate as well, for pyserial's ``rfc2217://HOST:PORT``.
+
+The protocol is pyserial's own `serial.rfc2217.PortManager`; here is what it needs of a serial port and of a
+connection. DTR is low until the host raises it, and falls when the host goes.
+"""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import serial
+from serial import rfc2217
+
+from heli_sim.sil.endpoint import LineChange
+from heli_sim.sil.tcp import TcpEndpoint
+
+
+class Lines:
+    """The serial port as pyserial's server sees it: settings that the 16U2 is told, and lines.
+
+    Parameters
+    ----------
+    changes : list of LineChange
+        Every change of DTR is appended here.
+    """
+
+    def __init__(self, changes: list[LineChange]) -> None:
+        self._changes = changes
+        self._dtr = False
+        # The rest is what the protocol asks about. The rate is the one that the 16U2 starts with.
+        self.baudrate = 9600
+        self.bytesize = serial.EIGHTBITS
+        self.parity = serial.PARITY_NONE
+        self.stopbits = serial.STOPBITS_ONE
+        self.xonxoff = self.rtscts = self.rts = self.break_condition = False
+        self.cts = self.dsr = self.cd = True
+        self.ri = False
+
+    @property
+    def dtr(self) -> bool:
+        """The line; setting it to what it is changes nothing."""
+        return self._dtr
+
+    @dtr.setter
+    def dtr(self, on: bool) -> None:
+        if on != self._dtr:
+            self._dtr = on
+            self._changes.append(LineChange(on, self.baudrate))
+
+    def reset_input_buffer(self) -> None:
+        """Do nothing: nothing waits on this side."""
+
+    def reset_output_buffer(self) -> None:
+        """Do nothing: nothing waits on this side."""
+
+
+class Rfc2217Endpoint(TcpEndpoint):
+    """The board's side of an RFC 2217 connection; one host at a time, the next one waits.
+
+    Parameters
+    ----------
+    host : str
+        Address to listen on; ``127.0.0.1`` keeps it on this machine.
+    port : int
+        Port to listen on; 0 takes any free one.
+
+    Raises
+    ------
+    EndpointError
+        When the address cannot be listened on.
+    """
+
+    scheme = "rfc2217"
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
+        self._lines: Lines | None = None
+        self._manager: rfc2217.PortManager | None = None
+        super().__init__(host, port)
+
+    @property
+    def ready(self) -> bool:
+        """Whether a host is connected, has raised DTR, and takes its bytes."""
+        return super().ready and self._lines is not None and self._lines.dtr
+
+    def receive(self) -> bytes:
+        """Take what the host wrote, and do what it asks of the port.
+
+        Returns
+        -------
+        bytes
+            What is for the board; empty when there is nothing, or nobody.
+        """
+        data = super().receive()
+        if self._manager is None or not data:
+            return b""
+        return b"".join(self._manager.filter(data))
+
+    def send(self, data: bytes) -> None:
+        """Give bytes to the host.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes of the board.
+        """
+        escaped = b"".join(self._manager.escape(data)) if self._manager is not None else b""
+        super().send(escaped)
+
+    def write(self, data: bytes) -> None:
+        """Send what the protocol has to say, which is not for the board's escaping.
+
+        Parameters
+        ----------
+        data : bytes
+            As it goes over the connection.
+        """
+        super().send(data)
+
+    def _rise(self) -> None:
+        self._lines = Lines(self._changes)
+        # The stubs ask for a whole serial port, the code for what is in Lines.
+        self._manager = rfc2217.PortManager(cast(Any, self._lines), cast(Any, self))
+
+    def _fall(self) -> None:
+        if self._lines is not None:
+            self._lines.dtr = False
+        self._lines = self._manager = None

@@ -1,0 +1,14 @@
+// Asks a board who it is, before anything is simulated with it.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+
+#include "sim_board.hpp"
+
+namespace heli_sim {
+
+// Lets up to `most_ms` milliseconds of the board's time pass. Empty when it does not answer.
+std::optional<heli::link::WelcomeMessage> greet(SimBoard& board, std::uint32_t most_ms);
+
+}  // namespace heli_sim
