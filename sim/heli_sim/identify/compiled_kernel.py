@@ -78,6 +78,7 @@ static void look(const Row* row, double t, const double* p, double* x, double (*
   }
 }
 
+%(settle)s
 /* One step; s is null without derivatives. */
 static void advance(const Row* row, double c, double share, double t, double h, const double* p, double* x,
                     double (*s)[NZ]) {
@@ -107,7 +108,7 @@ static void advance(const Row* row, double c, double share, double t, double h, 
     x[i] += h / 6.0 * sum[i];
     if (s) for (int j = 0; j < NZ; ++j) s[i][j] += h / 6.0 * sums[i][j];
   }
-}
+%(settled)s}
 
 /* Adds the products of one axis' row [derivatives | residual]; the lower triangle is filled at the end. */
 static void add_products(const double* row, double* gram) {
@@ -162,6 +163,30 @@ void heli_windows(long long windows, const long long* first, const long long* st
 """
 
 
+# States that an effect sets anew after a step.
+_SETTLE: Final = """
+static void chain_settled(const double* fx, const double* fp, const double* fu, double (*du)[2],
+                          double (*s)[NZ], double (*out)[NZ]) {
+%(chain)s}
+
+static void settle(const Row* row, double c, double t, const double* p, double* x, double (*s)[NZ]) {
+  double u[2], du[NS][2], fx[%(fx)d], fp[%(fp)d], fu[%(fu)d], w[%(w)d], y[NX], ys[NX][NZ];
+  long long iw[%(iw)d];
+  const double* arg[%(arg)d] = {x, u, &t, p};
+  double* res[%(res)d] = {y, fx, fp, fu};
+  input(row, c, u, du);
+  if (s) {
+    heli_settled_jacobian(arg, res, iw, w, 0);
+    chain_settled(fx, fp, fu, du, s, ys);
+    memcpy(s, ys, sizeof(ys));
+  } else {
+    heli_settled(arg, res, iw, w, 0);
+  }
+  memcpy(x, y, sizeof(y));
+}
+"""
+
+
 def _chain(functions: Functions, function: ca.Function) -> str:
     """C lines for out = fx s + fp + fu du, one by one over what is not structurally zero."""
     lines = []
@@ -197,14 +222,14 @@ def driver(functions: Functions) -> str:
         One C file with the function heli_windows.
     """
     sizes = [function.sz_arg() for function in functions.all], [f.sz_res() for f in functions.all]
-    nonzeros = [
-        max(f.nnz_out(i) for f in (functions.rates_jacobian, functions.angles_jacobian)) for i in (1, 2, 3)
-    ]
-    loop = _C % {
+    jacobians = (functions.rates_jacobian, functions.angles_jacobian, functions.settled_jacobian)
+    nonzeros = [max(f.nnz_out(i) for f in jacobians) for i in (1, 2, 3)]
+    sized = {
         "nx": functions.state_count,
         "nz": functions.state_count + len(functions.free_index),
         "ns": max(1, len(functions.shaping)),
         "identity": functions.identity,
+        "chain": _chain(functions, functions.settled_jacobian),
         "arg": max(4, *sizes[0]),
         "res": max(4, *sizes[1]),
         "iw": max(1, *(f.sz_iw() for f in functions.all)),
@@ -213,7 +238,9 @@ def driver(functions: Functions) -> str:
         "rates": _chain(functions, functions.rates_jacobian),
         "angles": _chain(functions, functions.angles_jacobian),
     }
-    return c_source(*functions.all) + loop
+    sized["settle"] = _SETTLE % sized if functions.settles else ""
+    sized["settled"] = "  settle(row, c + share, t + h, p, x, s);\n" if functions.settles else ""
+    return c_source(*functions.all) + _C % sized
 
 
 class CompiledKernel:

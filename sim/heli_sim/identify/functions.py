@@ -97,8 +97,14 @@ class Functions:
         self.rates_jacobian = function("heli_rates_jacobian", with_derivatives(rates))
         self.angles = function("heli_angles", [angles])
         self.angles_jacobian = function("heli_angles_jacobian", with_derivatives(angles))
+        settled = ca.densify(model.settled(x, u, p, t))
+        self.settles = not ca.is_equal(settled, x, 10)
+        """Whether effects set states anew after each step."""
+        self.settled = function("heli_settled", [settled])
+        self.settled_jacobian = function("heli_settled_jacobian", with_derivatives(settled))
 
     @property
     def all(self) -> tuple[ca.Function, ...]:
         """Every function that the loop calls."""
-        return self.rates, self.rates_jacobian, self.angles, self.angles_jacobian
+        moving = (self.rates, self.rates_jacobian, self.angles, self.angles_jacobian)
+        return (*moving, self.settled, self.settled_jacobian) if self.settles else moving

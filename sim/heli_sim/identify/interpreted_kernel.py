@@ -141,6 +141,8 @@ class InterpretedKernel:
                 k4, s4 = evaluate("rates", (m + 1) * share, y + h * k3, ys + h * s3)
                 x[here] += h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
                 s[here] += h / 6 * (s1 + 2 * s2 + 2 * s3 + s4)
+                if self._functions.settles:
+                    x[here], s[here] = evaluate("settled", (m + 1) * share, x[here], s[here])
         return angles, jacobian, x
 
     def _evaluate(
