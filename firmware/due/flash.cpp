@@ -18,8 +18,7 @@ constexpr std::uint32_t kFirstPage = kBankPages - kParameterPages;
 constexpr std::uint32_t kKey = EEFC_FCR_FKEY(0x5A);
 constexpr std::uint32_t kEraseAndWritePage = EEFC_FCR_FCMD(0x03);
 
-// Not checked on this chip: the SAM4S's errata, and Atmel's own driver for this family, ask for six
-// wait states while programming.
+// Whatever the clock: the vendor's header for this chip has CHIP_FLASH_WRITE_WAIT_STATE = 6.
 constexpr std::uint32_t kProgrammingWaitStates = EEFC_FMR_FWS(6);
 
 // A page takes about 5 ms to erase and write; a turn of the loop takes 0.1 us or more.

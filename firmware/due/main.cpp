@@ -11,6 +11,7 @@
 #include "encoders.hpp"
 #include "faults.hpp"
 #include "motors.hpp"
+#include "stack.hpp"
 #include "tick_timer.hpp"
 #include "uart.hpp"
 #include "vectors.hpp"
@@ -59,6 +60,7 @@ void sleep_unless_ticked(std::uint32_t seen) {
 
 extern "C" void tick_interrupt() {
   using namespace heli::due;
+  if (!stack::intact()) faults::give_up();
   tick_timer::acknowledge();
   flying->tick(last_tick);
   ticks.store(ticks.load(std::memory_order_relaxed) + 1U, std::memory_order_relaxed);

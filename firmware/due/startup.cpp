@@ -6,6 +6,7 @@
 #include "faults.hpp"
 #include "main.hpp"
 #include "motors.hpp"
+#include "stack.hpp"
 #include "vectors.hpp"
 #include "watchdog.hpp"
 
@@ -22,9 +23,6 @@ extern std::uint32_t __bss_end[];
 
 namespace heli::due {
 namespace {
-
-// Unused stack keeps this, so that a debugger or an emulator sees how deep it went.
-constexpr std::uint32_t kPaint = 0xA5A5A5A5;
 
 constexpr std::size_t kExceptions = 16;
 constexpr std::size_t kInterrupts = 45;
@@ -59,7 +57,7 @@ void initialise_memory() {
   const std::uint32_t* from = __data_load;
   for (std::uint32_t* to = __data_start; to != __data_end; ++to) *to = *from++;
   for (std::uint32_t* to = __bss_start; to != __bss_end; ++to) *to = 0;
-  for (std::uint32_t* to = __stack_bottom; to != stack_pointer(); ++to) *to = kPaint;
+  for (std::uint32_t* to = __stack_bottom; to != stack_pointer(); ++to) *to = stack::kPaint;
 }
 
 }  // namespace

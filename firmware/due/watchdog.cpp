@@ -5,7 +5,7 @@
 namespace heli::due::watchdog {
 namespace {
 
-// In periods of 128 slow clocks, and that clock is an RC oscillator of 20 to 44 kHz: 76 to 166 ms.
+// 27 periods of 128 slow clocks, and that clock is an RC oscillator of 20 to 44 kHz: 78 to 173 ms.
 constexpr std::uint32_t kTimeout = 26;
 
 // Ticks between two restarts: a fifth of the shortest timeout. The restart crosses into the slow

@@ -5,11 +5,15 @@ from __future__ import annotations
 import shutil
 import subprocess
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 from firmware.due.report import Image, read_image
 from tests.firmware.description import Description, find_description, read_description
+
+if TYPE_CHECKING:
+    from tests.firmware.desk import Board
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -25,7 +29,7 @@ def elf(tmp_path_factory: pytest.TempPathFactory) -> Path:
             )
     build = tmp_path_factory.mktemp("firmware")
     done = subprocess.run(
-        ["make", "-s", "-C", ROOT / "firmware" / "due", f"BUILD={build}", build / "heli.elf"],
+        ["make", "-s", "-j2", "-C", ROOT / "firmware" / "due", f"BUILD={build}", build / "heli.elf"],
         capture_output=True,
         text=True,
         check=False,
@@ -38,6 +42,14 @@ def elf(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def image(elf: Path) -> Image:
     """The same, taken apart."""
     return read_image(elf)
+
+
+@pytest.fixture
+def board(elf: Path, image: Image) -> Board:
+    """A board without an arm, powered."""
+    from tests.firmware.desk import Board
+
+    return Board(elf, image)
 
 
 @pytest.fixture(scope="session")

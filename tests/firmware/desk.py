@@ -24,6 +24,8 @@ TRAVEL_INTERRUPT: Final = 16 + 14
 TICK_INTERRUPT: Final = 16 + 30
 STOP_PIN: Final = "PD6"
 ENABLE_PINS: Final = ("PB26", "PA14", "PA15", "PD3")
+# Each half bridge's PWM pin, in the order of its enable above.
+PWM_PINS: Final = ("PC21", "PC22", "PC23", "PC24")
 PAINT: Final = 0xA5A5A5A5
 
 
@@ -99,6 +101,35 @@ class Board:
         """Whether both bridges are on: every enable pin is high."""
         return all(self.due.pin(pin) for pin in ENABLE_PINS)
 
+    def pwm_low(self) -> bool:
+        """Whether all four PWM pins stay low."""
+        return not any(self.due.pin_duty(pin) for pin in PWM_PINS)
+
+    def milliseconds_until_off(self, step_us: float = 20.0, most_ms: float = 1000.0) -> float:
+        """Let time pass until both bridges are off; how long that took."""
+        start_us = self.due.now_us
+        while not self.off():
+            self.due.run_us(step_us)
+            assert self.due.now_us - start_us < 1e3 * most_ms, "the motors stay on"
+        return 1e-3 * (self.due.now_us - start_us)
+
+    def wait_for_reset(self, resets: int) -> None:
+        """Let time pass until the chip has been reset more than so many times."""
+        for _ in range(500):
+            if self.due.resets > resets:
+                return
+            self.due.run_us(1000.0)
+        raise AssertionError("the board was not reset")
+
+    def cut_power(self) -> None:
+        """Cut the supply; what the flash was about to do stays half done."""
+        self.due.power_off()
+        self.due.usb_read()
+
+    def restore_power(self) -> None:
+        """Bring the supply back."""
+        self.due.power_on()
+
     def register(self, address: int) -> int:
         """What a register of the chip holds."""
         return int.from_bytes(self.due.peek(address, 4), "little")
@@ -153,3 +184,12 @@ class Board:
 
     def reopen(self) -> Board:
         return self
+
+
+def flying(elf: Path, image: Image) -> tuple[Board, Heli]:
+    """A board that flies the arm, and its host."""
+    board = Board(elf, image, Arm())
+    heli = board.connect()
+    heli.take_off(0.0)
+    assert board.on()
+    return board, heli

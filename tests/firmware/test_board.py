@@ -19,39 +19,18 @@ from heli_host.link.declaration import (
     ParamsSource,
     PingMessage,
     Reset,
-    State,
 )
 from heli_host.link.frames import encode_frame
 from heli_host.link.session import Session
 
 from firmware.due.report import Image
-from tests.firmware.desk import TICK_INTERRUPT, TRAVEL_INTERRUPT, Arm, Board
+from tests.firmware.desk import TICK_INTERRUPT, TRAVEL_INTERRUPT, Board, flying
 
 pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
-TICK = "_ZN4heli4Core4tickENS_10TickTimingE"
-POLL = "_ZN4heli4Core4pollEv"
 EFC0_FMR, EFC1_FMR = 0x400E0A00, 0x400E0C00
 UART_MR, UART_BRGR = 0x400E0804, 0x400E0820
-BRANCH_TO_SELF = b"\xfe\xe7"
-UNDEFINED = b"\x00\xde"
-SUPERVISOR_CALL = b"\x00\xdf"
-RETURN = b"\x70\x47"
-
-
-@pytest.fixture
-def board(elf: Path, image: Image) -> Board:
-    """A board without an arm."""
-    return Board(elf, image)
-
-
-def flying(elf: Path, image: Image) -> tuple[Board, Heli]:
-    board = Board(elf, image, Arm())
-    heli = board.connect()
-    heli.take_off(0.0)
-    assert board.on()
-    return board, heli
 
 
 def counted(heli: Heli) -> npt.NDArray[np.int32]:
@@ -59,22 +38,6 @@ def counted(heli: Heli) -> npt.NDArray[np.int32]:
     latest = heli.session.latest
     assert latest is not None
     return latest[1][:3]
-
-
-def milliseconds_until_off(board: Board, most_ms: float = 1000.0) -> float:
-    start_us = board.due.now_us
-    while not board.off():
-        board.due.run_us(20.0)
-        assert board.due.now_us - start_us < 1e3 * most_ms, "the motors stay on"
-    return 1e-3 * (board.due.now_us - start_us)
-
-
-def wait_for_reset(board: Board, resets: int) -> None:
-    for _ in range(500):
-        if board.due.resets > resets:
-            return
-        board.due.run_us(1000.0)
-    raise AssertionError("the board was not reset")
 
 
 def open_loop(heli: Heli, front_V: float, back_V: float) -> None:
@@ -176,7 +139,7 @@ def test_a_tick_that_is_late_is_counted_and_reported(board: Board) -> None:
     assert heli.session.status().overruns == 0
     start_us = board.due.now_us
     # Edges faster than their interrupt keep everything else from running for more than a tick.
-    for k in range(18000):
+    for k in range(28000):
         board.due.schedule_step(2, 1, start_us + 10.0 + 0.1 * k)
     heli.wait(0.02)
     status = heli.session.status()
@@ -193,113 +156,6 @@ def test_duties_are_the_voltages_within_one_step(board: Board, front_V: float, b
     assert board.due.motor_duty(0) == pytest.approx(front_V / supply_V, abs=1.01 / 2100)
     assert board.due.motor_duty(1) == pytest.approx(back_V / supply_V, abs=1.01 / 2100)
     assert board.due.pwm_period_cycles(4) == 84_000_000 // 20_000
-
-
-def test_bridges_are_off_from_reset_until_armed(board: Board) -> None:
-    for _ in range(200):
-        assert board.off()
-        assert board.duties() == [0.0, 0.0]
-        board.due.run_us(100.0)
-    heli = board.connect()
-    heli.wait(0.1)
-    assert board.off()
-    heli.arm()
-    assert board.on()
-    assert board.duties() == [0.0, 0.0]
-
-
-def test_hardware_stop_cuts_the_duty_with_the_processor_halted(elf: Path, image: Image) -> None:
-    board, _ = flying(elf, image)
-    assert max(board.duties()) > 0.1
-    board.due.hold_processor(True)
-    board.press_stop()
-    board.due.run_us(100.0)
-    assert board.duties() == [0.0, 0.0]
-
-
-def test_hardware_stop_trips_and_must_be_released_and_cleared(elf: Path, image: Image) -> None:
-    board, heli = flying(elf, image)
-    # Much shorter than a tick: the fault input keeps it.
-    board.press_stop()
-    board.due.run_us(20.0)
-    board.release_stop()
-    heli.wait(0.05)
-    assert board.off()
-    assert heli.state is State.FAULT
-    assert heli.fault is Fault.HARDWARE_STOP
-    heli.clear_fault()
-    assert heli.state is State.IDLE
-
-
-def test_a_stop_input_that_is_not_wired_keeps_the_motors_off(board: Board) -> None:
-    board.press_stop()
-    heli = board.connect()
-    with pytest.raises(Exception, match="stop"):
-        heli.arm()
-    assert board.off()
-
-
-@pytest.mark.parametrize("slow_Hz", [20_000, 32_768, 44_000])
-@pytest.mark.parametrize("hung", [TICK, POLL])
-def test_what_hangs_is_reset_and_the_host_is_told(elf: Path, image: Image, hung: str, slow_Hz: int) -> None:
-    board, _ = flying(elf, image)
-    board.due.set_slow_clock(slow_Hz)
-    resets = board.due.resets
-    address = image.symbols[hung]
-    code = board.due.peek(address, 2)
-    board.due.poke(address, BRANCH_TO_SELF)
-    assert milliseconds_until_off(board) <= 300.0
-    wait_for_reset(board, resets)
-    board.due.poke(address, code)
-    welcome = board.connect().session.welcome
-    assert welcome.reset == Reset.WATCHDOG
-    assert welcome.boot_fault == Fault.WATCHDOG
-    assert welcome.boot_count == 2
-
-
-def test_a_stuck_interrupt_is_reset(elf: Path, image: Image) -> None:
-    board, _ = flying(elf, image)
-    resets = board.due.resets
-    address = image.symbols["encoder_interrupt"]
-    code = board.due.peek(address, 2)
-    board.due.poke(address, RETURN)
-    board.due.schedule_step(2, 1, board.due.now_us + 10.0)
-    assert milliseconds_until_off(board) <= 300.0
-    wait_for_reset(board, resets)
-    board.due.poke(address, code)
-    assert board.connect().session.welcome.boot_fault == Fault.WATCHDOG
-
-
-@pytest.mark.parametrize(
-    ("instruction", "fault"),
-    [(UNDEFINED, Fault.HARD_FAULT), (SUPERVISOR_CALL, Fault.UNEXPECTED_INTERRUPT)],
-)
-@pytest.mark.parametrize("where", [TICK, POLL])
-def test_a_fault_switches_off_at_once_and_the_host_is_told(
-    elf: Path, image: Image, where: str, instruction: bytes, fault: Fault
-) -> None:
-    board, _ = flying(elf, image)
-    resets = board.due.resets
-    address = image.symbols[where]
-    code = board.due.peek(address, 2)
-    board.due.poke(address, instruction)
-    assert milliseconds_until_off(board) <= 1.1
-    wait_for_reset(board, resets)
-    board.due.poke(address, code)
-    welcome = board.connect().session.welcome
-    assert welcome.reset == Reset.SOFTWARE
-    assert welcome.boot_fault == fault
-
-
-def test_a_lost_stack_is_no_way_around_the_fault_handler(elf: Path, image: Image) -> None:
-    board, _ = flying(elf, image)
-    board.due.run_us(500.0)
-    resets = board.due.resets
-    board.due.set_check("unmapped", False)
-    board.due.set_reg(13, 0x10000000)
-    assert milliseconds_until_off(board) <= 1.1
-    wait_for_reset(board, resets)
-    assert board.connect().session.welcome.boot_fault == Fault.HARD_FAULT
 
 
 def test_opening_the_port_is_told_from_power_up(board: Board) -> None:

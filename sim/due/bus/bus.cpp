@@ -58,6 +58,11 @@ std::uint8_t* Bus::memory_at(std::uint32_t address, std::uint32_t size, bool for
   if (inside(address, kRamAlias, kRamAliasSize - size + 1)) {
     return memory_.ram.data() + (address - kRamAlias);
   }
+  if (inside(address, kRamAlias + kRamAliasSize, kRamBase - kRamAlias - kRamAliasSize)) {
+    diagnostics_.report(Trouble::kUnmapped, address,
+                        "access to " + hex(address) + ", where SRAM0 only repeats");
+    return memory_.ram.data() + address % kRamAliasSize;
+  }
   if (for_write) return nullptr;
   if (inside(address, kFlashBase, kFlashSize - size + 1)) {
     use_flash(address - kFlashBase);

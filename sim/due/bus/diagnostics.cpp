@@ -11,8 +11,8 @@ namespace heli_due {
 
 const char* trouble_name(Trouble kind) {
   static constexpr std::array<const char*, kTroubleCount> kNames = {
-      "unmapped", "unmodelled", "unclocked", "unaligned",
-      "narrow",   "direction",  "misuse",    "contention"};
+      "unmapped",  "unmodelled", "unclocked",  "unaligned", "narrow",
+      "direction", "misuse",     "contention", "lockup"};
   return kNames[static_cast<std::size_t>(kind)];
 }
 

@@ -23,8 +23,9 @@ enum class Trouble : std::uint8_t {
   kDirection,   // write of a read-only register or read of a write-only one
   kMisuse,      // a value or an order that the datasheet forbids
   kContention,  // two strong drivers on one wire
+  kLockup,      // the processor gave up; stops in lenient mode too, unless this check is off
 };
-inline constexpr int kTroubleCount = 8;
+inline constexpr int kTroubleCount = 9;
 
 // Name as the command line and the messages use it.
 const char* trouble_name(Trouble kind);
@@ -58,7 +59,7 @@ class Symbols {
 
 class Diagnostics {
  public:
-  void set_all_strict(bool strict) { strict_mask_ = strict ? 0xFFU : 0U; }
+  void set_all_strict(bool strict) { strict_mask_ = strict ? kAll : kLockupOnly; }
   void set_strict(Trouble kind, bool strict);
   bool strict(Trouble kind) const {
     return ((strict_mask_ >> static_cast<unsigned>(kind)) & 1U) != 0;
@@ -75,7 +76,10 @@ class Diagnostics {
   Symbols symbols;
 
  private:
-  std::uint32_t strict_mask_ = 0xFF;
+  static constexpr std::uint32_t kLockupOnly = 1U << static_cast<unsigned>(Trouble::kLockup);
+  static constexpr std::uint32_t kAll = (1U << kTroubleCount) - 1U;
+
+  std::uint32_t strict_mask_ = kAll;
   std::set<std::tuple<Trouble, std::uint32_t, std::uint32_t>> seen_;
   std::vector<std::string> warnings_;
 };

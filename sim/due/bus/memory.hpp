@@ -16,7 +16,8 @@ inline constexpr std::uint32_t kFlashSize = 512 * 1024;
 inline constexpr std::uint32_t kPlaneSize = 256 * 1024;
 inline constexpr std::uint32_t kRomBase = 0x00100000;
 // SRAM0 (64 KiB) repeats below 0x20080000 and SRAM1 (32 KiB) begins there, which makes 96 KiB in a
-// row from 0x20070000 on. SRAM0 also stands at its own base.
+// row from 0x20070000 on. SRAM0 also stands at its own base; its repetitions in between are the
+// chip's too, but no program has business there: strict mode stops, lenient mode goes on in SRAM0.
 inline constexpr std::uint32_t kRamBase = 0x20070000;
 inline constexpr std::uint32_t kRamSize = 96 * 1024;
 inline constexpr std::uint32_t kRamAlias = 0x20000000;

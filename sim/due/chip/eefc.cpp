@@ -76,8 +76,14 @@ void FlashController::reset() {
   cut();
   mode_ = errors_ = 0;
   result_count_ = result_next_ = 0;
-  if (index_ == 0) system_.cpu.set_flash_wait_states(0);
+  set_wait_states(0);
   update_irq();
+}
+
+void FlashController::set_wait_states(std::uint32_t count) {
+  system_.flash_wait_states[static_cast<std::size_t>(index_)] = count;
+  // Code runs from the lower plane: it decides for the cycle model.
+  if (index_ == 0) system_.cpu.set_flash_wait_states(count);
 }
 
 std::uint8_t* FlashController::page_bytes(std::uint32_t page) const {
@@ -86,6 +92,7 @@ std::uint8_t* FlashController::page_bytes(std::uint32_t page) const {
 }
 
 void FlashController::latch(std::uint32_t offset, std::uint32_t value) {
+  ++stores_;
   if (busy()) {
     system_.diagnostics.report(Trouble::kMisuse, kFlashBase + offset,
                                "write to the page latches while the plane is being programmed");
@@ -166,8 +173,13 @@ void FlashController::write(std::uint32_t offset, std::uint32_t value) {
   if (busy()) misuse(offset, "write while the plane is being programmed");
   mode_ = value & 0x01010F01U;
   update_irq();
-  // The slower plane decides for the cycle model.
-  if (index_ == 0) system_.cpu.set_flash_wait_states((value >> 8) & 0xFU);
+  const std::uint32_t wait_states = (value >> 8) & 0xFU;
+  set_wait_states(wait_states);
+  const std::uint32_t mck_Hz = system_.clock.mck_Hz();
+  if (mck_Hz > flash_limit_Hz(wait_states)) {
+    misuse(offset, "FWS = " + std::to_string(wait_states) + " is too few wait states for " +
+                       std::to_string(mck_Hz) + " Hz");
+  }
 }
 
 void FlashController::result(std::uint32_t word) {
@@ -207,6 +219,7 @@ void FlashController::start(std::uint32_t code, std::uint32_t page, BoardTime er
 }
 
 void FlashController::command(std::uint32_t value) {
+  ++stores_;
   const std::uint32_t code = value & 0xFFU;
   const std::uint32_t argument = (value >> 8) & 0xFFFFU;
   if ((value >> 24) != kKey) {

@@ -59,12 +59,15 @@ class FlashController final : public Peripheral {
   void cut();
   void erase_all();
   std::uint64_t writes() const { return writes_; }
+  // Stores of a program to the page latches, and commands.
+  std::uint64_t stores() const { return stores_; }
 
  protected:
   std::uint32_t read(std::uint32_t offset) override;
   void write(std::uint32_t offset, std::uint32_t value) override;
 
  private:
+  void set_wait_states(std::uint32_t count);
   void command(std::uint32_t value);
   void start(std::uint32_t code, std::uint32_t page, BoardTime erase, BoardTime write);
   void result(std::uint32_t word);
@@ -91,6 +94,7 @@ class FlashController final : public Peripheral {
   BoardTime erase_ = 0;
   BoardTime end_ = 0;
   std::uint64_t writes_ = 0;
+  std::uint64_t stores_ = 0;
 };
 
 }  // namespace heli_due

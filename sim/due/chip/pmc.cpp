@@ -63,8 +63,6 @@ constexpr std::uint64_t kSwitchCycles = 8;
 // PLLA runs from 84 to 192 MHz.
 constexpr std::uint32_t kPllaLowest_Hz = 84000000;
 constexpr std::uint32_t kPllaHighest_Hz = 192000000;
-// Flash needs one more wait state every 16.8 MHz: FWS = 4 at 84 MHz, which is what is documented.
-constexpr std::uint32_t kFlashStep_Hz = 16800000;
 
 }  // namespace
 
@@ -125,11 +123,12 @@ void Pmc::apply_master_clock() {
   }
   if (hz > kFull_Hz)
     misuse(0x30, "a master clock of " + std::to_string(hz) + " Hz is above 84 MHz");
-  const std::uint32_t limit = kFlashStep_Hz * (system_.cpu.flash_wait_states() + 1);
-  if (hz > limit) {
+  for (std::size_t plane = 0; plane < system_.flash_wait_states.size(); ++plane) {
+    const std::uint32_t wait_states = system_.flash_wait_states[plane];
+    if (hz <= flash_limit_Hz(wait_states)) continue;
     misuse(0x30, "a master clock of " + std::to_string(hz) +
-                     " Hz needs more flash wait states than FWS = " +
-                     std::to_string(system_.cpu.flash_wait_states()));
+                     " Hz needs more flash wait states than FWS = " + std::to_string(wait_states) +
+                     " of EFC" + std::to_string(plane));
   }
   system_.change_mck(hz);
 }

@@ -1,6 +1,7 @@
 // What the peripherals of the chip share.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <vector>
 
@@ -39,6 +40,13 @@ enum class ResetType : std::uint8_t {
   kUser = 4
 };
 
+// Fastest master clock at which the flash can be read with `wait_states` (vendor's header for the
+// SAM3X8E, CHIP_FREQ_FWS_0 to _4, at 1.8 V).
+constexpr std::uint32_t flash_limit_Hz(std::uint32_t wait_states) {
+  constexpr std::uint32_t kLimits[] = {19000000, 50000000, 64000000, 80000000};
+  return wait_states < 4 ? kLimits[wait_states] : 90000000;
+}
+
 struct System {
   Memory memory;
   Diagnostics diagnostics;
@@ -53,6 +61,8 @@ struct System {
   std::uint64_t peripheral_clocks = 0;
   // The RC oscillator of the slow clock: 20 to 44 kHz over parts and temperature.
   std::uint32_t slow_Hz = 32000;
+  // EEFC_FMR.FWS of both flash planes.
+  std::array<std::uint32_t, 2> flash_wait_states{};
   // Set by whoever wants the chip reset; carried out after the running instruction.
   bool reset_wanted = false;
   bool processor_only = false;

@@ -26,6 +26,7 @@ constexpr std::uint32_t kEndRx = 1U << 3;
 constexpr std::uint32_t kEndTx = 1U << 4;
 constexpr std::uint32_t kOvre = 1U << 5;
 constexpr std::uint32_t kFrame = 1U << 6;
+constexpr std::uint32_t kPare = 1U << 7;
 constexpr std::uint32_t kTxEmpty = 1U << 9;
 constexpr std::uint32_t kTxBufE = 1U << 11;
 constexpr std::uint32_t kRxBufF = 1U << 12;
@@ -33,6 +34,10 @@ constexpr std::uint32_t kRxBufF = 1U << 12;
 constexpr int kTxPin = pin_of('A', 9);
 // Half a bit less the start bit's uncertainty of a sixteenth, over the 9.5 bits to the stop bit.
 constexpr double kLargestMismatch = 0.045;
+
+// What a receiver makes of a byte that it cannot read: any wrong value will do, also when the peer
+// changes it once more because the rates differ.
+std::uint8_t garbled(std::uint8_t byte) { return static_cast<std::uint8_t>(byte ^ 0x5AU); }
 
 }  // namespace
 
@@ -144,7 +149,8 @@ void Uart::event(std::uint64_t) {
   if (!pin.given_to_peripheral || pin.peripheral_b) {
     return misuse(0x1C, "a byte is sent while PA9 is not given to the UART (PIO_PDR, PIO_ABSR)");
   }
-  if (peer_ != nullptr) peer_->byte_from_uart(byte, bit_cycles(), end);
+  if (peer_ == nullptr) return;
+  peer_->byte_from_uart(understood() ? byte : garbled(byte), bit_cycles(), end);
 }
 
 // -- receiver ---------------------------------------------------------------------------------
@@ -152,9 +158,13 @@ void Uart::event(std::uint64_t) {
 void Uart::receive(std::uint8_t byte, std::uint64_t sender_bit_cycles) {
   if (!rx_enabled_ || divider_ == 0 || !system_.clocked(clock_id_)) return;
   const double ratio = static_cast<double>(sender_bit_cycles) / bit_cycles();
-  if (ratio < 1.0 - kLargestMismatch || ratio > 1.0 + kLargestMismatch) {
-    errors_ |= kFrame;
-    byte = static_cast<std::uint8_t>(byte ^ 0xA5U);  // any wrong value will do
+  const bool in_step = ratio >= 1.0 - kLargestMismatch && ratio <= 1.0 + kLargestMismatch;
+  // One end's parity bit is the other's stop bit, and the next start bit is not where it is looked
+  // for. The local loopback has only one end.
+  const bool same_frame = ((mode_ >> 14) & 3U) != 0 || understood();
+  if (!in_step || !same_frame) {
+    errors_ |= same_frame ? kFrame : kFrame | kPare;
+    byte = garbled(byte);
   }
   if (rx_ready_) {
     errors_ |= kOvre;

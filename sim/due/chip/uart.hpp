@@ -6,10 +6,14 @@
 
 namespace heli_due {
 
-// The other end of the wire.
+// UART_MR.PAR
+enum class Parity : std::uint8_t { kEven = 0, kOdd = 1, kSpace = 2, kMark = 3, kNone = 4 };
+
+// The other end of the wire: eight data bits and one stop bit, as here.
 class SerialPeer {
  public:
   virtual ~SerialPeer() = default;
+  virtual Parity parity() const { return Parity::kNone; }
   // A byte that the UART has sent, at the end of its stop bit; `bit_cycles` is the sender's bit.
   virtual void byte_from_uart(std::uint8_t byte, std::uint32_t bit_cycles, std::uint64_t now) = 0;
 };
@@ -55,7 +59,12 @@ class Uart final : public Peripheral, public PinDriver {
  private:
   std::uint32_t status() const;
   std::uint64_t frame_cycles() const;
-  bool has_parity() const { return ((mode_ >> 9) & 7U) != 4; }
+  // 4 to 7 all mean none.
+  Parity parity() const {
+    return static_cast<Parity>(((mode_ >> 9) & 7U) < 4 ? (mode_ >> 9) & 7U : 4U);
+  }
+  bool has_parity() const { return parity() != Parity::kNone; }
+  bool understood() const { return peer_ == nullptr || peer_->parity() == parity(); }
   void control(std::uint32_t value);
   void transmit(std::uint8_t byte);
   void begin_shift(std::uint8_t byte, std::uint64_t from);

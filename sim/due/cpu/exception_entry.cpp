@@ -35,6 +35,11 @@ void Cpu::use_psp(bool psp) {
 }
 
 void Cpu::lock_up(const std::string& why) {
+  if (!bus_.diagnostics().strict(Trouble::kLockup)) {
+    // On the chip the peripherals go on, and only a reset ends it: the watchdog's, for example.
+    hold(true);
+    return;
+  }
   halt_ = Halt::kLockup;
   const std::uint32_t at = pc();
   std::string message = "lockup: " + why + "; at pc " + hex(at);

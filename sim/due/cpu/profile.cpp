@@ -27,7 +27,11 @@ void Cpu::clear_mark(std::uint32_t address, MarkKind kind) {
 }
 
 void Cpu::add_breakpoint(std::uint32_t address) { set_mark(address, kStop); }
-void Cpu::remove_breakpoint(std::uint32_t address) { clear_mark(address, kStop); }
+void Cpu::remove_breakpoint(std::uint32_t address) {
+  clear_mark(address, kStop);
+  // One that is put there again later must stop again.
+  if (step_over_ == (address & ~1U)) step_over_ = 1;
+}
 
 void Cpu::add_probe(std::uint32_t address) {
   probes_[address & ~1U];

@@ -231,6 +231,9 @@ void bind_outside(nb::class_<Due>& due) {
       .def_prop_ro(
           "flash_writes",
           [](const Due& self) { return self.chip.efc0.writes() + self.chip.efc1.writes(); })
+      .def_prop_ro(
+          "flash_stores",
+          [](const Due& self) { return self.chip.efc0.stores() + self.chip.efc1.stores(); })
       .def_prop_ro("flash_busy", [](const Due& self) { return self.chip.system.cpu.flash_busy; });
 }
 

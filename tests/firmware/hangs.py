@@ -1,0 +1,127 @@
+"""Ways in which the firmware can hang in flight, and how long the motors stay on then."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from firmware.due.report import Image
+from tests.firmware.desk import Board
+
+TICK: Final = "_ZN4heli4Core4tickENS_10TickTimingE"
+POLL: Final = "_ZN4heli4Core4pollEv"
+BRANCH_TO_SELF: Final = b"\xfe\xe7"
+MASKED_BRANCH_TO_SELF: Final = b"\x72\xb6\xfe\xe7"
+RETURN: Final = b"\x70\x47"
+TICK_TIMER_CONTROL: Final = 0x40084000
+CLOCK_DISABLE: Final = 1 << 1
+TRAVEL: Final = 2
+SLOWEST_Hz, FASTEST_Hz = 20_000, 44_000
+"""What the slow clock may be, over parts and temperature."""
+KICK_INTERVAL_MS: Final = 16
+
+
+@dataclass(frozen=True)
+class Hang:
+    """One way to hang.
+
+    Parameters
+    ----------
+    name : str
+        What hangs.
+    function : str
+        Linker symbol of the function whose first instructions are overwritten; empty for none.
+    code : bytes
+        With what.
+    edge : bool
+        Whether an edge of the travel encoder sets it off.
+    stopped_timer : bool
+        Whether the tick's timer is stopped.
+    """
+
+    name: str
+    function: str = ""
+    code: bytes = b""
+    edge: bool = False
+    stopped_timer: bool = False
+
+    @contextmanager
+    def of(self, board: Board) -> Iterator[None]:
+        """Hang now; on the way out the program is whole again.
+
+        Parameters
+        ----------
+        board : Board
+            Running.
+        """
+        address = board.image.symbols[self.function] & ~1 if self.function else 0
+        whole = board.due.peek(address, len(self.code)) if self.code else b""
+        if self.code:
+            board.due.poke(address, self.code)
+        if self.edge:
+            board.due.schedule_step(TRAVEL, 1, board.due.now_us + 1.0)
+        if self.stopped_timer:
+            board.due.poke(TICK_TIMER_CONTROL, struct.pack("<I", CLOCK_DISABLE))
+        try:
+            yield
+        finally:
+            if whole:
+                board.due.poke(address, whole)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+HANGS: Final = (
+    Hang("tick hangs", TICK, BRANCH_TO_SELF),
+    Hang("idle loop hangs", POLL, BRANCH_TO_SELF),
+    Hang("idle loop hangs with interrupts masked", POLL, MASKED_BRANCH_TO_SELF),
+    Hang("encoder interrupt is stuck", "encoder_interrupt", RETURN, edge=True),
+    Hang("tick interrupt is stuck", "tick_interrupt", RETURN),
+    Hang("tick never comes again", stopped_timer=True),
+)
+
+
+def armed_board(elf: Path, image: Image, slow_Hz: int) -> Board:
+    """A board with both bridges on and nothing on its motors.
+
+    Parameters
+    ----------
+    elf : Path
+        The linked firmware.
+    image : Image
+        The same, taken apart.
+    slow_Hz : int
+        The watchdog's clock [Hz].
+    """
+    board = Board(elf, image)
+    board.due.set_slow_clock(slow_Hz)
+    board.connect().arm()
+    assert board.on()
+    return board
+
+
+def off_after_ms(elf: Path, image: Image, hang: Hang, slow_Hz: int, phase_ms: int) -> float:
+    """How long after a hang the bridges are off [ms].
+
+    Parameters
+    ----------
+    elf : Path
+        The linked firmware.
+    image : Image
+        The same, taken apart.
+    hang : Hang
+        What hangs.
+    slow_Hz : int
+        The watchdog's clock [Hz].
+    phase_ms : int
+        How long after arming [ms]; the watchdog is restarted every `KICK_INTERVAL_MS`.
+    """
+    board = armed_board(elf, image, slow_Hz)
+    board.advance(phase_ms)
+    with hang.of(board):
+        return board.milliseconds_until_off(step_us=100.0)

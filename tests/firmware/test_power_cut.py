@@ -1,0 +1,188 @@
+"""Power lost at any moment of `params save`: after the next start there is the old set or the new one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from heli_host.errors import CommandRefused
+from heli_host.heli import Heli
+from heli_host.link.declaration import (
+    MessageId,
+    Param,
+    ParamSetMessage,
+    ParamsSaveMessage,
+    ParamsSource,
+)
+from heli_host.link.frames import encode_frame
+from heli_host.link.session import Session
+
+from firmware.due.report import Image
+from tests.firmware.desk import Board
+
+pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
+
+WRITE_PAGE = "_ZN4heli3due5flash10write_pageEjPKh"
+PAGE = 256
+PAGES_ADDRESS = 0x0010_0000 - 2 * PAGE
+# A page buffer takes 64 words, then comes the command, then 64 words are erased and 64 written.
+WORDS = PAGE // 4
+STORES = WORDS + 1
+PROGRAMMING_US = 4600.0
+STEP_US = PROGRAMMING_US / (2 * WORDS)
+VALUES = (1.5, 2.5, 0.25)
+GOOD = (ParamsSource.STORED, ParamsSource.FALLBACK)
+ERASED = b"\xff" * 2 * PAGE
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A moment at which power is lost.
+
+    Parameters
+    ----------
+    stores : int
+        How many words have been stored to the page buffer, the command being the last.
+    programmed_us : float
+        How long the flash has been busy since then.
+    """
+
+    stores: int
+    programmed_us: float = 0.0
+
+
+CUTS = (
+    *(Cut(stores) for stores in range(STORES)),
+    *(Cut(STORES, STEP_US * (k + 0.5)) for k in range(2 * WORDS)),
+    Cut(STORES, PROGRAMMING_US + 1.0),
+)
+
+
+class Bench:
+    """A board whose parameter pages can be put back to what they were."""
+
+    def __init__(self, elf: Path, image: Image) -> None:
+        self.board = Board(elf, image)
+        self.write_page = image.symbols[WRITE_PAGE] & ~1
+
+    def pages(self) -> bytes:
+        return self.board.due.flash()[-2 * PAGE :]
+
+    def start_with(self, pages: bytes) -> Session:
+        """Power up with these parameter pages."""
+        self.board.cut_power()
+        self.board.due.load(PAGES_ADDRESS, pages)
+        self.board.restore_power()
+        session = Session(self.board, session_number=1)
+        session.connect()
+        return session
+
+    def save(self, pages: bytes, value: float) -> bytes:
+        """The pages after an undisturbed save on top of these."""
+        session = self.start_with(pages)
+        session.command(ParamSetMessage(0, Param.ELEVATION_KP, value))
+        session.command(ParamsSaveMessage(0))
+        return self.pages()
+
+    def cut(self, pages: bytes, value: float, cut: Cut) -> bytes:
+        """The pages after a save that ends there."""
+        session = self.start_with(pages)
+        session.command(ParamSetMessage(0, Param.ELEVATION_KP, value))
+        due = self.board.due
+        due.add_breakpoint(self.write_page)
+        self.board.write(encode_frame(MessageId.PARAMS_SAVE, 0, ParamsSaveMessage(77).pack()))
+        due.run_us(50_000.0)
+        assert due.halt == "breakpoint"
+        due.remove_breakpoint(self.write_page)
+        due.resume()
+        before = due.flash_stores
+        while due.flash_stores < before + cut.stores:
+            due.step()
+        if cut.programmed_us:
+            due.run_us(cut.programmed_us)
+        self.board.cut_power()
+        assert due.flash_stores == before + cut.stores
+        return self.pages()
+
+
+@pytest.fixture(scope="module")
+def bench(elf: Path, image: Image) -> Bench:
+    return Bench(elf, image)
+
+
+@pytest.mark.parametrize("saves", [1, 2])
+def test_there_is_always_the_old_set_or_the_new_one(bench: Bench, saves: int) -> None:
+    # After one save the next goes to the other page, after two back to the first one.
+    pages = ERASED
+    for value in VALUES[:saves]:
+        pages = bench.save(pages, value)
+    old = bench.start_with(pages).read_params()
+    new = (*old[: Param.ELEVATION_KP], VALUES[saves], *old[Param.ELEVATION_KP + 1 :])
+    keeps = slice(PAGE * (saves - 1), PAGE * saves)
+    torn = set()
+    for number, cut in enumerate(CUTS):
+        after = bench.cut(pages, VALUES[saves], cut)
+        assert after[keeps] == pages[keeps], f"{cut}: the page with the old set was touched"
+        session = bench.start_with(after)
+        assert session.welcome.params_source in GOOD, cut
+        assert session.read_params() == (new if number == len(CUTS) - 1 else old), cut
+        torn.add(after)
+    # Words that already hold what is written make no difference.
+    assert len(torn) > 0.9 * WORDS
+
+
+def test_a_page_torn_bit_by_bit_is_never_taken_for_a_set(bench: Bench) -> None:
+    rng = np.random.default_rng(3)
+    pages = bench.save(bench.save(ERASED, VALUES[0]), VALUES[1])
+    whole = bench.save(pages, VALUES[2])
+    old = bench.start_with(pages).read_params()
+    for _ in range(100):
+        # Cells that erasing or writing has not reached keep what they had, in any pattern.
+        reached = rng.random(PAGE * 8) < rng.random()
+        origin = (pages[:PAGE], b"\xff" * PAGE)[rng.integers(2)]
+        before, after = (
+            np.unpackbits(np.frombuffer(data, dtype=np.uint8)) for data in (origin, whole[:PAGE])
+        )
+        page = np.packbits(np.where(reached, after, before)).tobytes()
+        if page in (pages[:PAGE], whole[:PAGE]):
+            continue
+        session = bench.start_with(page + pages[PAGE:])
+        assert session.welcome.params_source in GOOD
+        assert session.read_params() == old
+
+
+@pytest.mark.parametrize("cut", [CUTS[0], CUTS[STORES + 40], CUTS[-20]], ids=str)
+def test_after_a_cut_the_next_save_works(bench: Bench, cut: Cut) -> None:
+    pages = bench.save(bench.save(ERASED, VALUES[0]), VALUES[1])
+    again = bench.save(bench.cut(pages, VALUES[2], cut), VALUES[2])
+    session = bench.start_with(again)
+    assert session.welcome.params_source == ParamsSource.STORED
+    assert session.read_params()[Param.ELEVATION_KP] == VALUES[2]
+
+
+def test_a_reset_while_the_flash_is_written_is_no_worse_than_a_power_cut(bench: Bench) -> None:
+    pages = bench.save(bench.save(ERASED, VALUES[0]), VALUES[1])
+    session = bench.start_with(pages)
+    session.command(ParamSetMessage(0, Param.ELEVATION_KP, VALUES[2]))
+    bench.board.write(encode_frame(MessageId.PARAMS_SAVE, 0, ParamsSaveMessage(77).pack()))
+    while not bench.board.due.flash_busy:
+        bench.board.due.run_us(100.0)
+    bench.board.due.run_us(1000.0)
+    bench.board.reset()
+    session = Session(bench.board, session_number=2)
+    assert session.connect().params_source == ParamsSource.FALLBACK
+    assert session.read_params()[Param.ELEVATION_KP] == VALUES[1]
+
+
+def test_a_cut_first_save_is_not_passed_over_in_silence(bench: Bench) -> None:
+    # There is no old set yet. A torn page could also be the only save, gone bad: the board says so.
+    after = bench.cut(ERASED, VALUES[0], CUTS[-20])
+    session = bench.start_with(after)
+    assert session.welcome.params_source == ParamsSource.CORRUPT
+    with pytest.raises(CommandRefused, match="param"):
+        Heli(session).arm()
+    session.command(ParamsSaveMessage(0))
+    Heli(session).arm()

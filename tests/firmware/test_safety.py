@@ -1,0 +1,311 @@
+"""Whatever happens to program or power, the bridges go off in time, and the host is told why."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from heli_host.heli import Heli
+from heli_host.link.declaration import Fault, Reset, State
+from heli_host.link.events import BOARD_RESTARTED
+
+from firmware.due.report import Image
+from tests.firmware.desk import ENABLE_PINS, Board, flying
+from tests.firmware.hangs import HANGS, POLL, TICK, FASTEST_Hz, Hang, SLOWEST_Hz, off_after_ms
+
+pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
+
+UNDEFINED = b"\x00\xde"
+SUPERVISOR_CALL = b"\x00\xdf"
+PUSH_FOR_EVER = b"\xff\xb5\xfd\xe7"
+NVIC_ISER, NVIC_ISPR, SCB_ICSR = 0xE000E100, 0xE000E200, 0xE000ED04
+NMI_PENDING, PENDSV_PENDING, SYSTICK_PENDING = 1 << 31, 1 << 28, 1 << 26
+UNEXPECTED_INTERRUPTS = tuple(number for number in range(45) if number not in (14, 30))
+MOST_MS = 300.0
+AT_ONCE_MS = 0.02
+A_TICK_MS = 1.1
+
+
+def store(board: Board, address: int, value: int) -> None:
+    board.due.poke(address, struct.pack("<I", value))
+
+
+def pend(board: Board, interrupt: int) -> None:
+    store(board, NVIC_ISER + 4 * (interrupt // 32), 1 << interrupt % 32)
+    store(board, NVIC_ISPR + 4 * (interrupt // 32), 1 << interrupt % 32)
+
+
+def assert_told(heli: Heli, reset: Reset, fault: Fault) -> None:
+    """The session that flew finds the board again and says why it started anew."""
+    session = heli.session
+    session.wait_for(lambda: any(event.kind == BOARD_RESTARTED for event in session.events), 5.0)
+    events = [event for event in session.events if event.kind == BOARD_RESTARTED]
+    assert len(events) == 1
+    [event] = events
+    assert f"({reset.name.lower()})" in event.text
+    assert fault is Fault.NONE or fault.name.lower().replace("_", " ") in event.text.replace("_", " ")
+    assert (session.welcome.reset, session.welcome.boot_fault) == (reset, fault)
+    assert session.welcome.boot_count == 2
+    heli.wait(0.05)
+    assert heli.state is State.IDLE
+
+
+# -- hangs ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("hang", HANGS, ids=str)
+def test_what_hangs_is_reset_and_the_host_is_told(elf: Path, image: Image, hang: Hang) -> None:
+    board, heli = flying(elf, image)
+    resets = board.due.resets
+    with hang.of(board):
+        assert board.milliseconds_until_off() <= MOST_MS
+        board.wait_for_reset(resets)
+    assert_told(heli, Reset.WATCHDOG, Fault.WATCHDOG)
+    assert board.off()
+
+
+@pytest.mark.parametrize("slow_Hz", [SLOWEST_Hz, FASTEST_Hz])
+def test_the_motors_are_off_in_time_over_the_watchdogs_tolerance(
+    elf: Path, image: Image, slow_Hz: int
+) -> None:
+    # A restart comes every 16 ms, so some phase of these is just behind it.
+    hang = HANGS[1]
+    off_ms = [off_after_ms(elf, image, hang, slow_Hz, phase_ms) for phase_ms in range(16)]
+    longest_ms = 27 * 128e3 / slow_Hz
+    assert longest_ms - 2.0 <= max(off_ms) <= longest_ms + 1.0 <= MOST_MS
+    assert min(off_ms) >= longest_ms - 18.0
+
+
+def test_the_watchdog_leaves_a_normal_flight_alone_with_three_times_to_spare(elf: Path, image: Image) -> None:
+    board, heli = flying(elf, image)
+    board.due.set_slow_clock(3 * FASTEST_Hz)
+    heli.setpoint(elevation_deg=5.0, travel_deg=10.0)
+    heli.wait(2.0)
+    heli.land()
+    heli.params.save()
+    heli.wait(0.2)
+    assert board.due.resets == 1
+    assert heli.session.counters.restarts == 0
+
+
+# -- faults -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("instruction", "fault"),
+    [(UNDEFINED, Fault.HARD_FAULT), (SUPERVISOR_CALL, Fault.UNEXPECTED_INTERRUPT)],
+)
+@pytest.mark.parametrize("where", [TICK, POLL])
+def test_a_fault_switches_off_at_once_and_the_host_is_told(
+    elf: Path, image: Image, where: str, instruction: bytes, fault: Fault
+) -> None:
+    board, heli = flying(elf, image)
+    resets = board.due.resets
+    address = image.symbols[where] & ~1
+    code = board.due.peek(address, 2)
+    board.due.poke(address, instruction)
+    # The function is called once a millisecond.
+    assert board.milliseconds_until_off() <= A_TICK_MS
+    board.wait_for_reset(resets)
+    board.due.poke(address, code)
+    assert_told(heli, Reset.SOFTWARE, fault)
+
+
+def test_an_unexpected_interrupt_switches_off_at_once_and_the_host_is_told(elf: Path, image: Image) -> None:
+    board, heli = flying(elf, image)
+    pend(board, 8)
+    assert board.milliseconds_until_off(step_us=1.0) <= AT_ONCE_MS
+    assert_told(heli, Reset.SOFTWARE, Fault.UNEXPECTED_INTERRUPT)
+
+
+@pytest.mark.parametrize("pending", [NMI_PENDING, PENDSV_PENDING, SYSTICK_PENDING])
+def test_exceptions_of_the_processor_switch_off_at_once(elf: Path, image: Image, pending: int) -> None:
+    board, heli = flying(elf, image)
+    store(board, SCB_ICSR, pending)
+    assert board.milliseconds_until_off(step_us=1.0) <= AT_ONCE_MS
+    assert_told(heli, Reset.SOFTWARE, Fault.UNEXPECTED_INTERRUPT)
+
+
+def test_every_other_interrupt_switches_off_at_once(board: Board) -> None:
+    for interrupt in UNEXPECTED_INTERRUPTS:
+        heli = board.connect()
+        heli.arm()
+        assert board.on()
+        pend(board, interrupt)
+        assert board.milliseconds_until_off(step_us=1.0) <= AT_ONCE_MS, f"interrupt {interrupt}"
+        board.advance(20)
+
+
+def test_pwm_pins_go_low_with_the_enables(elf: Path, image: Image) -> None:
+    board, _ = flying(elf, image)
+    assert not board.pwm_low()
+    # The reset that follows leaves the pins to their pull-ups: look before it comes.
+    board.due.add_breakpoint(image.symbols["fault_handler"] & ~1)
+    pend(board, 8)
+    board.due.run_us(50.0)
+    assert board.due.halt == "breakpoint"
+    assert board.on()
+    resets = board.due.resets
+    board.due.resume()
+    low = False
+    while board.due.resets == resets:
+        low = board.off() and board.pwm_low()
+        board.due.step()
+    assert low
+
+
+def test_a_lost_stack_is_no_way_around_the_fault_handler(elf: Path, image: Image) -> None:
+    board, heli = flying(elf, image)
+    board.due.run_us(500.0)
+    board.due.set_check("unmapped", False)
+    board.due.set_reg(13, 0x10000000)
+    assert board.milliseconds_until_off() <= A_TICK_MS
+    assert_told(heli, Reset.SOFTWARE, Fault.HARD_FAULT)
+
+
+def test_a_stack_that_went_too_deep_is_a_fault(elf: Path, image: Image) -> None:
+    board, heli = flying(elf, image)
+    store(board, image.symbols["__stack_bottom"], 0)
+    assert board.milliseconds_until_off() <= A_TICK_MS
+    assert_told(heli, Reset.SOFTWARE, Fault.HARD_FAULT)
+
+
+def test_endless_recursion_is_a_fault_though_no_memory_ends_there(elf: Path, image: Image) -> None:
+    board, heli = flying(elf, image)
+    resets = board.due.resets
+    # As on the chip, where SRAM0 repeats below itself.
+    board.due.set_check("unmapped", False)
+    address = image.symbols[POLL] & ~1
+    code = board.due.peek(address, len(PUSH_FOR_EVER))
+    board.due.poke(address, PUSH_FOR_EVER)
+    # A tick wakes the idle loop, and the next one looks at the stack.
+    assert board.milliseconds_until_off() <= 2 * A_TICK_MS
+    board.wait_for_reset(resets)
+    board.due.poke(address, code)
+    assert_told(heli, Reset.SOFTWARE, Fault.HARD_FAULT)
+
+
+# -- pins without a program -------------------------------------------------------------------------
+
+
+def test_bridges_are_off_from_power_up_until_armed(board: Board) -> None:
+    for _ in range(2000):
+        assert board.off()
+        board.due.run_us(10.0)
+    heli = board.connect()
+    heli.wait(0.1)
+    assert board.off()
+    heli.arm()
+    assert board.on()
+    assert board.duties() == [0.0, 0.0]
+
+
+def test_stopping_takes_every_enable_low(board: Board) -> None:
+    heli = board.connect()
+    heli.arm()
+    assert board.on()
+    heli.stop()
+    assert not any(board.due.pin(pin) for pin in ENABLE_PINS)
+    assert board.pwm_low()
+
+
+def test_the_reset_line_switches_off_and_off_it_stays(elf: Path, image: Image) -> None:
+    board, heli = flying(elf, image)
+    board.due.set_nrst(True)
+    assert board.milliseconds_until_off(step_us=1.0) <= AT_ONCE_MS
+    for held in (True, False):
+        board.due.set_nrst(held)
+        for _ in range(2000):
+            board.due.run_us(10.0)
+            assert board.off()
+    assert_told(heli, Reset.USER, Fault.NONE)
+    assert board.off()
+
+
+def test_without_pull_downs_a_reset_would_switch_the_bridges_on(elf: Path, image: Image) -> None:
+    board = Board(elf, image)
+    for pin in ENABLE_PINS:
+        board.due.set_pin(pin, "open")
+    board.advance(20)
+    assert board.off()
+    board.due.set_nrst(True)
+    board.due.run_us(100.0)
+    assert board.on()
+
+
+def test_power_loss_switches_off(elf: Path, image: Image) -> None:
+    board, _ = flying(elf, image)
+    board.cut_power()
+    assert board.off()
+
+
+def test_an_erased_flash_leaves_the_bridges_off(elf: Path, image: Image) -> None:
+    board, _ = flying(elf, image)
+    board.due.usb_line_coding(1200)
+    board.due.usb_control_lines(False)
+    # Erased under a running program: it locks up, and the reset that the bridge gives ends that.
+    board.due.set_strict(False)
+    board.due.set_check("lockup", False)
+    board.due.run_us(900_000.0)
+    assert board.off()
+    assert set(board.due.flash()) == {0xFF}
+    assert board.due.in_rom
+    board.cut_power()
+    board.restore_power()
+    for _ in range(100):
+        assert board.off()
+        board.due.run_us(100.0)
+
+
+# -- hardware stop ----------------------------------------------------------------------------------
+
+
+def press(board: Board) -> None:
+    board.press_stop()
+
+
+def wire_to_supply(board: Board) -> None:
+    board.due.set_pin("PD6", "high")
+
+
+@pytest.mark.parametrize("stop", [press, wire_to_supply])
+def test_hardware_stop_cuts_the_duty_with_the_processor_halted(
+    elf: Path, image: Image, stop: Callable[[Board], None]
+) -> None:
+    board, _ = flying(elf, image)
+    assert max(board.duties()) > 0.1
+    instructions = board.due.instructions
+    board.due.hold_processor(True)
+    stop(board)
+    board.due.run_us(1.0)
+    assert board.pwm_low()
+    board.due.run_us(10_000.0)
+    assert board.pwm_low()
+    assert board.due.instructions == instructions
+
+
+def test_hardware_stop_trips_and_must_be_released_and_cleared(elf: Path, image: Image) -> None:
+    board, heli = flying(elf, image)
+    # Much shorter than a tick: the fault input keeps it.
+    board.press_stop()
+    board.due.run_us(20.0)
+    board.release_stop()
+    assert board.pwm_low()
+    heli.wait(0.05)
+    assert board.off()
+    assert heli.state is State.FAULT
+    assert heli.fault is Fault.HARDWARE_STOP
+    assert any(event.kind == "fault" and "stop" in event.text for event in heli.session.events)
+    heli.clear_fault()
+    assert heli.state is State.IDLE
+
+
+def test_a_stop_input_that_is_not_wired_keeps_the_motors_off(board: Board) -> None:
+    board.press_stop()
+    heli = board.connect()
+    with pytest.raises(Exception, match="stop"):
+        heli.arm()
+    assert board.off()
