@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import Final
 
 import casadi as ca
@@ -11,14 +13,65 @@ import numpy.typing as npt
 from heli_sim import _native
 from heli_sim.compiled import compile_function
 from heli_sim.model.base import Model
-from heli_sim.rig import Rig
+from heli_sim.rig import Quantity, Rig
 
 STEP_s: Final = 0.001
 _LIMITS: Final = ("elevation_min", "elevation_max", "pitch_max", "travel_max", "table_damping")
 _RAD: Final = np.pi / 180.0
+_MULTIPLIER: Final = 48_271
+_MODULUS: Final = 2**31 - 1
 
 
-def step_function(model: Model) -> ca.Function:
+@dataclass(frozen=True)
+class Extras:
+    """States that a simulation has behind those of its model.
+
+    Parameters
+    ----------
+    states : tuple of Quantity
+        In their order; their initial value is 0, that of the random generator aside.
+    timed : bool
+        Whether the first of them is the time since the motors first turned.
+    random : bool
+        Whether the next one is the state of the random generator.
+    late_s : float
+        Delay of the voltages; the rest of the states are the voltages of the milliseconds that it spans.
+    """
+
+    states: tuple[Quantity, ...] = ()
+    timed: bool = False
+    random: bool = False
+    late_s: float = 0.0
+
+
+def extras(model: Model, late_s: float = 0.0) -> Extras:
+    """Find what a simulation of a model has to remember besides its states.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    late_s : float
+        By how much the voltages act late.
+
+    Returns
+    -------
+    Extras
+        Nothing for a model without effects.
+    """
+    timed, random = _depends_on_time(model), model.shaken > 0
+    states = [Quantity("time_s", "s", "time since the motors first turned")] if timed else []
+    states += [Quantity("random", "1", "state of the random generator")] if random else []
+    ticks = math.ceil(late_s / STEP_s - 1e-9)
+    states += [
+        Quantity(f"{name}_{tick}_ms_ago", "V", f"{name} {tick} ms ago")
+        for tick in range(1, ticks + 1)
+        for name in ("front_V", "back_V")
+    ]
+    return Extras(tuple(states), timed, random, late_s)
+
+
+def step_function(model: Model, late_s: float = 0.0) -> ca.Function:
     """One millisecond: Runge-Kutta of fourth order, then table, stops and locks.
 
     A stop is inelastic: the angle stays at it and the rate outwards becomes 0. The table is the lower stop of
@@ -29,28 +82,34 @@ def step_function(model: Model) -> ca.Function:
     ----------
     model : Model
         Gives the dynamics and the measurement.
+    late_s : float
+        By how much the voltages act late.
 
     Returns
     -------
     casadi.Function
         ``plant_step(state, volts_V, locked, parameters) -> (next state, measured angles in rad)``; the
-        parameters are those of the model, then elevation_min, elevation_max, pitch_max, travel_max (deg) and
-        table_damping (1/s).
+        state is that of the model and then that of `extras`; the parameters are those of the model, then
+        elevation_min, elevation_max, pitch_max, travel_max (deg) and table_damping (1/s).
     """
-    count = len(model.states)
-    x, u = ca.SX.sym("state", count), ca.SX.sym("volts_V", 2)
+    count, more = len(model.states), extras(model, late_s)
+    whole, commanded = ca.SX.sym("state", count + len(more.states)), ca.SX.sym("volts_V", 2)
+    x, rest = whole[:count], whole[count:]
     locked = ca.SX.sym("locked", 3)
     p = ca.SX.sym("parameters", len(model.parameters) + len(_LIMITS))
     p_model, limits = p[: len(model.parameters)], p[len(model.parameters) :]
     free = ca.vertcat(1 - locked, 1 - locked, ca.SX.ones(count - 6))
+    t, rest = (rest[0], rest[1:]) if more.timed else (ca.SX(0), rest)
+    chance, past_V = (rest[0], rest[1:]) if more.random else (ca.SX(0), rest)
+    u = _late(commanded, past_V, late_s)
 
-    def rates(at: ca.SX) -> ca.SX:
-        return free * model.dynamics(at, u, p_model, pinned=locked)
+    def rates(at: ca.SX, later_s: float) -> ca.SX:
+        return free * model.dynamics(at, u, p_model, t + later_s, pinned=locked)
 
-    k1 = rates(x)
-    k2 = rates(x + STEP_s / 2 * k1)
-    k3 = rates(x + STEP_s / 2 * k2)
-    k4 = rates(x + STEP_s * k3)
+    k1 = rates(x, 0.0)
+    k2 = rates(x + STEP_s / 2 * k1, STEP_s / 2)
+    k3 = rates(x + STEP_s / 2 * k2, STEP_s / 2)
+    k4 = rates(x + STEP_s * k3, STEP_s)
     after = x + STEP_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
     low = ca.vertcat(limits[0], -limits[2], -limits[3]) * _RAD
@@ -63,9 +122,48 @@ def step_function(model: Model) -> ca.Function:
     speeds = ca.vertcat(speeds[0], kept * speeds[1], kept * speeds[2]) * (1 - locked)
     after = ca.vertcat(ca.fmin(ca.fmax(angles, low), high), speeds, after[6:])
 
-    measured = model.measurement(after, u, p_model)
-    results = ca.cse([ca.densify(after), ca.densify(measured)])
-    return ca.Function("plant_step", [x, u, locked, p], results)
+    turning = ca.fmax(t > 0, ca.fmax(ca.fabs(commanded[0]), ca.fabs(commanded[1])) > 0)
+    t_after = t + STEP_s * turning
+    normal, chance = _drawn(chance, model.shaken)
+    after = model.settled(after, u, p_model, t_after)
+    after = after + model.pushed(after, u, p_model, t_after, STEP_s, normal)
+    measured = model.measurement(after, u, p_model, t_after)
+    kept_V = ca.vertcat(commanded, past_V)[: past_V.numel()]
+    whole_after = ca.vertcat(
+        after, *((t_after,) if more.timed else ()), *((chance,) if more.random else ()), kept_V
+    )
+    results = ca.cse([ca.densify(whole_after), ca.densify(measured)])
+    return ca.Function("plant_step", [whole, commanded, locked, p], results)
+
+
+def _depends_on_time(model: Model) -> bool:
+    x, u, t = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2), ca.SX.sym("t")
+    p = ca.SX.sym("p", len(model.parameters))
+    timed = (model.dynamics(x, u, p, t), model.measurement(x, u, p, t), model.settled(x, u, p, t))
+    return bool(ca.depends_on(ca.vertcat(*timed), t))
+
+
+def _late(commanded_V: ca.SX, past_V: ca.SX, late_s: float) -> ca.SX:
+    """Mean over a millisecond of the voltages that were commanded `late_s` before it."""
+    ticks = past_V.numel() // 2
+    if not ticks:
+        return commanded_V
+    older = ticks - late_s / STEP_s  # share of the newer of the two milliseconds that it lies across
+    newer_V = commanded_V if ticks == 1 else past_V[2 * ticks - 4 : 2 * ticks - 2]
+    return older * newer_V + (1 - older) * past_V[2 * ticks - 2 :]
+
+
+def _drawn(chance: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
+    """Random numbers of mean 0 and variance 1, and the generator's next state.
+
+    Park and Miller's generator: its products fit a double exactly, so that C and CasADi's virtual machine
+    draw the same. The numbers are evenly distributed; what lags them makes them normal.
+    """
+    numbers = []
+    for _ in range(count):
+        chance = ca.fmod(_MULTIPLIER * chance, _MODULUS)
+        numbers.append(np.sqrt(12.0) * (chance / _MODULUS - 0.5))
+    return ca.vertcat(*numbers), chance
 
 
 class Plant:
@@ -77,15 +175,24 @@ class Plant:
         Equations of motion.
     rig : Rig
         Their numbers.
+    seed : int
+        Seed of what effects leave to chance.
     """
 
-    def __init__(self, model: Model, rig: Rig) -> None:
+    def __init__(self, model: Model, rig: Rig, seed: int = 1) -> None:
         self.model = model
         self.rig = rig
-        self.function = step_function(model)
+        values = model.parameter_values(rig)
+        names = [parameter.name for parameter in model.parameters]
+        late_s = float(values[names.index(model.delay)]) if model.delay else 0.0
+        self.extras = extras(model, late_s)
+        """What the simulation remembers besides the model's states; its states follow those."""
+        self.function = step_function(model, late_s)
         limits = [rig[name].value for name in _LIMITS]
-        self.parameters: npt.NDArray[np.float64] = np.array([*model.parameter_values(rig), *limits])
+        self.parameters: npt.NDArray[np.float64] = np.array([*values, *limits])
         """Parameters of the step, shape (len(model.parameters) + 5,)."""
+        # Seeds next to each other would draw nearly the same first number.
+        self._first_chance = 1 + int(np.random.default_rng(seed).integers(_MODULUS - 1))
 
     def rest_state(self) -> npt.NDArray[np.float64]:
         """State of the arm at rest on the table, level in pitch, travel 0.
@@ -93,10 +200,12 @@ class Plant:
         Returns
         -------
         numpy.ndarray
-            In the order of ``model.states``, shape (len(model.states),).
+            In the order of ``model.states`` and ``extras.states``, shape (n,), n being the length of both.
         """
-        state = np.zeros(len(self.model.states))
+        state = np.zeros(len(self.model.states) + len(self.extras.states))
         state[0] = np.deg2rad(self.rig["elevation_min"].value)
+        if self.extras.random:
+            state[len(self.model.states) + self.extras.timed] = self._first_chance
         return state
 
     def step(
@@ -110,7 +219,7 @@ class Plant:
         Parameters
         ----------
         state : array_like
-            State, shape (len(model.states),).
+            State, as `rest_state` has it, shape (n,).
         volts_V : array_like
             Voltages that act on the front and the back motor, shape (2,).
         locked : tuple of bool
@@ -142,7 +251,7 @@ class Plant:
         library = compile_function(self.function)
         if library is not None:
             return _native.CompiledStep(str(library), self.function.name())
-        return _native.CallbackStep(self._call, len(self.model.states), len(self.parameters))
+        return _native.CallbackStep(self._call, self.function.numel_in(0), len(self.parameters))
 
     def _call(
         self, state: list[float], volts_V: list[float], locked: list[float], parameters: list[float]
