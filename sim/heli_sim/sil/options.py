@@ -12,6 +12,7 @@ from heli_sim.sil.faults import FaultPlan, Span
 
 _KEYS: Final = (
     *("board", "elf", "rig", "seed", "speed", "slice_ms", "flash", "reset_on_open"),
+    *("model", "effect", "effects"),
     *("flip", "drop", "double", "stall", "unplug"),
 )
 
@@ -48,6 +49,12 @@ class SilOptions:
         in process, where nobody opens anything, it does not.
     faults : FaultPlan
         What goes wrong on the link.
+    model : str
+        Name of the model; empty for the one that the rig's file names, or ``paper``.
+    effects : tuple of str
+        Effects beyond the model, such as ``rotor_lag=0.1``; they come before those of the rig's file.
+    effect_files : tuple of str
+        Python files with more effects.
 
     Raises
     ------
@@ -64,6 +71,9 @@ class SilOptions:
     elf: str = ""
     reset_on_open: bool | None = None
     faults: FaultPlan = field(default_factory=FaultPlan)
+    model: str = ""
+    effects: tuple[str, ...] = ()
+    effect_files: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.board not in BOARDS:
@@ -84,7 +94,8 @@ def parse_url(url: str) -> SilOptions:
     Parameters
     ----------
     url : str
-        The address. ``stall`` and ``unplug`` take start:length in seconds, several with commas between them.
+        The address. ``stall`` and ``unplug`` take start:length in seconds, several with commas between them;
+        ``effect`` takes effects, ``effects`` files of effects, several with semicolons between them.
 
     Returns
     -------
@@ -139,6 +150,9 @@ def parse_options(values: dict[str, str]) -> SilOptions:
         reset_on_open=(
             _flag("reset_on_open", values["reset_on_open"]) if "reset_on_open" in values else None
         ),
+        model=values.get("model", ""),
+        effects=tuple(filter(None, values.get("effect", "").split(";"))),
+        effect_files=tuple(filter(None, values.get("effects", "").split(";"))),
         faults=FaultPlan(
             flip=_number("flip", values.get("flip", "0")),
             drop=_number("drop", values.get("drop", "0")),

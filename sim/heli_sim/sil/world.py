@@ -10,11 +10,11 @@ import numpy.typing as npt
 
 from heli_sim import _native
 from heli_sim.due.errors import BoardStopped
-from heli_sim.model import PaperModel
 from heli_sim.plant import Plant
-from heli_sim.rig import Rig, load_rig
+from heli_sim.rig import Rig
 from heli_sim.sil.boards import make_board, settled
 from heli_sim.sil.faults import FaultyStream
+from heli_sim.sil.flown import plant_of
 from heli_sim.sil.options import SilOptions
 
 # Counters of the encoders stand anywhere at power-up.
@@ -30,12 +30,14 @@ class SilWorld:
     options : SilOptions
         What to simulate.
     plant : Plant or None
-        Plant to fly instead of the paper's model on the rig of `options`.
+        Plant to fly instead of the one that the options ask for.
 
     Raises
     ------
     RigError
         When the rig cannot be read.
+    EffectError
+        When an effect is unknown or has a value that it may not have.
     PlantError
         When the plant cannot be compiled.
     DueError
@@ -44,7 +46,7 @@ class SilWorld:
 
     def __init__(self, options: SilOptions, plant: Plant | None = None) -> None:
         self.options = options = settled(options)
-        self.plant = plant if plant is not None else Plant(PaperModel(), load_rig(options.rig))
+        self.plant = plant if plant is not None else plant_of(options)
         self.rig: Rig = self.plant.rig
         random = np.random.default_rng(options.seed)
         per_rad = self.rig["encoder_counts"].value / (2.0 * np.pi)
@@ -84,7 +86,7 @@ class SilWorld:
 
     @property
     def state(self) -> npt.NDArray[np.float64]:
-        """True state of the plant, shape (len(plant.model.states),); may be set, to push the arm."""
+        """True state of the plant, as ``plant.rest_state()`` has it; may be set, to push the arm."""
         return np.array(self.native.state)
 
     @state.setter
