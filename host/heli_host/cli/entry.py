@@ -27,6 +27,7 @@ from heli_host.cli import (
     params,
     plot,
     ports,
+    rig,
     setpoint,
     sil,
     watch,
@@ -56,6 +57,7 @@ app.add_typer(params.app, name="params")
 app.command("info")(info.info)
 app.command("export")(export.export)
 app.command("plot")(plot.plot)
+app.add_typer(rig.app, name="rig")
 app.command("doctor")(doctor.doctor)
 app.command("identify", cls=Variadic)(identify.identify)
 
