@@ -44,6 +44,15 @@ PROMISES = (
     Promise("telemetry_line_use_worst", "with every voltage random", 1.0, at_least=False),
     Promise("host_cpu_at_1khz", "share of a core, recording", 0.05, at_least=False),
     Promise("read_600k_ticks_s", "seconds to read a ten-minute log", 2.0, at_least=False),
+    Promise("due_tick_instructions_max", "the Due's tick, worst of all flights", 6000.0, at_least=False),
+    Promise("due_tick_instructions_mean", "its mean", None),
+    Promise("due_cascade_instructions", "the control law alone, worst", 2000.0, at_least=False),
+    Promise("due_pid_v1_three_loops_instructions", "three loops of Arduino's PID_v1, for scale", None),
+    Promise("due_encoder_isr_instructions", "an edge of the travel encoder", 60.0, at_least=False),
+    Promise("due_encoder_lost_counts", "of 20,000 edges at 200,000 a second", 0.0, at_least=False),
+    Promise("due_boot_to_first_frame_ms", "power up to the first frame", 50.0, at_least=False),
+    Promise("due_rx_lost_bytes", "of 20,000 in a row, under full telemetry", 0.0, at_least=False),
+    Promise("due_motors_off_after_hang_ms", "worst over hangs, phases, 20-44 kHz", 300.0, at_least=False),
 )
 
 

@@ -10,7 +10,7 @@ from heli_host.link.declaration import Fault
 
 from tests.firmware import test_board as claims
 from tests.firmware import test_safety as safety
-from tests.firmware.hangs import HANGS, SLOWEST_Hz
+from tests.firmware.hangs import HANGS, POLL, SLOWEST_Hz
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def fault(right: str, wrong: str) -> Mutation:
         right,
         wrong,
         safety.test_a_fault_switches_off_at_once_and_the_host_is_told,
-        (safety.POLL, safety.UNDEFINED, Fault.HARD_FAULT),
+        (POLL, safety.UNDEFINED, Fault.HARD_FAULT),
     )
 
 

@@ -12,19 +12,17 @@ from heli_host.heli import Heli
 from heli_host.link.declaration import (
     Axes,
     Fault,
-    MessageId,
     Param,
     ParamSetMessage,
     ParamsSaveMessage,
     ParamsSource,
-    PingMessage,
     Reset,
 )
-from heli_host.link.frames import encode_frame
 from heli_host.link.session import Session
 
 from firmware.due.report import Image
 from tests.firmware.desk import TICK_INTERRUPT, TRAVEL_INTERRUPT, Board, flying
+from tests.firmware.measures import boot_to_first_frame_ms, rx_lost_bytes, travel_counts_lost
 
 pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
@@ -121,6 +119,10 @@ def test_no_travel_edge_is_lost_at_200000_a_second(board: Board) -> None:
     assert most_instructions <= 60
 
 
+def test_no_travel_edge_is_lost_while_the_law_flies(board: Board) -> None:
+    assert travel_counts_lost(board) == 0
+
+
 def test_illegal_transitions_are_counted_on_every_encoder(board: Board) -> None:
     heli = board.connect()
     board.due.glitch_encoder(0)
@@ -176,6 +178,8 @@ def test_saved_parameters_outlive_a_reset_and_the_pages_take_turns(board: Board)
         heli.session.command(ParamSetMessage(0, Param.ELEVATION_KP, value))
         heli.session.command(ParamsSaveMessage(0))
         pages.append(board.due.flash()[-512:])
+        # Programming asks for more wait states than reading.
+        assert board.register(EFC1_FMR) >> 8 & 0xF == 4
         board.reset()
         session = Session(board, session_number=2)
         assert session.connect().params_source == ParamsSource.STORED
@@ -195,20 +199,8 @@ def test_ticks_go_on_while_the_flash_is_written(board: Board) -> None:
 
 
 def test_no_byte_is_lost_of_20000_in_a_row_under_full_telemetry(board: Board) -> None:
-    heli = board.connect()
-    before = heli.session.status().frames_ok
-    frames = [encode_frame(MessageId.PING, k % 256, PingMessage(0, k).pack()) for k in range(1200)]
-    burst = b"".join(frames)
-    assert len(burst) > 20_000
-    board.write(burst)
-    heli.wait(len(burst) / 25_000 + 0.2)
-    status = heli.session.status()
-    assert status.frames_bad == 0
-    assert status.frames_ok - before >= len(frames)
-    assert board.due.uart_overruns == 0
+    assert rx_lost_bytes(board) == 0
 
 
 def test_first_answer_comes_within_50_ms_of_power_up(board: Board) -> None:
-    session = Session(board, session_number=1)
-    session.connect()
-    assert board.now_s() < 0.05 + 0.005
+    assert boot_to_first_frame_ms(board) <= 50.0
