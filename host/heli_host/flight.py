@@ -32,7 +32,11 @@ STATUS_COLUMNS = ("state", "fault", "flags")
 MIN_ROWS = 10
 """Fewer rows than this are no flight."""
 
-_MAX_ANGLE_RAD = 3.2
+_MAX_ANGLE_RAD = {"elevation_rad": 1.6, "pitch_rad": 3.2}
+"""No arm stands higher than upright, and no short arm turns over; travel may turn many times."""
+_MAX_COUNT_RAD = 0.02
+"""An encoder with fewer than 314 counts a turn is none; in degrees, 16384 counts are steps of 0.022."""
+_LEAST_MOVES = 20
 _MAX_VOLTAGE_V = 100.0
 _MAX_STEP_S = 0.5
 _GAP_RATIO = 1.75
@@ -319,7 +323,8 @@ def check(
     """
     if len(flight) < MIN_ROWS:
         raise FlightDataError(
-            f"{source}: only {len(flight)} rows", f"a flight needs at least {MIN_ROWS}; record a longer one"
+            f"{source}: t_s has only {len(flight)} rows",
+            f"a flight needs at least {MIN_ROWS}; record a longer one",
         )
     for name, column in flight.columns().items():
         if name in flight.extra or column.dtype.kind != "f":
@@ -331,7 +336,7 @@ def check(
                 "remove these rows, or the part of the flight around them",
             )
     _check_time(flight.t_s, source, allow_gaps, where)
-    _check_units(flight, source)
+    _check_units(flight, source, where)
 
 
 def _check_time(t_s: Floats, source: str, allow_gaps: bool, where: Callable[[int], str]) -> None:
@@ -346,7 +351,8 @@ def _check_time(t_s: Floats, source: str, allow_gaps: bool, where: Callable[[int
     typical_s = float(np.median(step_s))
     if typical_s > _MAX_STEP_S:
         raise FlightDataError(
-            f"{source}: t_s rises by {typical_s:g} a row, which looks like milliseconds or samples",
+            f"{source}: t_s rises by {typical_s:g} a row, as in {where(1)}, which looks like milliseconds or "
+            "samples",
             "give t_s in seconds",
         )
     gaps = find_gaps(t_s)
@@ -359,18 +365,30 @@ def _check_time(t_s: Floats, source: str, allow_gaps: bool, where: Callable[[int
         )
 
 
-def _check_units(flight: Flight, source: str) -> None:
-    for name in ("elevation_rad", "pitch_rad"):
+def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> None:
+    degrees = "looks like degrees", "multiply the angles by pi/180"
+    for name, most in _MAX_ANGLE_RAD.items():
         column = getattr(flight, name)
-        worst = float(np.max(np.abs(column)))
-        if worst > _MAX_ANGLE_RAD:
+        row = int(np.argmax(np.abs(column)))
+        if abs(column[row]) > most:
             raise FlightDataError(
-                f"{source}: {name} reaches {worst:.4g}, which looks like degrees",
-                "multiply the angles by pi/180",
+                f"{source}: {name} is {column[row]:.4g} in {where(row)}, which {degrees[0]}", degrees[1]
+            )
+    for name in ("elevation_rad", "pitch_rad", "travel_rad"):
+        moves = np.abs(np.diff(getattr(flight, name)))
+        rows = np.flatnonzero(moves > 0.0)
+        if rows.size >= _LEAST_MOVES and float(moves[rows].min()) > _MAX_COUNT_RAD:
+            raise FlightDataError(
+                f"{source}: {name} moves in steps of {moves[rows].min():.4g} (the first in "
+                f"{where(int(rows[0]) + 1)}), which {degrees[0]}",
+                degrees[1],
             )
     for name in ("front_V", "back_V"):
-        worst = float(np.max(np.abs(getattr(flight, name))))
-        if worst > _MAX_VOLTAGE_V:
+        column = getattr(flight, name)
+        row = int(np.argmax(np.abs(column)))
+        if abs(column[row]) > _MAX_VOLTAGE_V:
             raise FlightDataError(
-                f"{source}: {name} reaches {worst:.4g}, which looks like millivolts or a duty", "give volts"
+                f"{source}: {name} is {column[row]:.4g} in {where(row)}, which looks like millivolts or a "
+                "duty",
+                "give volts",
             )

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 from heli_host.flight import Flight
+from heli_host.fly.plan import Plan
 from heli_host.fly.recorder import Recorder
+from heli_host.fly.runner import fly
 from heli_host.heli import Heli
 from heli_host.link.session import Session
 from heli_sim.model import Model, MultibodyModel
@@ -55,8 +57,7 @@ def flown(rig: Rig, seed: int, duration_s: float, model: Model | None = None) ->
     elevation_deg, elevation_s = random.uniform(6.0, 9.0), random.uniform(7.0, 11.0)
     with tempfile.TemporaryDirectory() as folder, Heli(session) as heli:
         path = Path(folder) / "flight.mcap"
-        heli.params["hover_V"] = hover_V(rig)
-        heli.wait(STILL_AFTER_S)
+        _prepare(heli, rig)
         with Recorder(heli, path):
             heli.take_off()
             heli.excite(
@@ -71,6 +72,46 @@ def flown(rig: Rig, seed: int, duration_s: float, model: Model | None = None) ->
                 heli.wait(SETPOINT_EVERY_S)
             heli.stop()
         return Flight.read(path)
+
+
+def flown_by_plan(
+    rig: Rig, seed: int, plan: str | Path | Plan = "identify", model: Model | None = None
+) -> Flight:
+    """Fly a plan as `heli-host fly` does, in lockstep with a simulated rig: 1 kHz, encoders, link and all."""
+    world = SilWorld(SilOptions(seed=seed), Plant(model or MultibodyModel(), rig))
+    session = Session(InProcessTransport(world))
+    session.connect()
+    with tempfile.TemporaryDirectory() as folder, Heli(session) as heli:
+        path = Path(folder) / "flight.mcap"
+        _prepare(heli, rig)
+        summary = fly(heli, plan, log_path=path)
+        assert summary.completed or "landing_timeout" in summary.outcome, summary.outcome
+        return Flight.read(path)
+
+
+def _prepare(heli: Heli, rig: Rig) -> None:
+    """Let half of the rigs fly: within their tolerances, the masses balance above the table or on it."""
+    heli.params["hover_V"] = hover_V(rig)
+    heli.params["arm_elevation_tolerance_deg"] = 20.0
+    heli.params["arm_rate_max_deg_s"] = 100.0
+    heli.wait(STILL_AFTER_S)
+
+
+def encoder_zeros_deg(rig: Rig, seed: int) -> dict[str, float]:
+    """Offsets that the angles of a simulated flight have, as the simulated world draws them from its seed.
+
+    The counters stand anywhere at power-up, count whole numbers below, and the board takes the arm to lie
+    at its rest then: what is left are parts of a count, and the rig's own offsets.
+    """
+    count_deg = 360.0 / rig["encoder_counts"].value
+    stand = np.random.default_rng(seed).uniform(-50_000.0, 50_000.0, 3)
+    zeros = {}
+    rests_deg = {"offset_elevation": rig["elevation_min"].value, "offset_pitch": 0.0}
+    for counter, (name, rest_deg) in zip(stand, rests_deg.items(), strict=False):
+        rest = rest_deg / count_deg
+        passed = counter + rest - math.floor(counter + rest)
+        zeros[name] = rig[name].value + count_deg * (round(rest) - rest + passed - 0.5)
+    return zeros
 
 
 def thinned(flight: Flight, every: int) -> Flight:

@@ -95,7 +95,7 @@ def replaced(line: int, column: int, value: str) -> list[str]:
     [
         ([], "the file is empty"),
         ([HEADER], "no rows below"),
-        ([HEADER, *rows(4)], "only 4 rows"),
+        ([HEADER, *rows(4)], "t_s has only 4 rows"),
         ([HEADER.replace("pitch_rad", "pitch_deg"), *rows()], "convert pitch_deg to radians"),
         ([HEADER.replace("front_V", "frontV"), *rows()], "column front_V is missing; rename 'frontV'"),
         ([HEADER.replace(",", ";"), *rows()], "separate the columns by commas"),
@@ -109,8 +109,8 @@ def replaced(line: int, column: int, value: str) -> list[str]:
         ([HEADER, *replaced(7, 0, "0.001")], "t_s does not rise in line 9"),
         ([HEADER, *rows()[:9], *rows()[12:]], "t_s jumps by 0.008 s in line 11"),
         ([HEADER, *rows(20, 2.0)], "looks like milliseconds"),
-        ([HEADER, *replaced(7, 3, "-25.1")], "elevation_rad reaches 25.1, which looks like degrees"),
-        ([HEADER, *replaced(7, 2, "1500")], "back_V reaches 1500"),
+        ([HEADER, *replaced(7, 3, "-25.1")], "elevation_rad is -25.1 in line 9, which looks like degrees"),
+        ([HEADER, *replaced(7, 2, "1500")], "back_V is 1500 in line 9, which looks like millivolts"),
     ],
 )
 def test_what_cannot_be_trusted_is_refused_with_its_place(
@@ -121,6 +121,24 @@ def test_what_cannot_be_trusted_is_refused_with_its_place(
         Flight.read(path)
     assert said in str(raised.value) and str(path) in str(raised.value)
     assert "\n" not in str(raised.value)
+
+
+def steps_of(axis: int, step: float) -> list[str]:
+    table = [row.split(",") for row in rows(100)]
+    for number, row in enumerate(table):
+        row[axis] = f"{round(3.0 * np.sin(0.1 * number) / step) * step:.6f}"
+    return [",".join(row) for row in table]
+
+
+@pytest.mark.parametrize(("axis", "name"), [(3, "elevation_rad"), (5, "travel_rad")])
+def test_degrees_below_any_limit_are_known_by_their_steps(tmp_path: Path, axis: int, name: str) -> None:
+    path = write(tmp_path / "a.csv", HEADER, *steps_of(axis, 360 / 4096))
+    with pytest.raises(FlightDataError, match=rf"{name} .*looks like degrees; multiply the angles by pi/180"):
+        Flight.read(path)
+
+
+def test_travel_may_turn_many_times_in_radians(tmp_path: Path) -> None:
+    Flight.read(write(tmp_path / "a.csv", HEADER, *steps_of(5, 2 * np.pi / 4096)))
 
 
 def test_gaps_are_taken_on_request(tmp_path: Path) -> None:

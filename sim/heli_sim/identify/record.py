@@ -30,6 +30,8 @@ _AROUND_STOP_S: Final = 0.3
 _LEAST_COUNTS: Final = 10
 """An axis that moved less than this has not moved."""
 _LEAST_SEGMENT_S: Final = 1.0
+_MOST_STRAY_STEPS: Final = 5.0
+"""Five steps of 2 ms at the fastest travel are half a degree: far more than any other error."""
 
 
 @dataclass(frozen=True)
@@ -128,12 +130,14 @@ def prepare(
     Raises
     ------
     IdentifyError
-        When nothing can be learned from it: it never moves, has no voltages, or no second of it is free.
+        When nothing can be learned from it: it never moves, has no voltages, or duties in their place, its
+        rows are not evenly spaced, or no second of it is free.
     """
     angles, volts, t_s = flight.angles_rad, flight.voltages_V, flight.t_s
-    step_s = flight.step_s
+    step_s = _step_s(flight, label)
     count_rad, notes = _counts(angles, rig)
     _refuse_dead_columns(flight, label, count_rad)
+    _refuse_duties(flight, label, rig)
 
     reasons: list[tuple[npt.NDArray[np.bool_], str]] = []
     if start_s is not None or stop_s is not None:
@@ -154,10 +158,38 @@ def prepare(
     if not segments:
         why = ", ".join(dict.fromkeys(cut.why for cut in cuts)) or "it is too short"
         raise IdentifyError(
-            f"{label}: no second of free flight in t_s {t_s[0]:g} to {t_s[-1]:g} ({why}); "
-            "give a longer flight"
+            f"{label}: no second of free flight in t_s {t_s[0]:g} to {t_s[-1]:g}, data row 1 to {len(t_s)} "
+            f"({why}); give a longer flight"
         )
     return record
+
+
+def _step_s(flight: Flight, label: str) -> float:
+    """Time from row to row; the mean, because times are often printed in whole milliseconds."""
+    steps_s = np.diff(flight.t_s)
+    steps_s = np.delete(steps_s, flight.gaps)
+    step_s = float(steps_s.mean())
+    stray = np.abs(np.cumsum(steps_s - step_s)) / step_s
+    worst = int(np.argmax(stray))
+    if stray[worst] > _MOST_STRAY_STEPS:
+        raise IdentifyError(
+            f"{label}: t_s strays by {stray[worst]:.0f} steps of {step_s:.4g} s from even steps by data row "
+            f"{worst + 2}; log with an even clock, or resample the flight"
+        )
+    return step_s
+
+
+def _refuse_duties(flight: Flight, label: str, rig: Rig) -> None:
+    dead_zone = rig["dead_zone"]
+    least_V = dead_zone.value - dead_zone.tolerance
+    highest = max(("front_V", "back_V"), key=lambda name: float(np.max(np.abs(getattr(flight, name)))))
+    column = np.abs(getattr(flight, highest))
+    row = int(np.argmax(column))
+    if column[row] < least_V:
+        raise IdentifyError(
+            f"{label}: {highest} reaches {column[row]:.3g} at most, in data row {row + 1}, and below the "
+            f"dead zone of {least_V:g} V no rotor pushes; if it is a duty, multiply it by the supply"
+        )
 
 
 def _counts(angles_rad: Floats, rig: Rig) -> tuple[Floats, list[str]]:

@@ -1,0 +1,153 @@
+"""A flight that nothing can be learned from: one line that names file, column and row, and an exit code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from heli_host.flight import REQUIRED_COLUMNS, Flight
+
+from tests.cli.terminal import Terminal, refusal
+
+ASKED, FILE = 2, 5
+COUNT_RAD = 2 * np.pi / 4096
+ROWS = 5000
+STEP_S = 0.002
+
+
+def flight() -> Flight:
+    """Ten seconds by formula: off the table, then sines on every axis."""
+    t_s = STEP_S * np.arange(ROWS)
+    wave = np.sin(2 * np.pi * t_s / 3.0)
+    volts = 1.7 + 0.2 * wave
+    angles = [COUNT_RAD * np.round(size * wave / COUNT_RAD) for size in (0.1, 0.2, 0.5)]
+    return Flight(t_s, volts, volts[::-1].copy(), *angles)
+
+
+Spoil = Callable[[Flight], Flight]
+
+
+def with_cell(name: str, row: int, value: float) -> Spoil:
+    def spoil(made: Flight) -> Flight:
+        column = getattr(made, name).copy()
+        column[row] = value
+        return replace(made, **{name: column})
+
+    return spoil
+
+
+def scaled(factor: float, *names: str) -> Spoil:
+    return lambda made: replace(made, **{name: factor * getattr(made, name) for name in names})
+
+
+def without_rows(first: int, stop: int) -> Spoil:
+    def spoil(made: Flight) -> Flight:
+        keep = np.r_[0:first, stop:ROWS]
+        return Flight(*(getattr(made, name)[keep] for name in REQUIRED_COLUMNS))
+
+    return spoil
+
+
+def wandering(made: Flight) -> Flight:
+    clock_s = made.t_s + 0.1 * np.sin(2 * np.pi * made.t_s / 8.0)
+    return replace(made, t_s=clock_s)
+
+
+SPOILED: dict[str, tuple[Spoil, int, str, str, str]] = {
+    "no voltages": (scaled(0.0, "front_V"), ASKED, "front_V", "data row 1 to 5000", "no voltages"),
+    "constant voltages": (
+        lambda made: replace(made, front_V=np.full(ROWS, 1.7)),
+        ASKED,
+        "front_V",
+        "data row 1 to 5000",
+        "never change",
+    ),
+    "duties": (scaled(0.1, "front_V", "back_V"), ASKED, "front_V", "data row 375", "it is a duty"),
+    "a gap": (without_rows(1000, 1200), FILE, "t_s", "line 1002", "jumps by"),
+    "not a number": (with_cell("pitch_rad", 1233, np.nan), FILE, "pitch_rad", "line 1235", "is nan"),
+    "degrees": (
+        scaled(180 / np.pi, "elevation_rad", "pitch_rad", "travel_rad"),
+        FILE,
+        "elevation_rad",
+        "line 343",
+        "looks like degrees; multiply the angles by pi/180",
+    ),
+    "travel in degrees": (
+        scaled(180 / np.pi, "travel_rad"),
+        FILE,
+        "travel_rad",
+        "line 3",
+        "looks like degrees; multiply the angles by pi/180",
+    ),
+    "millivolts": (scaled(1000.0, "back_V"), FILE, "back_V", "line 126", "millivolts"),
+    "milliseconds": (scaled(1000.0, "t_s"), FILE, "t_s", "line 3", "give t_s in seconds"),
+    "an uneven clock": (wandering, ASKED, "t_s", "data row", "resample"),
+    "too few rows": (without_rows(5, ROWS), FILE, "t_s", "5 rows", "record a longer one"),
+    "too short": (without_rows(300, ROWS), ASKED, "t_s", "data row 1 to 300", "give a longer flight"),
+    "never moving": (
+        scaled(0.0, "elevation_rad", "pitch_rad", "travel_rad"),
+        ASKED,
+        "elevation_rad",
+        "data row 1 to 5000",
+        "never moves",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", SPOILED)
+def test_a_flight_that_teaches_nothing_is_one_line(terminal: Terminal, tmp_path: Path, what: str) -> None:
+    spoil, code, column, row, said = SPOILED[what]
+    spoil(flight()).write_csv(tmp_path / "bad.csv")
+    line = refusal(terminal("identify", "bad.csv", "--out", "new.toml", "--json", "new.json"), code=code)
+    assert "bad.csv" in line and column in line and row in line, line
+    assert said in line, line
+    assert not (tmp_path / "new.toml").exists() and not (tmp_path / "new.json").exists()
+
+
+def test_a_missing_column_is_named(terminal: Terminal, tmp_path: Path) -> None:
+    flight().write_csv(tmp_path / "bad.csv")
+    text = (tmp_path / "bad.csv").read_text()
+    (tmp_path / "bad.csv").write_text(text.replace("front_V", "front_duty", 1))
+    line = refusal(terminal("identify", "bad.csv"), code=FILE)
+    assert "bad.csv: column front_V is missing" in line
+
+
+def test_a_bad_flight_to_validate_on_is_named_as_well(terminal: Terminal, tmp_path: Path) -> None:
+    flight().write_csv(tmp_path / "good.csv")
+    scaled(0.0, "front_V")(flight()).write_csv(tmp_path / "bad.csv")
+    line = refusal(terminal("identify", "good.csv", "--validate", "bad.csv"), code=ASKED)
+    assert "bad.csv: front_V is 0" in line
+
+
+def test_a_gap_is_left_out_on_request(terminal: Terminal, tmp_path: Path) -> None:
+    without_rows(1000, 1200)(flight()).write_csv(tmp_path / "gap.csv")
+    ended = terminal("identify", "gap.csv", "--allow-gaps", "--free", "thrust_gain", "--json", "new.json")
+    assert ended.code == 0, ended
+    assert (tmp_path / "new.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("good.csv", "--rig", "nowhere"), "no rig 'nowhere'"),
+        (("good.csv", "--model", "multibdy"), "did you mean multibody?"),
+        (("good.csv", "--free", "thrust_gian"), "did you mean thrust_gain?"),
+        (("good.csv", "--free", "supply"), "no parameter 'supply'"),
+        (("good.csv", "--free", "reverse_thrust"), "give it a tolerance"),
+        (("good.csv", "--free", "M_f", "--fix", "M_f"), "asked for and fixed at once"),
+        (("good.csv", "--validate", "good.csv"), "both fitted and validated on"),
+        (("good.csv", "good.csv"), "the same label"),
+        (("good.csv", "--from-s", "9.5"), "no second of free flight"),
+        (("missing.csv",), "cannot read missing.csv"),
+    ],
+)
+def test_what_cannot_be_asked_for_is_one_line(
+    terminal: Terminal, tmp_path: Path, arguments: tuple[str, ...], said: str
+) -> None:
+    flight().write_csv(tmp_path / "good.csv")
+    ended = terminal("identify", *arguments)
+    assert said in refusal(ended, code=ended.code)
+    assert ended.code in (ASKED, FILE)
