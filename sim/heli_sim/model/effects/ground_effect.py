@@ -13,7 +13,11 @@ from heli_sim.rig.quantity import Prior
 
 
 class GroundEffect(Effect):
-    """Each rotor gains a share that dies out exponentially with its height above the resting place."""
+    """Each rotor gains a share that dies out exponentially with its height above the resting place.
+
+    A small rotor feels its own height, which pitch changes; where the whole short arm is over one cushion of
+    air, both feel the height of the arm's end (`own` = 0).
+    """
 
     def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
         """Add what the table gives.
@@ -32,7 +36,9 @@ class GroundEffect(Effect):
         """
         p, table = at.parameter, self.own(at, "table_rad")
         resting_m = p["L_a"] * ca.sin(table) - p["L_theta"] * ca.cos(table)
-        above_m = rotor_height_m(at.state, p) - resting_m
+        height_m = rotor_height_m(at.state, p)
+        end_m = ca.sum1(height_m) / 2
+        above_m = end_m + self.own(at, "own") * (height_m - end_m) - resting_m
         return thrust_N * (1 + self.own(at, "share") * ca.exp(-above_m / self.own(at, "height_m")))
 
 
@@ -53,6 +59,7 @@ KIND: Final = EffectKind(
             Prior(0.15, 0.1, low=0.02, high=1.5),
             scan=(0.05, 0.1, 0.2, 0.4),
         ),
+        Parameter("own", "1", "how far each rotor has a height of its own", 1.0, scan=(0.0, 1.0)),
         Parameter("table_rad", "rad", "elevation of the arm at rest, where h_i = 0", -0.436),
     ),
     needs=("L_a", "L_h", "L_theta"),

@@ -12,8 +12,16 @@ from heli_sim.model.parts import rotor_climb_m_s
 from heli_sim.rig.quantity import Prior
 
 
+_AT_N: Final = 1.0
+"""Thrust at which the loss is `Ns_per_m`, however it goes with the thrust."""
+
+
 class InflowDamping(Effect):
-    """Each rotor loses thrust in proportion to its own speed along its thrust axis."""
+    """Each rotor loses thrust in proportion to its own speed along its thrust axis.
+
+    Blade elements lose it in proportion to the rotors' speed too: between the same loss at any thrust
+    (`loaded` = 0) and a loss in proportion to the thrust (1).
+    """
 
     def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
         """Take away what the climb costs.
@@ -30,7 +38,9 @@ class InflowDamping(Effect):
         casadi.SX
             Thrust of these, shape (2, 1).
         """
-        return thrust_N - self.own(at, "Ns_per_m") * rotor_climb_m_s(at.state, at.parameter)
+        loaded = self.own(at, "loaded")
+        loss_Ns_per_m = self.own(at, "Ns_per_m") * (1 - loaded + loaded * thrust_N / _AT_N)
+        return thrust_N - loss_Ns_per_m * rotor_climb_m_s(at.state, at.parameter)
 
 
 KIND: Final = EffectKind(
@@ -44,6 +54,7 @@ KIND: Final = EffectKind(
         Parameter(
             "Ns_per_m", "N s/m", "thrust c lost for each m/s", 0.1, Prior(0.0, 0.15, -0.5, 2), size=True
         ),
+        Parameter("loaded", "1", "how far the loss goes with the thrust", 0.0, scan=(0.0, 1.0)),
     ),
     needs=("L_a", "L_h", "L_theta"),
     source="blade element theory: the angle of attack falls with the axial speed",
