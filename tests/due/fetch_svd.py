@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tarfile
@@ -13,8 +14,21 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 DEFAULT = ROOT / "build" / "svd"
-MEMBER = "cmsis-svd-0.4/cmsis_svd/data/Atmel/ATSAM3X8E.svd"
 NAME = "ATSAM3X8E.svd"
+MEMBER = f"cmsis-svd-0.4/cmsis_svd/data/Atmel/{NAME}"
+MISSING = f"{NAME} is missing: python tests/due/fetch_svd.py"
+
+
+def find() -> Path | None:
+    """The description: where the environment variable HELI_SVD says, or where `main` puts it.
+
+    Returns
+    -------
+    Path or None
+        None when nobody has fetched it.
+    """
+    places = (Path(os.environ.get("HELI_SVD", "")), DEFAULT / NAME)
+    return next((path for path in places if path.is_file()), None)
 
 
 def main(folder: Path) -> int:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
 from dataclasses import dataclass
-from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
@@ -29,17 +27,6 @@ class Described:
     readable: bool
     writable: bool
     reset: int | None
-
-
-def _svd_path() -> Path | None:
-    candidates = [Path(os.environ.get("HELI_SVD", "")), fetch_svd.DEFAULT / fetch_svd.NAME]
-    try:
-        import cmsis_svd  # type: ignore[import-not-found,import-untyped,unused-ignore]
-
-        candidates.append(Path(cmsis_svd.__file__).parent / "data" / "Atmel" / fetch_svd.NAME)
-    except ImportError:
-        pass
-    return next((path for path in candidates if path.is_file()), None)
 
 
 def _registers(element: ElementTree.Element, base: int, peripheral: str) -> list[Described]:
@@ -67,9 +54,9 @@ def _registers(element: ElementTree.Element, base: int, peripheral: str) -> list
 
 @pytest.fixture(scope="module")
 def described() -> dict[int, Described]:
-    path = _svd_path()
+    path = fetch_svd.find()
     if path is None:
-        pytest.skip("ATSAM3X8E.svd is missing: python tests/due/fetch_svd.py")
+        pytest.skip(fetch_svd.MISSING)
     rows = []
     for element in ElementTree.parse(path).getroot().iter("peripheral"):
         name = str(element.findtext("name"))

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from firmware.due.report import Image, read_image
-from tests.firmware.description import Description, find_description, read_description
+from tests.due import fetch_svd
+from tests.firmware.description import Description, read_description
 
 if TYPE_CHECKING:
     from tests.firmware.desk import Board
@@ -55,7 +56,7 @@ def board(elf: Path, image: Image) -> Board:
 @pytest.fixture(scope="session")
 def description() -> Description:
     """What the vendor says of the chip."""
-    path = find_description(ROOT)
+    path = fetch_svd.find()
     if path is None:
-        pytest.skip("build/svd has no description of the chip: python tests/due/fetch_svd.py")
+        pytest.skip(fetch_svd.MISSING)
     return read_description(path)

@@ -1,12 +1,10 @@
-"""The vendor's description of the SAM3X8E, as tests/due/fetch_svd.py fetches it."""
+"""The vendor's description of the SAM3X8E, which tests/due/fetch_svd.py fetches and finds, taken apart."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
-
-FILE = "ATSAM3X8E.svd"
 
 
 @dataclass(frozen=True)
@@ -83,23 +81,6 @@ def _register(node: ElementTree.Element) -> Register:
             values[name, _text(value, "name")] = int(_text(value, "value"), 0)
     count = int(_text(node, "dim") or "1", 0)
     return Register(int(_text(node, "addressOffset"), 0), _text(node, "access"), count, fields, values)
-
-
-def find_description(root: Path) -> Path | None:
-    """The vendor's file in a checkout.
-
-    Parameters
-    ----------
-    root : Path
-        The checkout.
-
-    Returns
-    -------
-    Path or None
-        None when nobody has fetched it.
-    """
-    path = root / "build" / "svd" / FILE
-    return path if path.exists() else None
 
 
 def read_description(path: Path) -> Description:
