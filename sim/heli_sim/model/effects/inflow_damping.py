@@ -11,7 +11,6 @@ from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import rotor_climb_m_s
 from heli_sim.rig.quantity import Prior
 
-
 _AT_N: Final = 1.0
 """Thrust at which the loss is `Ns_per_m`, however it goes with the thrust."""
 
