@@ -18,14 +18,47 @@ def test_the_documented_sequence_reaches_84_MHz() -> None:
     assert Chip().due.mck_Hz == FULL_HZ
 
 
-def test_84_MHz_needs_four_flash_wait_states() -> None:
+@pytest.mark.parametrize("bank", ["EFC0", "EFC1"])
+def test_84_MHz_needs_four_flash_wait_states_of_both_banks(bank: str) -> None:
     chip = Chip()
     chip["PMC.MCKR"] = 1 << 4 | 1
     chip.wait("PMC.SR", 1 << 3)
-    chip["EFC0.FMR"] = 3 << 8
+    chip[f"{bank}.FMR"] = 3 << 8
     chip.due.run_us(1)
-    with pytest.raises(Stop, match="flash wait states than FWS = 3"):
+    with pytest.raises(Stop, match=f"flash wait states than FWS = 3 of {bank}"):
         chip["PMC.MCKR"] = 1 << 4 | 2
+
+
+@pytest.mark.parametrize("bank", ["EFC0", "EFC1"])
+@pytest.mark.parametrize("wait_states", [0, 3])
+def test_wait_states_cannot_be_taken_away_at_84_MHz(bank: str, wait_states: int) -> None:
+    chip = Chip()
+    chip[f"{bank}.FMR"] = 6 << 8
+    with pytest.raises(Stop, match=f"{wait_states} is too few wait states for 84000000 Hz"):
+        chip[f"{bank}.FMR"] = wait_states << 8
+
+
+# PLLA x (mula + 1) of 12 MHz, divided by two; the vendor's limits are 19, 50, 64, 80 and 90 MHz.
+@pytest.mark.parametrize(
+    ("mula", "mck_Hz", "least"), [(7, 48e6, 1), (9, 60e6, 2), (12, 78e6, 3), (13, 84e6, 4)]
+)
+def test_least_wait_states_are_those_of_the_vendors_table(mula: int, mck_Hz: float, least: int) -> None:
+    for wait_states in (least - 1, least):
+        chip = Chip(full_speed=False)
+        chip["PMC.MOR"] = MOR_KEY | 8 << 8 | 1 << 3 | 1
+        chip.wait("PMC.SR", 1 << 0)
+        chip["PMC.MOR"] = MOR_KEY | 1 << 24 | 8 << 8 | 1 << 3 | 1
+        chip["PMC.PLLAR"] = 1 << 29 | mula << 16 | 0x3F << 8 | 1
+        chip.wait("PMC.SR", 1 << 1)
+        chip["PMC.MCKR"] = 1 << 4 | 1
+        chip.wait("PMC.SR", 1 << 3)
+        chip["EFC0.FMR"] = chip["EFC1.FMR"] = wait_states << 8
+        if wait_states < least:
+            with pytest.raises(Stop, match="needs more flash wait states"):
+                chip["PMC.MCKR"] = 1 << 4 | 2
+        else:
+            chip["PMC.MCKR"] = 1 << 4 | 2
+            assert chip.due.mck_Hz == mck_Hz
 
 
 @pytest.mark.parametrize(

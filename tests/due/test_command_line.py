@@ -151,6 +151,17 @@ def test_gdb_stops_at_a_breakpoint_and_steps_on(image: Image) -> None:
     assert debugger.due.now_us - before_us == pytest.approx(5000, abs=1)
 
 
+def test_a_breakpoint_that_was_taken_away_stops_again_when_it_is_back(image: Image) -> None:
+    debugger = Debugger(image)
+    address = image.address("work")
+    for _ in range(3):
+        debugger.ask(f"Z0,{address:x},2")
+        assert debugger.ask("c") == "S05"
+        assert debugger.due.reg(15) == address
+        debugger.ask(f"z0,{address:x},2")
+        debugger.ask("s")
+
+
 def test_gdb_sees_a_fault_as_a_signal(image: Image) -> None:
     debugger = Debugger(image)
     debugger.due.stop_at_hardfault(True)

@@ -70,6 +70,13 @@ def test_a_power_cut_leaves_old_erased_or_new_words(cut_us: int) -> None:
         assert len(words) == 2
 
 
+def test_stores_to_the_latches_and_commands_are_counted() -> None:
+    chip = with_old_page()
+    assert chip.due.flash_stores == 64
+    command(chip, EWP, PAGE)
+    assert chip.due.flash_stores == 65
+
+
 def test_fewer_than_six_wait_states_break_the_errata() -> None:
     chip = with_old_page()
     chip["EFC1.FMR"] = 4 << 8

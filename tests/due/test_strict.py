@@ -91,6 +91,28 @@ def test_one_check_can_be_switched_off_alone() -> None:
     assert due.reg(15) == CODE + 6
 
 
+def test_sram0_repeats_below_itself_and_strict_mode_wants_nobody_there() -> None:
+    address = 0x2006_FFFC
+    with pytest.raises(Stop, match="access to 0x2006fffc, where SRAM0 only repeats"):
+        booted(storing(address, 0x6000)).run_us(1000)
+    due = booted(storing(address, 0x6000), strict=False)
+    due.run_us(1000)
+    assert due.peek(address + 0x1_0000, 4) == struct.pack("<I", address)
+
+
+def test_a_locked_up_processor_waits_for_the_watchdog_once_the_check_is_off() -> None:
+    # An undefined instruction, and a vector of HardFault that leads nowhere.
+    due = booted(program(0xDE00))
+    due.set_strict(False)
+    with pytest.raises(Stop, match="lockup"):
+        due.run_us(1000)
+    due = booted(program(0xDE00))
+    due.set_strict(False)
+    due.set_check("lockup", False)
+    due.run_us(17_000_000)
+    assert (due.resets, due.last_reset) == (2, "watchdog")
+
+
 def test_a_clock_switched_off_makes_a_register_an_error_again() -> None:
     chip = Chip("UART")
     assert chip["UART.MR"] == 0

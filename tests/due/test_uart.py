@@ -7,7 +7,7 @@ from heli_sim.due._due import Stop
 
 from tests.due.chip import FULL_HZ, RAM, Chip
 
-RXRDY, TXRDY, ENDRX, ENDTX, OVRE, FRAME = 1 << 0, 1 << 1, 1 << 3, 1 << 4, 1 << 5, 1 << 6
+RXRDY, TXRDY, ENDRX, ENDTX, OVRE, FRAME, PARE = (1 << i for i in (0, 1, 3, 4, 5, 6, 7))
 TXEMPTY, TXBUFE, RXBUFF = 1 << 9, 1 << 11, 1 << 12
 NO_PARITY = 4 << 9
 
@@ -61,6 +61,17 @@ def test_500_kbaud_passes_with_neither_divider(divider: int) -> None:
     chip.due.run_us(100)
     assert chip["UART.SR"] & FRAME
     assert chip["UART.RHR"] != 0xC3
+
+
+@pytest.mark.parametrize("mode", [0, 1 << 9, 2 << 9, 3 << 9])
+def test_a_parity_bit_that_the_bridge_does_not_send_is_an_error(mode: int) -> None:
+    chip = opened(mode=mode)
+    chip.due.usb_write(b"\xc3")
+    chip["UART.THR"] = 0x3C
+    chip.due.run_us(6000)
+    assert chip["UART.SR"] & (FRAME | PARE) == FRAME | PARE
+    assert chip["UART.RHR"] != 0xC3
+    assert chip.due.usb_read() != b"\x3c"
 
 
 def test_one_byte_waits_and_the_next_is_an_overrun() -> None:
