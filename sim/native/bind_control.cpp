@@ -23,6 +23,7 @@
 #include "control/mixer.hpp"
 #include "control/rate_filter.hpp"
 #include "core.hpp"
+#include "flight/setpoints.hpp"
 #include "flight/state_table.hpp"
 #include "native_board.hpp"
 #include "params/params.hpp"
@@ -76,6 +77,37 @@ class Law {
  private:
   heli::control::Constants constants_;
   heli::control::Cascade law_;
+};
+
+// Setpoints as the supervisor lets them advance, one tick at a time.
+class Shaper {
+ public:
+  explicit Shaper(const ParamValues& values)
+      : limits_(heli::flight::setpoint_limits_of(params_from(values))) {
+    setpoints_.start_at({});
+  }
+
+  bool aim(const Triple& target_rad, std::uint32_t ahead_ticks) {
+    const Quantity target[heli::kAxisCount] = {
+        Quantity::of(target_rad[0]), Quantity::of(target_rad[1]), Quantity::of(target_rad[2])};
+    return setpoints_.aim(target, ahead_ticks, 0, limits_);
+  }
+
+  // Angle, rate and acceleration of each axis.
+  std::array<Triple, heli::kAxisCount> advance() {
+    setpoints_.advance(limits_);
+    std::array<Triple, heli::kAxisCount> out{};
+    for (std::size_t axis = 0; axis < heli::kAxisCount; ++axis) {
+      const heli::flight::Setpoint s = setpoints_.of(axis);
+      out[axis] = {s.angle_rad.to_float(), s.rate_rad_s.to_float(),
+                   s.acceleration_rad_s2.to_float()};
+    }
+    return out;
+  }
+
+ private:
+  heli::flight::SetpointLimits limits_;
+  heli::flight::Setpoints setpoints_;
 };
 
 nb::ndarray<nb::numpy, float, nb::ndim<2>> excitation(std::uint8_t kind, float front_V,
@@ -159,6 +191,10 @@ void bind_control(nb::module_& module) {
            nb::arg("setpoint_rad"), nb::arg("setpoint_rate_rad_s"),
            nb::arg("setpoint_acceleration_rad_s2"), nb::arg("axes"), nb::arg("open_V"),
            nb::arg("excitation_V"));
+  nb::class_<Shaper>(m, "Shaper")
+      .def(nb::init<const ParamValues&>(), nb::arg("params"))
+      .def("aim", &Shaper::aim, nb::arg("target_rad"), nb::arg("ahead_ticks"))
+      .def("advance", &Shaper::advance);
   nb::class_<heli::control::RateFilter>(m, "RateFilter")
       .def(nb::init<>())
       .def(
@@ -189,6 +225,27 @@ void bind_control(nb::module_& module) {
             .to_float();
       },
       nb::arg("lift_V"), nb::arg("dead_zone_V"));
+  m.def(
+      "quantity", [](float value) { return heli::control::quantity_of(value).raw(); },
+      nb::arg("value"), "Bits of the nearest quantity.");
+  m.def(
+      "quantity_sum",
+      [](std::int32_t a, std::int32_t b) {
+        return (Quantity::from_raw(a) + Quantity::from_raw(b)).raw();
+      },
+      nb::arg("a"), nb::arg("b"), "Of the bits of two quantities.");
+  m.def(
+      "quantity_difference",
+      [](std::int32_t a, std::int32_t b) {
+        return (Quantity::from_raw(a) - Quantity::from_raw(b)).raw();
+      },
+      nb::arg("a"), nb::arg("b"), "Of the bits of two quantities.");
+  m.def(
+      "quantity_product",
+      [](std::int32_t gain, std::int32_t quantity) {
+        return (heli::control::Gain::from_raw(gain) * Quantity::from_raw(quantity)).raw();
+      },
+      nb::arg("gain"), nb::arg("quantity"), "Of the bits of a gain and of a quantity.");
   m.def("square_root", &heli::control::square_root, nb::arg("value"));
   m.def("reciprocal", &heli::control::reciprocal, nb::arg("value"));
   m.def("excitation", &excitation, nb::arg("kind"), nb::arg("front_V"), nb::arg("back_V"),

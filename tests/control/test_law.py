@@ -153,12 +153,6 @@ def test_open_loop_gives_the_voltages_that_were_asked_for_dead_zone_included() -
     assert out[:2] == pytest.approx((0.4, 2.5), abs=1e-4)
 
 
-@given(st.integers(0, 2**62 - 1))
-def test_square_root_needs_no_division_and_is_right(value: int) -> None:
-    exact = math.isqrt(value)
-    assert abs(control.square_root(value) - exact) <= 1 + exact * 1e-8
-
-
 @given(st.floats(2.0**-10, 2.0**20, width=32))
 def test_reciprocal_needs_no_division_and_is_right(value: float) -> None:
     assert control.reciprocal(value) * value == pytest.approx(1.0, rel=1e-6)

@@ -176,7 +176,22 @@ def _stopped(flight: Flight) -> None:
     heli.session.wait_for(lambda: heli.session.state is State.FAULT, 1.0)
 
 
-FLIGHTS: Final[tuple[Callable[[Flight], None], ...]] = (_excited, _abandoned, _streamed, _tripped, _stopped)
+def _crowded(flight: Flight) -> None:
+    heli = flight.heli
+    heli.take_off(0.0)
+    heli.excite("multisine", 0.2, 0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=30.0)
+    for k in range(40):
+        # What the USB bridge has kept arrives together: as many setpoints as the board queues, and a command.
+        for axis_deg in range(4):
+            heli.setpoint(elevation_deg=0.1 * k, pitch_deg=2.0 * axis_deg, travel_deg=0.2 * k)
+        heli.excite("multisine", 0.2, 0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=30.0)
+        heli.wait(0.0013 * (k % 8))
+    heli.stop()
+
+
+FLIGHTS: Final[tuple[Callable[[Flight], None], ...]] = (
+    _excited, _abandoned, _streamed, _tripped, _stopped, _crowded
+)  # fmt: skip
 
 
 def fly_the_worst(elf: Path, probes: tuple[str, ...] = (CASCADE,)) -> list[Flight]:

@@ -69,33 +69,39 @@ std::uint32_t step_of(float frequency_Hz) {
 
 void Exciter::start(const link::ExciteMessage& message) {
   kind_ = static_cast<Kind>(message.kind);
-  amplitude_V_[0] = Quantity::of(message.front_V);
-  amplitude_V_[1] = Quantity::of(message.back_V);
+  amplitude_V_[0] = quantity_of(message.front_V);
+  amplitude_V_[1] = quantity_of(message.back_V);
   tick_ = 0;
   const auto ticks = static_cast<std::uint32_t>(message.duration_s * kTickRate_Hz + 0.5F);
   duration_ticks_ = ticks == 0U ? 1U : ticks;
   noise_ = message.seed;
   const float spread_Hz = message.stop_Hz - message.start_Hz;
-  if (kind_ == Kind::multisine) {
-    const std::uint32_t start = step_of(message.start_Hz);
-    const std::uint32_t spread = step_of(spread_Hz);
-    for (std::uint32_t tone = 0; tone < kTones; ++tone) {
-      // Schroeder: phase pi n^2 / N, here in turns n^2 / (2 N).
-      const std::uint32_t phase = (tone * tone) << 28U;
-      for (std::uint32_t motor = 0; motor < 2; ++motor) {
-        const std::uint32_t place = (2U * tone + motor) * kPlace;
-        step_[motor][tone] =
-            start + static_cast<std::uint32_t>((static_cast<std::uint64_t>(place) * spread) >> 32U);
-        phase_[motor][tone] = phase;
-      }
-    }
-  } else {
-    phase_[0][0] = 0;
+  switch (kind_) {
+    case Kind::chirp:
+      phase_[0][0] = 0;
+      chirp_step_ = message.start_Hz * kStepPerHz;
+      chirp_growth_ = spread_Hz * kStepPerHz * reciprocal(static_cast<float>(duration_ticks_));
+      break;
+    case Kind::multisine:
+      start_tones(step_of(message.start_Hz), step_of(spread_Hz));
+      break;
+    case Kind::prbs:
+      phase_[0][0] = 0;
+      step_[0][0] = step_of(message.stop_Hz);
+      break;
+    default:
+      break;
   }
-  chirp_step_ = message.start_Hz * kStepPerHz;
-  chirp_growth_ = spread_Hz * kStepPerHz * reciprocal(static_cast<float>(duration_ticks_));
-  if (kind_ == Kind::prbs) {
-    step_[0][0] = step_of(message.stop_Hz);
+}
+
+void Exciter::start_tones(std::uint32_t start, std::uint32_t spread) {
+  for (std::uint32_t tone = 0; tone < kTones; ++tone) {
+    for (std::uint32_t motor = 0; motor < 2; ++motor) {
+      const std::uint64_t place = (2U * tone + motor) * kPlace;
+      step_[motor][tone] = start + static_cast<std::uint32_t>((place * spread) >> 32U);
+      // Schroeder: phase pi n^2 / N, here in turns n^2 / (2 N).
+      phase_[motor][tone] = (tone * tone) << 28U;
+    }
   }
 }
 

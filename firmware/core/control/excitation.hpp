@@ -27,6 +27,8 @@ class Exciter {
   ExcitationValue next();
 
  private:
+  // Steps of the first tone and from it to the last.
+  void start_tones(std::uint32_t start, std::uint32_t spread);
   // Of unit size.
   Share shape(std::size_t motor);
 

@@ -1,11 +1,12 @@
 // Fixed-point numbers: what the tick calculates with.
 //
 // A Cortex-M3 without FPU takes about 45 instructions for a float's sum and 33 for its product, but
-// 4 and 11 for these. Every operation saturates instead of wrapping, so that a number that left its
+// 8 and 11 for these. Every operation saturates instead of wrapping, so that a number that left its
 // range still has the right sign and is larger than any limit.
 #pragma once
 
 #include <cstdint>
+#include <cstring>
 
 namespace heli::control {
 
@@ -30,7 +31,7 @@ class Fixed {
     return result;
   }
 
-  // Nearest, or the end of the range.
+  // Nearest, or the end of the range. For constants and the idle loop; the tick has quantity_of().
   static constexpr Fixed of(float value) {
     const float scaled = value * static_cast<float>(std::int64_t{1} << kFraction);
     if (!(scaled > -2147483648.0F)) {
@@ -51,19 +52,11 @@ class Fixed {
   constexpr Fixed half() const { return from_raw(raw_ >> 1); }
 
   friend constexpr Fixed operator+(Fixed a, Fixed b) {
-    std::int32_t sum = 0;
-    if (__builtin_add_overflow(a.raw_, b.raw_, &sum)) {
-      sum = b.raw_ < 0 ? INT32_MIN : INT32_MAX;
-    }
-    return from_raw(sum);
+    return from_raw(saturated(std::int64_t{a.raw_} + b.raw_));
   }
 
   friend constexpr Fixed operator-(Fixed a, Fixed b) {
-    std::int32_t difference = 0;
-    if (__builtin_sub_overflow(a.raw_, b.raw_, &difference)) {
-      difference = b.raw_ < 0 ? INT32_MAX : INT32_MIN;
-    }
-    return from_raw(difference);
+    return from_raw(saturated(std::int64_t{a.raw_} - b.raw_));
   }
 
   friend constexpr Fixed operator-(Fixed a) { return Fixed{} - a; }
@@ -92,6 +85,28 @@ using Share = Fixed<30>;
 using PerCount = Fixed<28>;
 // Counts, PWM steps, telemetry.
 using Whole = Fixed<0>;
+
+// The nearest quantity, by the float's bits: in the tick floats come with commands only.
+inline Quantity quantity_of(float value) {
+  constexpr std::uint32_t kOne = 127;    // exponent of 1.0
+  constexpr std::uint32_t kHidden = 23;  // bits of the mantissa behind its leading one
+  constexpr std::uint32_t kLevel = kOne + kHidden - 24;  // where mantissa and quantity coincide
+  std::uint32_t bits = 0;
+  std::memcpy(&bits, &value, sizeof bits);
+  const std::uint32_t exponent = (bits >> kHidden) & 0xffU;
+  const std::uint32_t mantissa = (bits & 0x7fffffU) | 0x800000U;
+  std::uint32_t size = 0;
+  if (exponent >= kOne + 7U) {
+    size = INT32_MAX;
+  } else if (exponent >= kLevel) {
+    size = mantissa << (exponent - kLevel);
+  } else if (exponent + kHidden + 2U > kLevel) {
+    const std::uint32_t shift = kLevel - exponent;
+    size = (mantissa + (1U << (shift - 1U))) >> shift;
+  }
+  const auto raw = static_cast<std::int32_t>(size);
+  return Quantity::from_raw((bits >> 31U) != 0U ? -raw : raw);
+}
 
 // The product, rounded, with kTo bits behind the point.
 template <int kTo, int kA, int kB>

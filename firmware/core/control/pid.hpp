@@ -28,7 +28,7 @@ class Pid {
     if (same_sign && excess != Quantity{} && error_rad != Quantity{}) {
       return;
     }
-    const std::int64_t most = static_cast<std::int64_t>(gains.integral_max.raw()) << kFiner;
+    const std::int64_t most = gains.integral_max.raw() * (std::int64_t{1} << kFiner);
     const std::int64_t step = static_cast<std::int64_t>(gains.ki_per_tick.raw()) * error_rad.raw();
     integral_ = clamp(integral_ + step, -most, most);
   }

@@ -131,13 +131,13 @@ bool Setpoints::aim(const Quantity (&target_rad)[kAxisCount], std::uint32_t appl
   for (std::size_t i = 0; i < kAxisCount; ++i) {
     Axis& axis = axes_[i];
     axis.target = Place::at(target_rad[i]);
-    axis.slope_rad = product<36>(axis.path.distance_rad(axis.target), kPerTicks[ramp_ticks_]);
+    axis.slope = Place::part_of(axis.path.distance_rad(axis.target), kPerTicks[ramp_ticks_]);
   }
   return true;
 }
 
 void Setpoints::follow(Axis& axis, Step step_max_rad, Step change_max_rad, Quantity near_rad) {
-  const Step slope_rad = clamp(axis.slope_rad, -step_max_rad, step_max_rad);
+  const Step slope_rad = clamp(Place{}.towards(axis.slope), -step_max_rad, step_max_rad);
   const Step wanted_rad =
       clamp(slope_rad + approach(axis.place, axis.path, change_max_rad, near_rad), -step_max_rad,
             step_max_rad);
@@ -156,10 +156,10 @@ void Setpoints::advance(const SetpointLimits& limits) {
   for (std::size_t i = 0; i < kAxisCount; ++i) {
     Axis& axis = axes_[i];
     if (ramp_ticks_ > 0U) {
-      axis.path.add(axis.slope_rad);
+      axis.path.add(axis.slope);
     } else {
       axis.path = axis.target;
-      axis.slope_rad = Step{};
+      axis.slope = Place{};
     }
     if (i == kPitch) {
       const Step most_rad = limits.step_max_rad[i];
@@ -174,7 +174,7 @@ void Setpoints::descend(const SetpointLimits& limits, Quantity floor_rad) {
   Axis& axis = axes_[kElevation];
   axis.target = Place::at(floor_rad);
   axis.path = axis.target;
-  axis.slope_rad = Step{};
+  axis.slope = Place{};
   follow(axis, limits.landing_step_rad, limits.change_max_rad[kElevation],
          limits.near_rad[kElevation]);
 }

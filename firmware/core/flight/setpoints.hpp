@@ -25,16 +25,23 @@ using Step = control::Fixed<36>;
 // Change of a step, smoothed: finer still, so that it fades to nothing.
 using Change = control::Fixed<44>;
 
-// An angle that sums up steps.
+// An angle that sums up steps, or a way that no step could be.
 class Place {
  public:
   constexpr Place() = default;
   static constexpr Place at(Quantity angle_rad) {
     Place place;
-    place.raw_ = static_cast<std::int64_t>(angle_rad.raw()) << kFiner;
+    place.raw_ = angle_rad.raw() * (std::int64_t{1} << kFiner);
+    return place;
+  }
+  static constexpr Place part_of(Quantity way_rad, control::Share part) {
+    const std::int64_t exact = static_cast<std::int64_t>(way_rad.raw()) * part.raw();
+    Place place;
+    place.raw_ = (exact + (std::int64_t{1} << (30 - kFiner - 1))) >> (30 - kFiner);
     return place;
   }
   constexpr void add(Step step_rad) { raw_ += step_rad.raw(); }
+  constexpr void add(Place way) { raw_ += way.raw_; }
   constexpr Quantity angle_rad() const {
     return Quantity::from_raw(
         control::saturated((raw_ + (std::int64_t{1} << (kFiner - 1))) >> kFiner));
@@ -95,7 +102,7 @@ class Setpoints {
  private:
   struct Axis {
     Place path;
-    Step slope_rad;  // of the path, per tick
+    Place slope;  // of the path, per tick
     Place target;
     Place place;    // of the setpoint
     Step step_rad;  // its last change

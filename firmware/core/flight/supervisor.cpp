@@ -220,7 +220,7 @@ Reply Supervisor::control(const link::ControlMessage& message) {
     }
   }
   axes_ = wanted;
-  open_ = {Quantity::of(message.front_V), Quantity::of(message.back_V)};
+  open_ = {control::quantity_of(message.front_V), control::quantity_of(message.back_V)};
   fresh_tick_ = seen_.tick;
   return {Result::ok, code(state_), 0.0F};
 }
@@ -271,9 +271,9 @@ void Supervisor::take_setpoint(const link::SetpointMessage& message) {
     reject(Result::bad_state);
     return;
   }
-  const Quantity target_rad[kAxisCount] = {Quantity::of(message.elevation_rad),
-                                           Quantity::of(message.pitch_rad),
-                                           Quantity::of(message.travel_rad)};
+  const Quantity target_rad[kAxisCount] = {control::quantity_of(message.elevation_rad),
+                                           control::quantity_of(message.pitch_rad),
+                                           control::quantity_of(message.travel_rad)};
   if (!setpoints_.aim(target_rad, message.apply_tick, seen_.tick, bounds_)) {
     reject(Result::bad_value);
     return;
@@ -294,7 +294,7 @@ void Supervisor::take_voltages(const link::VoltagesMessage& message) {
     reject(Result::bad_value);
     return;
   }
-  open_ = {Quantity::of(message.front_V), Quantity::of(message.back_V)};
+  open_ = {control::quantity_of(message.front_V), control::quantity_of(message.back_V)};
   const std::uint32_t valid_ticks = message.valid_ms < limits_.voltage_valid_max_ticks
                                         ? message.valid_ms
                                         : limits_.voltage_valid_max_ticks;
