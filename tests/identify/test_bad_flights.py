@@ -20,11 +20,12 @@ STEP_S = 0.002
 
 def flight() -> Flight:
     """Ten seconds by formula: off the table, then sines on every axis."""
-    t_s = STEP_S * np.arange(ROWS)
+    t_s = np.linspace(0.0, STEP_S * (ROWS - 1), ROWS)
     wave = np.sin(2 * np.pi * t_s / 3.0)
     volts = 1.7 + 0.2 * wave
-    angles = [COUNT_RAD * np.round(size * wave / COUNT_RAD) for size in (0.1, 0.2, 0.5)]
-    return Flight(t_s, volts, volts[::-1].copy(), *angles)
+    counts = np.round(np.outer((0.1, 0.2, 0.5), wave) / COUNT_RAD)
+    elevation, pitch, travel = COUNT_RAD * counts.astype(np.float64)
+    return Flight(t_s, volts, volts[::-1].copy(), elevation, pitch, travel)
 
 
 Spoil = Callable[[Flight], Flight]

@@ -25,6 +25,14 @@ def identify(
     model: Annotated[
         str, typer.Option("--model", metavar="NAME", help="Equations of motion.")
     ] = DEFAULT_MODEL,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option("--effect", metavar="ID...", help="Effects to find as well, such as rotor_lag."),
+    ] = None,
+    effects: Annotated[
+        list[Path] | None,
+        typer.Option("--effects", metavar="FILE...", help="Python files with effects of your own."),
+    ] = None,
     free: Annotated[
         list[str] | None,
         typer.Option("--free", metavar="NAME...", help="Find only these numbers; else all with a tolerance."),
@@ -66,6 +74,7 @@ def identify(
     from heli_sim.identify.report import verdict, write_report
     from heli_sim.identify.result import short_names
     from heli_sim.identify.run import identify as find
+    from heli_sim.model.effects import effects_of, parse_effects
     from heli_sim.model.named import model_named
     from heli_sim.rig import load_rig, write_rig
 
@@ -79,8 +88,12 @@ def identify(
             check_place(target)
     if report is not None:
         check_place(report / "index.html")
-    chosen, equations = load_rig(rig), model_named(model)
-    names = short_names([*flights, *others])
+    chosen = load_rig(rig)
+    asked = parse_effects(effect or (), effects or ())
+    names = {one.name for one in asked}
+    stated = tuple(one for one in effects_of(chosen, effects or ()) if one.name not in names)
+    equations = model_named(model, stated + asked)
+    labels = short_names([*flights, *others])
     with WorkBar() as bar:
         bar.show("reading", 0.0)
         fitted = [Flight.read(path, allow_gaps=allow_gaps) for path in flights]
@@ -92,8 +105,8 @@ def identify(
             validation=held_out,
             free=free or None,
             fixed=fix or (),
-            labels=names[: len(flights)],
-            validation_labels=names[len(flights) :],
+            labels=labels[: len(flights)],
+            validation_labels=labels[len(flights) :],
             start_s=start_s,
             stop_s=stop_s,
             window_s=window_s,

@@ -87,7 +87,30 @@ class Identification:
             was = numbers[one.quantity]
             source = f"identified from {labels}; before: {was.value:g} +- {was.tolerance:g}"
             numbers[one.quantity] = Number(float(value), was.unit, 2.0 * std, source)
-        return Rig(name, f"{old.name} as identified from {labels}", numbers)
+        return Rig(
+            name,
+            f"{old.name} as identified from {labels}",
+            numbers,
+            self._effects(),
+            self.fit.problem.model.name,
+        )
+
+    def _effects(self) -> dict[str, dict[str, Number]]:
+        """Effects of the model with the numbers found, as a rig holds them."""
+        problem = self.fit.problem
+        values = dict(zip((q.name for q in problem.model.parameters), problem.base, strict=True))
+        found = self.fit.values
+        labels = ", ".join(record.label for record in problem.records)
+        effects: dict[str, dict[str, Number]] = {}
+        for effect in problem.model.effects:
+            numbers = effects.setdefault(effect.name, {})
+            for own in effect.parameters:
+                what = own.name.removeprefix(f"{effect.name.replace('.', '_')}_")
+                value = float(found.get(own.name, values[own.name]))
+                free = own.name in found
+                source = f"identified from {labels}" if free else "not looked for"
+                numbers[what] = Number(value, own.unit, 2.0 * self.fit.std[own.name] if free else 0.0, source)
+        return effects
 
     def json(self) -> dict[str, Any]:
         """Spell the result for other programs.
