@@ -24,6 +24,7 @@ from heli_host.cli import (
     info,
     log,
     motors,
+    paper,
     params,
     plot,
     ports,
@@ -58,6 +59,7 @@ app.command("info")(info.info)
 app.command("export")(export.export)
 app.command("plot")(plot.plot)
 app.add_typer(rig.app, name="rig")
+app.add_typer(paper.app, name="paper")
 app.command("doctor")(doctor.doctor)
 app.command("identify", cls=Variadic)(identify.identify)
 

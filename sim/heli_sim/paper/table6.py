@@ -29,7 +29,9 @@ Reading = Literal["degrees", "u3"]
 Derivative = Literal["error", "measurement"]
 READINGS: Final[tuple[Reading, ...]] = ("degrees", "u3")
 DERIVATIVES: Final[tuple[Derivative, ...]] = ("error", "measurement")
-_LAGS_s: Final = np.arange(0.001, 0.4, 0.001)
+LONGEST_LAG_s: Final = 0.4
+"""Longest thrust lag that is tried: several times what any rotor of this size shows."""
+_LAGS_s: Final = np.arange(0.001, LONGEST_LAG_s, 0.001)
 _DEG: Final = math.degrees(1.0)
 
 

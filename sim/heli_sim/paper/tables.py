@@ -44,7 +44,7 @@ TESTS_OF_TABLE: Final[Mapping[int, tuple[BenchTest, ...]]] = {
 
 @dataclass(frozen=True)
 class _Plan:
-    """What is fitted for a table: free coefficients, those at 0 that they stand for, and why some cannot be."""
+    """What is fitted for a table: free coefficients, those that they stand for, why some cannot be."""
 
     free: tuple[str, ...]
     absorbed: tuple[str, ...]

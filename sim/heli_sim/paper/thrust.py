@@ -1,4 +1,4 @@
-"""Thrust against voltage, Fig. 15: a scale under each rotor, and the straight line (31) through its readings."""
+"""Thrust against voltage, Fig. 15: a scale under each rotor, and the line (31) through its readings."""
 
 from __future__ import annotations
 
