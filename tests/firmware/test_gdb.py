@@ -1,0 +1,74 @@
+"""A student can step the firmware."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+due = pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
+
+GDB = shutil.which("gdb-multiarch") or shutil.which("arm-none-eabi-gdb")
+
+
+def test_a_breakpoint_in_the_tick_is_reached_and_stepped_on_from(elf: Path) -> None:
+    from heli_sim.due import new_due, read_image
+    from heli_sim.due.gdb import GdbServer
+
+    image = read_image(elf)
+    board = new_due(image)
+    board.power_on()
+    ask = GdbServer(board, image).answer
+    address = image.address("tick_interrupt") & ~1
+    assert ask(f"Z0,{address:x},2") == "OK"
+    for _ in range(3):
+        assert ask("c") == "S05"
+        assert board.reg(15) == address
+        before = board.instructions
+        for _ in range(20):
+            assert ask("s") == "S05"
+        # A breakpoint is no instruction, and nothing is skipped.
+        assert board.instructions - before == 20
+    assert ask(f"z0,{address:x},2") == "OK"
+
+
+@pytest.mark.skipif(GDB is None, reason="no GDB for ARM is installed: apt-get install gdb-multiarch")
+def test_a_real_gdb_stops_in_the_tick_and_names_its_lines(elf: Path) -> None:
+    assert GDB is not None
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    server = subprocess.Popen(
+        [sys.executable, "-m", "heli_sim.due", str(elf), "--gdb", str(port)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert server.stdout is not None
+    assert "waiting" in server.stdout.readline()
+    lines = [
+        f"target remote :{port}",
+        "break tick_interrupt",
+        "continue",
+        "continue",
+        "next",
+        "next",
+        "stepi",
+        "backtrace",
+        "print heli::due::ticks",
+        "x/1xw 0x40080010",
+        "kill",
+    ]
+    script = [part for line in lines for part in ("-ex", line)]
+    done = subprocess.run(
+        [GDB, "-q", "-batch", *script, str(elf)], capture_output=True, text=True, check=False, timeout=60
+    )
+    server.wait(timeout=20)
+    said = done.stdout + done.stderr
+    assert "tick_interrupt" in done.stdout, said
+    assert "main.cpp" in done.stdout, said
+    assert "0x40080010:\t0x00000000" in done.stdout, said
