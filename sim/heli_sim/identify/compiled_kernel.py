@@ -13,6 +13,7 @@ import numpy as np
 from heli_sim.compiled import c_source
 from heli_sim.errors import PlantError
 from heli_sim.identify.functions import Floats, Functions, Inputs
+from heli_sim.identify.windows import Kernel
 
 THREADS: Final = 2
 
@@ -243,7 +244,7 @@ def driver(functions: Functions) -> str:
     return c_source(*functions.all) + _C % sized
 
 
-class CompiledKernel:
+class CompiledKernel(Kernel):
     """Windows run by compiled code, on two threads.
 
     Parameters
@@ -268,80 +269,22 @@ class CompiledKernel:
             raise PlantError(f"the compiled model does not load: {error}; delete {library}") from None
         self._windows.restype = None
 
-    def run(
-        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool = True
+    def _run(
+        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool
     ) -> tuple[Floats, Floats | None]:
-        """Run every window from its initial state; see `Kernel.run`.
-
-        Parameters
-        ----------
-        inputs : Inputs
-            What drives the windows.
-        start : ndarray (w, states)
-            Initial states.
-        parameters : ndarray (p,)
-            All parameters of the model.
-        derivatives : bool
-            Whether to compute the Jacobian.
-
-        Returns
-        -------
-        angles_rad : ndarray (n, 3)
-            Measured angles at the beginning of each step.
-        jacobian : ndarray (n, 3, states + free) or None
-            Their derivatives.
-        """
         jacobian = np.empty((inputs.rows, 3, self._sizes[1])) if derivatives else None
         angles, _ = self._call(inputs, start, parameters, jacobian, None)
         return angles, jacobian
 
-    def products(
+    def _products(
         self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
     ) -> tuple[Floats, Floats]:
-        """Run every window and multiply up what the normal equations need; see `Kernel.products`.
-
-        Parameters
-        ----------
-        inputs : Inputs
-            What drives the windows.
-        start : ndarray (w, states)
-            Initial states.
-        parameters : ndarray (p,)
-            All parameters of the model.
-        measured_rad : ndarray (n, 3)
-            Angles to compare with.
-        sigma_rad : ndarray (3,)
-            Unit of the residuals.
-
-        Returns
-        -------
-        angles_rad : ndarray (n, 3)
-            Measured angles at the beginning of each step.
-        gram : ndarray (w, 3, states + free + 1, states + free + 1)
-            Products of the columns of [Jacobian | residual] of each window and axis.
-        """
         size = self._sizes[1] + 1
         gram = np.zeros((len(inputs.steps), 3, size, size))
         angles, _ = self._call(inputs, start, parameters, None, (measured_rad, sigma_rad, gram))
         return angles, gram
 
-    def end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
-        """Run every window and return the states at their ends; see `Kernel.end`.
-
-        Parameters
-        ----------
-        inputs : Inputs
-            What drives the windows.
-        start : ndarray (w, states)
-            Initial states.
-        parameters : ndarray (p,)
-            All parameters of the model.
-
-        Returns
-        -------
-        ndarray (w, states)
-            State after each window's last step.
-        """
+    def _end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
         return self._call(inputs, start, parameters, None, None)[1]
 
     def _call(

@@ -9,9 +9,10 @@ import casadi as ca
 import numpy as np
 
 from heli_sim.identify.functions import Floats, Functions, Inputs, Integers
+from heli_sim.identify.windows import Kernel
 
 
-class InterpretedKernel:
+class InterpretedKernel(Kernel):
     """Windows run in NumPy, all of them side by side, on CasADi's virtual machine.
 
     Parameters
@@ -23,57 +24,15 @@ class InterpretedKernel:
     def __init__(self, functions: Functions) -> None:
         self._functions = functions
 
-    def run(
-        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool = True
+    def _run(
+        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool
     ) -> tuple[Floats, Floats | None]:
-        """Run every window from its initial state; see `Kernel.run`.
-
-        Parameters
-        ----------
-        inputs : Inputs
-            What drives the windows.
-        start : ndarray (w, states)
-            Initial states.
-        parameters : ndarray (p,)
-            All parameters of the model.
-        derivatives : bool
-            Whether to compute the Jacobian.
-
-        Returns
-        -------
-        angles_rad : ndarray (n, 3)
-            Measured angles at the beginning of each step.
-        jacobian : ndarray (n, 3, states + free) or None
-            Their derivatives.
-        """
         angles, jacobian, _ = self._loop(inputs, start, parameters, derivatives)
         return angles, jacobian
 
-    def products(
+    def _products(
         self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
     ) -> tuple[Floats, Floats]:
-        """Run every window and multiply up what the normal equations need; see `Kernel.products`.
-
-        Parameters
-        ----------
-        inputs : Inputs
-            What drives the windows.
-        start : ndarray (w, states)
-            Initial states.
-        parameters : ndarray (p,)
-            All parameters of the model.
-        measured_rad : ndarray (n, 3)
-            Angles to compare with.
-        sigma_rad : ndarray (3,)
-            Unit of the residuals.
-
-        Returns
-        -------
-        angles_rad : ndarray (n, 3)
-            Measured angles at the beginning of each step.
-        gram : ndarray (w, 3, states + free + 1, states + free + 1)
-            Products of the columns of [Jacobian | residual] of each window and axis.
-        """
         angles, jacobian, _ = self._loop(inputs, start, parameters, True)
         assert jacobian is not None
         columns = np.concatenate((jacobian, (measured_rad - angles)[:, :, None]), axis=2)
@@ -82,23 +41,7 @@ class InterpretedKernel:
         parts = [columns[low:high].transpose(1, 0, 2) for low, high in itertools.pairwise(edges)]
         return angles, np.array([part.transpose(0, 2, 1) @ part for part in parts])
 
-    def end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
-        """Run every window and return the states at their ends; see `Kernel.end`.
-
-        Parameters
-        ----------
-        inputs : Inputs
-            What drives the windows.
-        start : ndarray (w, states)
-            Initial states.
-        parameters : ndarray (p,)
-            All parameters of the model.
-
-        Returns
-        -------
-        ndarray (w, states)
-            State after each window's last step.
-        """
+    def _end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
         return self._loop(inputs, start, parameters, False)[2]
 
     def _loop(
