@@ -4,6 +4,7 @@
 
 PLANS ?= hover sine
 SPEED ?= 1
+BOARD ?= auto
 FUZZ_S ?= 60
 HELI := .venv/bin/heli-host
 
@@ -13,9 +14,9 @@ help: ## this list
 setup: ## everything that flying, testing and measuring need, into .venv
 	@.ci/setup bench
 
-fly: ## fly the simulated helicopter: make fly [SPEED=5|max] [PLANS="hover sine"]
+fly: ## fly the simulated helicopter: make fly [SPEED=5|max] [PLANS="hover sine"] [BOARD=due|native]
 	@.ci/setup fly
-	@$(HELI) fly $(PLANS) --sil --speed $(SPEED)
+	@$(HELI) fly $(PLANS) --sil --board $(BOARD) --speed $(SPEED)
 
 test: ## style, types, static analysis, then all tests
 	@.ci/test

@@ -58,6 +58,7 @@ void NativeBoard::boot(heli::link::Reset cause) {
 
 void NativeBoard::tick(const std::int32_t* count) {
   std::copy_n(count, heli::kAxisCount, disc_.begin());
+  leaving_ = memory_.tx.size();
   if (reset_ticks_ > 0) {
     --reset_ticks_;
     return;
@@ -96,6 +97,7 @@ void NativeBoard::reset(heli::link::Reset cause) {
   origin_ = disc_;
   memory_.rx.clear();
   memory_.tx.clear();
+  leaving_ = 0;
   cause_ = cause;
   reset_ticks_ = kResetTicks;
 }
@@ -107,7 +109,8 @@ void NativeBoard::erase() {
 }
 
 bool NativeBoard::uart_transmit(std::uint8_t& byte) {
-  if (memory_.tx.empty()) return false;
+  if (leaving_ == 0) return false;
+  --leaving_;
   byte = memory_.tx.pop();
   return true;
 }

@@ -80,6 +80,7 @@ class NativeBoard final : public SimBoard {
   std::array<std::int32_t, heli::kAxisCount> disc_{};    // as of the last tick
   std::array<std::int32_t, heli::kAxisCount> origin_{};  // where the counters stood at 0
   ByteRing<64> arriving_;                                // more than a millisecond carries
+  std::size_t leaving_ = 0;                              // bytes written before this millisecond
 };
 
 }  // namespace heli_sim

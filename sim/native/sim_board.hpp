@@ -51,7 +51,8 @@ class SimBoard {
   virtual void set_stop(bool pressed) = 0;
 
   // One byte for the UART, heard by the end of the millisecond whose tick() comes next; and the
-  // next byte that it has sent, false when there is none.
+  // next byte from it, false when there is none. What the program writes in one millisecond leaves
+  // from the next on: a processor takes part of this one to write it.
   virtual void uart_receive(std::uint8_t byte) = 0;
   virtual bool uart_transmit(std::uint8_t& byte) = 0;
 };

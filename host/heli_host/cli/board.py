@@ -13,6 +13,8 @@ import typer
 from heli_host.cli.options import DEFAULT_RIG, parse_speed
 
 if TYPE_CHECKING:
+    from heli_sim.sil.boards import Choice
+
     from heli_host.heli import Heli
     from heli_host.link.transport import PortInfo
 
@@ -91,6 +93,7 @@ def open_board(
     rig: str | None = None,
     speed: str = "1",
     seed: int = 1,
+    choice: Choice | None = None,
 ) -> Iterator[Heli]:
     """Connect to a board and disconnect at the end.
 
@@ -106,6 +109,8 @@ def open_board(
         Simulated seconds a second, or ``max``.
     seed : int
         Seed of the simulation.
+    choice : Choice or None
+        Which board is simulated; None for the native one.
 
     Yields
     ------
@@ -128,13 +133,16 @@ def open_board(
         if sil:
             rig = rig if rig is not None else DEFAULT_RIG
             factor = parse_speed(speed)
+            which = {"board": choice.name} if choice is not None and choice.elf else {}
+            if choice is not None and choice.named:
+                which["elf"] = choice.elf
             if factor is None:
-                url = "sil://?" + urlencode({"rig": rig, "seed": seed, "speed": "max"})
+                url = "sil://?" + urlencode({**which, "rig": rig, "seed": seed, "speed": "max"})
             else:
                 # A process of its own behind a pseudo-terminal: the host talks to it exactly as to hardware.
                 from heli_sim.sil.process import SilProcess
 
-                url = stack.enter_context(SilProcess(rig=rig, speed=factor, seed=seed)).url
+                url = stack.enter_context(SilProcess(rig, factor, seed, options=which)).url
         else:
             url = port if port is not None else find_board()
         yield stack.enter_context(heli_host.connect(url))
@@ -161,13 +169,15 @@ def clear_latched_fault(heli: Heli) -> None:
         heli.clear_fault()
 
 
-def board_text(heli: Heli) -> str:
+def board_text(heli: Heli, choice: Choice | None = None) -> str:
     """Say which board it is.
 
     Parameters
     ----------
     heli : Heli
         A connected board.
+    choice : Choice or None
+        Which board is simulated, where that is known.
 
     Returns
     -------
@@ -176,4 +186,6 @@ def board_text(heli: Heli) -> str:
     """
     info = heli.info
     kind = "simulated board" if info.board == "native" else info.board
+    if choice is not None:
+        kind = choice.text
     return f"{kind}, firmware {info.firmware_version}, on {heli.session.transport.url}"

@@ -125,7 +125,7 @@ def _explain(error: Exception) -> tuple[str, int]:
         if isinstance(error, (LogError, FlightDataError)):
             return str(error), EXIT_FILE
         return str(error), EXIT_LINK if isinstance(error, LinkError) else EXIT_ASKED
-    if type(error).__module__ == "heli_sim.errors":
+    if any(base.__module__ == "heli_sim.errors" for base in type(error).__mro__):
         return str(error), EXIT_ASKED
     if isinstance(error, OSError):
         name = f"{error.filename}: " if error.filename else ""

@@ -10,12 +10,15 @@ import typer
 
 from heli_host.cli.gains import GainsOption, check_gains, load_gains
 from heli_host.cli.options import (
+    BoardOption,
     ClearFaultOption,
+    ElfOption,
     PortOption,
     RigOption,
     SeedOption,
     SilOption,
     SpeedOption,
+    choose_board,
     flight_folder,
     parse_speed,
     rig_name,
@@ -30,6 +33,8 @@ def fly(
     ],
     port: PortOption = None,
     sil: SilOption = False,
+    board: BoardOption = None,
+    elf: ElfOption = None,
     rig: RigOption = None,
     speed: SpeedOption = "1",
     seed: SeedOption = 1,
@@ -57,6 +62,7 @@ def fly(
     from heli_host.fly.runner import fly as fly_plans
 
     parse_speed(speed)
+    choice = choose_board(board, elf, simulated=sil)
     check_gains(gains, sil)
     loaded = [load_plan(plan) for plan in plans]
     for target in (json, figure):
@@ -64,7 +70,7 @@ def fly(
             _check_place(target)
     if figure is not None and figure.suffix.lower() not in FIGURE_ENDS:
         raise typer.BadParameter(f"--figure {figure}: give a file that ends in {', '.join(FIGURE_ENDS)}")
-    with open_board(port, sil, rig, speed, seed) as heli:
+    with open_board(port, sil, rig, speed, seed, choice) as heli:
         if clear_fault:
             clear_latched_fault(heli)
         load_gains(heli, gains)
@@ -72,8 +78,10 @@ def fly(
         folder = flight_folder() if log is None else log.parent
         log = log if log is not None else folder / "flight.mcap"
         json, figure = (folder / "summary.json", folder / "figure.png") if everything else (json, figure)
-        board = board_text(heli)
-        print(f"{board}\nflying: {', then '.join(plan.title for plan in loaded)}", flush=True)
+        text = board_text(heli, choice)
+        if choice is not None and choice.reason:
+            print(f"no emulated Due: {choice.reason}")
+        print(f"{text}\nflying: {', then '.join(plan.title for plan in loaded)}", flush=True)
         with LiveLine() as live:
 
             def show(progress: Progress) -> None:
@@ -93,10 +101,11 @@ def fly(
                 figure_path=figure,
                 on_progress=show,
                 rig_name=rig_name(rig, simulated=sil),
+                board_name="emulated Due" if choice is not None and choice.elf else "",
             )
     for line in summary_lines(summary):
         print(line)
-    print(f"board: {board}")
+    print(f"board: {text}")
     print(f"files: {', '.join(str(path) for path in (log, json, figure) if path is not None)}")
     if summary.outcome.startswith("aborted: Ctrl-C"):
         raise KeyboardInterrupt

@@ -7,7 +7,16 @@ from typing import Annotated
 
 import typer
 
-from heli_host.cli.options import DEFAULT_RIG, RigOption, SeedOption, SpeedOption, parse_speed
+from heli_host.cli.options import (
+    DEFAULT_RIG,
+    BoardOption,
+    ElfOption,
+    RigOption,
+    SeedOption,
+    SpeedOption,
+    choose_board,
+    parse_speed,
+)
 
 
 def sil(
@@ -19,6 +28,24 @@ def sil(
         str | None,
         typer.Option("--tcp", metavar="HOST:PORT", help="Serve TCP; hosts connect to socket://HOST:PORT."),
     ] = None,
+    rfc2217: Annotated[
+        str | None,
+        typer.Option(
+            "--rfc2217",
+            metavar="HOST:PORT",
+            help="Serve TCP with control lines and rate; hosts connect to rfc2217://HOST:PORT.",
+        ),
+    ] = None,
+    board: BoardOption = None,
+    elf: ElfOption = None,
+    reset_on_open: Annotated[
+        bool | None,
+        typer.Option(
+            "--reset-on-open/--no-reset-on-open",
+            help="Whether opening the port resets the board.  [default: on the emulated Due it does]",
+            show_default=False,
+        ),
+    ] = None,
     rig: RigOption = None,
     speed: SpeedOption = "1",
     seed: SeedOption = 1,
@@ -27,18 +54,28 @@ def sil(
 
     Example: `heli-host sil --pty ./due`, and in another terminal: `heli-host fly hover --port ./due`
     """
-    if (pty is None) == (tcp is None):
-        raise typer.BadParameter("give one of --pty PATH and --tcp HOST:PORT")
+    if (pty, tcp, rfc2217).count(None) != 2:
+        raise typer.BadParameter("give one of --pty PATH, --tcp HOST:PORT and --rfc2217 HOST:PORT")
     from heli_sim.sil.options import SilOptions
     from heli_sim.sil.server import run_server
 
-    options = SilOptions(rig=rig or DEFAULT_RIG, seed=seed, speed=parse_speed(speed))
+    choice = choose_board(board, elf, simulated=True)
+    assert choice is not None  # this verb simulates
+    options = SilOptions(
+        rig=rig or DEFAULT_RIG,
+        seed=seed,
+        speed=parse_speed(speed),
+        board=choice.name,
+        elf=choice.elf,
+        reset_on_open=reset_on_open,
+    )
 
     def say(url: str) -> None:
         pace = "as fast as the host keeps up" if options.speed is None else f"{options.speed:g} x real time"
-        print(f"simulated board on {url}, rig {options.rig}, {pace}; Ctrl-C ends it", flush=True)
+        what = "simulated board" if not choice.elf else choice.text
+        print(f"{what} on {url}, rig {options.rig}, {pace}; Ctrl-C ends it", flush=True)
 
-    counters = run_server(options, pty=pty, tcp=tcp, on_ready=say)
+    counters = run_server(options, pty=pty, tcp=tcp, rfc2217=rfc2217, on_ready=say)
     # Whoever started this may have gone, and its pipe with it.
     if not sys.stdout.closed:
         print(

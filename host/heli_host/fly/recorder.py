@@ -54,6 +54,8 @@ class Recorder:
         Name of the rig, for the log.
     plans : sequence of Plan
         Plans that will be flown; their text goes into the log.
+    board_name : str
+        What the board is, where it cannot know; empty to take its word.
 
     Raises
     ------
@@ -62,7 +64,13 @@ class Recorder:
     """
 
     def __init__(
-        self, heli: Heli, path: str | Path, *, rig_name: str = "", plans: Sequence[Plan] = ()
+        self,
+        heli: Heli,
+        path: str | Path,
+        *,
+        rig_name: str = "",
+        plans: Sequence[Plan] = (),
+        board_name: str = "",
     ) -> None:
         self.path = Path(path)
         self.error: LogError | None = None
@@ -74,7 +82,7 @@ class Recorder:
             self.path,
             start_wall_ns=heli.session.transport.wall_ns(),
             metadata={
-                "session": self._session(heli, rig_name, plans),
+                "session": self._session(heli, rig_name, plans, board_name),
                 "parameters": {name: repr(value) for name, value in parameters.items()},
                 "plan": _texts(plans),
             },
@@ -213,12 +221,12 @@ class Recorder:
             self.error = self.error or error
 
     @staticmethod
-    def _session(heli: Heli, rig_name: str, plans: Sequence[Plan]) -> dict[str, str]:
+    def _session(heli: Heli, rig_name: str, plans: Sequence[Plan], board_name: str) -> dict[str, str]:
         info = heli.info
         wall_ns = heli.session.transport.wall_ns()
         return {
             "rig": rig_name,
-            "board": info.board,
+            "board": board_name or info.board,
             "firmware": info.firmware_version,
             "link": info.link_version,
             "link_hash": f"{info.link_hash:08x}",

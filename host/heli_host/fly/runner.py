@@ -34,6 +34,7 @@ def fly(
     figure_path: str | Path | None = None,
     on_progress: Callable[[Progress], None] | None = None,
     rig_name: str = "",
+    board_name: str = "",
 ) -> FlightSummary:
     """Take off, fly plans one after the other, land.
 
@@ -55,6 +56,8 @@ def fly(
         Called in this thread about twenty times a second.
     rig_name : str
         Name of the rig, for the log.
+    board_name : str
+        What the board is, for the log, where it cannot know: an emulated Due takes itself for a Due.
 
     Returns
     -------
@@ -73,7 +76,7 @@ def fly(
     start_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
     route = take_off(loaded, dict(heli.params), start_deg)
     with _place(log_path) as path:
-        recorder = Recorder(heli, path, rig_name=rig_name, plans=loaded)
+        recorder = Recorder(heli, path, rig_name=rig_name, plans=loaded, board_name=board_name)
         pilot = Pilot(heli, route, loaded[0].axes, recorder, on_progress)
         try:
             pilot.fly()

@@ -79,6 +79,7 @@ void DueBoard::tick(const std::int32_t* count) {
     if (!due_->chip.powered()) due_->set_encoder(axis, count[axis]);
     jump_[static_cast<std::size_t>(axis)] = count[axis] - due_->encoder(axis);
   }
+  leaving_ = from_uart_.size() + due_->chip.uart.unsent();
   const bool first = !due_->chip.powered();
   if (first) start();
   plan_bytes();
@@ -121,6 +122,7 @@ heli_sim::MotorOutput DueBoard::motors() const {
 void DueBoard::reset(heli::link::Reset cause) {
   to_uart_.clear();
   from_uart_.clear();
+  leaving_ = 0;
   aligned_ = false;
   if (cause == heli::link::Reset::power_up) {
     due_->power_off();
@@ -142,7 +144,8 @@ void DueBoard::erase() {
 }
 
 bool DueBoard::uart_transmit(std::uint8_t& byte) {
-  if (from_uart_.empty()) return false;
+  if (leaving_ == 0 || from_uart_.empty()) return false;
+  --leaving_;
   byte = from_uart_.front();
   from_uart_.pop_front();
   return true;

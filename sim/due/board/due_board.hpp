@@ -73,6 +73,7 @@ class DueBoard final : public heli_sim::SimBoard, public SerialPeer, public Even
   std::deque<Arrival> to_uart_;
   BoardTime wire_free_ = 0;
   std::deque<std::uint8_t> from_uart_;
+  std::size_t leaving_ = 0;  // bytes handed over before this millisecond
   BoardTime reset_end_ = 0;
 };
 

@@ -51,6 +51,10 @@ class Uart final : public Peripheral, public PinDriver {
 
   std::uint32_t bit_cycles() const { return 16 * (divider_ & 0xFFFFU); }
   std::uint64_t overruns() const { return overruns_; }
+  // Bytes that the program has handed over and whose stop bit has not ended.
+  std::uint32_t unsent() const {
+    return tx_.count + tx_.next_count + (shifting_ ? 1U : 0U) + (holding_full_ ? 1U : 0U);
+  }
 
  protected:
   std::uint32_t read(std::uint32_t offset) override;

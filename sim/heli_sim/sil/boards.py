@@ -22,7 +22,7 @@ _FILE_BYTES: Final = 1024
 
 @dataclass(frozen=True)
 class Choice:
-    """Which board is flown, and why not the other.
+    """Which board is flown.
 
     Parameters
     ----------
@@ -30,13 +30,19 @@ class Choice:
         ``native`` or ``due``.
     elf : str
         ELF of the emulated Due; empty for the native board.
+    named : bool
+        Whether that ELF was asked for; otherwise it is the newest.
     text : str
         For people, such as ``emulated Due, heli.elf``.
+    reason : str
+        With ``auto``: why it is not the Due.
     """
 
     name: str
     elf: str
+    named: bool
     text: str
+    reason: str = ""
 
 
 def choose(board: str, elf: str = "") -> Choice:
@@ -61,7 +67,7 @@ def choose(board: str, elf: str = "") -> Choice:
         ``due`` was asked for, and there is no firmware for it, or only for another version of the link.
     """
     if board == NATIVE:
-        return Choice(NATIVE, "", "native board")
+        return Choice(NATIVE, "", False, "native board")
     from heli_sim.due.firmware import check_firmware, find_firmware
 
     try:
@@ -70,9 +76,9 @@ def choose(board: str, elf: str = "") -> Choice:
         path = Path(elf) if elf else find_firmware()
     except (SimError, ImportError) as error:
         if board == AUTO and not elf:
-            return Choice(NATIVE, "", f"native board ({error})")
+            return Choice(NATIVE, "", False, "native board", str(error))
         raise
-    return Choice(DUE, str(path), f"emulated Due, {path.name}")
+    return Choice(DUE, str(path), bool(elf), f"emulated Due, {path.name}")
 
 
 def settled(options: SilOptions) -> SilOptions:

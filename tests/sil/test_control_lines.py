@@ -1,0 +1,233 @@
+"""DTR resets a Due and erases it at 1200 baud: by the line over RFC 2217, by opening where there is none."""
+
+from __future__ import annotations
+
+import os
+import termios
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import heli_host
+import pytest
+import serial
+from heli_host.errors import BadBaud, HandshakeTimeout
+from heli_host.heli import Heli
+from heli_host.link.declaration import State
+from heli_host.link.events import BOARD_RESTARTED
+from heli_host.link.transport import SerialTransport
+from heli_sim.sil.boards import EmulatedDue
+from heli_sim.sil.endpoint import LineChange
+from heli_sim.sil.options import parse_options
+from heli_sim.sil.pace import make_pace
+from heli_sim.sil.process import SilProcess
+from heli_sim.sil.pty import PtyEndpoint
+from heli_sim.sil.rfc2217 import Lines, Rfc2217Endpoint
+from heli_sim.sil.server import serve
+from heli_sim.sil.world import SilWorld
+
+from tests.sil.desk import world
+from tests.sil.ports import Bench, PtyHost
+
+Board = dict[str, str]
+
+
+class Terminal(PtyHost):
+    """A host that sets the port up."""
+
+    def set(self, *, hupcl: bool, speed: int = termios.B115200) -> None:
+        settings = termios.tcgetattr(self._fd)
+        settings[2] = settings[2] | termios.HUPCL if hupcl else settings[2] & ~termios.HUPCL
+        settings[4] = settings[5] = speed
+        termios.tcsetattr(self._fd, termios.TCSANOW, settings)
+
+
+@pytest.fixture
+def endpoint(tmp_path: Path) -> Iterator[PtyEndpoint]:
+    endpoint = PtyEndpoint(tmp_path / "due")
+    yield endpoint
+    endpoint.close()
+
+
+def opened(bench: Bench) -> Terminal:
+    host = Terminal(bench.endpoint.url)
+    bench.until(lambda: bench.endpoint.ready)
+    bench.turn(80)
+    return host
+
+
+def closed(bench: Bench, host: Terminal) -> None:
+    host.close()
+    bench.until(lambda: not bench.endpoint.ready)
+    bench.turn(80)
+
+
+def boots(bench: Bench) -> int:
+    return bench.world.board.sim.boots
+
+
+def test_every_opening_of_a_terminal_resets_an_emulated_due(endpoint: PtyEndpoint, elf: Path) -> None:
+    bench = Bench(endpoint, world(board="due", elf=str(elf)))
+    bench.turn(10)
+    for count in (2, 3, 4):
+        host = opened(bench)
+        assert boots(bench) == count
+        closed(bench, host)
+        assert boots(bench) == count
+
+
+def test_a_host_that_clears_the_hang_up_flag_spares_the_next_one_the_reset(endpoint: PtyEndpoint) -> None:
+    bench = Bench(endpoint, world(reset_on_open="1"))
+    bench.turn(10)
+    host = opened(bench)
+    assert boots(bench) == 2
+    host.set(hupcl=False)
+    closed(bench, host)
+    host = opened(bench)
+    assert boots(bench) == 2
+    host.set(hupcl=True)
+    closed(bench, host)
+    opened(bench)
+    assert boots(bench) == 3
+
+
+def test_opening_a_native_board_resets_nothing_unless_asked_to(endpoint: PtyEndpoint) -> None:
+    bench = Bench(endpoint, world())
+    bench.turn(10)
+    opened(bench)
+    assert boots(bench) == 1
+
+
+def test_a_terminal_closed_at_1200_baud_erases_the_flash(endpoint: PtyEndpoint, elf: Path) -> None:
+    bench = Bench(endpoint, world(board="due", elf=str(elf)))
+    host = opened(bench)
+    host.set(hupcl=True, speed=termios.B1200)
+    closed(bench, host)
+    board = bench.world.board
+    assert isinstance(board, EmulatedDue)
+    assert board.sim.due.in_rom
+    assert set(board.sim.due.flash()) == {0xFF}
+
+
+def test_an_erased_native_board_is_silent_too() -> None:
+    erased = world()
+    erased.control_lines(dtr=False, baud=1200)
+    assert erased.advance(500) == b""
+    assert erased.board.sim.boots == 0
+
+
+def test_a_flight_survives_a_host_that_dies_where_opening_resets_nothing(elf: Path) -> None:
+    options = {"board": "due", "elf": str(elf), "reset_on_open": "0"}
+    with SilProcess(speed=5.0, options=options) as board:
+        first = heli_host.connect(board.url, land_on_exit=False)
+        first.take_off(0.0)
+        # As a host that is killed: the port is closed, nothing is said.
+        first.session.close()
+        with heli_host.connect(board.url) as second:
+            assert second.info.boot_count == first.info.boot_count
+            assert second.state in (State.CLOSED_LOOP, State.HOLD, State.LANDING)
+            second.land()
+
+
+def test_lines_tell_only_of_changes() -> None:
+    changes: list[LineChange] = []
+    lines = Lines(changes)
+    lines.baudrate = 250_000
+    for level in (False, True, True, False):
+        lines.dtr = level
+    assert changes == [LineChange(True, 250_000), LineChange(False, 250_000)]
+
+
+class Served:
+    """A world behind RFC 2217, served by a thread."""
+
+    def __init__(self, options: Board) -> None:
+        self.world = SilWorld(parse_options(options))
+        self.endpoint = Rfc2217Endpoint()
+        self.url = self.endpoint.url
+
+
+@contextmanager
+def served(options: Board) -> Iterator[Served]:
+    one = Served(options)
+    stop, stopper = os.pipe()
+    thread = threading.Thread(target=serve, args=(one.endpoint, one.world, make_pace(None), stop))
+    thread.start()
+    try:
+        yield one
+    finally:
+        os.close(stopper)
+        thread.join()
+        os.close(stop)
+        one.endpoint.close()
+
+
+def test_a_flight_over_rfc2217_begins_with_a_reset(elf: Path) -> None:
+    with served({"board": "due", "elf": str(elf)}) as due, heli_host.connect(due.url) as heli:
+        assert due.url.startswith("rfc2217://")
+        assert heli.info.reset == "user"
+        assert due.world.board.sim.boots == 2
+        heli.take_off(0.0)
+        heli.land()
+        assert heli.state is State.IDLE
+        assert heli.counters.ticks_lost == 0
+
+
+def dtr(heli: Heli, level: bool) -> None:
+    transport = heli.session.transport
+    assert isinstance(transport, SerialTransport)
+    transport._serial.dtr = level
+
+
+def test_a_session_survives_a_reset_by_the_line(elf: Path) -> None:
+    with served({"board": "due", "elf": str(elf)}) as due, heli_host.connect(due.url) as heli:
+        dtr(heli, False)
+        dtr(heli, True)
+        assert heli.session.wait_for(lambda: heli.counters.restarts == 1, 30.0)
+        (restart,) = [event for event in heli.session.events if event.kind == BOARD_RESTARTED]
+        assert "user" in restart.text
+        heli.take_off(0.0)
+        heli.land()
+        assert heli.state is State.IDLE
+
+
+def test_1200_baud_is_refused_by_the_host_and_would_have_erased_the_flash(elf: Path) -> None:
+    with served({"board": "due", "elf": str(elf)}) as due:
+        with pytest.raises(BadBaud):
+            heli_host.connect(due.url, baud=1200)
+        with heli_host.connect(due.url) as heli:
+            assert heli.info.board == "Arduino Due"
+        # What the host will not do.
+        serial.serial_for_url(due.url, 1200).close()
+        with pytest.raises(HandshakeTimeout):
+            heli_host.connect(due.url, handshake_timeout_s=1.0)
+        board = due.world.board
+        assert isinstance(board, EmulatedDue)
+        assert board.sim.due.in_rom
+        assert set(board.sim.due.flash()) == {0xFF}
+
+
+def test_bytes_that_mean_something_to_telnet_pass_unchanged() -> None:
+    everything = bytes(range(256)) + b"\xff\xff\xf0\xfa"
+    endpoint = Rfc2217Endpoint()
+    heard = bytearray()
+    stop = threading.Event()
+
+    def echo() -> None:
+        while not stop.wait(0.001):
+            data = endpoint.receive()
+            heard.extend(data)
+            endpoint.send(data)
+
+    thread = threading.Thread(target=echo)
+    thread.start()
+    try:
+        with serial.serial_for_url(endpoint.url, 250_000, timeout=30.0) as port:
+            port.write(everything)
+            assert port.read(len(everything)) == everything
+    finally:
+        stop.set()
+        thread.join()
+        endpoint.close()
+    assert bytes(heard) == everything
