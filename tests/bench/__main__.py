@@ -36,7 +36,7 @@ def measure_all(say: Callable[[str], None]) -> list[Measured]:
     say : callable
         Told what is measured next, and how long that takes.
     """
-    say("[1/6] flying in simulation as fast as possible (about 40 s)")
+    say("[1/6] flying in simulation as fast as possible (about 60 s)")
     measured = simulation.measure()
     say("[2/6] decoding, against pymavlink (about 10 s)")
     sent, duration_s = line.flight_bytes()

@@ -34,9 +34,14 @@ def build(folder: Path) -> Path:
     return elf
 
 
+def has_cross_compiler() -> bool:
+    """Whether the firmware can be built here."""
+    return shutil.which("arm-none-eabi-g++") is not None
+
+
 def measure() -> list[Measured]:
     """Count instructions, bytes and milliseconds; nothing without the cross-compiler."""
-    if shutil.which("arm-none-eabi-g++") is None:
+    if not has_cross_compiler():
         return []
     with TemporaryDirectory() as folder:
         elf = build(Path(folder))

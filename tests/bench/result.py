@@ -38,6 +38,7 @@ PROMISES = (
     Promise("sil_native_lockstep_x_realtime", "in process: board, plant, bytes, session", 200.0),
     Promise("sil_native_flight_x_realtime", "the same, steered at 50 Hz and logged", None),
     Promise("sil_native_pty_x_realtime", "pseudo-terminal, steered and logged", 50.0),
+    Promise("sil_due_x_realtime", "in process, the ELF on an emulated Due", 15.0),
     Promise("host_decode_ticks_per_s", "bytes to arrays", 1e6),
     Promise("host_decode_ratio_to_pymavlink", "against a MAVLink message a tick", 4.0),
     Promise("telemetry_line_use", "share of 250 kbaud, hover and sine", 0.60, at_least=False),

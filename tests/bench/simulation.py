@@ -10,10 +10,12 @@ import heli_host
 from heli_host.fly.runner import fly
 from heli_sim.sil.process import SilProcess
 
+from tests.bench.due import build, has_cross_compiler
 from tests.bench.flights import RIG, demonstration
 from tests.bench.result import Measured, repeat
 
 REPETITIONS = 5
+DUE_REPETITIONS = 3
 HOVER_S = 60.0
 SLICE_ms = 100
 """Simulated time in one read; the host's bytes reach the line at the beginning of each."""
@@ -38,6 +40,28 @@ def lockstep_flight() -> float:
         return fly(heli, demonstration()).duration_s / (time.perf_counter() - start_s)
 
 
+def due_flight(elf: Path) -> float:
+    """The same with the flight code's ELF on the emulated Due.
+
+    Parameters
+    ----------
+    elf : Path
+        The ELF.
+    """
+    with heli_host.connect(f"sil://?board=due&elf={elf}&rig={RIG}&speed=max") as heli:
+        start_s = time.perf_counter()
+        return fly(heli, demonstration()).duration_s / (time.perf_counter() - start_s)
+
+
+def measure_due() -> list[Measured]:
+    """Fly the emulated Due; nothing without the cross-compiler."""
+    if not has_cross_compiler():
+        return []
+    with TemporaryDirectory() as folder:
+        elf = build(Path(folder))
+        return [repeat("sil_due_x_realtime", DUE_REPETITIONS, lambda: due_flight(elf))]
+
+
 def over_a_pty() -> float:
     """Fly hover and sine over a pseudo-terminal, at the highest speed that loses and spoils nothing."""
     for speed in SPEEDS:
@@ -58,9 +82,10 @@ def over_a_pty() -> float:
 
 
 def measure() -> list[Measured]:
-    """Fly in process and over a pseudo-terminal."""
+    """Fly in process, over a pseudo-terminal, and on the emulated Due."""
     return [
         repeat("sil_native_lockstep_x_realtime", REPETITIONS, lockstep_hover),
         repeat("sil_native_flight_x_realtime", REPETITIONS, lockstep_flight),
         repeat("sil_native_pty_x_realtime", REPETITIONS, over_a_pty),
+        *measure_due(),
     ]
