@@ -12,14 +12,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import serial
 from heli_host.cli import flash as flash_verb
 from heli_host.cli.flash import ANSWER_TIMEOUT_S
 from heli_host.errors import FlashError, ImageError, UploaderError
 from heli_host.flash import bossac as uploading
-from heli_host.flash import erase
 from heli_host.flash.bossac import Bossac, find_bossac, write_image
-from heli_host.flash.erase import erase_chip
 from heli_host.flash.image import FLASH_START, RAM_START, VECTORS, read_image
+from heli_host.flash.touch import ERASE_S, ERASING_BAUD, erase_chip, restart_chip
 from heli_host.link.declaration import BAUD, LINK_HASH
 from heli_sim.sil.process import SilProcess
 from hypothesis import given
@@ -66,7 +66,7 @@ def silent_port() -> Iterator[str]:
 @pytest.fixture(autouse=True)
 def quick_and_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """No wait for a chip that is not there, and no uploader of this machine."""
-    monkeypatch.setattr(erase.erase_chip, "__defaults__", (0.0,))
+    monkeypatch.setattr(erase_chip, "__defaults__", (0.0,))
     monkeypatch.setattr(flash_verb, "ANSWER_TIMEOUT_S", 0.3)
     monkeypatch.setenv("PATH", str(tmp_path / "empty"))
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
@@ -157,9 +157,9 @@ def test_the_touch_erases_an_emulated_board_once_and_leaves_its_loader_running()
 
     def touched(rate_afterwards: int) -> Chip:
         chip = Chip()
-        chip.due.usb_line_coding(erase.ERASING_BAUD)
+        chip.due.usb_line_coding(ERASING_BAUD)
         chip.due.usb_control_lines(False)
-        chip.due.run_us(round(erase.ERASE_S * 1e6))
+        chip.due.run_us(round(ERASE_S * 1e6))
         chip.due.usb_line_coding(rate_afterwards)
         # The uploader opens the port, and waits half a second for the reset to pass.
         chip.due.usb_control_lines(True)
@@ -171,12 +171,28 @@ def test_the_touch_erases_an_emulated_board_once_and_leaves_its_loader_running()
     assert chip.due.in_rom
     assert chip.due.resets == 3  # power-up, the touch, the opening
     # Left at 1200 baud the board would still be in its second erasing.
-    assert touched(erase.ERASING_BAUD).due.resets == 2
+    assert touched(ERASING_BAUD).due.resets == 2
+
+
+def test_a_restart_pulses_DTR_at_a_rate_that_erases_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines: list[tuple[int, bool]] = []
+
+    def note(port: serial.Serial, high: bool) -> None:
+        lines.append((port.baudrate, high))
+
+    monkeypatch.setattr(serial.Serial, "dtr", property(fset=note))
+    ours, theirs = os.openpty()
+    try:
+        restart_chip(os.ttyname(theirs))
+    finally:
+        os.close(ours)
+        os.close(theirs)
+    assert lines == [(BAUD, False), (BAUD, True)]
 
 
 def test_the_wait_covers_the_erasing() -> None:
     # 180 rounds of 4.096 ms: sim/due/board/usb_bridge.hpp.
-    assert erase.ERASE_S > 180 * 4.096e-3
+    assert ERASE_S > 180 * 4.096e-3
 
 
 @pytest.mark.parametrize(
@@ -223,13 +239,12 @@ def test_a_version_that_is_reported_not_to_boot_is_named_before_and_after(
     assert "1.9.1 is reported" in ended.out
     assert "1.7.0" in refusal(ended, code=LINK)
     assert "--usb-port=0" in new.calls[0]
+    assert "--reset" not in new.calls[0]
 
 
 def test_a_busy_port_is_named_and_nothing_erased(
     terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
 ) -> None:
-    import serial
-
     uploader = Uploader(tmp_path / "bin")
     with serial.Serial(silent_port, exclusive=True):
         ended = terminal("flash", image, "--port", silent_port, "--yes", "--bossac", uploader.program)

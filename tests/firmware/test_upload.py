@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from heli_host.flash.bossac import find_bossac, write_image
+from heli_host.link.declaration import FIRMWARE_VERSION
+from heli_host.link.session import Session
+from heli_sim.due.machine import new_due
 from heli_sim.sil.process import SilProcess
 
+from firmware.due.report import Image
 from tests.cli.uploader import Uploader
 from tests.firmware.conftest import ROOT
+from tests.firmware.desk import Board
+from tests.firmware.loader import RomLoader
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals on this system")
@@ -41,3 +49,31 @@ def test_upload_writes_the_image_that_was_built(elf: Path, tmp_path: Path) -> No
     [call] = uploader.calls
     assert Path(ROOT, call[-1]) == ROOT / "build/pio/due/firmware.bin"
     assert "flashed: simulated board" in done.stdout
+
+
+def test_the_real_uploader_writes_an_emulated_chip_that_then_runs_and_answers(
+    elf: Path, image: Image, tmp_path: Path
+) -> None:
+    path = shutil.which("bossac")
+    if path is None:
+        pytest.skip("bossac is not installed; on Debian: apt-get install bossa-cli")
+    binary = tmp_path / "firmware.bin"
+    subprocess.run(["arm-none-eabi-objcopy", "-O", "binary", elf, binary], check=True)
+    due = new_due()
+    due.power_on()
+    due.run_us(1000.0)
+    assert due.in_rom
+    with RomLoader(due) as loader:
+        write_image(find_bossac(Path(path)), loader.port, binary)
+    assert due.flash().startswith(binary.read_bytes())
+    # The reset that the USB bridge makes of the opened port, and the loader is left.
+    due.usb_line_coding(250000)
+    due.usb_control_lines(True)
+    due.run_us(400_000.0)
+    assert not due.in_rom
+    board = Board(elf, image)
+    board.due = due
+    with Session(board) as session:
+        welcome = session.connect()
+    version = f"{welcome.firmware_major}.{welcome.firmware_minor}.{welcome.firmware_patch}"
+    assert version == FIRMWARE_VERSION

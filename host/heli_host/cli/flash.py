@@ -38,7 +38,7 @@ def flash(
     """
     from heli_host.cli.board import find_board
     from heli_host.cli.doctor import Verdict, check_modem_manager
-    from heli_host.flash import erase_chip, find_bossac, read_image, write_image
+    from heli_host.flash import erase_chip, find_bossac, read_image, restart_chip, write_image
     from heli_host.link.declaration import LINK_HASH
 
     image = read_image(file)
@@ -63,6 +63,7 @@ def flash(
     erase_chip(port)
     print(f"writing and verifying with bossac {uploader.version}", flush=True)
     write_image(uploader, port, file)
+    restart_chip(port)
     print(f"flashed: {_greet(port, uploader)}")
     if kept is not None:
         print(f"its parameters are the defaults; yours: heli-host params restore {kept} --save --port {port}")

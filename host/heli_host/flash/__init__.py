@@ -3,7 +3,15 @@
 from __future__ import annotations
 
 from heli_host.flash.bossac import Bossac, find_bossac, write_image
-from heli_host.flash.erase import erase_chip
 from heli_host.flash.image import FirmwareImage, read_image
+from heli_host.flash.touch import erase_chip, restart_chip
 
-__all__ = ["Bossac", "FirmwareImage", "erase_chip", "find_bossac", "read_image", "write_image"]
+__all__ = [
+    "Bossac",
+    "FirmwareImage",
+    "erase_chip",
+    "find_bossac",
+    "read_image",
+    "restart_chip",
+    "write_image",
+]

@@ -1,4 +1,4 @@
-"""The touch at 1200 baud that erases a Due."""
+"""What the Due's USB bridge does when its lines are touched: erase the chip, or reset it."""
 
 from __future__ import annotations
 
@@ -14,6 +14,10 @@ ERASING_BAUD = 1200
 # When a control line changes at this rate, the ATmega16U2 holds ERASE and then RESET for 180 rounds
 # of 4.096 ms, 0.74 s (its published source). The loader in the chip needs a moment more.
 ERASE_S = 1.2
+
+# How long a lowered DTR is held, and how long a write to the chip's boot bit may take before the reset.
+PULSE_S = 0.05
+SETTLE_S = 0.1
 
 _NO_CONTROL_LINES = (errno.ENOTTY, errno.EINVAL)
 
@@ -35,7 +39,7 @@ def erase_chip(port: str, wait_s: float = ERASE_S) -> None:
     """
     try:
         with serial.Serial(port, ERASING_BAUD) as touched:
-            _drop_dtr(touched)
+            _set_dtr(touched, False)
             time.sleep(wait_s)
             # Whoever opens the port next raises DTR before it sets its rate: at 1200 baud that erases again.
             touched.baudrate = BAUD
@@ -46,10 +50,35 @@ def erase_chip(port: str, wait_s: float = ERASE_S) -> None:
         ) from error
 
 
-def _drop_dtr(port: serial.Serial) -> None:
-    """Change a control line, which is what makes the ATmega16U2 look at the rate."""
+def restart_chip(port: str) -> None:
+    """Reset the Due behind its programming port, by the rising edge of DTR that its USB bridge waits for.
+
+    Parameters
+    ----------
+    port : str
+        The programming port.
+
+    Raises
+    ------
+    FlashError
+        The port cannot be opened.
+    """
+    time.sleep(SETTLE_S)
     try:
-        port.dtr = False
+        with serial.Serial(port, BAUD) as touched:
+            _set_dtr(touched, False)
+            time.sleep(PULSE_S)
+            _set_dtr(touched, True)
+    except (serial.SerialException, OSError, ValueError) as error:
+        raise FlashError(
+            f"the flash was written, but {port} cannot be opened to restart the board: {error}",
+            "press RESET on the board",
+        ) from error
+
+
+def _set_dtr(port: serial.Serial, high: bool) -> None:
+    try:
+        port.dtr = high
     except OSError as error:
         # A pseudo-terminal has no such line; whatever is behind it sees the rate.
         if error.errno not in _NO_CONTROL_LINES:
