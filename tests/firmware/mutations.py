@@ -10,7 +10,7 @@ from heli_host.link.declaration import Fault
 
 from tests.firmware import test_board as claims
 from tests.firmware import test_safety as safety
-from tests.firmware.hangs import HANGS, POLL, SLOWEST_Hz
+from tests.firmware.hangs import HANGS, POLL
 
 
 @dataclass(frozen=True)
@@ -223,13 +223,7 @@ FLASH = (
 WATCHDOG = (
     hanging("watchdog.cpp", "WDT_MR_WDRSTEN | ", ""),
     hanging("startup.cpp", "watchdog::start();", ""),
-    Mutation(
-        "watchdog.cpp",
-        "kTimeout = 26",
-        "kTimeout = 104",
-        safety.test_the_motors_are_off_in_time_over_the_watchdogs_tolerance,
-        (SLOWEST_Hz,),
-    ),
+    hanging("watchdog.cpp", "kTimeout = 26", "kTimeout = 104"),
     Mutation(
         "watchdog.cpp",
         "kInterval = 16",
@@ -252,7 +246,12 @@ FAULTS = (
     fault("RSTC_CR_PROCRST | ", ""),
     fault(" | RSTC_CR_PERRST", ""),
     fault("GPBR->SYS_GPBR[kRecord].write(kMagic", "GPBR->SYS_GPBR[kCfsr].write(kMagic"),
-    fault("RSTC_SR_RSTTYP.of(RSTC->RSTC_SR.read())", "RSTC->RSTC_SR.read()"),
+    Mutation(
+        "faults.cpp",
+        "RSTC_SR_RSTTYP.of(RSTC->RSTC_SR.read())",
+        "RSTC->RSTC_SR.read()",
+        claims.test_opening_the_port_is_told_from_power_up,
+    ),
     Mutation(
         "main.cpp",
         "if (!stack::intact()) faults::give_up();",
