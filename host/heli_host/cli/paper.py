@@ -91,6 +91,23 @@ def gains(rig: RigName = DEFAULT_RIG, json: JsonFile = None) -> None:
         _write_json(json, {name: [asdict(one) for one in rows] for name, rows in found.items()})
 
 
+@app.command("equations")
+def equations(
+    model: Annotated[
+        str, typer.Argument(metavar="MODEL", help="multibody, paper or paper_printed.")
+    ] = _MODEL,
+) -> None:
+    """Print a model's equations as LaTeX, from the symbols that are simulated.
+
+    Example: `heli-host paper equations paper_printed`
+    """
+    from heli_sim.model.latex import equations as equations_of
+    from heli_sim.model.named import model_named
+
+    for equation in equations_of(model_named(model)):
+        print(equation.text)
+
+
 @app.command("figures")
 def figures(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the figures.")],

@@ -6,6 +6,16 @@ from heli_sim.model.base import Model
 from heli_sim.model.effect import Effect, Situation, Stage
 from heli_sim.model.multibody import MultibodyModel
 from heli_sim.model.paper import PaperModel
+from heli_sim.model.paper_printed import PaperPrintedModel
 from heli_sim.rig.quantity import Quantity
 
-__all__ = ["Effect", "Model", "MultibodyModel", "PaperModel", "Quantity", "Situation", "Stage"]
+__all__ = [
+    "Effect",
+    "Model",
+    "MultibodyModel",
+    "PaperModel",
+    "PaperPrintedModel",
+    "Quantity",
+    "Situation",
+    "Stage",
+]

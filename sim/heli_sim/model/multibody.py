@@ -117,6 +117,23 @@ class MultibodyModel(Model):
         rates = _rates(at)
         return 0.5 * rates.T @ self.inertia_kg_m2(at) @ rates + self._potential_J(at, _angles(at))
 
+    def thrust_torque_Nm(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
+        """Generalised forces of the thrusts at the present angles.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state and parameters.
+        thrust_N : casadi.SX
+            Thrust of the front and the back rotor, shape (2, 1).
+
+        Returns
+        -------
+        casadi.SX
+            About elevation, pitch and travel in N m, shape (3, 1).
+        """
+        return self._thrust_Nm(at, _angles(at), thrust_N)
+
     def _inertia_kg_m2(self, at: Situation, q: ca.SX) -> ca.SX:
         """M(q) from the velocity of a point of each link.
 

@@ -11,9 +11,10 @@ from heli_sim.errors import PlantError
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.multibody import MultibodyModel
 from heli_sim.model.paper import PaperModel
+from heli_sim.model.paper_printed import PaperPrintedModel
 
 MODELS: Final[Mapping[str, type[Model]]] = MappingProxyType(
-    {model.name: model for model in (MultibodyModel, PaperModel)}
+    {model.name: model for model in (MultibodyModel, PaperModel, PaperPrintedModel)}
 )
 """Every model, by its name."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -30,10 +30,14 @@ class Scale:
         model = plant.model
         x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
         at = model.situation(x, u, ca.SX(model.parameter_values(plant.rig)))
-        p = at.parameter
-        thrust = thrust_N(u, p["thrust_gain"], p["dead_zone"], p["reverse_thrust"])
         for effect in model.effects:
-            thrust = effect.thrust_N(at, thrust)
+            at = replace(at, parameter={**at.parameter, **effect.changed(at)})
+        for effect in model.effects:
+            at = replace(at, volts_V=effect.voltage_V(at, at.volts_V))
+        p = at.parameter
+        thrust = thrust_N(at.volts_V, p["thrust_gain"], p["dead_zone"], p["reverse_thrust"])
+        for effect in model.effects:
+            thrust = effect.thrust_N(replace(at, thrust_N=thrust), thrust)
         self._thrust_N = ca.Function("thrust_N", [x, u], [thrust])
 
     def read_N(self, state: Floats, volts_V: Sequence[float]) -> Floats:

@@ -1,0 +1,121 @@
+"""The equations of motion of Makki et al. exactly as printed, (14), (19) and (25), slips included.
+
+For comparison with `paper`, where they are corrected, and with `multibody`. Every slip, and what is done
+about it where the equation cannot be evaluated as it stands:
+
+- Table 2 names two lengths L_h; the 0.45 m one is read as L_b, as its description says.
+- (1) is F = k V, (31) F = k (V - 1): (31) is taken, as P_1 and P_15 do, and like them below 1 V too, where
+  the rotors then pull.
+- (8) and (11) repeat the form (phi - delta) of (6); (10) has (phi + delta). With phi signed, as in (13) and
+  (18), the form (phi - delta) holds in every scenario: no equation of motion is touched.
+- (19) has cos(phi + L_h) for cos(phi + zeta_h), metres added to an angle: taken in radians.
+- (20) and P_8 are right and contradict (19), from which they follow: (19) is taken.
+- (21) subtracts the rotors' travel torques from each other, (24) and (25) add them: (25) is taken.
+- (22) is a force, N, in a sum of torques, N m: the number is taken as it is.
+- (22) to (25) have drag ~ psi_dot^2, which pushes a negative travel on, and A_2 sin(phi), which does so at
+  negative pitch.
+- (23) to (25) and P_18 have a travel torque (F_f - F_b) L_h sin(phi).
+- (27) and (29) change with pitch and elevation, J_psi_dot psi_dot being left out; (29) is named J_theta.
+- Table 2's J_theta = 0.8496 kg m2 is no value of (27), which lies between 0.7675 and 0.8219: (27) is taken.
+- P_5, P_10 and P_14 are the rig's torque_elevation, torque_pitch and torque_travel.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from heli_sim.model.base import Model, Situation
+
+
+class PaperPrintedModel(Model):
+    """The paper's equations as printed.
+
+    Parameters
+    ----------
+    effects : tuple of Effect
+        Effects on top of the model, applied in this order.
+    """
+
+    name = "paper_printed"
+    rig_parameters = (
+        *("M_f", "M_b", "M_w", "M_h", "M_l", "L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x", "g"),
+        *("air_density", "drag_area_arm", "drag_area_body"),
+    )
+
+    def inertia_kg_m2(self, at: Situation) -> ca.SX:
+        """J_theta (27), J_phi (28) and J_psi (29) at the present angles.
+
+        Parameters
+        ----------
+        at : Situation
+            Gives angles and the rig's numbers.
+
+        Returns
+        -------
+        casadi.SX
+            Inertia about the elevation, pitch and travel axes, shape (3, 1).
+        """
+        p = at.parameter
+        elevation, pitch = at.state["elevation_rad"], at.state["pitch_rad"]
+        rotors, L_theta2 = p["M_f"] + p["M_b"], p["L_theta"] ** 2
+        short_arm2 = p["L_h"] ** 2 + p["L_phi"] ** 2
+        about_elevation = (
+            rotors * (short_arm2 * ca.sin(pitch) ** 2 + p["L_a"] ** 2)
+            + p["M_l"] * (p["L_x"] ** 2 + L_theta2)
+            + p["M_w"] * (p["L_b"] ** 2 + L_theta2)
+            + p["M_h"] * (p["L_a"] ** 2 + L_theta2)
+        )
+        about_pitch = rotors * short_arm2 + p["M_h"] * p["L_phi"] ** 2
+        level2 = ca.cos(elevation) ** 2
+        about_travel = (
+            rotors * (short_arm2 * ca.cos(pitch) ** 2 + p["L_a"] ** 2 * level2)
+            + (p["M_l"] * p["L_x"] ** 2 + p["M_w"] * p["L_b"] ** 2 + p["M_h"] * p["L_a"] ** 2) * level2
+        )
+        return ca.vertcat(about_elevation, about_pitch, about_travel)
+
+    def acceleration(self, at: Situation, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
+        """Right-hand sides of (14), (19) and (25), divided by the inertias.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state, voltages and parameters.
+        thrust_N : casadi.SX
+            Thrust of the front and the back rotor, shape (2, 1); none below the dead zone, which is undone.
+        torque_Nm : casadi.SX
+            Friction and other torques about the three axes, shape (3, 1).
+
+        Returns
+        -------
+        casadi.SX
+            Acceleration of elevation, pitch and travel in rad/s2, shape (3, 1).
+        """
+        p, state = at.parameter, at.state
+        elevation, pitch = state["elevation_rad"], state["pitch_rad"]
+        rate = state["travel_rate_rad_s"]
+        straight_N = thrust_N + p["thrust_gain"] * ca.fmin(at.volts_V - p["dead_zone"], 0.0)
+        total_N, difference_N = straight_N[0] + straight_N[1], straight_N[0] - straight_N[1]
+
+        zeta_a, zeta_w = ca.atan(p["L_theta"] / p["L_a"]), ca.atan(p["L_theta"] / p["L_b"])
+        zeta_x, zeta_h = ca.atan(p["L_theta"] / p["L_x"]), ca.atan(p["L_phi"] / p["L_h"])
+        body_N = (p["M_f"] + p["M_b"] + p["M_h"]) * p["g"]
+        elevation_Nm = (
+            total_N * ca.cos(pitch) * p["L_a"]
+            - body_N * p["L_a"] / ca.cos(zeta_a) * ca.cos(elevation - zeta_a)
+            + p["M_w"] * p["g"] * p["L_b"] / ca.cos(zeta_w) * ca.cos(elevation + zeta_w)
+            - p["M_l"] * p["g"] * p["L_x"] / ca.cos(zeta_x) * ca.cos(elevation - zeta_x)
+        )
+        pitch_Nm = (
+            difference_N * p["L_h"]
+            + p["M_b"] * p["g"] * p["L_h"] / ca.cos(zeta_h) * ca.cos(pitch + p["L_h"])
+            - p["M_f"] * p["g"] * p["L_h"] / ca.cos(zeta_h) * ca.cos(pitch - zeta_h)
+            - p["M_h"] * p["g"] * p["L_phi"] * ca.sin(pitch)
+        )
+        drag = 0.5 * p["air_density"] * (rate * p["L_a"]) ** 2
+        travel_Nm = (
+            total_N * ca.sin(pitch) * p["L_a"]
+            + difference_N * p["L_h"] * ca.sin(pitch)
+            - drag * p["drag_area_arm"]
+            - drag * p["drag_area_body"] * ca.sin(pitch)
+        )
+        return (ca.vertcat(elevation_Nm, pitch_Nm, travel_Nm) + torque_Nm) / self.inertia_kg_m2(at)

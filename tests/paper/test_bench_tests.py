@@ -1,0 +1,116 @@
+"""The paper's bench tests find what the rig is made of, and say of the rest that they cannot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from heli_host.cli.paper_desk import read_thrust, run_bench_test
+from heli_sim.errors import IdentifyError
+from heli_sim.identify.record import Record
+from heli_sim.model import Model, MultibodyModel, PaperModel
+from heli_sim.model.effects import RotorLag
+from heli_sim.paper.bench import PITCH_RELEASES, BenchTest, record_of
+from heli_sim.paper.rig_table import fit_rig
+from heli_sim.paper.tables import TESTS_OF_TABLE, Row, Table, fit_table
+from heli_sim.plant import Plant
+from heli_sim.rig import load_rig
+
+RIG = load_rig("makki2024")
+
+
+def records(plant: Plant, number: int) -> list[Record]:
+    return [record_of(test, run_bench_test(test, plant), plant.rig) for test in TESTS_OF_TABLE[number]]
+
+
+def tables(model: Model) -> dict[int, Table]:
+    plant = Plant(model, RIG)
+    return {number: fit_table(number, RIG, records(plant, number)) for number in TESTS_OF_TABLE}
+
+
+@pytest.fixture(scope="module")
+def by_paper() -> dict[int, Table]:
+    return tables(PaperModel())
+
+
+@pytest.fixture(scope="module")
+def by_multibody() -> dict[int, Table]:
+    return tables(MultibodyModel())
+
+
+def rows(table: Table) -> dict[str, Row]:
+    return {row.name: row for row in table.rows}
+
+
+def test_on_a_rig_that_obeys_30_its_coefficients_are_found_within_three_standard_errors(
+    by_paper: dict[int, Table],
+) -> None:
+    told = [row for table in by_paper.values() for row in table.rows if row.found is not None]
+    assert len(told) == 16
+    for row in told:
+        assert row.found == pytest.approx(row.analytic, abs=1.5 * (row.half or 0.0)), row.name
+    assert all(table.normalised <= 1.05 for table in by_paper.values())
+
+
+def test_what_the_papers_own_tests_cannot_tell_is_not_given_a_value(by_paper: dict[int, Table]) -> None:
+    untold = {row.name for table in by_paper.values() for row in table.rows if row.found is None}
+    assert untold == {"P_11", "P_1", "P_5", "P_15", "P_17", "P_18"}
+
+
+def test_the_short_arm_below_the_pitch_axis_makes_P_3_a_third_larger_than_16_has_it(
+    by_multibody: dict[int, Table],
+) -> None:
+    row = rows(by_multibody[4])["P_3"]
+    assert row.analytic == pytest.approx(-73.0, abs=0.05)
+    assert row.found == pytest.approx(-96.3, abs=0.3)
+
+
+def test_30_cannot_predict_a_multibody_rig_whose_pitch_and_travel_move_together(
+    by_multibody: dict[int, Table],
+) -> None:
+    assert by_multibody[3].normalised <= 1.05
+    assert by_multibody[4].normalised <= 1.05
+    assert by_multibody[5].normalised > 5.0
+
+
+def test_the_multibody_model_explains_every_bench_test_down_to_the_encoder() -> None:
+    plant = Plant(MultibodyModel(), RIG)
+    found = fit_rig(
+        RIG, {number: records(plant, number) for number in TESTS_OF_TABLE}, read_thrust(plant).line()
+    )
+    assert all(value <= 1.05 for value in found.normalised.values())
+    told = {row.name: row for row in found.rows if row.found is not None}
+    assert set(told) >= {
+        "thrust_gain",
+        "dead_zone",
+        "L_theta",
+        "L_phi",
+        "friction_elevation",
+        "friction_pitch",
+    }
+    for name, row in told.items():
+        assert row.found == pytest.approx(RIG[name].value, abs=1.5 * (row.half or 0.0)), name
+
+
+def test_the_thrust_stand_finds_the_line_through_the_drivers_dead_band_and_a_lag() -> None:
+    curve = read_thrust(Plant(MultibodyModel((RotorLag(0.1),)), RIG.replace(thrust_gain=0.5, dead_zone=1.2)))
+    line = curve.line()
+    assert line.gain_N_per_V == pytest.approx(0.5, abs=line.gain_half)
+    assert line.dead_zone_V == pytest.approx(1.2, abs=line.dead_zone_half)
+    assert np.all(curve.thrust_N[curve.volts_V < 1.2] == 0.0)
+
+
+def test_pinned_axes_stay_where_they_are_and_the_free_one_is_released_from_its_angle() -> None:
+    test = PITCH_RELEASES[0]
+    flight = run_bench_test(test, Plant(MultibodyModel(), RIG))
+    angles_deg = np.rad2deg(flight.angles_rad)
+    assert angles_deg[0, 1] == pytest.approx(13.0, abs=0.1)
+    assert np.all(angles_deg[:, [0, 2]] == angles_deg[0, [0, 2]])
+    assert angles_deg[:, 1].min() < -5.0
+    assert np.all(flight.voltages_V == 0.0)
+
+
+def test_a_test_that_runs_into_a_stop_is_refused_by_name() -> None:
+    hard = BenchTest("much too hard", "17 (a)", (False, True, True), -25.0, 0.0, 4.0, 4.0, 5.0)
+    plant = Plant(MultibodyModel(), RIG)
+    with pytest.raises(IdentifyError, match=r"much too hard.*stop"):
+        record_of(hard, run_bench_test(hard, plant), RIG)
