@@ -335,9 +335,14 @@ def _start(problem: Problem, start: Fit | Mapping[str, float] | None) -> tuple[F
     theta = np.clip(theta, *problem.bounds).astype(np.float64)
     states = problem.first_states(theta)
     if isinstance(start, Fit) and len(start.states) == len(states):
+        # An effect's state and the rates beside it make up for each other: one without the other is worse
+        # than neither.
+        places = {state.name: i for i, state in enumerate(start.problem.model.states)}
+        known = [(i, places[s.name]) for i, s in enumerate(problem.model.states) if s.name in places]
         for own, old in zip(states, start.states, strict=True):
             if len(own) == len(old):
-                own[:, :6] = old[:, :6]
+                for new_place, old_place in known:
+                    own[:, new_place] = old[:, old_place]
     return theta, states
 
 
