@@ -29,7 +29,9 @@ def radians(values: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(math.radians(v) for v in values)
 
 
-def fly_both(seed: int, ticks: int, **changes: float) -> np.ndarray:
+def fly_both(
+    seed: int, ticks: int, masks_used: tuple[int, ...] = (ALL, 1, 2, 3, 6, 0), /, **changes: float
+) -> np.ndarray:
     """Random smooth states, setpoints, axis masks and excitation through both laws; (ticks, 6)."""
     rng = np.random.default_rng(seed)
     law, reference = make_law(**changes)
@@ -44,7 +46,7 @@ def fly_both(seed: int, ticks: int, **changes: float) -> np.ndarray:
     setpoints = np.stack([wave(10, 1.0), wave(18, 1.0), wave(40, 1.0)], axis=1)
     setpoint_rates = np.gradient(setpoints, 0.001, axis=0)
     setpoint_accelerations = np.gradient(setpoint_rates, 0.001, axis=0)
-    masks = rng.choice([ALL, 1, 2, 3, 6, 0], size=1 + ticks // 200).repeat(200)[:ticks]
+    masks = rng.choice(masks_used, size=1 + ticks // 200).repeat(200)[:ticks]
     out = np.empty((ticks, 6))
     for k in range(ticks):
         open_V = (1.5 + rng.uniform(-1, 1), 1.5)
@@ -69,6 +71,15 @@ def test_law_agrees_when_the_motors_may_reverse_and_gains_are_the_papers() -> No
     paper = {"elevation_ki": 1.0, "elevation_kd": 0.1, "pitch_ki": 3.0, "pitch_kd": 0.1, "travel_ki": 0.13}
     out = fly_both(11, 4000, motor_min_V=-6.0, pitch_hold_ff=0.033, **paper)
     np.testing.assert_allclose(out[:, :2], out[:, 3:5], atol=5e-3)
+
+
+def test_law_agrees_when_gains_are_so_large_that_their_terms_leave_the_range_of_numbers() -> None:
+    large = {"elevation_kp": 8.0, "elevation_kd": 2.0, "pitch_kp": 10.0, "pitch_kd": 2.0}
+    still = {"elevation_ki": 0.0, "pitch_ki": 0.0, "travel_ki": 0.0, "bumpless_s": 0.02}
+    out = fly_both(12, 4000, (ALL,), differential_max_V=24.0, **large, **still)
+    # The fade of the start is over by then. 1e-5 rad of rounding in a slewing pitch setpoint are 6 mV at this
+    # gain, and the blend multiplies by up to 20; a term that saturated alone would make it 10 V.
+    np.testing.assert_allclose(out[1000:, :2], out[1000:, 3:5], atol=0.1)
 
 
 level = st.floats(-12, 12, width=32)

@@ -108,13 +108,23 @@ inline Quantity quantity_of(float value) {
   return Quantity::from_raw((bits >> 31U) != 0U ? -raw : raw);
 }
 
+template <int kA, int kB>
+constexpr std::int64_t exact_product(Fixed<kA> a, Fixed<kB> b) {
+  return static_cast<std::int64_t>(a.raw()) * b.raw();
+}
+
+// Without its last kBits bits, rounded.
+template <int kBits>
+constexpr std::int32_t shortened(std::int64_t value) {
+  return saturated((value + (std::int64_t{1} << (kBits - 1))) >> kBits);
+}
+
 // The product, rounded, with kTo bits behind the point.
 template <int kTo, int kA, int kB>
 constexpr Fixed<kTo> product(Fixed<kA> a, Fixed<kB> b) {
   constexpr int kShift = kA + kB - kTo;
   static_assert(kShift > 0, "the product has no more bits to give");
-  const std::int64_t exact = static_cast<std::int64_t>(a.raw()) * b.raw();
-  return Fixed<kTo>::from_raw(saturated((exact + (std::int64_t{1} << (kShift - 1))) >> kShift));
+  return Fixed<kTo>::from_raw(shortened<kShift>(exact_product(a, b)));
 }
 
 // A quantity times a factor is a quantity.
@@ -125,7 +135,7 @@ constexpr Quantity operator*(Fixed<kFactor> factor, Quantity quantity) {
 
 // The product rounded towards zero: what shrinks again and again becomes zero.
 constexpr Quantity shrunk(Quantity quantity, Share keep) {
-  const std::int64_t exact = static_cast<std::int64_t>(quantity.raw()) * keep.raw();
+  const std::int64_t exact = exact_product(quantity, keep);
   const std::int64_t up = exact < 0 ? (std::int64_t{1} << 30) - 1 : 0;
   return Quantity::from_raw(saturated((exact + up) >> 30));
 }

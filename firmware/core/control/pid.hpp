@@ -18,7 +18,12 @@ struct PidGains {
 class Pid {
  public:
   Quantity output(const PidGains& gains, Quantity error_rad, Quantity rate_rad_s) const {
-    return gains.kp * error_rad + integral() - gains.kd * rate_rad_s;
+    // Summed before anything saturates: with large gains each term alone may exceed 128 while they
+    // all but cancel. 2048 * 128, twice, is a quarter of what 64 bits hold with 44 behind the
+    // point.
+    const std::int64_t sum = exact_product(gains.kp, error_rad) -
+                             exact_product(gains.kd, rate_rad_s) + (integral_ >> (kFiner - kGain));
+    return Quantity::from_raw(shortened<kGain>(sum));
   }
 
   // `excess` is wanted minus achieved output. The integrator stands still while it would only
@@ -29,20 +34,18 @@ class Pid {
       return;
     }
     const std::int64_t most = gains.integral_max.raw() * (std::int64_t{1} << kFiner);
-    const std::int64_t step = static_cast<std::int64_t>(gains.ki_per_tick.raw()) * error_rad.raw();
+    const std::int64_t step = exact_product(gains.ki_per_tick, error_rad);
     integral_ = clamp(integral_ + step, -most, most);
   }
 
   void reset() { integral_ = 0; }
 
-  Quantity integral() const {
-    return Quantity::from_raw(static_cast<std::int32_t>(integral_ >> kFiner));
-  }
-
  private:
   // Bits of the integral behind those of the output: those of a Share, so that each product is
   // added whole. A tick's share of a small error is below the resolution of the output.
   static constexpr int kFiner = 30;
+  // And those of a Gain.
+  static constexpr int kGain = 20;
 
   std::int64_t integral_ = 0;
 };

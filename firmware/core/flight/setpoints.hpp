@@ -35,7 +35,7 @@ class Place {
     return place;
   }
   static constexpr Place part_of(Quantity way_rad, control::Share part) {
-    const std::int64_t exact = static_cast<std::int64_t>(way_rad.raw()) * part.raw();
+    const std::int64_t exact = control::exact_product(way_rad, part);
     Place place;
     place.raw_ = (exact + (std::int64_t{1} << (30 - kFiner - 1))) >> (30 - kFiner);
     return place;
