@@ -42,9 +42,19 @@ def _kind(axis: str, typical_Nm: float) -> EffectKind:
         stage=Stage.TORQUE,
         numbers=(
             Parameter("Nm", "N m", "torque c", typical_Nm, Prior(0.0, typical_Nm, -0.5, 0.5), size=True),
-            Parameter("round_rad_s", "rad/s", "rate omega_0 below which it is rounded off", 0.01),
+            Parameter(
+                "round_rad_s",
+                "rad/s",
+                "rate omega_0 below which it is rounded off",
+                0.002,
+                neutral=0.01,
+                scan=(0.01, 0.005, 0.003, 0.002),
+            ),
         ),
-        source="Coulomb; 0.01 rad/s is a count of the encoder in 0.15 s",
+        source=(
+            "Coulomb; below 0.002 rad/s, a count of the encoder in 0.8 s, no flight shows the rounding, but a "
+            "fit finds its way there only through the rounder ones"
+        ),
     )
 
 

@@ -13,7 +13,7 @@ from heli_sim.rig.quantity import Prior
 
 
 class GroundEffect(Effect):
-    """Each rotor gains a share that dies out exponentially with its height above the resting place.
+    """Each rotor gains a share that dies out exponentially with its height above the table.
 
     A small rotor feels its own height, which pitch changes; where the whole short arm is over one cushion of
     air, both feel the height of the arm's end (`own` = 0).
@@ -34,23 +34,21 @@ class GroundEffect(Effect):
         casadi.SX
             Thrust at this height, shape (2, 1).
         """
-        p, table = at.parameter, self.own(at, "table_rad")
-        resting_m = p["L_a"] * ca.sin(table) - p["L_theta"] * ca.cos(table)
-        height_m = rotor_height_m(at.state, p)
+        height_m = rotor_height_m(at.state, at.parameter)
         end_m = ca.sum1(height_m) / 2
-        above_m = end_m + self.own(at, "own") * (height_m - end_m) - resting_m
+        above_m = end_m + self.own(at, "own") * (height_m - end_m) + self.own(at, "table_m")
         return thrust_N * (1 + self.own(at, "share") * ca.exp(-above_m / self.own(at, "height_m")))
 
 
 KIND: Final = EffectKind(
     id="ground_effect",
     effect=GroundEffect,
-    says="on the table the rotors push {share} more; over {height_m} of height this falls by a factor e",
+    says="at the table the rotors push {share} more; over {height_m} of height this falls by a factor e",
     equation=r"F_i \to F_i (1 + a\, e^{-h_i / h_0})",
     acts_on="thrust",
     stage=Stage.GROUND,
     numbers=(
-        Parameter("share", "1", "share a gained on the table", 0.2, Prior(0.0, 0.3, -0.5, 5.0), size=True),
+        Parameter("share", "1", "share a gained at the table", 0.2, Prior(0.0, 0.3, -0.5, 5.0), size=True),
         Parameter(
             "height_m",
             "m",
@@ -60,7 +58,7 @@ KIND: Final = EffectKind(
             scan=(0.05, 0.1, 0.2, 0.4),
         ),
         Parameter("own", "1", "how far each rotor has a height of its own", 1.0, scan=(0.0, 1.0)),
-        Parameter("table_rad", "rad", "elevation of the arm at rest, where h_i = 0", -0.436),
+        Parameter("table_m", "m", "how far below the elevation axis the table is, where h_i = 0", 0.25),
     ),
     needs=("L_a", "L_h", "L_theta"),
     source=(
