@@ -52,8 +52,8 @@ def _kind(axis: str, typical_Nm: float) -> EffectKind:
             ),
         ),
         source=(
-            "Coulomb; below 0.002 rad/s, a count of the encoder in 0.8 s, no flight shows the rounding, but a "
-            "fit finds its way there only through the rounder ones"
+            "Coulomb; below 0.002 rad/s, a count of the encoder in 0.8 s, no flight shows the rounding, but "
+            "a fit finds its way there only through the rounder ones"
         ),
     )
 
