@@ -58,14 +58,17 @@ def rounding_scatter(
         residual, jacobian = problem.jacobian(index, theta, states[index], fine=True)
         grid = problem.grid(index, True, theta)
         counts = (grid.measured_rad - residual * record.sigma_rad) / record.count_rad
-        shifted = counts[None] + random.uniform(0.0, 1.0, (_PHASES, 1, 3))
-        errors = (np.round(shifted) - shifted) * math.sqrt(12.0)
+        phases = random.uniform(0.0, 1.0, (_PHASES, 1, 3))
         for window, part in enumerate(grid.slices):
+            shifted = counts[None, part] + phases
+            errors = (np.round(shifted) - shifted) * math.sqrt(12.0)
             scale = np.sqrt(weights[index][window] / variance[index])[:, None]
-            rows = (jacobian[part] * scale).reshape(-1, jacobian.shape[2])
-            own, shared = rows[:, :nx], rows[:, nx:]
-            rest = shared - own @ (np.linalg.pinv(own.T @ own, hermitian=True) @ (own.T @ shared))
-            scores[:, problem.columns[index]] += (errors[:, part] * scale[:, 0]).reshape(_PHASES, -1) @ rest
+            rows = jacobian[part] * scale
+            # Not a product of matrices: threads of the linear algebra cost more here than they save.
+            normal = np.einsum("tai,taj->ij", rows[:, :, :nx], rows)
+            pulls = np.einsum("pta,tai->pi", errors * scale[:, 0], rows)
+            follow = np.linalg.pinv(normal[:, :nx], hermitian=True) @ normal[:, nx:]
+            scores[:, problem.columns[index]] += pulls[:, nx:] - pulls[:, :nx] @ follow
     prior = np.diag(1.0 / problem.prior_std**2)
     spread = covariance @ (scores.T @ scores / _PHASES + prior) @ covariance
     result: Floats = np.sqrt(np.diag(spread))

@@ -1,0 +1,108 @@
+"""Free runs: the compiled loop and the interpreted one agree, and their derivatives are derivatives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import heli_sim.compiled
+import numpy as np
+import pytest
+from heli_sim.identify.compiled_kernel import CompiledKernel
+from heli_sim.identify.functions import Floats, Functions, Inputs
+from heli_sim.identify.interpreted_kernel import InterpretedKernel
+from heli_sim.identify.kernel import kernel
+from heli_sim.model import Model, MultibodyModel, PaperModel
+from heli_sim.model.effects import catalogue
+from heli_sim.rig import load_rig
+
+RIG = load_rig("makki2024")
+FREE = ("M_w", "L_phi", "thrust_gain", "dead_zone", "friction_pitch", "offset_pitch")
+SIGMA_RAD = np.array([4e-4, 4e-4, 4e-4])
+
+
+def model(name: str) -> tuple[Model, tuple[str, ...]]:
+    effects = catalogue()
+    lag, delay = effects["rotor_lag"].make({"rotor_lag_s": 0.08}), effects["input_delay"].make()
+    return {
+        "multibody": (MultibodyModel(), FREE),
+        "paper": (PaperModel(), FREE[2:]),
+        "late": (MultibodyModel((lag, delay)), (*FREE, "rotor_lag_s", "input_delay_s")),
+    }[name]
+
+
+def inputs(substeps: int, shaped: tuple[str, ...]) -> Inputs:
+    """Three windows of unequal length with random voltages about hover."""
+    random = np.random.default_rng(3)
+    steps = np.array([40, 7, 23], np.int64)
+    rows = int(steps.sum())
+    pairs = [random.normal(0.0, 1.0, (2, rows, 2)) for _ in shaped]
+    return Inputs(
+        steps,
+        np.array([0.0, 3.0, 5.0]),
+        0.01,
+        1.75 + 0.2 * random.standard_normal((rows, 2)),
+        0.05 * random.standard_normal((rows, 2)),
+        substeps,
+        tuple((name, mean, change) for name, (mean, change) in zip(shaped, pairs, strict=True)),
+    )
+
+
+def start(equations: Model) -> Floats:
+    random = np.random.default_rng(4)
+    states: Floats = 0.1 * random.standard_normal((3, len(equations.states)))
+    return states
+
+
+@pytest.fixture
+def no_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(heli_sim.compiled, "compiler", lambda: None)
+    monkeypatch.setattr(heli_sim.compiled, "cache_folder", lambda: tmp_path)
+
+
+@pytest.mark.parametrize("substeps", [1, 2])
+@pytest.mark.parametrize("name", ["multibody", "paper", "late"])
+def test_compiled_and_interpreted_loops_agree(name: str, substeps: int) -> None:
+    equations, free = model(name)
+    compiled, interpreted = kernel(equations, free), InterpretedKernel(Functions(equations, free))
+    assert isinstance(compiled, CompiledKernel)
+    drive = inputs(substeps, ("input_delay_s", "dead_zone") if name == "late" else ())
+    given = drive, start(equations), equations.parameter_values(RIG)
+    measured = np.random.default_rng(5).normal(0.0, 0.1, (drive.rows, 3))
+    for one, other in zip(compiled.run(*given), interpreted.run(*given), strict=True):
+        assert one is not None and other is not None
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-11)
+    for one, other in zip(
+        compiled.products(*given, measured, SIGMA_RAD),
+        interpreted.products(*given, measured, SIGMA_RAD),
+        strict=True,
+    ):
+        np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-6)
+    np.testing.assert_allclose(compiled.end(*given), interpreted.end(*given), rtol=1e-9, atol=1e-11)
+
+
+@pytest.mark.parametrize("name", ["multibody", "late"])
+def test_derivatives_are_those_of_the_free_run(name: str) -> None:
+    equations, free = model(name)
+    runner, drive = kernel(equations, free), inputs(2, ())
+    states, values = start(equations), equations.parameter_values(RIG)
+    _, jacobian = runner.run(drive, states, values)
+    assert jacobian is not None
+    places = [[quantity.name for quantity in equations.parameters].index(one) for one in free]
+    for column in range(states.shape[1] + len(free)):
+        both = []
+        for sign in (-1.0, 1.0):
+            x, p = states.copy(), values.copy()
+            if column < states.shape[1]:
+                size = 1e-5
+                x[:, column] += sign * size
+            else:
+                place = places[column - states.shape[1]]
+                size = 1e-5 * max(abs(p[place]), 1.0)
+                p[place] += sign * size
+            both.append(runner.run(drive, x, p, derivatives=False)[0])
+        slope = (both[1] - both[0]) / (2.0 * size)
+        np.testing.assert_allclose(jacobian[:, :, column], slope, rtol=1e-4, atol=1e-5)
+
+
+def test_without_a_compiler_the_interpreted_loop_is_taken(no_compiler: None) -> None:
+    assert isinstance(kernel(*model("multibody")), InterpretedKernel)

@@ -1,0 +1,108 @@
+"""How sure, what cannot be told apart, and whether what is left is chance."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from heli_sim.identify import combinations, untaught
+from heli_sim.identify.functions import Floats
+from heli_sim.identify.noise import balanced, correlation_at, inflation, window_weights
+from heli_sim.identify.result import Identification
+from heli_sim.identify.run import identify
+from heli_sim.model import MultibodyModel
+from heli_sim.rig import load_rig
+
+from tests.identify.made import flown
+
+STEP_S = 0.002
+WINDOWS = [slice(1000 * k, 1000 * (k + 1)) for k in range(20)]
+ROWS = WINDOWS[-1].stop
+
+
+@cache
+def found(*free: str) -> Identification:
+    rig = load_rig("makki2024")
+    return identify(MultibodyModel(), rig, [flown(rig, 3, 25.0)], free=free or None)
+
+
+def coloured(share: float) -> Floats:
+    """Residuals of variance 1 that keep a share from row to row."""
+    values: Floats = np.random.default_rng(1).standard_normal((ROWS, 3))
+    for k in range(1, ROWS):
+        values[k] = share * values[k - 1] + math.sqrt(1.0 - share**2) * values[k]
+    return values
+
+
+def test_a_sum_that_is_seen_leaves_a_difference_that_is_not() -> None:
+    seen = 1e4 * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    told = combinations(("a", "b", "c"), seen, np.ones(3))
+    assert len(told) == 1 and told[0].kept == pytest.approx(1.0)
+    assert set(told[0].change) == {"a", "b"}
+    assert told[0].change["a"] == pytest.approx(-told[0].change["b"])
+    assert combinations(("a", "b"), 1e4 * np.eye(2), np.ones(2)) == []
+
+
+def test_counterweight_and_a_constant_torque_cannot_be_told_apart_near_level() -> None:
+    both = found("M_w", "torque_elevation", "friction_elevation")
+    (first, second, value), *others = both.strong_correlations
+    assert {first, second} == {"M_w", "torque_elevation"} and value < -0.99 and not others
+    assert [set(one.change) for one in both.combinations] in ([], [{"M_w", "torque_elevation"}])
+    alone = found("M_w", "friction_elevation")
+    assert alone.strong_correlations == []
+    assert alone.fit.std["M_w"] < 0.3 * both.fit.std["M_w"]
+
+
+def test_correlations_are_those_of_the_covariance() -> None:
+    told = found()
+    names = told.fit.problem.names
+    matrix = np.array([[told.json()["correlations"][a][b] for b in names] for a in names])
+    np.testing.assert_allclose(np.diag(matrix), 1.0)
+    np.testing.assert_allclose(matrix, matrix.T)
+    assert np.linalg.eigvalsh(told.fit.covariance).min() > 0.0
+    std = np.array(list(told.fit.std.values()))
+    np.testing.assert_allclose(matrix * np.outer(std, std), told.fit.covariance, atol=1e-4 * std.max() ** 2)
+
+
+def test_what_a_flight_does_not_teach_is_named() -> None:
+    told = found()
+    assert "M_l" in told.untaught and "thrust_gain" not in told.untaught
+    assert untaught(("a", "b"), np.diag([0.99, 0.01]), np.ones(2)) == ["a"]
+    assert told.json()["nothing_learned_of"] == told.untaught
+
+
+def test_no_estimate_is_less_sure_than_before_the_flight() -> None:
+    told = found()
+    for one, std in zip(told.fit.problem.free, told.fit.std.values(), strict=True):
+        assert std <= 1.001 * one.prior.std, one.name
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
+def test_colour_counts_as_fewer_samples(share: float) -> None:
+    factor = inflation(coloured(share), WINDOWS, STEP_S)
+    np.testing.assert_allclose(factor, (1.0 + share) / (1.0 - share), rtol=0.35)
+
+
+def test_white_is_white_and_coloured_is_not() -> None:
+    lag = 50
+    for share, white in ((0.0, True), (0.9, True), (0.99, False)):
+        values, bound = correlation_at(coloured(share), WINDOWS, lag)
+        assert bool(np.all(np.abs(values) < bound)) is white, share
+
+
+def test_a_window_out_of_line_loses_weight() -> None:
+    residual = coloured(0.0)
+    residual[WINDOWS[7]] *= 10.0
+    weights = window_weights(residual, WINDOWS, np.ones(3))
+    assert weights[7] == pytest.approx(0.09, rel=0.1)
+    assert np.all(np.delete(weights, 7) == 1.0)
+
+
+def test_no_axis_of_a_wrong_model_is_taken_for_exact() -> None:
+    sigma = np.array([4e-4, 4e-4, 4e-4])
+    exact = balanced(np.ones(3), np.ones(3), sigma)
+    np.testing.assert_array_equal(exact, 1.0)
+    wrong = balanced(np.array([1.0, 1000.0, 1.0]), np.array([1.0, 900.0, 1.0]), sigma)
+    assert wrong[1] == 1000.0 and np.all(wrong[[0, 2]] > 400.0)
