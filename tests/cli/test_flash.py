@@ -381,3 +381,18 @@ def test_a_board_that_flies_is_not_flashed(
         ended = terminal("flash", image, "--port", board.url, "--yes", "--bossac", uploader.program)
     assert "land or stop first" in refusal(ended, code=LINK)
     assert uploader.calls == []
+
+
+def test_whoever_says_no_keeps_the_board_as_it_is(
+    terminal: Terminal, image: Path, silent_port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    uploader = Uploader(tmp_path / "bin")
+    ours, theirs = os.openpty()
+    os.write(ours, b"n\n")
+    with os.fdopen(theirs) as keyboard:
+        monkeypatch.setattr("sys.stdin", keyboard)
+        ended = terminal("flash", image, "--port", silent_port, "--bossac", uploader.program)
+    os.close(ours)
+    assert "erases the whole flash" in ended.out
+    assert ended.code == 130
+    assert uploader.calls == []

@@ -10,7 +10,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from heli_host.errors import ImageError
 from heli_host.flash.bossac import find_bossac, write_image
+from heli_host.flash.image import read_image
 from heli_host.link.declaration import FIRMWARE_VERSION
 from heli_host.link.session import Session
 from heli_sim.due.machine import new_due
@@ -51,14 +53,26 @@ def test_upload_writes_the_image_that_was_built(elf: Path, tmp_path: Path) -> No
     assert "flashed: simulated board" in done.stdout
 
 
+def flat_binary(elf: Path, folder: Path) -> Path:
+    path = folder / "firmware.bin"
+    subprocess.run(["arm-none-eabi-objcopy", "-O", "binary", elf, path], check=True)
+    return path
+
+
+def test_the_firmware_that_is_built_passes_the_check_before_flashing(elf: Path, tmp_path: Path) -> None:
+    binary = flat_binary(elf, tmp_path)
+    assert read_image(binary).content == binary.read_bytes()
+    with pytest.raises(ImageError, match="ELF"):
+        read_image(elf)
+
+
 def test_the_real_uploader_writes_an_emulated_chip_that_then_runs_and_answers(
     elf: Path, image: Image, tmp_path: Path
 ) -> None:
     path = shutil.which("bossac")
     if path is None:
         pytest.skip("bossac is not installed; on Debian: apt-get install bossa-cli")
-    binary = tmp_path / "firmware.bin"
-    subprocess.run(["arm-none-eabi-objcopy", "-O", "binary", elf, binary], check=True)
+    binary = flat_binary(elf, tmp_path)
     due = new_due()
     due.power_on()
     due.run_us(1000.0)
