@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 from urllib.parse import urlencode
 
@@ -94,6 +94,7 @@ def open_board(
     speed: str = "1",
     seed: int = 1,
     choice: Choice | None = None,
+    more: Mapping[str, str] | None = None,
 ) -> Iterator[Heli]:
     """Connect to a board and disconnect at the end.
 
@@ -111,6 +112,8 @@ def open_board(
         Seed of the simulation.
     choice : Choice or None
         Which board is simulated; None for the native one.
+    more : Mapping[str, str] or None
+        More options of the simulated board, spelled as in a ``sil://`` address.
 
     Yields
     ------
@@ -133,7 +136,9 @@ def open_board(
         if sil:
             rig = rig if rig is not None else DEFAULT_RIG
             factor = parse_speed(speed)
-            which = {"board": choice.name} if choice is not None and choice.elf else {}
+            which = dict(more or {})
+            if choice is not None and choice.elf:
+                which["board"] = choice.name
             if choice is not None and choice.named:
                 which["elf"] = choice.elf
             if factor is None:

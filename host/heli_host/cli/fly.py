@@ -23,6 +23,7 @@ from heli_host.cli.options import (
     parse_speed,
     rig_name,
 )
+from heli_host.cli.plant_options import EffectFilesOption, EffectOption, ModelOption, plant_options
 
 FIGURE_ENDS = (".png", ".pdf", ".svg")
 
@@ -36,6 +37,9 @@ def fly(
     board: BoardOption = None,
     elf: ElfOption = None,
     rig: RigOption = None,
+    model: ModelOption = None,
+    effect: EffectOption = None,
+    effects: EffectFilesOption = None,
     speed: SpeedOption = "1",
     seed: SeedOption = 1,
     clear_fault: ClearFaultOption = False,
@@ -64,13 +68,14 @@ def fly(
     parse_speed(speed)
     choice = choose_board(board, elf, simulated=sil)
     check_gains(gains, sil)
+    more = plant_options(model, effect, effects, simulated=sil)
     loaded = [load_plan(plan) for plan in plans]
     for target in (json, figure):
         if target is not None:
             _check_place(target)
     if figure is not None and figure.suffix.lower() not in FIGURE_ENDS:
         raise typer.BadParameter(f"--figure {figure}: give a file that ends in {', '.join(FIGURE_ENDS)}")
-    with open_board(port, sil, rig, speed, seed, choice) as heli:
+    with open_board(port, sil, rig, speed, seed, choice, more) as heli:
         if clear_fault:
             clear_latched_fault(heli)
         load_gains(heli, gains)

@@ -17,6 +17,7 @@ from heli_host.cli.options import (
     choose_board,
     parse_speed,
 )
+from heli_host.cli.plant_options import EffectFilesOption, EffectOption, ModelOption
 
 
 def sil(
@@ -47,6 +48,9 @@ def sil(
         ),
     ] = None,
     rig: RigOption = None,
+    model: ModelOption = None,
+    effect: EffectOption = None,
+    effects: EffectFilesOption = None,
     speed: SpeedOption = "1",
     seed: SeedOption = 1,
 ) -> None:
@@ -68,6 +72,9 @@ def sil(
         board=choice.name,
         elf=choice.elf,
         reset_on_open=reset_on_open,
+        model=model or "",
+        effects=tuple(effect or ()),
+        effect_files=tuple(map(str, effects or ())),
     )
 
     def say(url: str) -> None:
