@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from tests.bench import decoding, due, line, reading, recording, simulation
+from tests.bench import decoding, due, identification, line, plant, reading, recording, simulation
 from tests.bench.result import PROMISES, Measured
 
 RESULT = Path("bench.json")
@@ -36,22 +36,26 @@ def measure_all(say: Callable[[str], None]) -> list[Measured]:
     say : callable
         Told what is measured next, and how long that takes.
     """
-    say("[1/6] flying in simulation as fast as possible (about 60 s)")
+    say("[1/8] flying in simulation as fast as possible (about 60 s)")
     measured = simulation.measure()
-    say("[2/6] decoding, against pymavlink (about 10 s)")
+    say("[2/8] decoding, against pymavlink (about 10 s)")
     sent, duration_s = line.flight_bytes()
     measured += decoding.measure(sent)
-    say("[3/6] counting bytes on the line (about 5 s)")
+    say("[3/8] counting bytes on the line (about 5 s)")
     measured += line.measure(sent, duration_s)
-    say("[4/6] reading a ten-minute log (about 10 s)")
+    say("[4/8] reading a ten-minute log (about 10 s)")
     measured += reading.measure()
-    say("[5/6] recording in real time (about 85 s)")
+    say("[5/8] recording in real time (about 85 s)")
     measured += recording.measure()
-    say("[6/6] counting instructions of the Due's firmware (about 40 s)")
+    say("[6/8] counting instructions of the Due's firmware (about 40 s)")
     counted = due.measure()
     if not counted:
         say("      skipped: there is no cross-compiler for the Due; make firmware says how to get it")
-    return measured + counted
+    measured += counted
+    say("[7/8] stepping and linearising the rig, against MuJoCo (about 10 s)")
+    measured += plant.measure()
+    say("[8/8] identifying fifty simulated rigs (about 5 minutes)")
+    return measured + identification.measure(say)
 
 
 def table(measured: list[Measured]) -> tuple[Table, bool]:

@@ -54,6 +54,12 @@ PROMISES = (
     Promise("due_boot_to_first_frame_ms", "power up to the first frame", 50.0, at_least=False),
     Promise("due_rx_lost_bytes", "of 20,000 in a row, under full telemetry", 0.0, at_least=False),
     Promise("due_motors_off_after_hang_ms", "worst over hangs, phases, 20-44 kHz", 300.0, at_least=False),
+    Promise("plant_step_ns", "a millisecond of the multibody rig, compiled", 1500.0, at_least=False),
+    Promise("plant_step_ratio_to_mujoco", "mj_step on the same rig takes this many times as long", 1.0),
+    Promise("linearise_ms", "trim and linearise the multibody rig", 5.0, at_least=False),
+    Promise("identify_60s_flight_s", "a minute at 500 Hz, 13 free parameters", 10.0, at_least=False),
+    Promise("identify_coverage_2std", "of 50 rigs' numbers, truth within 2 std", 0.93),
+    Promise("identify_heldout_normalised", "worst of 50 flights that no fit saw", 1.05, at_least=False),
 )
 
 
