@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.errors import CommandRefused
 from heli_host.heli import Heli
 from heli_host.link.declaration import (
     MessageId,
@@ -87,15 +86,18 @@ class Bench:
         session.command(ParamsSaveMessage(0))
         return self.pages()
 
-    def cut(self, pages: bytes, value: float, cut: Cut) -> bytes:
-        """The pages after a save that ends there."""
+    def cut(self, pages: bytes, value: float, cut: Cut, whole_pages: int = 0) -> bytes:
+        """The pages after a save that ends there, in the page after so many whole ones."""
         session = self.start_with(pages)
         session.command(ParamSetMessage(0, Param.ELEVATION_KP, value))
         due = self.board.due
         due.add_breakpoint(self.write_page)
         self.board.write(encode_frame(MessageId.PARAMS_SAVE, 0, ParamsSaveMessage(77).pack()))
-        due.run_us(50_000.0)
-        assert due.halt == "breakpoint"
+        for page in range(whole_pages + 1):
+            if page:
+                due.resume()
+            due.run_us(50_000.0)
+            assert due.halt == "breakpoint"
         due.remove_breakpoint(self.write_page)
         due.resume()
         before = due.flash_stores
@@ -177,12 +179,17 @@ def test_a_reset_while_the_flash_is_written_is_no_worse_than_a_power_cut(bench: 
     assert session.read_params()[Param.ELEVATION_KP] == VALUES[1]
 
 
-def test_a_cut_first_save_is_not_passed_over_in_silence(bench: Bench) -> None:
-    # There is no old set yet. A torn page could also be the only save, gone bad: the board says so.
-    after = bench.cut(ERASED, VALUES[0], CUTS[-20])
-    session = bench.start_with(after)
-    assert session.welcome.params_source == ParamsSource.CORRUPT
-    with pytest.raises(CommandRefused, match="param"):
-        Heli(session).arm()
-    session.command(ParamsSaveMessage(0))
+def test_a_cut_in_the_first_save_ever_leaves_the_declared_defaults(bench: Bench) -> None:
+    defaults = bench.start_with(ERASED).read_params()
+    for cut in CUTS[:-1]:
+        session = bench.start_with(bench.cut(ERASED, VALUES[0], cut))
+        assert session.welcome.params_source == ParamsSource.DEFAULTS, cut
+        assert session.read_params() == defaults, cut
     Heli(session).arm()
+
+
+def test_a_cut_in_the_second_page_of_the_first_save_keeps_what_was_saved(bench: Bench) -> None:
+    for cut in CUTS:
+        session = bench.start_with(bench.cut(ERASED, VALUES[0], cut, whole_pages=1))
+        assert session.welcome.params_source in GOOD, cut
+        assert session.read_params()[Param.ELEVATION_KP] == VALUES[0], cut

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 PAGE = 256
 STEPS_OF_A_SAVE = 2 * PAGE  # erase and write, byte by byte
+STEPS_OF_THE_FIRST = 2 * STEPS_OF_A_SAVE  # it writes both copies
 HOVER = next(spec.index for spec in PARAMS if spec.name == "hover_V")
 HOVER_DEFAULT = core_link.Params().get(HOVER)
 
@@ -78,13 +79,13 @@ def test_saves_take_turns_and_the_newest_counts() -> None:
         before = pages(board)
         assert save(board, float(generation))
         changed = [page for page in (0, 1) if pages(board)[page] != before[page]]
-        assert changed == [(generation - 1) % 2]
+        assert changed == ([0, 1] if generation == 1 else [(generation - 1) % 2])
         assert load(board) == (ParamsSource.STORED, float(generation))
 
 
 @pytest.mark.parametrize("stored", [(), (3.0,), (3.0, 4.0), (3.0, 4.0, 5.0)], ids=len)
 def test_a_power_cut_at_any_byte_of_a_save_loses_at_most_that_save(stored: tuple[float, ...]) -> None:
-    for cut in range(STEPS_OF_A_SAVE):
+    for cut in range(STEPS_OF_A_SAVE if stored else STEPS_OF_THE_FIRST):
         board = saved_board(*stored)
         board.steps_left = cut
         returned = save(board, 7.0)
@@ -95,8 +96,10 @@ def test_a_power_cut_at_any_byte_of_a_save_loses_at_most_that_save(stored: tuple
         assert returned == complete
         if not complete:
             assert hover_V == (stored[-1] if stored else HOVER_DEFAULT)
-        if stored:
+        if stored or complete:
             assert source in (ParamsSource.STORED, ParamsSource.FALLBACK)
+        else:
+            assert source == ParamsSource.DEFAULTS
         # The board recovers: the next save works and the one after it too.
         assert save(board, 8.0)
         assert load(board) == (ParamsSource.STORED, 8.0)
@@ -135,10 +138,11 @@ def test_two_damaged_copies_give_the_defaults_and_say_so() -> None:
     assert load(board) == (ParamsSource.STORED, 5.0)
 
 
-def test_a_damaged_copy_beside_an_erased_one_is_corrupt_not_new() -> None:
+@pytest.mark.parametrize("page", [0, 1])
+def test_the_very_first_save_already_survives_damage_to_either_copy(page: int) -> None:
     board = saved_board(3.0)
-    damage(board, 0, 100)
-    assert load(board) == (ParamsSource.CORRUPT, HOVER_DEFAULT)
+    damage(board, page, 100)
+    assert load(board) == (ParamsSource.FALLBACK, 3.0)
 
 
 def test_copies_of_another_declaration_are_not_used() -> None:
@@ -147,7 +151,6 @@ def test_copies_of_another_declaration_are_not_used() -> None:
         rewrite(board, page, 4, (LINK_HASH ^ 1).to_bytes(4, "little"))
     assert load(board) == (ParamsSource.CORRUPT, HOVER_DEFAULT)
     assert save(board, 5.0)
-    # The other page still holds the old declaration's set: whole, and no sign of damage.
     assert load(board) == (ParamsSource.STORED, 5.0)
     assert save(board, 6.0)
     assert load(board) == (ParamsSource.STORED, 6.0)
@@ -155,7 +158,8 @@ def test_copies_of_another_declaration_are_not_used() -> None:
 
 def test_a_copy_with_a_value_out_of_range_is_not_used_whatever_its_crc() -> None:
     board = saved_board(3.0)
-    rewrite(board, 0, 12 + 4 * HOVER, bytes.fromhex("0000c07f"))
+    for page in (0, 1):
+        rewrite(board, page, 12 + 4 * HOVER, bytes.fromhex("0000c07f"))
     assert load(board) == (ParamsSource.CORRUPT, HOVER_DEFAULT)
 
 
@@ -178,7 +182,8 @@ def test_a_failed_save_says_so_and_the_next_start_finds_the_old_set() -> None:
 
 def test_a_save_makes_a_corrupt_board_fit_to_arm_without_a_restart() -> None:
     board = saved_board(3.0)
-    damage(board, 0, 100)
+    for page in (0, 1):
+        damage(board, page, 100)
     params = core_link.Params()
     store = core_link.Store(board)
     assert store.load(params) == ParamsSource.CORRUPT

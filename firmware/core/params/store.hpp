@@ -19,7 +19,8 @@ class Store {
   // Puts the newest valid copy into `params`, or the declared defaults when there is none.
   link::ParamsSource load(Params& params);
 
-  // Writes the older copy and reads it back. May stop the processor for milliseconds.
+  // Writes the older copy and reads it back; both when none is valid. May stop the processor for
+  // milliseconds.
   bool save(const Params& params);
 
   // Where the parameters came from: load()'s answer, `stored` after a save. Any context.
