@@ -1,0 +1,130 @@
+"""The cases: what is hidden where, and the flights, made once and kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from heli_sim.rig import Rig, load_rig
+
+from tests.blind.flights import flown, plan
+from tests.blind.hidden import LISTED
+from tests.blind.mujoco_rig import Hidden
+from tests.blind.off_list import OFF_LIST
+
+TRAIN_S, VALIDATE_S = 60.0, 40.0
+_NOTHING = 12
+# Two and three at once, each with its size: 0 small, 1 large.
+_SEVERAL = (
+    ("rotor_lag", "coulomb_friction.elevation"),
+    ("rotor_lag", "cable_spring.travel"),
+    ("thrust_asymmetry", "travel_drag_quadratic"),
+    ("thrust_fade", "coulomb_friction.travel"),
+    ("input_delay", "ground_effect"),
+    ("rotor_lag", "axis_tilt", "coulomb_friction.travel"),
+    ("rotor_lag", "thrust_step.front", "cable_spring.elevation"),
+    ("thrust_quadratic", "periodic_torque.travel"),
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """Something hidden in two flights.
+
+    Parameters
+    ----------
+    name : str
+        Name, for files and tables.
+    effects : tuple of (str, float)
+        Listed effects and sizes.
+    off_list : tuple of (str, float)
+        Effects that are on no list.
+    seed : int
+        Of rig, flight and effect.
+    """
+
+    name: str
+    effects: tuple[tuple[str, float], ...]
+    off_list: tuple[tuple[str, float], ...]
+    seed: int
+
+    @property
+    def kind(self) -> str:
+        """What sort of case this is: nothing, one, several or off_list."""
+        if self.off_list:
+            return "off_list"
+        return ("nothing", "one", "several")[min(2, len(self.effects))]
+
+    def rig(self) -> Rig:
+        """Draw the true rig: thrust within 20 %, friction half to double, masses and lengths within 1 %."""
+        rng = np.random.default_rng([self.seed, 1])
+        rig = load_rig("makki2024")
+        numbers = {"thrust_gain": rng.uniform(0.8, 1.2)}
+        for axis in ("elevation", "pitch", "travel"):
+            numbers[f"friction_{axis}"] = 2.0 ** rng.uniform(-1.0, 1.0)
+        for name in ("M_f", "M_b", "M_w", "M_h", "M_l", "L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x"):
+            numbers[name] = rng.uniform(0.99, 1.01)
+        return rig.replace(**{name: factor * rig[name].value for name, factor in numbers.items()})
+
+    def hidden(self) -> list[Hidden]:
+        """Make what is hidden, with the same moments, angles and frequencies in both flights."""
+        made: list[Hidden] = []
+        for number, (name, size) in enumerate(self.effects):
+            made.append(LISTED[name][0](size, np.random.default_rng([self.seed, 2, number])))
+        for number, (name, size) in enumerate(self.off_list):
+            made.append(OFF_LIST[name][0](size, np.random.default_rng([self.seed, 3, number])))
+        return made
+
+    def truth(self) -> dict[str, dict[str, float]]:
+        """Numbers of the listed effects."""
+        return {name: one.truth for (name, _), one in zip(self.effects, self.hidden(), strict=False)}
+
+    def flights(self, folder: Path) -> tuple[Path, Path]:
+        """Fly both flights, unless they are there.
+
+        Parameters
+        ----------
+        folder : Path
+            Where to keep them.
+
+        Returns
+        -------
+        tuple of Path
+            The flight to fit on and the one to validate on, as CSV.
+        """
+        paths = (folder / self.name / "a.csv.gz", folder / self.name / "b.csv.gz")
+        for number, (path, duration_s) in enumerate(zip(paths, (TRAIN_S, VALIDATE_S), strict=True)):
+            if path.exists():
+                continue
+            path.parent.mkdir(parents=True, exist_ok=True)
+            rng = np.random.default_rng([self.seed, 4, number])
+            course = plan(f"{self.seed}", duration_s, rng)
+            # Written whole and then named, so that an interrupted run leaves no half flight.
+            unfinished = path.with_name("unfinished-" + path.name)
+            flown(self.rig(), self.hidden(), course, self.seed + number).write_csv(unfinished)
+            unfinished.rename(path)
+        return paths
+
+
+def every_case() -> Iterator[Case]:
+    """All cases, in an order in which a part of them is a fair sample."""
+    seed = 1000
+    for size in (2, 1):
+        for name, entry in LISTED.items():
+            seed += 1
+            rng = np.random.default_rng([seed, 0])
+            value = float(entry[size] * rng.uniform(0.8, 1.3))
+            yield Case(f"{name}-{('', 'small', 'large')[size]}", ((name, value),), (), seed)
+        for number in range(_NOTHING // 2):
+            seed += 1
+            yield Case(f"nothing-{number + (2 - size) * _NOTHING // 2}", (), (), seed)
+        for name, (_, off_size) in OFF_LIST.items():
+            seed += 1
+            factor = 1.0 if size == 2 else 0.6
+            yield Case(f"off-{name}-{('', 'small', 'large')[size]}", (), ((name, off_size * factor),), seed)
+        for names in _SEVERAL:
+            seed += 1
+            effects = tuple((name, float(np.mean(LISTED[name][1:]))) for name in names)
+            yield Case("+".join(names) + f"-{size}", effects, (), seed)

@@ -1,0 +1,269 @@
+"""What may be hidden in a flight: the effects of the project's list, made by other means than its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from tests.blind.mujoco_rig import STEP_S, Delay, Floats, Hidden, Moment
+
+AXES = ("elevation", "pitch", "travel")
+
+
+class RotorLag(Hidden):
+    late = True
+
+    def __init__(self, size: float, rng: np.random.Generator) -> None:
+        super().__init__(size, rng)
+        self.truth = {"rotor_lag_s": size}
+        self._thrust_N = np.zeros(2)
+        self._keep = np.exp(-STEP_S / size)
+
+    def thrust(self, at: Moment) -> None:
+        # The mean over the step of a first-order lag's exact answer to a constant.
+        before = self._thrust_N
+        self._thrust_N = at.thrust_N + (before - at.thrust_N) * self._keep
+        at.thrust_N = 0.5 * (before + self._thrust_N)
+
+
+class InputDelay(Hidden):
+    def __init__(self, size: float, rng: np.random.Generator) -> None:
+        super().__init__(size, rng)
+        self.truth = {"input_delay_s": size}
+        self._delay = Delay(size, np.zeros(2))
+
+    def volts(self, at: Moment) -> None:
+        at.volts_V = self._delay(at.volts_V)
+
+
+class ThrustQuadratic(Hidden):
+    def thrust(self, at: Moment) -> None:
+        above_V = np.maximum(at.volts_V - 1.0, 0.0)
+        at.thrust_N = at.thrust_N * (1.0 + self.size * above_V)
+
+
+class ThrustAsymmetry(Hidden):
+    def thrust(self, at: Moment) -> None:
+        at.thrust_N = at.thrust_N * np.array([1.0 + self.size, 1.0 - self.size])
+
+
+class ThrustFade(Hidden):
+    """Size: share of the thrust lost in a minute."""
+
+    def thrust(self, at: Moment) -> None:
+        at.thrust_N = at.thrust_N * (1.0 - self.size * at.flight_s / 60.0)
+
+
+class ThrustStep(Hidden):
+    def __init__(self, size: float, rng: np.random.Generator, rotor: int) -> None:
+        super().__init__(size, rng)
+        self._rotor, self._at_s = rotor, rng.uniform(15.0, 28.0)
+        self.truth = {"size": size, "at_s": self._at_s}
+
+    def thrust(self, at: Moment) -> None:
+        if at.flight_s >= self._at_s:
+            at.thrust_N[self._rotor] *= 1.0 - self.size
+
+
+class SupplySag(Hidden):
+    """A source with inner resistance: both motors' mean voltage lowers what either gets."""
+
+    def volts(self, at: Moment) -> None:
+        at.volts_V = at.volts_V * (1.0 - self.size * at.volts_V.mean())
+
+
+class InflowDamping(Hidden):
+    """Size: thrust lost for each m/s at which a rotor moves along its own axis."""
+
+    def thrust(self, at: Moment) -> None:
+        at.thrust_N = at.thrust_N - self.size * at.climb_m_s
+
+
+class GroundEffect(Hidden):
+    """More thrust close to the table, falling off within a propeller's diameter."""
+
+    def thrust(self, at: Moment) -> None:
+        height_m = 0.64 * (np.sin(at.angles_rad[0]) - np.sin(np.deg2rad(-25.0)))
+        at.thrust_N = at.thrust_N * (1.0 + self.size * np.exp(-height_m / 0.15))
+
+
+class ReactionTorque(Hidden):
+    """Both propellers turn the same way: their reaction adds up about the rotors' axis."""
+
+    def torque(self, at: Moment) -> None:
+        about_up_Nm = self.size * at.thrust_N.sum()
+        # The rotors' axis in the frame of the arm: elevation turns about -y, travel about the vertical.
+        at.torque_Nm[0] += about_up_Nm * -np.sin(at.angles_rad[1])
+        at.torque_Nm[2] += about_up_Nm * at.up[2]
+
+
+class Coulomb(Hidden):
+    def __init__(self, size: float, rng: np.random.Generator, axis: int) -> None:
+        super().__init__(size, rng)
+        self._axis = axis
+
+    def configure(self, model: Any) -> None:
+        model.dof_frictionloss[model.joint(AXES[self._axis]).dofadr[0]] = self.size
+
+
+class QuadraticDrag(Hidden):
+    def torque(self, at: Moment) -> None:
+        rate = at.rates_rad_s[2]
+        at.torque_Nm[2] -= self.size * rate * abs(rate)
+
+
+class CableSpring(Hidden):
+    def __init__(self, size: float, rng: np.random.Generator, axis: int) -> None:
+        super().__init__(size, rng)
+        self._axis, self._rest_rad = axis, rng.uniform(-0.4, 0.4)
+        self.truth = {"size": size, "rest_rad": self._rest_rad}
+
+    def configure(self, model: Any) -> None:
+        joint = model.joint(AXES[self._axis])
+        model.jnt_stiffness[joint.id] = self.size
+        model.qpos_spring[joint.qposadr[0]] = self._rest_rad
+
+
+class AxisTilt(Hidden):
+    """Size: degrees between the travel axis and the vertical."""
+
+    def __init__(self, size: float, rng: np.random.Generator) -> None:
+        super().__init__(size, rng)
+        self._towards_rad = rng.uniform(-np.pi, np.pi)
+        self.truth = {"tilt_deg": size, "towards_rad": self._towards_rad}
+
+    def configure(self, model: Any) -> None:
+        g, tilt = np.linalg.norm(model.opt.gravity), np.deg2rad(self.size)
+        sideways = np.sin(tilt) * np.array([np.cos(self._towards_rad), np.sin(self._towards_rad)])
+        model.opt.gravity[:] = g * np.array([*sideways, -np.cos(tilt)])
+
+
+class CounterweightShift(Hidden):
+    """Size: how far the counterweight slips outwards, m."""
+
+    def __init__(self, size: float, rng: np.random.Generator) -> None:
+        super().__init__(size, rng)
+        self._at_s = rng.uniform(15.0, 28.0)
+        self.truth = {"size": size, "at_s": self._at_s}
+        self._slipped = False
+
+    def during(self, at: Moment, model: Any) -> None:
+        if at.flight_s >= self._at_s and not self._slipped:
+            model.body("counterweight").pos[0] -= self.size
+            self._slipped = True
+
+
+class Backlash(Hidden):
+    """Size: play between axis and encoder, degrees."""
+
+    def __init__(self, size: float, rng: np.random.Generator, axis: int) -> None:
+        super().__init__(size, rng)
+        self._axis, self._seen_rad = axis, None
+
+    def measured(self, angles_rad: Floats) -> Floats:
+        half_rad, true_rad = np.deg2rad(self.size) / 2.0, angles_rad[self._axis]
+        seen_rad = true_rad if self._seen_rad is None else self._seen_rad
+        self._seen_rad = float(np.clip(seen_rad, true_rad - half_rad, true_rad + half_rad))
+        out = angles_rad.copy()
+        out[self._axis] = self._seen_rad
+        return out
+
+
+class Eccentricity(Hidden):
+    """Size: amplitude of the encoder's error once a revolution, degrees."""
+
+    def __init__(self, size: float, rng: np.random.Generator, axis: int) -> None:
+        super().__init__(size, rng)
+        self._axis, self._phase_rad = axis, rng.uniform(-np.pi, np.pi)
+        self._order = int(rng.choice([1, 2])) if axis == 2 else 2
+
+    def measured(self, angles_rad: Floats) -> Floats:
+        out = angles_rad.copy()
+        turned_rad = self._order * angles_rad[self._axis] + self._phase_rad
+        out[self._axis] += np.deg2rad(self.size) * np.sin(turned_rad)
+        return out
+
+
+class ZeroOffset(Hidden):
+    """Size: by how much the arm's place at power-up is not where the board believes it, degrees."""
+
+    def __init__(self, size: float, rng: np.random.Generator, axis: int) -> None:
+        super().__init__(size * rng.choice([-1.0, 1.0]), rng)
+        self._axis = axis
+
+    def rest(self, state: Floats) -> None:
+        state[self._axis] += np.deg2rad(self.size)
+
+
+class PeriodicTorque(Hidden):
+    def __init__(self, size: float, rng: np.random.Generator, axis: int) -> None:
+        super().__init__(size, rng)
+        self._axis, self._phase_rad = axis, rng.uniform(-np.pi, np.pi)
+        self._frequency_Hz = rng.uniform(0.3, 2.5)
+        self.truth = {"size": size, "frequency_Hz": self._frequency_Hz}
+
+    def torque(self, at: Moment) -> None:
+        turned_rad = 2.0 * np.pi * self._frequency_Hz * at.time_s + self._phase_rad
+        at.torque_Nm[self._axis] += self.size * np.sin(turned_rad)
+
+
+class RandomTorque(Hidden):
+    """Size: standard deviation of a torque that forgets itself within a fraction of a second."""
+
+    def __init__(self, size: float, rng: np.random.Generator, axis: int) -> None:
+        super().__init__(size, rng)
+        self._axis, self._rng = axis, np.random.default_rng(rng.integers(1 << 30))
+        self._keep = np.exp(-STEP_S / rng.uniform(0.2, 0.8))
+        self._torque_Nm = 0.0
+
+    def torque(self, at: Moment) -> None:
+        spread = self.size * np.sqrt(1.0 - self._keep**2)
+        self._torque_Nm = self._keep * self._torque_Nm + spread * self._rng.standard_normal()
+        at.torque_Nm[self._axis] += self._torque_Nm
+
+
+Maker = Callable[[float, np.random.Generator], Hidden]
+
+
+def _on(kind: Callable[..., Hidden], place: int) -> Maker:
+    return lambda size, rng: kind(size, rng, place)
+
+
+LISTED: dict[str, tuple[Maker, float, float]] = {
+    "rotor_lag": (RotorLag, 0.03, 0.12),
+    "input_delay": (InputDelay, 0.01, 0.03),
+    "thrust_quadratic": (ThrustQuadratic, 0.06, 0.2),
+    "thrust_asymmetry": (ThrustAsymmetry, 0.03, 0.1),
+    "thrust_fade": (ThrustFade, 0.05, 0.15),
+    "thrust_step.front": (_on(ThrustStep, 0), 0.05, 0.15),
+    "thrust_step.back": (_on(ThrustStep, 1), 0.05, 0.15),
+    "supply_sag": (SupplySag, 0.03, 0.08),
+    "inflow_damping": (InflowDamping, 0.1, 0.3),
+    "ground_effect": (GroundEffect, 0.1, 0.3),
+    "rotor_reaction_torque": (ReactionTorque, 0.01, 0.03),
+    "coulomb_friction.elevation": (_on(Coulomb, 0), 0.02, 0.06),
+    "coulomb_friction.pitch": (_on(Coulomb, 1), 0.005, 0.02),
+    "coulomb_friction.travel": (_on(Coulomb, 2), 0.01, 0.03),
+    "travel_drag_quadratic": (QuadraticDrag, 0.05, 0.15),
+    "cable_spring.elevation": (_on(CableSpring, 0), 0.05, 0.2),
+    "cable_spring.travel": (_on(CableSpring, 2), 0.03, 0.1),
+    "axis_tilt": (AxisTilt, 1.0, 3.0),
+    "counterweight_shift": (CounterweightShift, 0.003, 0.01),
+    "backlash.elevation": (_on(Backlash, 0), 0.3, 0.8),
+    "backlash.pitch": (_on(Backlash, 1), 0.3, 0.8),
+    "backlash.travel": (_on(Backlash, 2), 0.3, 0.8),
+    "encoder_eccentricity.elevation": (_on(Eccentricity, 0), 0.3, 0.8),
+    "encoder_eccentricity.pitch": (_on(Eccentricity, 1), 0.3, 0.8),
+    "encoder_eccentricity.travel": (_on(Eccentricity, 2), 0.3, 0.8),
+    "zero_offset.elevation": (_on(ZeroOffset, 0), 1.0, 3.0),
+    "zero_offset.pitch": (_on(ZeroOffset, 1), 1.0, 3.0),
+    "periodic_torque.elevation": (_on(PeriodicTorque, 0), 0.01, 0.05),
+    "periodic_torque.pitch": (_on(PeriodicTorque, 1), 0.003, 0.01),
+    "periodic_torque.travel": (_on(PeriodicTorque, 2), 0.01, 0.04),
+    "random_torque.elevation": (_on(RandomTorque, 0), 0.02, 0.08),
+    "random_torque.pitch": (_on(RandomTorque, 1), 0.004, 0.015),
+    "random_torque.travel": (_on(RandomTorque, 2), 0.015, 0.05),
+}
+"""Maker, small and large size of each. Travel has no zero to be off: every place of it is as good."""

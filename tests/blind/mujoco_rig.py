@@ -1,0 +1,249 @@
+"""A rig in MuJoCo that the flight code flies, with something hidden in it.
+
+Nothing here knows the project's equations or its effects: masses are bodies, axes are joints, and whatever is
+hidden acts through MuJoCo's own forces, masses and gravity or on the numbers that enter and leave it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+from heli_sim import _native
+from heli_sim.rig import Rig
+
+Floats = npt.NDArray[np.float64]
+
+JOINTS = ("elevation", "pitch", "travel")
+STEP_S = 0.0005
+# MuJoCo wants an inertia of every body; this one is a point mass for all that counts.
+_POINT = 'diaginertia="1e-12 1e-12 1e-12"'
+
+
+def model_of(rig: Rig) -> Any:
+    """Draw the rig's masses as bodies and its axes as joints.
+
+    Parameters
+    ----------
+    rig : Rig
+        Gives the numbers of Table 2.
+
+    Returns
+    -------
+    mujoco.MjModel
+        Joints elevation, pitch and travel; bodies by name; sites front and back where the thrusts act.
+    """
+    v = {name: rig[name].value for name in rig}
+    arm_z, body_z = -v["L_theta"], -v["L_phi"]
+
+    def mass(name: str, kg: float, x: float, y: float, z: float) -> str:
+        return f'<body name="{name}" pos="{x} {y} {z}"><inertial pos="0 0 0" mass="{kg}" {_POINT}/></body>'
+
+    return mujoco.MjModel.from_xml_string(f"""
+    <mujoco>
+      <compiler angle="radian" balanceinertia="false"/>
+      <option timestep="{STEP_S}" integrator="RK4" gravity="0 0 -{v["g"]}"><flag contact="disable"/></option>
+      <worldbody>
+        <body name="post">
+          <inertial pos="0 0 0" mass="1e-9" {_POINT}/>
+          <joint name="travel" axis="0 0 1" damping="{v["friction_travel"]}"/>
+          <body name="arm">
+            <inertial pos="0 0 0" mass="1e-9" {_POINT}/>
+            <joint name="elevation" axis="0 -1 0" damping="{v["friction_elevation"]}"/>
+            {mass("long_arm", v["M_l"], v["L_x"], 0, arm_z)}
+            {mass("counterweight", v["M_w"], -v["L_b"], 0, arm_z)}
+            <body name="body" pos="{v["L_a"]} 0 {arm_z}">
+              <inertial pos="0 0 0" mass="1e-9" {_POINT}/>
+              <joint name="pitch" axis="-1 0 0" damping="{v["friction_pitch"]}"/>
+              {mass("short_arm", v["M_h"], 0, 0, body_z)}
+              {mass("front_rotor", v["M_f"], 0, -v["L_h"], body_z)}
+              {mass("back_rotor", v["M_b"], 0, v["L_h"], body_z)}
+              <site name="front" pos="0 {-v["L_h"]} 0"/>
+              <site name="back" pos="0 {v["L_h"]} 0"/>
+            </body>
+          </body>
+        </body>
+      </worldbody>
+      <actuator>
+        <general site="front" gear="0 0 1 0 0 0"/>
+        <general site="back" gear="0 0 1 0 0 0"/>
+      </actuator>
+    </mujoco>""")
+
+
+@dataclass
+class Moment:
+    """What a hidden effect may look at and change within a step.
+
+    Parameters
+    ----------
+    time_s : float
+        Time since the rig was switched on.
+    flight_s : float
+        Time since the motors first ran.
+    volts_V : ndarray (2,)
+        Voltages at the motors, front and back.
+    thrust_N : ndarray (2,)
+        Thrust that they give.
+    angles_rad, rates_rad_s : ndarray (3,)
+        Elevation, pitch and travel.
+    torque_Nm : ndarray (3,)
+        Additional torques about the three axes.
+    up : ndarray (3,)
+        Direction of the rotors' axes in the room.
+    climb_m_s : ndarray (2,)
+        Speed of each rotor along its own axis.
+    """
+
+    time_s: float
+    flight_s: float
+    volts_V: Floats
+    thrust_N: Floats
+    angles_rad: Floats
+    rates_rad_s: Floats
+    torque_Nm: Floats = field(default_factory=lambda: np.zeros(3))
+    up: Floats = field(default_factory=lambda: np.zeros(3))
+    climb_m_s: Floats = field(default_factory=lambda: np.zeros(2))
+
+
+class Hidden:
+    """Something that the rig has and the simulation lacks; a subclass overrides what it changes."""
+
+    late: bool = False
+    """Whether `thrust` comes after everything else that changes the thrust."""
+
+    def __init__(self, size: float, rng: np.random.Generator) -> None:
+        self.size = size
+        self.truth: dict[str, float] = {"size": size}
+
+    def configure(self, model: Any) -> None:
+        """Change MuJoCo's model before the flight."""
+
+    def rest(self, state: Floats) -> None:
+        """Change where the arm rests at power-up."""
+
+    def volts(self, at: Moment) -> None:
+        """Change `at.volts_V`."""
+
+    def thrust(self, at: Moment) -> None:
+        """Change `at.thrust_N`."""
+
+    def torque(self, at: Moment) -> None:
+        """Add to `at.torque_Nm`."""
+
+    def during(self, at: Moment, model: Any) -> None:
+        """Change MuJoCo's model in flight."""
+
+    def measured(self, angles_rad: Floats) -> Floats:
+        """Change what the encoders see."""
+        return angles_rad
+
+
+class MujocoPlant:
+    """Stands where `heli_sim.plant.Plant` does, for `SilWorld`.
+
+    Parameters
+    ----------
+    rig : Rig
+        True numbers.
+    hidden : sequence of Hidden
+        What is hidden.
+    """
+
+    def __init__(self, rig: Rig, hidden: Sequence[Hidden]) -> None:
+        self.rig = rig
+        self.hidden = sorted(hidden, key=lambda one: one.late)
+        self.physics = model_of(rig)
+        for one in self.hidden:
+            one.configure(self.physics)
+        self.data = mujoco.MjData(self.physics)
+        self._q = np.array([self.physics.joint(name).qposadr[0] for name in JOINTS])
+        self._v = np.array([self.physics.joint(name).dofadr[0] for name in JOINTS])
+        self._sites = [self.physics.site(name).id for name in ("front", "back")]
+        self._body = self.physics.body("body").id
+        self.parameters: Floats = np.zeros(1)
+        self._lowest_rad = np.deg2rad(rig["elevation_min"].value)
+        self._time_s = self._flight_s = 0.0
+        self._let_go = False
+        self._gain, self._dead_zone_V = rig["thrust_gain"].value, rig["dead_zone"].value
+
+    def rest_state(self) -> Floats:
+        """At rest on the table, (6,)."""
+        state = np.array([self._lowest_rad, 0.0, 0.0, 0.0, 0.0, 0.0])
+        for one in self.hidden:
+            one.rest(state)
+        self._lowest_rad = float(state[0])
+        return state
+
+    def native_step(self) -> _native.PlantStep:
+        """The millisecond for the world."""
+        return _native.CallbackStep(self._step, 6, 1)
+
+    def _step(
+        self, state: list[float], volts_V: list[float], locked: list[float], parameters: list[float]
+    ) -> tuple[list[float], list[float]]:
+        data, volts = self.data, np.array(volts_V)
+        data.qpos[self._q], data.qvel[self._v] = state[:3], state[3:]
+        # The masses of Table 2 balance above the table; a hand holds the arm down until the motors run.
+        self._let_go = self._let_go or bool(volts.any())
+        if self._let_go:
+            for _ in range(2):
+                self._half(volts)
+        self._time_s += 0.001
+        angles, rates = data.qpos[self._q].copy(), data.qvel[self._v].copy()
+        if angles[0] <= self._lowest_rad:
+            angles[0], rates = self._lowest_rad, rates * np.array([0.0, 0.99, 0.99])
+        seen = angles
+        for one in self.hidden:
+            seen = one.measured(seen)
+        return [*angles, *rates], seen.tolist()
+
+    def _half(self, volts_V: Floats) -> None:
+        data = self.data
+        mujoco.mj_kinematics(self.physics, data)
+        mujoco.mj_comPos(self.physics, data)
+        mujoco.mj_comVel(self.physics, data)
+        up = data.xmat[self._body].reshape(3, 3)[:, 2].copy()
+        velocity = np.zeros(6)
+        climb = np.empty(2)
+        for i, site in enumerate(self._sites):
+            mujoco.mj_objectVelocity(self.physics, data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 0)
+            climb[i] = velocity[3:] @ up
+        at = Moment(
+            self._time_s,
+            self._flight_s,
+            volts_V.copy(),
+            np.zeros(2),
+            data.qpos[self._q].copy(),
+            data.qvel[self._v].copy(),
+            up=up,
+            climb_m_s=climb,
+        )
+        for one in self.hidden:
+            one.volts(at)
+        at.thrust_N = self._gain * np.maximum(at.volts_V - self._dead_zone_V, 0.0)
+        for one in self.hidden:
+            one.thrust(at)
+        for one in self.hidden:
+            one.torque(at)
+            one.during(at, self.physics)
+        data.ctrl[:] = at.thrust_N
+        data.qfrc_applied[self._v] = at.torque_Nm
+        mujoco.mj_step(self.physics, data)
+        self._flight_s += STEP_S
+
+
+class Delay:
+    """Values a fixed number of steps late."""
+
+    def __init__(self, delay_s: float, first: Floats) -> None:
+        self._queue = deque([first.copy()] * max(1, round(delay_s / STEP_S)))
+
+    def __call__(self, value: Floats) -> Floats:
+        self._queue.append(value.copy())
+        return self._queue.popleft()
