@@ -1,0 +1,128 @@
+"""`heli-host identify`: flights in, a rig that flies out, with a page and numbers beside it."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from heli_host.cli.variadic import spread
+from heli_host.flight import Flight
+from heli_sim.rig import load_rig, write_rig
+
+from tests.cli.terminal import Terminal
+
+HIDDEN = {"thrust_gain": 0.63, "friction_travel": 0.055, "friction_pitch": 0.02}
+SHORT = """
+title = "A short excited flight"
+[start]
+settle_s = 1
+[[segment]]
+kind = "sine"
+travel_amplitude_deg = 30
+travel_period_s = 16
+elevation_amplitude_deg = 7
+elevation_period_s = 8
+duration_s = {duration_s}
+excite = {{ signal = "multisine", front_V = 0.3, back_V = 0.3, start_Hz = 0.1, stop_Hz = 4 }}
+"""
+
+
+def fly_hidden(terminal: Terminal, folder: Path, name: str, duration_s: int, seed: int) -> None:
+    """Fly the multibody model of a rig that is unlike the file `makki2024`."""
+    write_rig(load_rig("makki2024").replace(**HIDDEN), folder / "hidden.toml")
+    (folder / f"{name}.toml").write_text(SHORT.format(duration_s=duration_s))
+    options = ("--sil", "--speed", "max", "--model", "multibody", "--rig", "hidden.toml", "--seed", str(seed))
+    flown = terminal("fly", f"{name}.toml", *options, "--log", f"{name}.mcap")
+    assert flown.code == 0, flown
+
+
+def test_from_a_flight_to_a_rig_that_flies(terminal: Terminal, tmp_path: Path) -> None:
+    fly_hidden(terminal, tmp_path, "a", 32, seed=1)
+    fly_hidden(terminal, tmp_path, "b", 16, seed=2)
+    Flight.read(tmp_path / "b.mcap").write_csv(tmp_path / "b.csv.gz")
+    files = ("--out", "new.toml", "--report", "report", "--json", "new.json")
+    ended = terminal("identify", "a.mcap", "--validate", "b.csv.gz", *files)
+    assert ended.code == 0, ended
+    assert "Nothing but the encoders' rounding is left on flights that it never saw" in ended.out
+    assert "thrust_gain" in ended.out
+
+    told = json.loads((tmp_path / "new.json").read_text())
+    for name, value in HIDDEN.items():
+        one = told["parameters"][name]
+        assert one["value"] == pytest.approx(value, abs=4 * one["std"]), name
+        assert set(one) >= {"value", "std", "prior", "unit"}
+    assert set(told["normalised_residual"]) == {"train", "validation"}
+    assert told["normalised_residual"]["validation"] <= 1.05
+    assert set(told["free_run_rms_deg"]) == {"elevation", "pitch", "travel"}
+    assert set(told["correlations"]) == set(told["parameters"])
+    assert 30.0 < told["seconds_used"] < 40.0
+
+    rig = load_rig(tmp_path / "new.toml")
+    assert rig.model == "multibody"
+    for name in HIDDEN:
+        assert rig[name].value == pytest.approx(told["parameters"][name]["value"], rel=1e-6)
+        assert "identified from a.mcap; before:" in rig[name].source
+    assert terminal("rig", "check", "new.toml").code == 0
+    hover = terminal("fly", "hover", "--sil", "--rig", "new.toml", "--speed", "max", "--log", "hover.mcap")
+    assert hover.code == 0, hover
+
+
+def test_the_page_needs_nothing_else_and_has_its_figures(terminal: Terminal, tmp_path: Path) -> None:
+    fly_hidden(terminal, tmp_path, "a", 16, seed=1)
+    ended = terminal("identify", "a.mcap", "--free", *HIDDEN, "--report", "page/of/a")
+    assert ended.code == 0, ended
+    folder = tmp_path / "page/of/a"
+    page = (folder / "index.html").read_text()
+    sources = re.findall(r"(?:src|href)=\"([^\"]*)\"", page)
+    assert sources and all(source.startswith("data:image/png;base64,") for source in sources)
+    for name in ("train-1.png", "parameters.png", "correlations.png"):
+        assert (folder / name).read_bytes().startswith(b"\x89PNG")
+    for word in ("Measured against predicted", "What was found", "cannot tell apart", "left out", *HIDDEN):
+        assert word in page
+    assert json.loads((folder / "result.json").read_text())["parameters"].keys() == HIDDEN.keys()
+
+
+def test_an_effect_is_found_and_flies_with_the_rig(terminal: Terminal, tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text(SHORT.format(duration_s=16))
+    options = ("--sil", "--speed", "max", "--model", "multibody", "--effect", "rotor_lag=0.05")
+    flown = terminal("fly", "a.toml", *options, "--log", "a.mcap")
+    assert flown.code == 0, flown
+    ended = terminal("identify", "a.mcap", "--effect", "rotor_lag=0.1", "--out", "new.toml")
+    assert ended.code == 0, ended
+    lag = load_rig(tmp_path / "new.toml").effects["rotor_lag"]["s"]
+    assert lag.value == pytest.approx(0.05, abs=2 * lag.tolerance)
+    hover = terminal("fly", "hover", "--sil", "--rig", "new.toml", "--speed", "max", "--log", "hover.mcap")
+    assert hover.code == 0, hover
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("a b --validate c d --rig r e", "a b --validate c --validate d --rig r e"),
+        ("--validate c --validate d", "--validate c --validate d"),
+        ("a --validate c -1 --json j", "a --validate c --validate -1 --json j"),
+        ("a --validate -- b", "a --validate -- b"),
+    ],
+)
+def test_an_option_takes_all_words_up_to_the_next(typed: str, meant: str) -> None:
+    assert spread(typed.split(), frozenset({"--validate"})) == meant.split()
+
+
+def test_a_second_flight_to_validate_on_is_not_fitted(terminal: Terminal, tmp_path: Path) -> None:
+    random = np.random.default_rng(1)
+    for name in "abc":
+        t_s = 0.002 * np.arange(3000)
+        wave = np.sin(2 * np.pi * t_s / 3.0) + 0.01 * random.standard_normal()
+        angles = [0.1 * wave, 0.2 * wave, 0.5 * wave]
+        Flight(t_s, 1.7 + 0.2 * wave, 1.7 - 0.1 * wave, *angles).write_csv(tmp_path / f"{name}.csv")
+    ended = terminal(
+        *("identify", "a.csv", "--free", "thrust_gain", "--validate", "b.csv", "c.csv", "--json", "new.json")
+    )
+    assert ended.code == 0, ended
+    flights = json.loads((tmp_path / "new.json").read_text())["flights"]
+    assert [(one["flight"], one["role"]) for one in flights] == [
+        *(("a.csv", "train"), ("b.csv", "validation"), ("c.csv", "validation"))
+    ]
