@@ -98,7 +98,8 @@ link::ParamsSource Store::load(Params& params) {
   link::ParamsSource source = link::ParamsSource::corrupt;
   if (newest == kPages) {
     generation_ = 0;
-    // A finished save leaves no page erased: beside an erased one, page 0 was torn in the first save.
+    // A finished save leaves no page erased: beside an erased one, page 0 was torn in the first
+    // save.
     if (copies[0].content <= Content::damaged && copies[1].content == Content::erased) {
       source = link::ParamsSource::defaults;
     }
@@ -135,8 +136,8 @@ bool Store::save(const Params& params) {
   link::put_u32(page + kCrcAt, link::crc32(page, kCrcAt));
 
   if (!write_verified(board_, target, page)) return false;
-  // With no valid copy beside it the set is written twice: there are two from the first save on, and
-  // no damaged neighbour is taken for a newer one at the next start.
+  // With no valid copy beside it the set is written twice: there are two from the first save on,
+  // and no damaged neighbour is taken for a newer one at the next start.
   if (newest == kPages) write_verified(board_, 1, page);
   generation_ = generation;
   source_.store(link::ParamsSource::stored, std::memory_order_relaxed);
