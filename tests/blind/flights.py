@@ -112,7 +112,7 @@ def flown(rig: Rig, hidden: Sequence[Hidden], course: Plan, seed: int) -> Flight
         log = Path(folder) / "flight.mcap"
         summary = fly(heli, course, log_path=log)
         flight = Flight.read(log)
-    # Table 2's masses balance at -22 degrees: they do not come down to the table at -25, but the flight is whole.
+    # Table 2's masses balance at -22 degrees and do not come down to the table: the flight is whole.
     if summary.outcome != "completed" and Fault.LANDING_TIMEOUT.name.lower() not in summary.outcome:
         raise FlightAborted(f"{course.title}: {summary.outcome}")
     return flight

@@ -160,7 +160,8 @@ class Backlash(Hidden):
 
     def __init__(self, size: float, rng: np.random.Generator, axis: int) -> None:
         super().__init__(size, rng)
-        self._axis, self._seen_rad = axis, None
+        self._axis = axis
+        self._seen_rad: float | None = None
 
     def measured(self, angles_rad: Floats) -> Floats:
         half_rad, true_rad = np.deg2rad(self.size) / 2.0, angles_rad[self._axis]
