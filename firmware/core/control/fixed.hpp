@@ -18,6 +18,17 @@ constexpr std::int32_t saturated(std::int64_t value) {
   return value < 0 ? INT32_MIN : INT32_MAX;
 }
 
+// The nearest whole number, or the end of the range. Not inlined: the idle loop has sixty of these.
+[[gnu::noinline]] constexpr std::int32_t nearest(float value) {
+  if (!(value > -2147483648.0F)) {
+    return INT32_MIN;
+  }
+  if (!(value < 2147483648.0F)) {
+    return INT32_MAX;
+  }
+  return static_cast<std::int32_t>(value + (value < 0.0F ? -0.5F : 0.5F));
+}
+
 template <int kFraction>
 class Fixed {
   static_assert(kFraction >= 0 && kFraction < 63, "bits behind the point");
@@ -33,14 +44,7 @@ class Fixed {
 
   // Nearest, or the end of the range. For constants and the idle loop; the tick has quantity_of().
   static constexpr Fixed of(float value) {
-    const float scaled = value * static_cast<float>(std::int64_t{1} << kFraction);
-    if (!(scaled > -2147483648.0F)) {
-      return from_raw(INT32_MIN);
-    }
-    if (!(scaled < 2147483648.0F)) {
-      return from_raw(INT32_MAX);
-    }
-    return from_raw(static_cast<std::int32_t>(scaled + (scaled < 0.0F ? -0.5F : 0.5F)));
+    return from_raw(nearest(value * static_cast<float>(std::int64_t{1} << kFraction)));
   }
 
   constexpr std::int32_t raw() const { return raw_; }
