@@ -114,10 +114,10 @@ def test_an_option_takes_all_words_up_to_the_next(typed: str, meant: str) -> Non
 def test_a_second_flight_to_validate_on_is_not_fitted(terminal: Terminal, tmp_path: Path) -> None:
     random = np.random.default_rng(1)
     for name in "abc":
-        t_s = 0.002 * np.arange(3000)
+        t_s = np.linspace(0.0, 5.998, 3000)
         wave = np.sin(2 * np.pi * t_s / 3.0) + 0.01 * random.standard_normal()
-        angles = [0.1 * wave, 0.2 * wave, 0.5 * wave]
-        Flight(t_s, 1.7 + 0.2 * wave, 1.7 - 0.1 * wave, *angles).write_csv(tmp_path / f"{name}.csv")
+        volts = 1.7 + 0.2 * wave, 1.7 - 0.1 * wave
+        Flight(t_s, *volts, 0.1 * wave, 0.2 * wave, 0.5 * wave).write_csv(tmp_path / f"{name}.csv")
     ended = terminal(
         *("identify", "a.csv", "--free", "thrust_gain", "--validate", "b.csv", "c.csv", "--json", "new.json")
     )

@@ -64,10 +64,10 @@ def figure_of_flight(trace: Trace, role: str) -> Figure:
             panel.grid(alpha=0.25)
             for window in trace.windows:
                 panel.axvline(trace.t_s[window.start], color="#bbbbbb", lw=0.4)
-    panels[0].legend(loc="upper right", fontsize=8, ncols=2)
-    panels[1].legend(loc="upper right", fontsize=7)
+    drawn = [*panels[0].get_lines()[:2], *panels[1].patches[:1]]
+    panels[0].legend(handles=drawn, loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=3)
     panels[-1].set_xlabel("time [s]; thin lines: where a window begins and the state is free")
-    figure.suptitle(f"{trace.label} ({role})")
+    panels[0].set_title(f"{trace.label} ({role})", loc="left", fontsize=11)
     return figure
 
 
@@ -127,7 +127,13 @@ def figure_of_correlations(identification: Identification) -> Figure:
     for i in range(len(names)):
         for j in range(len(names)):
             if i != j and abs(correlation[i, j]) > 0.5:
-                panel.text(j, i, f"{correlation[i, j]:.1f}", ha="center", va="center", fontsize=6)
+                dark = "white" if abs(correlation[i, j]) > 0.7 else "black"
+                text = (
+                    f"{correlation[i, j]:.1f}"
+                    if abs(correlation[i, j]) < 0.95
+                    else f"{correlation[i, j]:.2f}"
+                )
+                panel.text(j, i, text, ha="center", va="center", fontsize=6, color=dark)
     figure.colorbar(image, shrink=0.7, label="correlation")
     return figure
 

@@ -1,0 +1,58 @@
+"""Real machines: fit on one flight, two seconds of free run on the other of the pair.
+
+The baseline lacks the lag of the thrust (0.09 to 0.15 s on all of them) and the air's part. What it reaches
+is within what the data's README reports of a refitted lumped model (elevation 0.4 to 1.1, pitch 1.3 to 2.9,
+travel 0.3 to 1.5 degrees), but for the pitch of one flight of rendellc's, which turns at 100 degrees a second
+with the short arm at 50. There a fit to the very flight that it is judged on leaves 3.3 degrees as well: no
+choice of numbers, weights or windows helps, only an effect that the baseline does not have.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from heli_host.flight import Flight
+from heli_sim.identify.run import identify
+from heli_sim.model import MultibodyModel
+from heli_sim.rig import load_rig
+
+MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "measured"
+
+# Rms errors measured in degrees, elevation, pitch and travel, and a tenth.
+REACHED = {
+    ("kristianhope_d4r2_t3", "kristianhope_d4r1_t3"): (1.10, 2.90, 0.50),
+    ("kristianhope_d4r1_t3", "kristianhope_d4r2_t3"): (1.10, 0.95, 0.35),
+    ("ksteinsland_d1_m25_ang45", "ksteinsland_d1_n25_00i"): (0.36, 1.30, 0.30),
+    ("ksteinsland_d1_n25_00i", "ksteinsland_d1_m25_ang45"): (0.25, 1.55, 0.20),
+    ("rendellc_P4p2_noint_pf5", "rendellc_P2p1"): (0.95, 3.60, 0.90),
+    ("rendellc_P2p1", "rendellc_P4p2_noint_pf5"): (0.70, 2.90, 0.40),
+    ("nicolaiadil_d4_n40", "nicolaiadil_d4_n60_q10"): (0.21, 0.48, 0.11),
+    ("nicolaiadil_d4_n60_q10", "nicolaiadil_d4_n40"): (0.19, 1.08, 0.13),
+}
+LUMPED_WORST_DEG = (1.1, 2.9, 1.5)
+BEYOND = {("rendellc_P4p2_noint_pf5", "rendellc_P2p1")}
+
+
+@pytest.mark.skipif(not MEASURED.exists(), reason="skipped: no shared data")
+@pytest.mark.parametrize("pair", REACHED, ids=lambda pair: pair[0])
+def test_two_seconds_ahead_on_the_other_flight_of_a_pair(pair: tuple[str, str]) -> None:
+    train, other = (Flight.read(MEASURED / f"{name}.csv.gz") for name in pair)
+    found = identify(
+        MultibodyModel(),
+        load_rig("quanser-course"),
+        [train],
+        validation=[other],
+        labels=pair[:1],
+        validation_labels=pair[1:],
+    )
+    told = found.json()
+    assert told["free_run_of"] == "validation" and told["free_run_s"] == 2.0
+    errors_deg = tuple(told["free_run_rms_deg"].values())
+    assert all(error <= reached for error, reached in zip(errors_deg, REACHED[pair], strict=True)), errors_deg
+    if pair not in BEYOND:
+        assert all(error <= most for error, most in zip(errors_deg, LUMPED_WORST_DEG, strict=True)), (
+            errors_deg
+        )
+    record = found.fit.problem.records[0]
+    assert record.t_s[record.segments[0][0]] > 1.5, "the take-off is fitted"
