@@ -147,10 +147,8 @@ def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
             if state[1] ** 2 < (np.pi / 2) ** 2 and (volts_V > rig["dead_zone"].value).all():
                 return Trim(state, volts_V)
             break
-        try:
-            step = np.linalg.solve(np.hstack((at.A[3:, unknown], at.B[3:])), -residual)
-        except np.linalg.LinAlgError:
-            break
+        # Least squares: an effect's state that nothing moves, such as an encoder's play, stays where it is.
+        step = np.linalg.lstsq(np.hstack((at.A[3:, unknown], at.B[3:])), -residual, rcond=None)[0]
         state[unknown] += step[:-2]
         volts_V = volts_V + step[-2:]
     raise PlantError(

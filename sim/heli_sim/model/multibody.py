@@ -102,7 +102,7 @@ class MultibodyModel(Model):
         return self._inertia_kg_m2(at, _angles(at))
 
     def energy_J(self, at: Situation) -> ca.SX:
-        """Kinetic plus potential energy, zero at rest with every mass in the axes' height.
+        """Kinetic and potential energy, effects' included; zero at rest with every mass at the axes' height.
 
         Parameters
         ----------
@@ -115,7 +115,8 @@ class MultibodyModel(Model):
             Energy in J.
         """
         rates = _rates(at)
-        return 0.5 * rates.T @ self.inertia_kg_m2(at) @ rates + self._potential_J(at, _angles(at))
+        potential_J = self._potential_J(at, _angles(at)) + sum(e.energy_J(at) for e in self.effects)
+        return 0.5 * rates.T @ self.inertia_kg_m2(at) @ rates + potential_J
 
     def thrust_torque_Nm(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
         """Generalised forces of the thrusts at the present angles.

@@ -48,7 +48,7 @@ def _kind(axis: str) -> EffectKind:
         stage=Stage.SHAFT,
         numbers=(
             Parameter(
-                "sin_rad", "rad", "error a with the sine", 0.01, Prior(0.0, 0.02, -0.5, 0.5), size=True
+                "sin_rad", "rad", "error a with the sine", 0.02, Prior(0.0, 0.02, -0.5, 0.5), size=True
             ),
             Parameter(
                 "cos_rad", "rad", "error b with the cosine", 0.0, Prior(0.0, 0.02, -0.5, 0.5), size=True

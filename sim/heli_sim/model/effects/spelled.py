@@ -19,9 +19,9 @@ def parse_effects(texts: Sequence[str], extra: Sequence[str | Path] = ()) -> tup
     Parameters
     ----------
     texts : sequence of str
-        ``ID`` alone has its typical size; ``ID=VALUE`` sets its first number, ``ID=VALUE@SECONDS`` also the
-        moment ``at_s``, ``ID=NAME:VALUE,NAME:VALUE`` any of them, the others being typical. Units are those
-        of the numbers.
+        ``ID`` alone has its typical size; ``ID=VALUE`` sets its first number, and others that are sizes too
+        in the typical proportion; ``ID=VALUE@SECONDS`` also the moment ``at_s``; ``ID=NAME:VALUE,NAME:VALUE``
+        any of them. The rest is typical. Units are those of the numbers.
     extra : sequence of str or Path
         Users' files with more effects.
 
@@ -132,10 +132,20 @@ def _known(kinds: Mapping[str, EffectKind], name: str, where: str) -> EffectKind
     raise EffectError(f"{where}: there is no effect '{name}'; {hint}")
 
 
+def _in_proportion(kind: EffectKind, value: str) -> dict[str, str]:
+    """Texts of the other sizes for one of the first, where that is a number."""
+    first, *others = (one for one in kind.numbers if one.size)
+    try:
+        factor = float(value) / first.typical
+    except ValueError:
+        return {}
+    return {one.what: repr(factor * one.typical) for one in others}
+
+
 def _values(kind: EffectKind, rest: str, text: str) -> dict[str, float]:
     if ":" not in rest:
         value, at, moment = rest.partition("@")
-        given = {kind.numbers[0].what: value}
+        given = {kind.numbers[0].what: value, **_in_proportion(kind, value)}
         if at:
             given["at_s"] = moment
     else:

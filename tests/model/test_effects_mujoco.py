@@ -1,0 +1,158 @@
+"""Effects against MuJoCo, where each is made by MuJoCo's own means and not by our equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import parse_effects
+from heli_sim.plant import Plant
+from heli_sim.rig import load_rig
+
+from tests.plant.test_multibody import JOINTS, mujoco_rig
+from tests.plant.toys import WIDE
+
+mujoco = pytest.importorskip("mujoco")
+
+Vector = npt.NDArray[np.float64]
+TICKS = 5000
+RIG = load_rig("makki2024").replace(**WIDE)
+Control = Callable[[Any, Any, Vector], Vector]
+
+
+def voltages_V() -> Vector:
+    t = np.arange(TICKS) * 1e-3
+    return np.column_stack((1.75 + 0.2 * np.sin(3 * t + 0.3), 1.74 + 0.2 * np.sin(2.3 * t)))
+
+
+def start() -> Vector:
+    return np.array([-0.05, 0.1, 0.2, 0.1, 0.0, 0.4])
+
+
+def ours(effect: str) -> Vector:
+    plant = Plant(MultibodyModel(parse_effects([effect])), RIG)
+    state = plant.rest_state()
+    state[:6] = start()
+    step = plant.function.mapaccum(TICKS)
+    after, _ = step(state, voltages_V().T, np.zeros(3), plant.parameters)
+    return np.asarray(after).T[:, :3]
+
+
+def theirs(
+    change: Callable[[Any], None] | None = None, control: Control | None = None, at_tick: int = 0
+) -> Vector:
+    """Fly MuJoCo's rig with its description changed, or with thrusts that depend on its motion."""
+    model = mujoco_rig(RIG)
+    data = mujoco.MjData(model)
+    address = [model.joint(name).qposadr[0] for name in JOINTS]
+    data.qpos[address], data.qvel[address] = start()[:3], start()[3:]
+    static_N = RIG["thrust_gain"].value * (voltages_V() - RIG["dead_zone"].value)
+    now_N = static_N[0]
+
+    # MuJoCo calls this in each of the four stages of a step.
+    def push(model: Any, data: Any) -> None:
+        data.ctrl[:] = now_N if control is None else control(model, data, now_N)
+
+    angles = np.empty((TICKS, 3))
+    mujoco.set_mjcb_control(push)
+    try:
+        for tick in range(TICKS):
+            if tick == at_tick and change is not None:
+                change(model)
+            now_N = static_N[tick]
+            mujoco.mj_step(model, data)
+            angles[tick] = data.qpos[address]
+    finally:
+        mujoco.set_mjcb_control(None)
+    return angles
+
+
+def climb_m_s(model: Any, data: Any) -> Vector:
+    speeds = np.empty(2)
+    for index, name in enumerate(("front", "back")):
+        velocity = np.empty(6)
+        site = model.site(name).id
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 1)
+        speeds[index] = velocity[5]
+    return speeds
+
+
+def agree(effect: str, witness: Vector, within_rad: float = 1e-6) -> None:
+    mine = ours(effect)
+    assert np.abs(mine - theirs()).max() > 1e-3, "the effect does nothing here"
+    np.testing.assert_allclose(mine, witness, atol=within_rad)
+
+
+def test_without_effects_both_fly_alike() -> None:
+    np.testing.assert_allclose(ours("thrust_asymmetry=0"), theirs(), atol=1e-6)
+
+
+def test_asymmetry_is_one_rotor_stronger_and_one_weaker() -> None:
+    agree("thrust_asymmetry=0.04", theirs(control=lambda model, data, F: F * [1.04, 0.96]))
+
+
+def test_inflow_is_thrust_lost_to_the_speed_of_the_rotors_site_along_its_own_axis() -> None:
+    agree(
+        "inflow_damping=0.2",
+        theirs(control=lambda model, data, F: F * (1 - 0.2 * climb_m_s(model, data))),
+    )
+
+
+def test_ground_effect_goes_by_the_height_of_each_rotors_site() -> None:
+    def control(model: Any, data: Any, thrust_N: Vector) -> Vector:
+        height_m = data.site_xpos[[model.site("front").id, model.site("back").id], 2]
+        gained: Vector = thrust_N * (1 + 0.3 * np.exp(-(height_m + 0.25) / 0.15))
+        return gained
+
+    agree("ground_effect=0.3", theirs(control=control))
+
+
+def test_tilt_is_gravity_in_another_direction() -> None:
+    lean = np.array([0.05, -0.03])
+
+    def change(model: Any) -> None:
+        size = np.hypot(*lean)
+        up = np.array([*(lean * np.sin(size) / size), np.cos(size)])
+        model.opt.gravity[:] = -RIG["g"].value * up
+
+    agree("axis_tilt=x_rad:0.05,y_rad:-0.03", theirs(change))
+
+
+@pytest.mark.parametrize("back", [0.04, -0.04], ids=["same_sense", "opposite_sense"])
+def test_reaction_torque_is_an_actuators_moment_about_its_thrust(back: float) -> None:
+    def change(model: Any) -> None:
+        model.actuator_gear[:, 5] = (0.04, back)
+
+    agree(f"rotor_reaction_torque=front_m:0.04,back_m:{back}", theirs(change))
+
+
+@pytest.mark.parametrize("axis", ["elevation", "travel"])
+def test_a_cable_is_a_joints_spring(axis: str) -> None:
+    def change(model: Any) -> None:
+        joint = model.joint(axis)
+        model.jnt_stiffness[joint.id] = 0.1
+        model.qpos_spring[joint.qposadr[0]] = 0.3
+
+    agree(f"cable_spring.{axis}=Nm_per_rad:0.1,rest_rad:0.3", theirs(change))
+
+
+def test_dry_friction_is_nearly_mujocos_friction_loss() -> None:
+    def change(model: Any) -> None:
+        model.dof_frictionloss[model.joint("travel").dofadr[0]] = 0.02
+
+    # MuJoCo's friction gives way a little like a spring where it should hold.
+    witness = theirs(change)
+    error_rad = np.abs(ours("coulomb_friction.travel=0.02") - witness).max()
+    assert error_rad < 0.01 * np.abs(theirs() - witness).max()
+
+
+def test_a_counterweight_that_slips_is_one_that_mujoco_moves() -> None:
+    def change(model: Any) -> None:
+        model.body_pos[model.body("counterweight").id, 0] -= 0.005
+
+    # Ours takes some 20 ms to slip.
+    agree("counterweight_shift=0.005@2.5", theirs(change, at_tick=2500), within_rad=2e-5)
