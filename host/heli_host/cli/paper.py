@@ -91,6 +91,35 @@ def gains(rig: RigName = DEFAULT_RIG, json: JsonFile = None) -> None:
         _write_json(json, {name: [asdict(one) for one in rows] for name, rows in found.items()})
 
 
+@app.command("models")
+def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonFile = None) -> None:
+    """Measure how far the paper's equations, printed and corrected, are from a multibody rig in flight.
+
+    Every model predicts the flight in free runs of 2 s from the rig file's own numbers; nothing is fitted.
+
+    Example: `heli-host paper models`
+    """
+    from heli_sim.model.named import MODELS, model_named
+    from heli_sim.paper.compare import distances
+
+    from heli_host.cli.paper_desk import fly_plan
+    from heli_host.cli.paper_text import model_lines
+    from heli_host.cli.places import check_place
+    from heli_host.cli.work import WorkBar
+
+    if json is not None:
+        check_place(json)
+    plant = _plant(rig, _MODEL)
+    with WorkBar() as bar:
+        flown = fly_plan("sine", plant, "sine", None, seed, lambda done: bar.show("flying", 0.5 * done))
+        bar.show("predicting", 0.5)
+        found = distances([model_named(name) for name in sorted(MODELS)], plant.rig, flown.flight)
+    for text in model_lines(found):
+        print(text)
+    if json is not None:
+        _write_json(json, {one.model: asdict(one) for one in found})
+
+
 @app.command("equations")
 def equations(
     model: Annotated[

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from heli_sim.paper.compare import Distance
     from heli_sim.paper.rig_table import RigTable
     from heli_sim.paper.table6 import Verdict
     from heli_sim.paper.tables import Table
@@ -64,6 +65,29 @@ def table_lines(line: Line, by_rig: RigTable, found: Sequence[Table]) -> list[st
     return out
 
 
+def model_lines(found: Sequence[Distance]) -> list[str]:
+    """Spell the models' errors for a terminal.
+
+    Parameters
+    ----------
+    found : sequence of Distance
+        The models.
+
+    Returns
+    -------
+    list of str
+        Lines.
+    """
+    out = [
+        "Free runs of 2 s over a multibody rig's sines, rig file's numbers, rms error",
+        f"  {'model':14} {'elevation':>10} {'pitch':>10} {'travel':>10}      over the encoder's rounding",
+    ]
+    for one in found:
+        errors = " ".join(f"{one.rms_deg[axis]:>10.3f}" for axis in ("elevation", "pitch", "travel"))
+        out.append(f"  {one.model:14} {errors} deg  {one.normalised:.2f}")
+    return out
+
+
 def gain_lines(found: dict[str, list[Verdict]]) -> list[str]:
     """Spell the readings of Table 6 for a terminal.
 
@@ -85,8 +109,8 @@ def gain_lines(found: dict[str, list[Verdict]]) -> list[str]:
         out += ["", f"model {model}"]
         for one in rows:
             if one.growth_1_per_s < 0.0:
-                lag = "any" if one.lag_s > LONGEST_LAG_s - 0.0015 else f"{1e3 * one.lag_s:3.0f} ms"
-                text = f"stable,   dies at {-one.growth_1_per_s:.3f} 1/s, up to {lag} of thrust lag"
+                most = "at any" if one.lag_s > LONGEST_LAG_s - 0.0015 else f"to {1e3 * one.lag_s:.0f} ms"
+                text = f"stable,   dies at {-one.growth_1_per_s:.3f} 1/s, {most} of thrust lag"
             else:
                 text = f"unstable, grows at {one.growth_1_per_s:5.3f} 1/s, swinging in {one.period_s:.2f} s"
             law = f"{one.gains:10} travel gives {reading[one.reading]:22} derivative of {one.derivative:12}"

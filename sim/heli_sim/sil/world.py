@@ -15,6 +15,7 @@ from heli_sim.rig import Rig
 from heli_sim.sil.boards import make_board, settled
 from heli_sim.sil.faults import FaultyStream
 from heli_sim.sil.flown import plant_of
+from heli_sim.sil.hand import Hand
 from heli_sim.sil.options import SilOptions
 
 # Counters of the encoders stand anywhere at power-up.
@@ -63,6 +64,7 @@ class SilWorld:
             offset_count=random.uniform(-_OFFSET_COUNTS, _OFFSET_COUNTS, 3).tolist(),
             board=self.board.sim,
         )
+        self._hand = Hand(self.plant)
         self.to_board = FaultyStream(options.faults, options.seed, 0)
         self.to_host = FaultyStream(options.faults, options.seed, 1)
         self.host_reading = True
@@ -130,7 +132,7 @@ class SilWorld:
             write = b"" if stalled else self._held
             if write:
                 self._held = b""
-            stretch = min(ticks, faults.next_edge(tick) - tick)
+            stretch = self._hand.tend(self.native, min(ticks, faults.next_edge(tick) - tick))
             passed, data = self._pass(stretch, write, until_output, least)
             received += data
             ticks -= passed
