@@ -78,7 +78,7 @@ KIND: Final = EffectKind(
     id="axis_tilt",
     effect=AxisTilt,
     says="the travel axis leans: plumb is off by {x_rad} towards the arm at travel 0 and {y_rad} across",
-    equation=r"U = g\, \boldsymbol n \cdot \sum m_j \boldsymbol r_j, \ \boldsymbol n \approx (a_x, a_y, 1)",
+    equation=r"U = g\, \boldsymbol{n} \cdot \sum m_j \boldsymbol{r}_j,\ \boldsymbol{n} \approx (a_x, a_y, 1)",
     acts_on="torque.travel",
     stage=Stage.TORQUE,
     numbers=(

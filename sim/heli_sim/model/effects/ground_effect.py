@@ -62,7 +62,7 @@ KIND: Final = EffectKind(
     ),
     needs=("L_a", "L_h", "L_theta"),
     source=(
-        "measured thrust of rotors near the ground falls off about exponentially; over one radius of "
-        "height Cheeseman and Bennett's 1 / (1 - (R / 4h)^2) differs from an exponential by 1 % of the thrust"
+        "measured thrust of rotors near the ground falls off about exponentially; between one and two radii "
+        "of height Cheeseman and Bennett's 1 / (1 - (R / 4h)^2) differs from that by 0.4 % of the thrust"
     ),
 )

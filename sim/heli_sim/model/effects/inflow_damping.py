@@ -43,7 +43,7 @@ KIND: Final = EffectKind(
     id="inflow_damping",
     effect=InflowDamping,
     says="each rotor loses a share of {s_per_m} of its thrust to its own climb along its axis",
-    equation=r"F_i \to F_i (1 - c\, v_i), \quad v_i = \boldsymbol n \cdot \dot{\boldsymbol r}_i",
+    equation=r"F_i \to F_i (1 - c\, v_i), \quad v_i = \boldsymbol{n} \cdot \dot{\boldsymbol{r}}_i",
     acts_on="thrust",
     stage=Stage.INFLOW,
     numbers=(

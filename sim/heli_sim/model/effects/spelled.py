@@ -126,9 +126,9 @@ def _each(texts: Sequence[str], kinds: Mapping[str, EffectKind]) -> list[tuple[E
 def _known(kinds: Mapping[str, EffectKind], name: str, where: str) -> EffectKind:
     if name in kinds:
         return kinds[name]
-    near = difflib.get_close_matches(name, kinds, n=1)
-    near = near or [kind for kind in kinds if kind.startswith(f"{name}.")][:1]
-    hint = f"did you mean '{near[0]}'?" if near else f"effects are: {', '.join(kinds)}"
+    near = [kind for kind in kinds if kind.startswith(f"{name}.")]
+    near = near or difflib.get_close_matches(name, kinds, n=1)
+    hint = f"did you mean {' or '.join(near)}?" if near else f"effects are: {', '.join(kinds)}"
     raise EffectError(f"{where}: there is no effect '{name}'; {hint}")
 
 

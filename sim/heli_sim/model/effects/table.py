@@ -1,0 +1,85 @@
+"""The table of effects in docs/effects.md: ``python -m heli_sim.model.effects.table`` writes it anew."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import Final
+
+from heli_sim.model.effects.catalogue import catalogue
+from heli_sim.model.effects.kind import EffectKind, Parameter
+
+BEGIN: Final = "<!-- table of effects, written by python -m heli_sim.model.effects.table -->"
+END: Final = "<!-- end of the table -->"
+_HEAD: Final = "| effect | in words | equation | numbers: unit, range, typical |\n|---|---|---|---|"
+
+
+def table() -> str:
+    """Write the table.
+
+    Returns
+    -------
+    str
+        Markdown, one row an effect.
+    """
+    return "\n".join([_HEAD, *(_row(kind) for kind in catalogue().values())])
+
+
+def with_table(text: str) -> str:
+    """Put the table in its place.
+
+    Parameters
+    ----------
+    text : str
+        The document.
+
+    Returns
+    -------
+    str
+        The document with today's table between its marks.
+
+    Raises
+    ------
+    ValueError
+        When a mark is missing.
+    """
+    before, _, rest = text.partition(BEGIN)
+    _, mark, after = rest.partition(END)
+    if not mark:
+        raise ValueError(f"the document lacks {BEGIN} or {END}; add them")
+    return f"{before}{BEGIN}\n{table()}\n{END}{after}"
+
+
+def _row(kind: EffectKind) -> str:
+    equation = kind.equation.replace("|", r"\vert ")
+    numbers = "; ".join(_number(one) for one in kind.numbers)
+    return f"| `{kind.id}` | {kind.sentence(kind.typical)} | ${equation}$ | {numbers} |"
+
+
+def _number(one: Parameter) -> str:
+    low, high = (one.prior.low, one.prior.high) if one.prior is not None else (math.nan, math.nan)
+    unit = "" if one.unit == "1" else f" {one.unit}"
+    bounds = "fixed" if one.prior is None else f"{_bound(low, '-')} to {_bound(high, '')}"
+    searched = ", searched" if one.scan is not None else ""
+    return f"`{one.what}` {one.meaning}:{unit} {bounds}{searched}, {one.typical:g}"
+
+
+def _bound(value: float, sign: str) -> str:
+    return f"{value:g}" if math.isfinite(value) else f"{sign}any"
+
+
+def main(path: str = "docs/effects.md") -> None:
+    """Write the table into the document.
+
+    Parameters
+    ----------
+    path : str
+        The document.
+    """
+    document = Path(path)
+    document.write_text(with_table(document.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
