@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -21,6 +22,8 @@ from heli_sim.rig import Prior, Rig
 
 _STATE_FIT_S: Final = 0.15
 _LEAD_IN_S: Final = 1.0
+BLOCK_S: Final = 0.01
+"""Windows are a whole number of blocks about this long, whatever the step, so that means over blocks exist."""
 
 
 @dataclass(frozen=True)
@@ -212,7 +215,7 @@ class Problem:
         if key not in self._grids or self._grids[key][0] != shape:
             record = self.records[index]
             coarse = max(1, int(self.step_s / record.step_s + 1e-6))
-            windows = window_starts(record, self.window_s, coarse)
+            windows = self.windows(index)
             grid = make_grid(
                 record,
                 windows,
@@ -223,6 +226,49 @@ class Problem:
             )
             self._grids[key] = (shape, grid)
         return self._grids[key][1]
+
+    def block_grid(self, index: int, theta: Floats) -> Grid:
+        """The same windows in steps of a block.
+
+        Parameters
+        ----------
+        index : int
+            Which record.
+        theta : ndarray (f,)
+            Free parameters; a delay among them shifts the voltages.
+
+        Returns
+        -------
+        Grid
+            Windows with inputs.
+        """
+        delay, dead_zone_V = self._shape(self.parameters(theta, index))
+        record = self.records[index]
+        return make_grid(
+            record,
+            self.windows(index),
+            max(1, int(BLOCK_S / record.step_s + 1e-6)),
+            delay=delay,
+            dead_zone_V=dead_zone_V,
+        )
+
+    def windows(self, index: int) -> list[tuple[int, int]]:
+        """Windows of a record, a whole number of steps and of blocks of `BLOCK_S`.
+
+        Parameters
+        ----------
+        index : int
+            Which record.
+
+        Returns
+        -------
+        list of (int, int)
+            First row and number of rows of each window.
+        """
+        record = self.records[index]
+        coarse = max(1, int(self.step_s / record.step_s + 1e-6))
+        block = max(1, int(BLOCK_S / record.step_s + 1e-6))
+        return window_starts(record, self.window_s, math.lcm(coarse, block))
 
     def first_states(self, theta: Floats) -> list[Floats]:
         """Initial states of all windows, as the angles around their beginnings suggest.

@@ -1,0 +1,373 @@
+"""Finds causes: forward, one effect after the other, each paid for and confirmed on flights held out; then back.
+
+A pattern (`pattern.py`) stands in every round beside the catalogue. Where one predicts clearly better than
+every effect, the cause is off the list, and the pattern is kept in its place so that the search can go on.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from heli_sim.diagnose.hypothesis import Bench, Evidence, Hypothesis
+from heli_sim.diagnose.screening import Scored, Screening
+from heli_sim.diagnose.trial import Trial
+from heli_sim.errors import IdentifyError
+from heli_sim.identify import Fit
+from heli_sim.model.effects.kind import EffectKind
+
+MOST_CAUSES: Final = 6
+SHORTLIST: Final = 4
+"""Effects that are refitted in a round, at most."""
+WORTH_A_FIT: Final = 0.08
+"""Share of the best score that an effect must reach to be refitted."""
+LEAST_HELD: Final = 3.0
+"""Logarithm of the likelihood ratio on held-out flights that an effect must reach."""
+LEAST_DROP: Final = 0.015
+"""Share by which an effect must lower the mean square of at least one axis, in each flight."""
+LEAST_DROP_PATTERN: Final = 0.08
+"""The same for a pattern, which could be made of what integrators and rounding do."""
+PATTERN_LEAD: Final = 0.2
+"""Share by which a pattern must be ahead of the best effect to be taken in its place."""
+PATTERN_LEAST: Final = 20.0
+AMBIGUOUS: Final = 6.0
+"""Two candidates are not told apart when the logarithm of their likelihood ratio is below this."""
+_EDGE_s: Final = 1.0
+"""A moment this close to a flight's end changes nothing that other numbers could not."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A candidate that was refitted.
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+        The model with it.
+    evidence : Evidence
+        What it has over the model before.
+    price : float
+        What its parameters and the number of candidates tried cost.
+    """
+
+    hypothesis: Hypothesis
+    evidence: Evidence
+    price: float
+
+    @property
+    def trial(self) -> Trial:
+        """The candidate."""
+        return self.hypothesis.trials[-1]
+
+    @property
+    def worth(self) -> float:
+        """Evidence less its price, all errors taken as independent."""
+        return self.evidence.raw - self.price
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the flights fitted pay for it and those held out agree."""
+        if self.evidence.drop < (LEAST_DROP_PATTERN if self.trial.is_pattern else LEAST_DROP):
+            return False
+        if self.hypothesis.held_fit is None:
+            return self.evidence.train > 2.0 * self.price
+        return (
+            self.evidence.train > self.price
+            and self.evidence.held > LEAST_HELD
+            and self.evidence.held_low > 0.0
+        )
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of the search.
+
+    Parameters
+    ----------
+    screened : tuple of Scored
+        Every effect with its score, best first.
+    patterns : tuple of Scored
+        Every pattern with its score, best first.
+    steps : tuple of Step
+        Those that were refitted, the most worth first.
+    taken : str
+        Id of the one that was taken; empty when none was.
+    """
+
+    screened: tuple[Scored, ...]
+    patterns: tuple[Scored, ...]
+    steps: tuple[Step, ...]
+    taken: str
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another effect in the place of one that was found.
+
+    Parameters
+    ----------
+    id : str
+        The other effect.
+    behind : float
+        By how much less it is worth, prices included.
+    """
+
+    id: str
+    behind: float
+
+
+@dataclass(frozen=True)
+class Found:
+    """An effect that was found.
+
+    Parameters
+    ----------
+    trial : Trial
+        The effect.
+    evidence : Evidence
+        What the final model has over the same without it.
+    price : float
+        What it had to pay.
+    rivals : tuple of Rival
+        Other effects tried in its place, closest first.
+    """
+
+    trial: Trial
+    evidence: Evidence
+    price: float
+    rivals: tuple[Rival, ...]
+
+
+@dataclass(frozen=True)
+class Search:
+    """What a search found.
+
+    Parameters
+    ----------
+    baseline, final : Hypothesis
+        The model without and with what was found.
+    found : tuple of Found
+        Effects and patterns in the final model, strongest first.
+    rounds : tuple of Round
+        What was tried.
+    last : Screening
+        Screening around the final model.
+    complete : bool
+        False when time ran out.
+    """
+
+    baseline: Hypothesis
+    final: Hypothesis
+    found: tuple[Found, ...]
+    rounds: tuple[Round, ...]
+    last: Screening
+    complete: bool
+
+
+@dataclass
+class _Searcher:
+    bench: Bench
+    kinds: Mapping[str, EffectKind]
+    say: Callable[[str, float], None]
+    until_s: float
+    rounds: list[Round] = field(default_factory=list)
+
+    def out_of_time(self) -> bool:
+        return time.perf_counter() > self.until_s
+
+    def price(self, trial: Trial, tried: int) -> float:
+        """Bayesian information criterion, and the logarithm of what was tried."""
+        rows = sum(len(record.t_s) for record in self.bench.train) / 5.0
+        free = len(trial.effect.priors) + sum(1 for name in trial.scanned if name not in trial.effect.priors)
+        if trial.is_pattern:
+            # Their points are held by priors, and neighbours move together.
+            return 0.25 * free * math.log(rows) + math.log(tried)
+        return 0.5 * free * math.log(rows) + math.log(tried)
+
+    def attempt(self, base: Hypothesis, trials: Sequence[Trial], one: Scored) -> Step | None:
+        best: Hypothesis | None = None
+        for trial in self._places(one):
+            start = {**base.fit.values, **trial.started(one.answer.size)}
+            if best is not None:
+                start = {**best.fit.values, **{n: trial.effect.values[n] for n in trial.scanned}}
+            try:
+                hypothesis = self.bench.try_out([*trials, trial], start)
+            except (IdentifyError, np.linalg.LinAlgError):
+                break
+            if best is not None and self.bench.evidence(hypothesis, best).raw <= 0.0:
+                break
+            best = hypothesis
+        if best is None or not self._in_flight(best.fit, one.trial):
+            return None
+        return Step(best, self.bench.evidence(best, base), self.price(one.trial, 60 + one.tried))
+
+    def _places(self, one: Scored) -> list[Trial]:
+        """The candidate, then its further places that no descent finds, as long as each is better."""
+        trial, kind = one.trial, self.kinds.get(one.trial.id)
+        fixed = [name for name in trial.scanned if name not in trial.effect.priors]
+        if kind is None or len(fixed) != 1:
+            return [trial]
+        (name,) = fixed
+        values = kind.scanned(1.0)[name]
+        if len(values) < 3:
+            return [trial]
+        near = int(np.argmin(np.abs(np.array(values) - trial.scanned[name])))
+        return [
+            Trial(trial.id, kind.make({**trial.effect.values, name: v}), trial.size, {**trial.scanned, name: v})
+            for v in (values[near], *values[near + 1 :])
+        ]
+
+    def _in_flight(self, fit: Fit, trial: Trial) -> bool:
+        """Whether a moment that was found lies within the flight."""
+        last_s = max(float(record.t_s[-1] - record.t_s[0]) for record in self.bench.train)
+        moments = [fit.values[q.name] for q in trial.effect.parameters if q.name.endswith("_at_s")]
+        return all(_EDGE_s < moment < last_s - _EDGE_s for moment in moments)
+
+    def shortlist(self, screened: Sequence[Scored], patterns: Sequence[Scored]) -> list[Scored]:
+        worth = [
+            one for one in screened if one.answer.gain > max(3.0, self.price(one.trial, 60 + one.tried) * 0.5)
+        ]
+        if not worth:
+            chosen = []
+        else:
+            least = WORTH_A_FIT * worth[0].answer.gain
+            chosen = [one for one in worth if one.answer.gain >= least][:SHORTLIST]
+        best = chosen[0].answer.gain if chosen else 0.0
+        if patterns and patterns[0].answer.gain > max(
+            PATTERN_LEAST, 0.6 * best, self.price(patterns[0].trial, len(patterns))
+        ):
+            chosen.append(patterns[0])
+        return chosen
+
+    def forward(self, hypothesis: Hypothesis) -> tuple[Hypothesis, Screening, bool]:
+        while True:
+            number = len(self.rounds)
+            self.say(f"looking for what is missing, round {number + 1}", 0.1 + 0.6 * (1 - 0.6**number))
+            screening = Screening(hypothesis.fit)
+            left = [kind for id_, kind in self.kinds.items() if id_ not in hypothesis.ids]
+            screened = screening.effects(left)
+            patterns = screening.patterns(number)
+            steps: list[Step] = []
+            full = len(hypothesis.trials) >= MOST_CAUSES or self.out_of_time()
+            for one in [] if full else self.shortlist(screened, patterns):
+                self.say(f"trying {one.trial.id}", 0.1 + 0.6 * (1 - 0.6 ** (number + 0.5)))
+                step = self.attempt(hypothesis, hypothesis.trials, one)
+                if step is not None:
+                    steps.append(step)
+                if self.out_of_time():
+                    break
+            steps.sort(key=lambda step: -step.worth)
+            taken = _choice(steps)
+            self.rounds.append(
+                Round(tuple(screened), tuple(patterns), tuple(steps), taken.trial.id if taken else "")
+            )
+            if taken is None:
+                return hypothesis, screening, not full
+            hypothesis = taken.hypothesis
+
+    def backward(self, final: Hypothesis) -> tuple[Hypothesis, list[Found]]:
+        """Drop what is not needed any more; measure what the rest is worth, and its rivals."""
+        number = 0
+        without: dict[str, Hypothesis] = {}
+        while number < len(final.trials):
+            trial = final.trials[number]
+            self.say(f"checking whether {trial.id} is needed", 0.75 + 0.1 * number / len(final.trials))
+            rest = [other for other in final.trials if other is not trial]
+            if len(final.trials) == 1:
+                less = self.baseline
+            else:
+                less = self.bench.try_out(rest, final.fit.values)
+            step = Step(final, self.bench.evidence(final, less), self.price(trial, 60))
+            if not step.accepted and not self.out_of_time():
+                final, number = less, 0
+                without.clear()
+                continue
+            without[trial.id] = less
+            number += 1
+        found = [
+            Found(
+                trial,
+                self.bench.evidence(final, without[trial.id]),
+                self.price(trial, 60),
+                self.rivals(final, trial, without[trial.id]),
+            )
+            for trial in final.trials
+        ]
+        return final, sorted(found, key=lambda one: -one.evidence.total)
+
+    def rivals(self, final: Hypothesis, trial: Trial, less: Hypothesis) -> tuple[Rival, ...]:
+        rivals: dict[str, float] = {}
+        seen = next((r for r in self.rounds if r.taken == trial.id), None)
+        if seen is None:
+            return ()
+        rest = [other for other in final.trials if other is not trial]
+        for step in seen.steps:
+            if step.trial.id == trial.id or step.trial.id in final.ids or step.trial.is_pattern:
+                continue
+            if len(rest) == 0:
+                other = step
+            elif self.out_of_time() or len(rivals) >= 2:
+                continue
+            else:
+                scored = next(one for one in seen.screened if one.trial.id == step.trial.id)
+                attempted = self.attempt(less, rest, scored)
+                if attempted is None:
+                    continue
+                other = attempted
+            ahead = self.bench.evidence(final, other.hypothesis).total
+            rivals[step.trial.id] = ahead + self.price(step.trial, 60) - self.price(trial, 60)
+        return tuple(Rival(id_, behind) for id_, behind in sorted(rivals.items(), key=lambda one: one[1]))
+
+    def run(self) -> Search:
+        self.say("refitting the baseline", 0.02)
+        self.baseline = self.bench.try_out([])
+        reached, screening, complete = self.forward(self.baseline)
+        final, found = self.backward(reached)
+        if final is not reached:
+            screening = Screening(final.fit)
+        return Search(self.baseline, final, tuple(found), tuple(self.rounds), screening, complete)
+
+
+def _choice(steps: Sequence[Step]) -> Step | None:
+    """The best effect, or a pattern that is clearly ahead of it."""
+    effects = [step for step in steps if step.accepted and not step.trial.is_pattern]
+    patterns = [step for step in steps if step.accepted and step.trial.is_pattern]
+    best = effects[0] if effects else None
+    if patterns:
+        lead = patterns[0].worth - (best.worth if best else 0.0)
+        if lead > max(PATTERN_LEAST, PATTERN_LEAD * patterns[0].worth):
+            return patterns[0]
+    return best
+
+
+def search(
+    bench: Bench,
+    kinds: Mapping[str, EffectKind],
+    *,
+    say: Callable[[str, float], None] | None = None,
+    seconds: float = math.inf,
+) -> Search:
+    """Find what a model lacks.
+
+    Parameters
+    ----------
+    bench : Bench
+        Flights, rig and model.
+    kinds : Mapping[str, EffectKind]
+        Effects to try.
+    say : callable, optional
+        Told what is being done, and which share of the work is.
+    seconds : float
+        Most time.
+
+    Returns
+    -------
+    Search
+        What was found, also when the time ran out.
+    """
+    return _Searcher(bench, kinds, say or (lambda _what, _share: None), time.perf_counter() + seconds).run()
