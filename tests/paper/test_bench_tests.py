@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 from heli_host.cli.paper_desk import read_thrust, run_bench_test
 from heli_sim.errors import IdentifyError
 from heli_sim.identify.record import Record
-from heli_sim.model import Model, MultibodyModel, PaperModel
+from heli_sim.model import Model, MultibodyModel, PaperModel, Situation
 from heli_sim.model.effects import RotorLag
-from heli_sim.paper.bench import PITCH_RELEASES, BenchTest, record_of
+from heli_sim.paper.bench import PITCH_RELEASES, BenchTest, check_rig, record_of
 from heli_sim.paper.rig_table import fit_rig
 from heli_sim.paper.tables import TESTS_OF_TABLE, Row, Table, fit_table
 from heli_sim.plant import Plant
@@ -114,3 +115,40 @@ def test_a_test_that_runs_into_a_stop_is_refused_by_name() -> None:
     plant = Plant(MultibodyModel(), RIG)
     with pytest.raises(IdentifyError, match=r"much too hard.*stop"):
         record_of(hard, run_bench_test(hard, plant), RIG)
+
+
+@pytest.mark.parametrize("name", ["makki2024-identified", "quanser-course"])
+def test_a_rig_that_hovers_at_other_voltages_is_refused_with_its_own(name: str) -> None:
+    with pytest.raises(IdentifyError, match=rf"'{name}' hovers at \d\.\d\d"):
+        check_rig(load_rig(name))
+    check_rig(RIG)
+
+
+class WithoutCentrifugalForce(MultibodyModel):
+    """Travel's inertia as at 7.5 degrees of pitch, whatever the pitch: nothing drives pitch back to level."""
+
+    def _inertia_kg_m2(self, at: Situation, q: ca.SX) -> ca.SX:
+        inertia = super()._inertia_kg_m2(at, q)
+        inertia[2, 2] = super()._inertia_kg_m2(at, ca.vertcat(q[0], 0.13, q[2]))[2, 2]
+        return inertia
+
+
+class WithoutCouplingEither(WithoutCentrifugalForce):
+    """Nor do pitch and travel accelerate each other."""
+
+    def _inertia_kg_m2(self, at: Situation, q: ca.SX) -> ca.SX:
+        inertia = super()._inertia_kg_m2(at, q)
+        inertia[1, 2] = inertia[2, 1] = 0.0
+        return inertia
+
+
+def test_what_30_lacks_in_the_travel_test_is_centrifugal_force_then_the_coupling_of_pitch_and_travel(
+    by_multibody: dict[int, Table],
+) -> None:
+    less, none = (
+        fit_table(5, RIG, records(Plant(model, RIG), 5)).normalised
+        for model in (WithoutCentrifugalForce(), WithoutCouplingEither())
+    )
+    assert by_multibody[5].normalised == pytest.approx(15.9, abs=0.5)
+    assert less == pytest.approx(1.8, abs=0.1)
+    assert none == pytest.approx(1.0, abs=0.05)

@@ -189,10 +189,13 @@ def figures(
 
 def _plant(rig: str, model: str) -> Plant:
     from heli_sim.model.named import model_named
+    from heli_sim.paper.bench import check_rig
     from heli_sim.plant import Plant
     from heli_sim.rig import load_rig
 
-    return Plant(model_named(model), load_rig(rig))
+    loaded = load_rig(rig)
+    check_rig(loaded)
+    return Plant(model_named(model), loaded)
 
 
 def _uneven(plant: Plant) -> Plant:

@@ -49,7 +49,8 @@ def table_lines(line: Line, by_rig: RigTable, found: Sequence[Table]) -> list[st
         error = by_rig.normalised[table.number]
         out += [
             "",
-            f"Table {table.number} (by masses: the formulas below (30); the bench tests are read by (30))",
+            f"Table {table.number} (by masses: the formulas below (30), drag and P_18 corrected; "
+            "bench tests: by (30))",
             f"  {'':22} {'printed':>18} {'by masses':>10} {'bench tests':>23}",
         ]
         for own in table.rows:

@@ -15,11 +15,16 @@ from heli_host.flight import Flight
 
 from heli_sim.errors import IdentifyError
 from heli_sim.identify.record import Record
+from heli_sim.model import MultibodyModel
+from heli_sim.model.linear import trim
 from heli_sim.rig import Rig
 
 Floats = npt.NDArray[np.float64]
 
 TABLE_DEG: Final = -25.0
+_HOVER_V: Final = 1.7
+# Beyond this the elevation steps end at a stop or on the table.
+_HOVER_SLACK_V: Final = 0.15
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,29 @@ THRUST_V: Final[tuple[float, ...]] = (0.5, *(float(volts) for volts in range(1, 
 """Voltages of the thrust curve, Fig. 15."""
 SCALE_N: Final = 0.00981
 """Smallest step of the scale that thrust is read from: a gram."""
+
+
+def check_rig(rig: Rig) -> None:
+    """Refuse a rig that the voltages of these tests do not suit.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+
+    Raises
+    ------
+    IdentifyError
+        When it hovers at other voltages than Table 2's masses do.
+    PlantError
+        When it cannot hover at all.
+    """
+    hover_V = float(np.mean(trim(MultibodyModel(), rig).volts_V))
+    if abs(hover_V - _HOVER_V) > _HOVER_SLACK_V:
+        raise IdentifyError(
+            f"the paper's tests and flights are set for hover at {_HOVER_V:g} V on each motor, rig "
+            f"'{rig.name}' hovers at {hover_V:.2f}; give makki2024 or one like it"
+        )
 
 
 def record_of(test: BenchTest, flight: Flight, rig: Rig) -> Record:
