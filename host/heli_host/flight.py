@@ -37,6 +37,8 @@ _MAX_ANGLE_RAD = {"elevation_rad": 1.6, "pitch_rad": 3.2}
 _MAX_COUNT_RAD = 0.02
 """An encoder with fewer than 314 counts a turn is none; in degrees, 16384 counts are steps of 0.022."""
 _LEAST_MOVES = 20
+_MAX_RATE_RAD_S = 20.0
+"""Over a tenth of a second, in one row of a hundred; the board's own limits are below 10."""
 _MAX_VOLTAGE_V = 100.0
 _MAX_STEP_S = 0.5
 _GAP_RATIO = 1.75
@@ -374,6 +376,12 @@ def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> No
             raise FlightDataError(
                 f"{source}: {name} is {column[row]:.4g} in {where(row)}, which {degrees[0]}", degrees[1]
             )
+        row, rate_rad_s = _usual_highest_rate(column, flight.step_s)
+        if rate_rad_s > _MAX_RATE_RAD_S:
+            raise FlightDataError(
+                f"{source}: {name} moves by {rate_rad_s:.3g} a second in {where(row)}, which {degrees[0]}",
+                degrees[1],
+            )
     for name in ("elevation_rad", "pitch_rad", "travel_rad"):
         moves = np.abs(np.diff(getattr(flight, name)))
         rows = np.flatnonzero(moves > 0.0)
@@ -392,3 +400,14 @@ def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> No
                 "duty",
                 "give volts",
             )
+
+
+def _usual_highest_rate(angle_rad: Floats, step_s: float) -> tuple[int, float]:
+    """A row and the rate there over a tenth of a second that one row in a hundred exceeds."""
+    reach = max(1, round(0.1 / step_s))
+    if angle_rad.size <= reach:
+        return 0, 0.0
+    rates = np.abs(angle_rad[reach:] - angle_rad[:-reach]) / (reach * step_s)
+    rank = int(0.99 * (rates.size - 1))
+    row = int(np.argpartition(rates, rank)[rank])
+    return row, float(rates[row])

@@ -52,6 +52,16 @@ def without_rows(first: int, stop: int) -> Spoil:
     return spoil
 
 
+def with_smooth_pitch(made: Flight) -> Flight:
+    """Three degrees back and forth twice a second, as a simulation without encoders has them."""
+    return replace(made, pitch_rad=3.0 * np.sin(2 * np.pi * 2.0 * made.t_s))
+
+
+def wrapped(made: Flight) -> Flight:
+    turned = 3.0 + made.travel_rad
+    return replace(made, travel_rad=(turned + np.pi) % (2 * np.pi) - np.pi)
+
+
 def wandering(made: Flight) -> Flight:
     clock_s = made.t_s + 0.1 * np.sin(2 * np.pi * made.t_s / 8.0)
     return replace(made, t_s=clock_s)
@@ -83,6 +93,13 @@ SPOILED: dict[str, tuple[Spoil, int, str, str, str]] = {
         "line 3",
         "looks like degrees; multiply the angles by pi/180",
     ),
+    "degrees without steps": (
+        with_smooth_pitch,
+        FILE,
+        "pitch_rad",
+        "line ",
+        "looks like degrees; multiply the angles by pi/180",
+    ),
     "millivolts": (scaled(1000.0, "back_V"), FILE, "back_V", "line 126", "millivolts"),
     "milliseconds": (scaled(1000.0, "t_s"), FILE, "t_s", "line 3", "give t_s in seconds"),
     "an uneven clock": (wandering, ASKED, "t_s", "data row", "resample"),
@@ -106,6 +123,12 @@ def test_a_flight_that_teaches_nothing_is_one_line(terminal: Terminal, tmp_path:
     assert "bad.csv" in line and column in line and row in line, line
     assert said in line, line
     assert not (tmp_path / "new.toml").exists() and not (tmp_path / "new.json").exists()
+
+
+def test_a_wrapped_angle_is_named_on_a_rig_that_turns_freely(terminal: Terminal, tmp_path: Path) -> None:
+    wrapped(flight()).write_csv(tmp_path / "bad.csv")
+    line = refusal(terminal("identify", "bad.csv", "--rig", "quanser-course"), code=ASKED)
+    assert "bad.csv: travel_rad jumps by 6.28 in data row 70; unwrap the angle" in line
 
 
 def test_a_missing_column_is_named(terminal: Terminal, tmp_path: Path) -> None:

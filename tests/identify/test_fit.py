@@ -95,7 +95,7 @@ def test_a_model_that_lacks_something_says_so() -> None:
 
 
 def test_without_a_compiler_the_answer_is_the_same(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    flight = changed_flight(3).between(8.0, 12.0)
+    flight = changed_flight(3).between(8.0, 10.5)
     problem = Problem(MultibodyModel(), known(), [flight], free=tuple(CHANGED))
     compiled = solve(problem, fine=False)
     monkeypatch.setattr(heli_sim.compiled, "compiler", lambda: None)

@@ -30,6 +30,7 @@ _AROUND_STOP_S: Final = 0.3
 _LEAST_COUNTS: Final = 10
 """An axis that moved less than this has not moved."""
 _LEAST_SEGMENT_S: Final = 1.0
+_JUMP_RAD: Final = 1.0
 _MOST_STRAY_STEPS: Final = 5.0
 """Five steps of 2 ms at the fastest travel are half a degree: far more than any other error."""
 
@@ -131,7 +132,7 @@ def prepare(
     ------
     IdentifyError
         When nothing can be learned from it: it never moves, has no voltages, or duties in their place, its
-        rows are not evenly spaced, or no second of it is free.
+        rows are not evenly spaced, an angle jumps, or no second of it is free.
     """
     angles, volts, t_s = flight.angles_rad, flight.voltages_V, flight.t_s
     step_s = _step_s(flight, label)
@@ -154,6 +155,7 @@ def prepare(
     gap[flight.gaps] = True
 
     segments, cuts = _segments(reasons, gap, t_s, max(2, round(_LEAST_SEGMENT_S / step_s)))
+    _refuse_jumps(flight, label, segments)
     record = Record(label, t_s, angles, volts, step_s, count_rad, segments, cuts, tuple(notes))
     if not segments:
         why = ", ".join(dict.fromkeys(cut.why for cut in cuts)) or "it is too short"
@@ -190,6 +192,18 @@ def _refuse_duties(flight: Flight, label: str, rig: Rig) -> None:
             f"{label}: {highest} reaches {column[row]:.3g} at most, in data row {row + 1}, and below the "
             f"dead zone of {least_V:g} V no rotor pushes; if it is a duty, multiply it by the supply"
         )
+
+
+def _refuse_jumps(flight: Flight, label: str, segments: tuple[tuple[int, int], ...]) -> None:
+    for index, axis in enumerate(AXES):
+        for start, stop in segments:
+            moves = np.abs(np.diff(flight.angles_rad[start:stop, index]))
+            if moves.size and moves.max() > _JUMP_RAD:
+                row = start + int(np.argmax(moves)) + 2
+                raise IdentifyError(
+                    f"{label}: {axis}_rad jumps by {moves.max():.3g} in data row {row}; unwrap the angle, or "
+                    "cut the flight there"
+                )
 
 
 def _counts(angles_rad: Floats, rig: Rig) -> tuple[Floats, list[str]]:
