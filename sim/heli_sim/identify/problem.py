@@ -16,7 +16,7 @@ from heli_sim.identify.free import PER_FLIGHT, FreeParameter, free_parameters
 from heli_sim.identify.functions import Floats
 from heli_sim.identify.grid import Grid, make_grid, window_starts
 from heli_sim.identify.kernel import kernel
-from heli_sim.identify.record import Record, prepare
+from heli_sim.identify.record import AXES, Record, prepare
 from heli_sim.model.base import Model
 from heli_sim.rig import Prior, Rig
 
@@ -306,7 +306,7 @@ class Problem:
         -------
         ndarray (w, states)
             Angles and rates of parabolas through the samples around each row; states of effects after a
-            second of free run that ends there.
+            second of free run that ends there, or what the encoder shows where that is what they are.
         """
         record = self.records[index]
         states = np.zeros((len(rows), self.state_count))
@@ -319,6 +319,10 @@ class Problem:
             if back > 0:
                 lead = self._lead_in(index, int(row) - back, back, theta)
                 states[number, 6:] = lead[6:]
+        shown = {state: axis for effect in self.model.effects for state, axis in effect.shown.items()}
+        for place, state in enumerate(self.model.states):
+            if state.name in shown:
+                states[:, place] = record.angles_rad[rows, AXES.index(shown[state.name])]
         return states
 
     def look(

@@ -86,6 +86,9 @@ class Effect:
         Where it acts.
     shaken : int
         Number of independent random pushes that it takes each millisecond of a simulation.
+    shown : Mapping[str, str]
+        Those of `states` that are what an encoder shows, by name, with the axis: whoever starts in the middle
+        of a flight knows them from it.
     """
 
     name: str
@@ -96,6 +99,7 @@ class Effect:
     delay: str = ""
     stage: Stage = Stage.GAIN
     shaken: int = 0
+    shown: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def prefix(self) -> str:

@@ -70,6 +70,7 @@ def _kind(axis: str) -> EffectKind:
             ),
         ),
         states=(Quantity("shaft_rad", "rad", f"angle y of the {axis} encoder's shaft"),),
+        shown={"shaft_rad": axis},
         source="play operator; the play lies between axis and encoder, since no gear drives the arm",
     )
 

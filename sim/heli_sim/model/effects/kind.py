@@ -96,6 +96,8 @@ class EffectKind:
         Which of its numbers delays the voltages; empty for none.
     shaken : int
         Random pushes a millisecond in a simulation.
+    shown : Mapping[str, str]
+        States that are what an encoder shows, and the axis of each.
     needs : tuple of str
         Numbers of the rig that a model must use for the effect to make sense.
     models : tuple of str
@@ -117,6 +119,7 @@ class EffectKind:
     source: str = ""
     delay: str = ""
     shaken: int = 0
+    shown: Mapping[str, str] = field(default_factory=dict)
     needs: tuple[str, ...] = ()
     models: tuple[str, ...] = ()
     baseline: bool = False
@@ -219,6 +222,7 @@ class EffectKind:
             delay=self.full(self.delay) if self.delay else "",
             stage=self.stage,
             shaken=self.shaken,
+            shown={self.full(state): axis for state, axis in self.shown.items()},
         )
 
     def scanned(self, seconds: float) -> dict[str, tuple[float, ...]]:
