@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -60,6 +62,23 @@ def test_printed_as_u3_is_stable_on_a_multibody_rig_because_the_body_hangs_below
     assert on_multibody["printed", "u3", "measurement"].growth_1_per_s < 0.0
     no_pendulum = of(verdicts(MultibodyModel(), RIG.replace(L_phi=1e-4, L_theta=1e-4)))
     assert no_pendulum["printed", "u3", "measurement"].growth_1_per_s > 1.0
+
+
+def test_corrected_a_step_of_15_degrees_overshoots_to_20_and_printed_as_u3_it_takes_two_minutes(
+    on_30: dict[tuple[str, str, str], Verdict],
+) -> None:
+    corrected, printed = on_30["corrected", "degrees", "measurement"], on_30["printed", "u3", "error"]
+    assert corrected.peak_deg == pytest.approx(20.4, abs=0.1)
+    assert corrected.settled_s == pytest.approx(12.7, abs=0.2)
+    assert printed.settled_s > 100.0
+    assert math.isinf(on_30["printed", "degrees", "error"].settled_s)
+
+
+def test_verdicts_that_are_infinite_are_null_in_json(tmp_path: Path) -> None:
+    target = tmp_path / "gains.json"
+    assert CliRunner().invoke(app, ["paper", "gains", "--json", str(target)]).exit_code == 0
+    rows = json.loads(target.read_text())["paper"]
+    assert [row["settled_s"] is None for row in rows] == [row["growth_1_per_s"] > 0.0 for row in rows]
 
 
 def test_both_analyses_of_table_6_agree_where_they_overlap(

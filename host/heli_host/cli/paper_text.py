@@ -102,19 +102,20 @@ def gain_lines(found: dict[str, list[Verdict]]) -> list[str]:
     list of str
         Lines.
     """
-    from heli_sim.paper.table6 import LONGEST_LAG_s
-
-    reading = {"degrees": "pitch setpoint in deg", "u3": "u3 = sin(phi) U+ in V"}
-    out = ["Table 6 on the linearised rig: do pitch and travel hold still without lag, and up to which lag?"]
+    reading = {"degrees": "pitch in deg", "u3": "u3 in V"}
+    out = [
+        "Table 6 on the linearised rig: do pitch and travel hold still, and up to which lag (399 ms: any)?"
+    ]
     for model, rows in found.items():
         out += ["", f"model {model}"]
         for one in rows:
             if one.growth_1_per_s < 0.0:
-                most = "at any" if one.lag_s > LONGEST_LAG_s - 0.0015 else f"to {1e3 * one.lag_s:.0f} ms"
-                text = f"stable,   dies at {-one.growth_1_per_s:.3f} 1/s, {most} of thrust lag"
+                step = f"15 deg step peaks at {one.peak_deg:.1f}, settles in {one.settled_s:.0f} s"
+                lag = f"to {1e3 * one.lag_s:3.0f} ms of thrust lag"
+                text = f"stable,   dies at {-one.growth_1_per_s:.3f} 1/s, {lag}; {step}"
             else:
                 text = f"unstable, grows at {one.growth_1_per_s:5.3f} 1/s, swinging in {one.period_s:.2f} s"
-            law = f"{one.gains:10} travel gives {reading[one.reading]:22} derivative of {one.derivative:12}"
+            law = f"{one.gains:10} {reading[one.reading]:13} derivative of {one.derivative:12}"
             out.append(f"  {law} {text}")
     return out
 

@@ -17,6 +17,7 @@ from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import expm
 
 from heli_sim.model.base import Model
 from heli_sim.model.linear import derivatives, trim
@@ -33,6 +34,10 @@ LONGEST_LAG_s: Final = 0.4
 """Longest thrust lag that is tried: several times what any rotor of this size shows."""
 _LAGS_s: Final = np.arange(0.001, LONGEST_LAG_s, 0.001)
 _DEG: Final = math.degrees(1.0)
+STEP_DEG: Final = 15.0
+"""Step of travel's setpoint."""
+_BAND_DEG: Final = 0.5
+_STEP_s, _STEPS = 0.01, 30_000
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,10 @@ class Verdict:
         Its period; infinite when it does not swing.
     lag_s : float
         Longest thrust lag that is stable; 0 when none is.
+    peak_deg : float
+        Where travel's setpoint stepping to `STEP_DEG` takes travel, without limits; infinite when unstable.
+    settled_s : float
+        When travel has settled to within half a degree of it; infinite when unstable.
     """
 
     gains: str
@@ -61,6 +70,8 @@ class Verdict:
     growth_1_per_s: float
     period_s: float
     lag_s: float
+    peak_deg: float
+    settled_s: float
 
 
 def verdicts(model: Model, rig: Rig) -> list[Verdict]:
@@ -87,7 +98,9 @@ def verdicts(model: Model, rig: Rig) -> list[Verdict]:
     out = []
     for gains, reading, derivative in itertools.product(("printed", "corrected"), READINGS, DERIVATIVES):
         law = _Law.of(gains, plant.pitch_per_unit(reading), derivative)
-        slowest = _slowest(plant.closed(law, 0.0))
+        closed = plant.closed(law, 0.0)
+        slowest = _slowest(closed)
+        peak_deg, settled_s = _step(closed) if slowest.real < 0.0 else (math.inf, math.inf)
         out.append(
             Verdict(
                 gains,
@@ -96,6 +109,8 @@ def verdicts(model: Model, rig: Rig) -> list[Verdict]:
                 float(slowest.real),
                 2.0 * math.pi / abs(slowest.imag) if abs(slowest.imag) > 1e-9 else math.inf,
                 _longest_lag_s(plant, law) if slowest.real < 0.0 else 0.0,
+                peak_deg,
+                settled_s,
             )
         )
     return out
@@ -166,6 +181,19 @@ class _Tilt:
 def _slowest(A: Floats) -> complex:
     poles = np.linalg.eigvals(A)
     return complex(poles[np.argmax(poles.real)])
+
+
+def _step(A: Floats) -> tuple[float, float]:
+    """Highest travel, deg, and settling time after a step, the derivative's kick left out."""
+    state = np.zeros(len(A))
+    state[1] = -STEP_DEG  # travel, as a deviation from where it is to go
+    forward, off_deg = expm(_STEP_s * A), np.empty(_STEPS)
+    for row in range(_STEPS):
+        off_deg[row] = state[1]
+        state = forward @ state
+    outside = np.flatnonzero(np.abs(off_deg) > _BAND_DEG)
+    settled = math.inf if outside[-1] == _STEPS - 1 else float(outside[-1] + 1) * _STEP_s
+    return float(off_deg.max()) + STEP_DEG, settled
 
 
 def _longest_lag_s(plant: _Tilt, law: _Law) -> float:
