@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from heli_host.cli.variadic import spread
+from heli_host.cli.work import WorkBar
 from heli_host.flight import Flight
 from heli_sim.rig import load_rig, write_rig
 
@@ -126,3 +127,23 @@ def test_a_second_flight_to_validate_on_is_not_fitted(terminal: Terminal, tmp_pa
     assert [(one["flight"], one["role"]) for one in flights] == [
         *(("a.csv", "train"), ("b.csv", "validation"), ("c.csv", "validation"))
     ]
+
+
+def test_long_work_says_what_it_does_and_how_long_still(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = iter((0.0, 10.0, 20.0))
+    monkeypatch.setattr("heli_host.cli.work.time.monotonic", lambda: next(now_s))
+    with WorkBar(is_terminal=False) as bar:
+        bar.show("compiling the model", 0.1)
+        bar.show("every sample", 0.5)
+    assert capsys.readouterr().out.splitlines() == [
+        "compiling the model: 10 %, about 90 s left",
+        "every sample: 50 %, about 20 s left",
+    ]
+
+
+def test_the_bar_of_a_terminal_is_gone_afterwards(capsys: pytest.CaptureFixture[str]) -> None:
+    with WorkBar(is_terminal=True) as bar:
+        bar.show("every sample", 0.5)
+    assert "\n" not in capsys.readouterr().out.strip()

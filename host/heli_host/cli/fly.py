@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -58,6 +57,7 @@ def fly(
     Example: `heli-host fly hover sine --sil --speed 5`
     """
     from heli_host.cli.board import board_text, clear_latched_fault, open_board
+    from heli_host.cli.places import check_place
     from heli_host.cli.progress import LiveLine
     from heli_host.cli.report import summary_lines
     from heli_host.errors import FlightAborted
@@ -72,7 +72,7 @@ def fly(
     loaded = [load_plan(plan) for plan in plans]
     for target in (json, figure):
         if target is not None:
-            _check_place(target)
+            check_place(target)
     if figure is not None and figure.suffix.lower() not in FIGURE_ENDS:
         raise typer.BadParameter(f"--figure {figure}: give a file that ends in {', '.join(FIGURE_ENDS)}")
     with open_board(port, sil, rig, speed, seed, choice, more) as heli:
@@ -116,11 +116,3 @@ def fly(
         raise KeyboardInterrupt
     if not summary.completed:
         raise FlightAborted(summary.outcome)
-
-
-def _check_place(path: Path) -> None:
-    """Refuse, before anything flies, a file that could not be written after it."""
-    folder = path.absolute().parent
-    folder.mkdir(parents=True, exist_ok=True)
-    if path.is_dir() or not os.access(path if path.exists() else folder, os.W_OK):
-        raise typer.BadParameter(f"{path} cannot be written; choose another place")

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heli_host.errors import FlightDataError, LogWriteError
-from heli_host.flight import REQUIRED_COLUMNS, SETPOINT_COLUMNS, STATUS_COLUMNS, Flight, FlightEvent, check
+from heli_host.flight import REQUIRED_COLUMNS, SETPOINT_COLUMNS, STATUS_COLUMNS, Flight, FlightEvent
+from heli_host.flight_check import check
 
 _FORMATS = {"t_s": "%.6f", "front_V": "%.6f", "back_V": "%.6f"} | dict.fromkeys(STATUS_COLUMNS, "%d")
 _NUMBER_FORMAT = "%.9f"
