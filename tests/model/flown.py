@@ -1,0 +1,108 @@
+"""Effects flown by the simulated board and found again: ``python -m tests.model.flown`` does them all.
+
+The flight code flies a rig with one effect of typical size; the log is fitted by the same model, with every
+number of the rig free and the effect started at half its size.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+from heli_host.flight import Flight
+from heli_sim.identify.check import check
+from heli_sim.identify.problem import Problem
+from heli_sim.identify.record import prepare
+from heli_sim.identify.solve import Fit, solve
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import EffectKind, catalogue
+from heli_sim.rig import Prior, load_rig
+
+from tests.identify.made import flown
+
+FLIGHT_S = 30.0
+BY_CHANCE = "random_torque"
+"""An effect without a number that a free run could be fitted by."""
+HIDDEN = "zero_offset.travel"
+"""An effect that no flight shows alone."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a fit made of a flight.
+
+    Parameters
+    ----------
+    off : dict of float
+        For each number, how far the estimate is from the truth, in its standard errors.
+    values, std : dict of float
+        Estimates.
+    normalised : float
+        What is left, in standard deviations of the encoders' rounding.
+    """
+
+    off: dict[str, float]
+    values: dict[str, float]
+    std: dict[str, float]
+    normalised: float
+
+
+def find(kind: EffectKind, seed: int = 7) -> Found:
+    """Fly an effect and identify it."""
+    rig = load_rig("makki2024")
+    true = kind.make(kind.typical)
+    flight = flown(rig, seed, FLIGHT_S, MultibodyModel((true,)))
+    record = prepare(flight, rig, "a")
+    truth = as_logged(kind, flight)
+    fit: Fit | None = None
+    round_rates = kind.scan.get(kind.full("round_rad_s"), ())
+    for round_rad_s in round_rates if isinstance(round_rates, tuple) and round_rates else (None,):
+        values = {name: 0.5 * value if name in kind.size else value for name, value in kind.typical.items()}
+        if round_rad_s is not None:
+            values[kind.full("round_rad_s")] = round_rad_s
+        problem = Problem(MultibodyModel((kind.make(values),)), rig, [record], priors=searched(kind))
+        fit = solve(problem, start=fit)
+    assert fit is not None
+    off = {name: (fit.values[name] - truth[name]) / fit.std[name] for name in kind.priors}
+    values = {name: fit.values[name] for name in kind.priors}
+    return Found(off, values, {name: fit.std[name] for name in kind.priors}, check(fit).normalised)
+
+
+def searched(kind: EffectKind) -> dict[str, Prior]:
+    """What a search over moments and frequencies would hand to the fit."""
+    near = {kind.full("at_s"): 1.0, kind.full("Hz"): 0.01}
+    return {name: Prior(kind.typical[name], near[name], 0.0) for name in near if name in kind.typical}
+
+
+def as_logged(kind: EffectKind, flight: Flight) -> dict[str, float]:
+    """Truth by the log's time, which begins a little before the motors first turn."""
+    truth = dict(kind.typical)
+    rig = load_rig("makki2024")
+    turn_V = rig["driver_dead_band"].value * rig["supply"].value  # the drivers swallow shorter pulses
+    turned_s = float(flight.t_s[np.argmax((flight.voltages_V >= turn_V).any(axis=1))] - flight.t_s[0])
+    if kind.full("at_s") in truth:
+        truth[kind.full("at_s")] += turned_s
+    if kind.full("Hz") in truth:
+        angle = 2 * math.pi * truth[kind.full("Hz")] * turned_s
+        size_Nm = truth[kind.full("sin_Nm")]
+        truth[kind.full("sin_Nm")] = size_Nm * math.cos(angle)
+        truth[kind.full("cos_Nm")] = -size_Nm * math.sin(angle)
+    return truth
+
+
+def main(ids: list[str]) -> None:
+    """Print what is found of each effect."""
+    for kind in catalogue().values():
+        shown = not kind.baseline and not kind.id.startswith(BY_CHANCE) and kind.id != HIDDEN
+        if kind.id in ids or (shown and not ids):
+            found = find(kind)
+            print(f"{kind.id}: residual {found.normalised:.3f}", end="")
+            for name, off in found.off.items():
+                print(f"; {name} {found.values[name]:.5g} +- {found.std[name]:.2g} ({off:+.1f} std)", end="")
+            print(flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
