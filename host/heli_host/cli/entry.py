@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NoReturn
 import typer
 
 from heli_host.cli import (
+    diagnose,
     doctor,
     export,
     flash,
@@ -62,6 +63,7 @@ app.add_typer(rig.app, name="rig")
 app.add_typer(paper.app, name="paper")
 app.command("doctor")(doctor.doctor)
 app.command("identify", cls=Variadic)(identify.identify)
+app.command("diagnose", cls=Variadic)(diagnose.diagnose)
 
 # Typer raises its errors from click, or from its own copy of click since 0.25; this class is in both.
 _UsageError = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")

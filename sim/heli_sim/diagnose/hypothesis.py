@@ -120,25 +120,28 @@ class Bench:
 
     Parameters
     ----------
-    model : type of Model
-        The model.
+    model : Model
+        The model, with effects that are known beforehand.
     rig : Rig
         Start values and priors.
     train, held : sequence of Record
         Flights to fit and flights to judge on.
     window_s : float
         Length of the windows that are predicted freely.
+    seed : int
+        Seed of the resampling.
     """
 
     def __init__(
         self,
-        model: type[Model],
+        model: Model,
         rig: Rig,
         train: Sequence[Record],
         held: Sequence[Record],
         window_s: float = 2.0,
+        seed: int = 0,
     ) -> None:
-        self.model, self.rig = model, rig
+        self.model, self.rig, self.seed = model, rig, seed
         self.train, self.held = tuple(train), tuple(held)
         self.window_s = window_s
         self.fits = 0
@@ -170,7 +173,7 @@ class Bench:
             The result.
         """
         effects: tuple[Effect, ...] = tuple(trial.effect for trial in trials)
-        model = self.model(effects)
+        model = type(self.model)((*self.model.effects, *effects))
         units = {state.name: state.unit for state in model.states[6:]}
         problem = Problem(
             model,
@@ -203,7 +206,7 @@ class Bench:
         train = _ratio(more.train, less.train)
         if not self.held:
             return Evidence(train, 0.0, 0.0, _raw(more.train, less.train), _drop(more.train, less.train))
-        random = np.random.default_rng(0)
+        random = np.random.default_rng(self.seed)
         windows = len(more.held.rows)
         counts = random.multinomial(windows, np.full(windows, 1.0 / windows), _RESAMPLED)
         rows = counts @ more.held.rows

@@ -183,7 +183,9 @@ def pattern(channel: str, on: str, low: float, step: float, number: int = 0) -> 
     """
     name = f"pattern{number}"
     kind = channel.split(".")[0]
-    unit, std = {"torque": ("N m", _TORQUE_Nm), "thrust": ("1", _SHARE), "measurement": ("rad", _ANGLE_rad)}[kind]
+    unit, std = {"torque": ("N m", _TORQUE_Nm), "thrust": ("1", _SHARE), "measurement": ("rad", _ANGLE_rad)}[
+        kind
+    ]
     points = [Quantity(f"{name}_{i}", unit, f"point {i} of the curve") for i in range(POINTS)]
     span = [
         Quantity(f"{name}_low", QUANTITIES[on][1], "second point of the curve, where it begins"),

@@ -127,10 +127,16 @@ class Screening:
         frequency = next((q.name for q in kind.parameters if q.unit == "Hz" and q.name in kind.scan), None)
         if frequency is not None:
             axis = kind.acts_on.rpartition(".")[2]
-            trials = effect_trials(replace(kind, numbers=tuple(
-                replace(one, scan=self._peaks(axis)) if kind.full(one.what) == frequency else one
-                for one in kind.numbers
-            )), self.seconds)
+            trials = effect_trials(
+                replace(
+                    kind,
+                    numbers=tuple(
+                        replace(one, scan=self._peaks(axis)) if kind.full(one.what) == frequency else one
+                        for one in kind.numbers
+                    ),
+                ),
+                self.seconds,
+            )
         else:
             trials = effect_trials(_thinned(kind, self.seconds), self.seconds)
         if kind.states or kind.delay:
@@ -181,9 +187,7 @@ class Screening:
         frequency_Hz = np.fft.rfftfreq(4 * len(value), step_s)
         power = np.abs(np.fft.rfft((value - value.mean()) * np.hanning(len(value)), 4 * len(value)))
         power[(frequency_Hz < _LOWEST_Hz) | (frequency_Hz > _HIGHEST_Hz)] = 0.0
-        top = [
-            i for i in range(1, len(power) - 1) if power[i] >= power[i - 1] and power[i] > power[i + 1]
-        ]
+        top = [i for i in range(1, len(power) - 1) if power[i] >= power[i - 1] and power[i] > power[i + 1]]
         top.sort(key=lambda i: -power[i])
         return tuple(float(frequency_Hz[i]) for i in top[:_PEAKS]) or (0.5,)
 

@@ -218,7 +218,9 @@ class _Searcher:
             return [trial]
         near = int(np.argmin(np.abs(np.array(values) - trial.scanned[name])))
         return [
-            Trial(trial.id, kind.make({**trial.effect.values, name: v}), trial.size, {**trial.scanned, name: v})
+            Trial(
+                trial.id, kind.make({**trial.effect.values, name: v}), trial.size, {**trial.scanned, name: v}
+            )
             for v in (values[near], *values[near + 1 :])
         ]
 

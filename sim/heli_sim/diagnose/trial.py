@@ -104,9 +104,7 @@ class Columns:
         assert isinstance(effect, Pattern)
         if effect.channel not in self._channels:
             values = {**effect.values, **dict.fromkeys(trial.size, 1.0)}
-            self._channels[effect.channel] = _Extended(self.model, effect, ()).run(
-                self.tangent.path, values
-            )
+            self._channels[effect.channel] = _Extended(self.model, effect, ()).run(self.tangent.path, values)
         rates, seen = self._channels[effect.channel]
         if not self._quantities:
             self._quantities = quantity_values(self.model, self.tangent.path)

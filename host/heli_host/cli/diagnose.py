@@ -1,0 +1,125 @@
+"""``heli-host diagnose``: what the simulation gets wrong."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from heli_host.cli.identify import DEFAULT_MODEL
+from heli_host.cli.options import DEFAULT_RIG
+
+if TYPE_CHECKING:
+    from heli_sim.diagnose import Diagnosis
+
+
+def diagnose(
+    flights: Annotated[
+        list[Path], typer.Argument(metavar="FLIGHT...", help="Flights to fit: .mcap, .csv or .csv.gz.")
+    ],
+    validate: Annotated[
+        list[Path] | None,
+        typer.Option("--validate", metavar="FLIGHT...", help="Flights to judge on; give at least one."),
+    ] = None,
+    rig: Annotated[
+        str, typer.Option("--rig", metavar="NAME|FILE", help="What is known beforehand: values, tolerances.")
+    ] = DEFAULT_RIG,
+    model: Annotated[
+        str, typer.Option("--model", metavar="NAME", help="Equations of motion.")
+    ] = DEFAULT_MODEL,
+    effects: Annotated[
+        list[Path] | None,
+        typer.Option("--effects", metavar="FILE...", help="Python files with effects of your own."),
+    ] = None,
+    start_s: Annotated[
+        float | None, typer.Option("--from", metavar="S", help="Fit nothing before this time.")
+    ] = None,
+    stop_s: Annotated[
+        float | None, typer.Option("--to", metavar="S", help="Fit nothing from this time on.")
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", metavar="DIR", help="A page with figures to look at.")
+    ] = None,
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="All numbers.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="The extended rig, TOML, to be flown.")
+    ] = None,
+    seed: Annotated[
+        int, typer.Option("--seed", metavar="N", help="Seed of the resampling behind the intervals.")
+    ] = 0,
+    budget_s: Annotated[
+        float, typer.Option("--budget", metavar="S", min=5.0, help="Most time for the search.")
+    ] = 600.0,
+) -> None:
+    """Show what a model gets wrong in flights, name the cause, extend the model, measure the gain.
+
+    The baseline is refitted first. Every effect of the catalogue is tried, one after the other, paid for and
+    confirmed on the flights given with --validate. What none of them explains is said to be unexplained.
+
+    Example: `heli-host diagnose a.mcap --validate b.mcap --rig makki2024 --report why --out extended.toml`
+    """
+    # Matrices here are small: more threads only wait for each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    import json as text
+
+    from heli_sim.diagnose import diagnose as find
+    from heli_sim.diagnose.report import write_report
+    from heli_sim.identify.result import short_names
+    from heli_sim.model.effects import catalogue, effects_of
+    from heli_sim.model.named import model_named
+    from heli_sim.rig import load_rig, write_rig
+
+    from heli_host.cli.places import check_place
+    from heli_host.cli.work import WorkBar
+    from heli_host.flight import Flight
+
+    others = validate or []
+    for target in (out, json):
+        if target is not None:
+            check_place(target)
+    if report is not None:
+        check_place(report / "index.html")
+    chosen = load_rig(rig)
+    kinds = catalogue(effects or ())
+    equations = model_named(model, effects_of(chosen, effects or ()))
+    with WorkBar() as bar:
+        bar.show("reading", 0.0)
+        fitted = [Flight.read(path) for path in flights]
+        held_out = [Flight.read(path) for path in others]
+        found = find(
+            equations,
+            chosen,
+            fitted,
+            held_out,
+            kinds=kinds,
+            labels=short_names([*flights, *others]),
+            start_s=start_s,
+            stop_s=stop_s,
+            seed=seed,
+            seconds=budget_s,
+            say=bar.show,
+        )
+        written: list[Path] = []
+        if out is not None:
+            write_rig(
+                found.rig(out.stem), out, f"Found by heli-host diagnose, model {model}. {found.summary}"
+            )
+            written.append(out)
+        if report is not None:
+            bar.show("drawing", 0.95)
+            written.append(write_report(found, report))
+        if json is not None:
+            json.write_text(text.dumps(found.json(), indent=2) + "\n", encoding="utf-8")
+            written.append(json)
+    _print(found)
+    if written:
+        print(f"files: {', '.join(str(path) for path in written)}")
+
+
+def _print(found: Diagnosis) -> None:
+    """Print the verdict, the causes and the gain."""
+    print(f"{found.verdict.word}: {found.summary}")
+    for line in found.lines:
+        print(f"  {line}")

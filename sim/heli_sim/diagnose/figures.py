@@ -1,0 +1,244 @@
+"""Figures of a diagnosis."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from heli_sim.diagnose.hypothesis import Hypothesis
+from heli_sim.diagnose.result import Diagnosis
+from heli_sim.diagnose.search import Round
+from heli_sim.diagnose.tangent import Tangent
+from heli_sim.diagnose.torque import Torque, missing_torque
+from heli_sim.identify import Fit, Trace, trace
+from heli_sim.identify.functions import Floats
+from heli_sim.identify.record import AXES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_MEASURED, _BEFORE, _AFTER = "#222222", "#d1495b", "#0b5fa5"
+_MOST_POINTS: Final = 5000
+
+
+def _judged(hypothesis: Hypothesis) -> Fit:
+    return hypothesis.held_fit or hypothesis.fit
+
+
+def figure_of_flight(before: Hypothesis, after: Hypothesis, index: int = 0) -> Figure:
+    """Draw measured angles against those simulated before and after, on a flight held out where there is one.
+
+    Parameters
+    ----------
+    before, after : Hypothesis
+        Refitted baseline and extended model.
+    index : int
+        Which flight.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Angle and error of each axis.
+    """
+    from matplotlib.figure import Figure
+
+    old, new = trace(_judged(before), index), trace(_judged(after), index)
+    figure = Figure(figsize=(11, 9), layout="constrained")
+    panels = figure.subplots(6, 1, sharex=True, height_ratios=[2, 1.2, 2, 1.2, 2, 1.2])
+    keep = slice(None, None, max(1, len(old.t_s) // _MOST_POINTS))
+    for axis in range(3):
+        above, below = panels[2 * axis], panels[2 * axis + 1]
+        above.plot(
+            old.t_s[keep], _deg(old.measured_rad, axis, keep), color=_MEASURED, lw=1.4, label="measured"
+        )
+        above.plot(*_broken(old, axis), color=_BEFORE, lw=0.9, label="simulated before")
+        above.plot(*_broken(new, axis), color=_AFTER, lw=0.9, label="simulated after")
+        above.set_ylabel(f"{AXES[axis]} [deg]")
+        for one, color in ((old, _BEFORE), (new, _AFTER)):
+            error = np.rad2deg(one.residual[keep, axis] * one.sigma_rad[axis])
+            below.plot(one.t_s[keep], error, color=color, lw=0.7)
+        below.set_ylabel("error [deg]")
+        for panel in (above, below):
+            panel.grid(alpha=0.25)
+    panels[0].legend(loc="upper right", fontsize=8, ncols=3)
+    panels[-1].set_xlabel("time [s]; every 2 s the simulation starts anew from the measured state")
+    figure.suptitle(f"{old.label}: measured against simulated")
+    return figure
+
+
+def figure_of_windows(before: Hypothesis, after: Hypothesis, index: int = 0) -> Figure:
+    """Draw the windows in which the baseline is farthest off, one an axis.
+
+    Parameters
+    ----------
+    before, after : Hypothesis
+        Refitted baseline and extended model.
+    index : int
+        Which flight.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Three panels.
+    """
+    from matplotlib.figure import Figure
+
+    old, new = trace(_judged(before), index), trace(_judged(after), index)
+    figure = Figure(figsize=(11, 3.4), layout="constrained")
+    panels = figure.subplots(1, 3)
+    for axis, panel in enumerate(panels):
+        worst = max(old.windows, key=lambda part: float(np.mean(old.residual[part, axis] ** 2)))
+        t_s = old.t_s[worst]
+        panel.plot(t_s, np.rad2deg(old.measured_rad[worst, axis]), color=_MEASURED, lw=2.2, label="measured")
+        panel.plot(t_s, np.rad2deg(old.predicted_rad[worst, axis]), color=_BEFORE, lw=1.3, label="before")
+        panel.plot(t_s, np.rad2deg(new.predicted_rad[worst, axis]), color=_AFTER, lw=1.3, label="after")
+        panel.set_title(f"{AXES[axis]}, worst {t_s[-1] - t_s[0]:.0f} s before", fontsize=10)
+        panel.set_xlabel("time [s]")
+        panel.grid(alpha=0.25)
+    panels[0].set_ylabel("angle [deg]")
+    panels[0].legend(fontsize=8)
+    return figure
+
+
+def figure_of_torque(diagnosis: Diagnosis) -> Figure:
+    """Draw the torque that each axis lacks, before and after, over time and as a spectrum.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        The result.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Time on the left, spectrum on the right.
+    """
+    from matplotlib.figure import Figure
+
+    before = missing_torque(Tangent(diagnosis.search.baseline.fit))
+    after = missing_torque(Tangent(diagnosis.extended.fit))
+    figure = Figure(figsize=(11, 6.5), layout="constrained")
+    panels = figure.subplots(3, 2, width_ratios=[2.4, 1])
+    for axis in range(3):
+        for torque, color, label in ((before, _BEFORE, "before"), (after, _AFTER, "after")):
+            panels[axis, 0].plot(torque.t_s, 1e3 * torque.value_Nm[:, axis], color=color, lw=0.7, label=label)
+            panels[axis, 1].loglog(*_spectrum(torque, axis), color=color, lw=0.9)
+        panels[axis, 0].set_ylabel(f"{AXES[axis]} [mN m]")
+        for panel in panels[axis]:
+            panel.grid(alpha=0.25)
+    panels[0, 0].set_title("torque that the model lacks", fontsize=10)
+    panels[0, 1].set_title("its spectrum [mN m / sqrt(Hz)]", fontsize=10)
+    panels[0, 0].legend(loc="upper right", fontsize=8, ncols=2)
+    panels[2, 0].set_xlabel("time [s]")
+    panels[2, 1].set_xlabel("frequency [Hz]")
+    return figure
+
+
+def figure_of_ranking(rounds: tuple[Round, ...]) -> Figure:
+    """Draw the candidates of each round by their scores.
+
+    Parameters
+    ----------
+    rounds : tuple of Round
+        Rounds of the search.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel a round; full bars are held-out scores of candidates that were refitted.
+    """
+    from matplotlib.figure import Figure
+
+    shown = rounds[:4]
+    figure = Figure(figsize=(11, 0.6 + 2.6 * len(shown)), layout="constrained")
+    panels: Floats = np.atleast_1d(figure.subplots(len(shown), 1))
+    for number, (one, panel) in enumerate(zip(shown, panels, strict=True), 1):
+        _rank(one, number, panel)
+    return figure
+
+
+def _rank(one: Round, number: int, panel: Axes) -> None:
+    tried = {step.trial.id: step for step in one.steps}
+    every = sorted((*one.screened[:7], *one.patterns[:3]), key=lambda scored: scored.answer.gain)
+    names = [scored.trial.id.replace("pattern:", "curve: ").replace(":", " on ", 1) for scored in every]
+    place = np.arange(len(every))
+    gains = [max(scored.answer.gain, 0.1) for scored in every]
+    panel.barh(place, gains, color="#dddddd", label="screened, flight fitted")
+    for row, scored in enumerate(every):
+        step = tried.get(scored.trial.id)
+        if step is not None:
+            color = _AFTER if scored.trial.id == one.taken else "#8fb3d1"
+            panel.barh(row, max(step.evidence.held, 0.1), height=0.4, color=color)
+    panel.set_xscale("log")
+    panel.set_xlim(1.0, max(10.0, 1.5 * max(gains)))
+    panel.set_yticks(place, names, fontsize=8)
+    taken = f"taken: {one.taken.replace('pattern:', 'curve: ')}" if one.taken else "nothing taken"
+    panel.set_title(f"round {number}: {taken}", fontsize=10, loc="left")
+    panel.set_xlabel(
+        "logarithm of the likelihood ratio; grey: screened, blue: refitted and held out", fontsize=8
+    )
+
+
+def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
+    """Draw how large the causes are over the flight, as what the prediction of each axis would miss.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        The result.
+
+    Returns
+    -------
+    matplotlib.figure.Figure or None
+        Difference of accelerations with and without each cause; None without causes.
+    """
+    from matplotlib.figure import Figure
+
+    from heli_sim.diagnose.share import accelerations
+
+    if not diagnosis.verdict.causes:
+        return None
+    figure = Figure(figsize=(11, 5.5), layout="constrained")
+    panels = figure.subplots(3, 1, sharex=True)
+    for number, found in enumerate(diagnosis.verdict.causes):
+        t_s, change = accelerations(diagnosis.extended.fit, found.trial.id)
+        for axis, panel in enumerate(panels):
+            panel.plot(t_s, np.rad2deg(change[:, axis]), lw=0.7, color=f"C{number}", label=found.trial.id)
+    for axis, panel in enumerate(panels):
+        panel.set_ylabel(f"{AXES[axis]} [deg/s2]")
+        panel.grid(alpha=0.25)
+    panels[0].legend(loc="upper right", fontsize=8)
+    panels[0].set_title("acceleration by each cause", fontsize=10)
+    panels[-1].set_xlabel("time [s]")
+    return figure
+
+
+def _deg(angles_rad: Floats, axis: int, keep: slice) -> Floats:
+    result: Floats = np.rad2deg(angles_rad[keep, axis])
+    return result
+
+
+def _broken(one: Trace, axis: int) -> tuple[Floats, Floats]:
+    """A prediction with a gap between windows."""
+    t_s, values = [], []
+    for window in one.windows:
+        step = max(1, len(one.t_s) // _MOST_POINTS)
+        part = slice(window.start, window.stop, step)
+        t_s += [one.t_s[part], [one.t_s[window.stop - 1]]]
+        values += [np.rad2deg(one.predicted_rad[part, axis]), [np.nan]]
+    return np.concatenate(t_s), np.concatenate(values)
+
+
+def _spectrum(torque: Torque, axis: int) -> tuple[Floats, Floats]:
+    value = 1e3 * torque.value_Nm[:, axis]
+    step_s = float(np.median(np.diff(torque.t_s)))
+    size = min(len(value), 1 << 10)
+    parts = [value[i : i + size] for i in range(0, len(value) - size + 1, size // 2)]
+    window = np.hanning(size)
+    power = np.mean([np.abs(np.fft.rfft((p - p.mean()) * window)) ** 2 for p in parts], axis=0)
+    density = np.sqrt(2.0 * power * step_s / np.sum(window**2))
+    frequency = np.fft.rfftfreq(size, step_s)
+    keep = (frequency > 0.0) & (frequency < 20.0)
+    return frequency[keep], np.maximum(density[keep], 1e-6)

@@ -1,0 +1,249 @@
+"""A report for someone who looks before reading: one HTML page that needs nothing else, and its figures."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from heli_sim.diagnose.figures import (
+    figure_of_flight,
+    figure_of_ranking,
+    figure_of_size,
+    figure_of_torque,
+    figure_of_windows,
+)
+from heli_sim.diagnose.result import Diagnosis
+from heli_sim.identify.record import AXES
+from heli_sim.identify.result import rounded
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_DPI: Final = 110
+_WORDS: Final = {
+    "explained": "Nothing is missing",
+    "cause_found": "Cause found",
+    "ambiguous": "Cause found, but not told apart from others",
+    "unexplained": "Something is missing, and it is none of what is known",
+}
+_STYLE: Final = """
+body { font: 15px/1.5 system-ui, sans-serif; color: #222 }
+body { max-width: 64rem; margin: 2rem auto; padding: 0 1rem }
+h1 { font-size: 1.6rem; margin-bottom: .3rem } h2 { font-size: 1.15rem; margin-top: 2.2rem }
+h2 { border-bottom: 1px solid #ddd } table { border-collapse: collapse; margin: .8rem 0 }
+td, th { padding: .15rem .7rem; text-align: right } th { border-bottom: 1px solid #999; font-weight: 600 }
+td:first-child, th:first-child { text-align: left } tr:nth-child(even) { background: #f6f6f6 }
+img { max-width: 100% } .note { color: #666 } code, pre { background: #f6f6f6; font-size: .9em }
+pre { padding: .6rem } .taken { font-weight: 600 }
+.verdict { font-size: 1.15rem; background: #f2f6fa; padding: .7rem 1rem; border-left: 4px solid #0b5fa5 }
+.unexplained { border-color: #d1495b; background: #fbf2f3 } .ambiguous { border-color: #d9952b }
+.explained { border-color: #4a9c5d; background: #f2f9f4 }
+"""
+
+
+def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
+    """Write index.html, result.json and the figures as PNG.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        The result.
+    folder : str or Path
+        Where to; made if it is missing.
+
+    Returns
+    -------
+    Path
+        The page.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    numbers = diagnosis.json()
+    (folder / "result.json").write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
+    before, after = diagnosis.search.baseline, diagnosis.extended
+    size = figure_of_size(diagnosis)
+    judged = "a flight that no fit saw" if after.held_fit else "the flight that was fitted"
+    word = diagnosis.verdict.word
+    sections = [
+        f"<h1>{_WORDS[word]}</h1>",
+        f'<p class="verdict {word}">{_text(diagnosis.summary)}</p>',
+        f"<h2>Measured against simulated, on {judged}</h2>",
+        _gain(numbers["gain"]),
+        _image(figure_of_windows(before, after), folder / "windows.png", "worst windows"),
+        _image(figure_of_flight(before, after), folder / "flight.png", "measured against simulated"),
+        "<h2>What was found</h2>",
+        _causes(numbers["causes"]),
+        *([_image(size, folder / "size.png", "acceleration by each cause")] if size is not None else []),
+        "<h2>What is left over</h2>",
+        _residual(numbers["residual"]),
+        _image(figure_of_torque(diagnosis), folder / "torque.png", "torque that the model lacks"),
+        _remains(diagnosis, numbers),
+        "<h2>What was tried</h2>",
+        _image(figure_of_ranking(diagnosis.search.rounds), folder / "ranking.png", "candidates by score"),
+        _ranking(numbers["ranking"]),
+        *_next(numbers["next_flight"]),
+        "<h2>What was used</h2>",
+        _used(numbers),
+    ]
+    page = folder / "index.html"
+    page.write_text(
+        '<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>Diagnosis: '
+        f"{_text(_WORDS[word])}</title><style>{_STYLE}</style>\n" + "\n".join(sections) + "\n</html>\n",
+        encoding="utf-8",
+    )
+    return page
+
+
+def _gain(gain: dict[str, Any]) -> str:
+    rows = [
+        [
+            axis,
+            f"{one['before']:.3g}",
+            f"{one['after']:.3g}",
+            f"{one['ratio']:.2f}",
+            f"{one['interval95'][0]:.2f} to {one['interval95'][1]:.2f}",
+        ]
+        for axis, one in gain["axis"].items()
+    ]
+    heads = ["axis", "before [deg]", "after [deg]", "ratio", "95 % interval of the ratio"]
+    return (
+        _table(heads, rows)
+        + f'<p class="note">{_text(gain["metric"])}; intervals by drawing windows anew.</p>'
+    )
+
+
+def _causes(causes: Sequence[dict[str, Any]]) -> str:
+    if not causes:
+        return "<p>No effect of the catalogue.</p>"
+    parts = []
+    for one in causes:
+        sentence = one["sentence"][:1].upper() + one["sentence"][1:]
+        rows = [
+            [
+                name,
+                f"{rounded(n['value'], n['std'])} ± {rounded(n['std'], n['std']) if n['std'] else 'fixed'}",
+                n["unit"],
+            ]
+            for name, n in one["parameters"].items()
+        ]
+        unclear = (
+            f" It could as well be {_text(', '.join(one['ambiguous_with']))}."
+            if one["ambiguous_with"]
+            else ""
+        )
+        evidence = ", ".join(
+            f"{_text(name.replace('_', ' '))} {value:.3g}"
+            for name, value in one["evidence"].items()
+            if isinstance(value, float)
+        )
+        parts.append(
+            f"<h3>{_text(one['effect'])}</h3><p><b>{_text(sentence)}.</b> Confidence "
+            f"{one['confidence']:.2f}.{unclear}</p><p>Equation: <code>{_text(one['equation'])}</code></p>"
+            + _table(["number", "value ± std", "unit"], rows)
+            + f'<p class="note">Evidence: {evidence}.</p>'
+        )
+    return "".join(parts)
+
+
+def _residual(residual: dict[str, Any]) -> str:
+    rows = [[axis, f"{one['before']:.3f}", f"{one['after']:.3f}"] for axis, one in residual["axis"].items()]
+    whole = residual["normalised"]
+    rows.append(["all", f"{whole['before']:.3f}", f"{whole['after']:.3f}"])
+    rows.append(["all, held out", f"{whole['held_out_before']:.3f}", f"{whole['held_out_after']:.3f}"])
+    note = "Root mean square error in standard deviations of the rounding to counts: 1 when nothing is left."
+    white = [
+        f"{_text(role.replace('_', ' '))}: {', '.join(a for a in AXES if one['after'][a]) or 'no axis'}"
+        for role, one in residual["white"].items()
+    ]
+    return (
+        _table(["axis", "before", "after"], rows)
+        + f'<p class="note">{note} White over 0.1 s afterwards: {"; ".join(white)}.</p>'
+    )
+
+
+def _remains(diagnosis: Diagnosis, numbers: dict[str, Any]) -> str:
+    missing = numbers["unexplained"]
+    left = diagnosis.leftover
+    text = (
+        f"<p>After the extension the largest torque that is still missing is about {left.axis}: "
+        f"{1e3 * left.size_Nm:.2g} mN m, {left.over_error:.2g} times what its estimate is unsure by; "
+        f"{max(left.repeats, 0.0):.0%} of it repeats in the other flight.</p>"
+    )
+    if missing is None:
+        return text
+    depends = "".join(f"<li>{_text(one)}</li>" for one in missing["correlates_with"])
+    return (
+        f"{text}<p>Unexplained about {_text(missing['axis'])}: a share of "
+        f"{missing['share_of_variance']:.3f} of the error's variance. It goes with:</p><ul>{depends}</ul>"
+    )
+
+
+def _ranking(ranking: Sequence[dict[str, Any]]) -> str:
+    def cell(value: float | None) -> str:
+        return "" if value is None else f"{value:.0f}"
+
+    rows = [
+        [
+            f"{one['round']}: {one['candidate']}{' (taken)' if one['taken'] else ''}",
+            cell(one["score"]),
+            cell(one["train"]),
+            cell(one["held_out"]),
+            cell(one["price"]),
+        ]
+        for one in ranking
+        if one["train"] is not None or one["score"] > 3.0
+    ]
+    note = "Logarithms of likelihood ratios. The price pays for parameters and for the number of candidates tried."
+    return (
+        _table(["round: candidate", "screened", "refitted", "held out", "price"], rows)
+        + f'<p class="note">{note}</p>'
+    )
+
+
+def _next(flight: dict[str, str] | None) -> list[str]:
+    if flight is None:
+        return []
+    return [
+        "<h2>The flight that would tell more</h2>",
+        f"<p>{_text(flight['why'])}</p><pre>{_text(flight['plan'])}</pre>",
+    ]
+
+
+def _used(numbers: dict[str, Any]) -> str:
+    parts = []
+    for one in numbers["flights"]:
+        role = "fitted" if one["role"] == "train" else "held out"
+        spans = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in one["used"])
+        notes = "".join(f" {_text(note)}." for note in one["notes"])
+        parts.append(
+            f"<p>{_text(one['flight'])}, {role}: {one['seconds_used']:.1f} s used ({spans}).{notes}</p>"
+        )
+        rows = [[f"{c['from_s']:.2f}", f"{c['to_s']:.2f}", c["why"]] for c in one["left_out"]]
+        if rows:
+            parts.append(_table(["left out from [s]", "to [s]", "because"], rows))
+    done = "" if numbers["complete"] else " The time ran out before everything was tried."
+    parts.append(f"<p>It took {numbers['seconds_taken']:.1f} s.{done}</p>")
+    return "".join(parts)
+
+
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    head = "".join(f"<th>{_text(cell)}</th>" for cell in heads)
+    body = "".join(f"<tr>{''.join(f'<td>{_text(cell)}</td>' for cell in row)}</tr>" for row in rows)
+    return f"<table><tr>{head}</tr>{body}</table>"
+
+
+def _image(figure: Figure, path: Path, meaning: str) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=_DPI)
+    path.write_bytes(buffer.getvalue())
+    data = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return f'<p><img alt="{_text(meaning)}" src="data:image/png;base64,{data}"></p>'
+
+
+def _text(value: object) -> str:
+    return html.escape(str(value))
