@@ -23,8 +23,11 @@ def identify(
         str, typer.Option("--rig", metavar="NAME|FILE", help="What is known beforehand: values, tolerances.")
     ] = DEFAULT_RIG,
     model: Annotated[
-        str, typer.Option("--model", metavar="NAME", help="Equations of motion.")
-    ] = DEFAULT_MODEL,
+        str | None,
+        typer.Option(
+            "--model", metavar="NAME", help="Equations of motion; else those the rig names, or multibody."
+        ),
+    ] = None,
     effect: Annotated[
         list[str] | None,
         typer.Option("--effect", metavar="ID...", help="Effects to find as well, such as rotor_lag."),
@@ -92,7 +95,7 @@ def identify(
     asked = parse_effects(effect or (), effects or ())
     names = {one.name for one in asked}
     stated = tuple(one for one in effects_of(chosen, effects or ()) if one.name not in names)
-    equations = model_named(model, stated + asked)
+    equations = model_named(model or chosen.model or DEFAULT_MODEL, stated + asked)
     labels = short_names([*flights, *others])
     with WorkBar() as bar:
         bar.show("reading", 0.0)
@@ -115,7 +118,7 @@ def identify(
         written: list[Path] = []
         if out is not None:
             new = found.rig(out.stem)
-            write_rig(new, out, f"Found by heli-host identify, model {model}. {verdict(found)}")
+            write_rig(new, out, f"Found by heli-host identify. {verdict(found)}")
             written.append(out)
         if report is not None:
             bar.show("drawing", 0.9)

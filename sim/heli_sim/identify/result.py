@@ -75,6 +75,7 @@ class Identification:
         -------
         Rig
             The identified numbers with twice their standard errors as tolerances; everything else as it was.
+            It names the model that was fitted, and has that model's effects.
             Numbers that each of several flights has its own value of stay as they were.
         """
         old = self.fit.problem.rig
