@@ -12,7 +12,11 @@ from heli_sim.rig.quantity import Prior
 
 
 class SupplySag(Effect):
-    """Drivers pass on a share of a supply that sags with the sum of both motors' voltages."""
+    """Both motors lose voltage in proportion to the load, which is the sum of their voltages.
+
+    A driver that switches passes on a share of the supply and so loses a share of its own voltage; a supply
+    line that both share takes the same voltage from each.
+    """
 
     def voltage_V(self, at: Situation, volts_V: ca.SX) -> ca.SX:
         """Lower both voltages.
@@ -30,18 +34,29 @@ class SupplySag(Effect):
             Voltages from this one, shape (2, 1).
         """
         load_V = ca.fabs(volts_V[0]) + ca.fabs(volts_V[1])
-        return volts_V * (1 - self.own(at, "per_V") * load_V)
+        line = self.own(at, "line")
+        return volts_V - self.own(at, "per_V") * load_V * ((1 - line) * volts_V + line * _LINE_V)
 
+
+_LINE_V: Final = 1.0
+"""With a shared line, the share lost is that of a motor at this voltage."""
 
 KIND: Final = EffectKind(
     id="supply_sag",
     effect=SupplySag,
     says="the supply sags by {per_V}, a share for each volt on either motor",
-    equation=r"V_i \to V_i (1 - s (|V_f| + |V_b|))",
+    equation=r"V_i \to V_i - s (|V_f| + |V_b|) ((1 - l) V_i + l \cdot 1\,\mathrm{V})",
     acts_on="input",
     stage=Stage.CURVE,
     numbers=(
         Parameter("per_V", "1/V", "share s lost for each volt", 0.02, Prior(0.0, 0.02, -0.1, 0.2), size=True),
+        Parameter(
+            "line",
+            "1",
+            "0 where each driver loses a share of its voltage, 1 where both lose the same voltage",
+            0.0,
+            scan=(0.0, 1.0),
+        ),
     ),
     source="Ohm: a driver passes on a share of the supply, whose current goes with both motors' voltages",
 )

@@ -1,0 +1,52 @@
+"""Effects on the command line: flown where the board is simulated, refused in one line otherwise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from heli_host.flight import Flight
+
+from tests.cli.terminal import Terminal
+
+SIL = ("--sil", "--speed", "max")
+
+
+def test_an_effect_changes_the_flight_and_the_seed_its_chance(terminal: Terminal, tmp_path: Path) -> None:
+    gusts = ("--effect", "random_torque.travel=0.02")
+    flights = {
+        "plain": (),
+        "lag": ("--effect", "rotor_lag=0.1"),
+        "gusts": gusts,
+        "again": gusts,
+        "other": (*gusts, "--seed", "2"),
+    }
+    angles = {}
+    for name, options in flights.items():
+        log = tmp_path / f"{name}.mcap"
+        assert terminal("fly", "hover", *SIL, *options, "--log", log).code == 0
+        angles[name] = Flight.read(log).angles_rad
+    rows = min(len(one) for one in angles.values())
+    np.testing.assert_array_equal(angles["gusts"], angles["again"])
+    for one, two in (("plain", "lag"), ("plain", "gusts"), ("gusts", "other")):
+        assert np.abs(angles[one][:rows] - angles[two][:rows]).max() > np.radians(0.2)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--sil", "--effect", "rotor_lg=0.1"), "there is no effect 'rotor_lg'; did you mean rotor_lag?"),
+        (("--sil", "--effect", "rotor_lag=9"), "rotor_lag_s = 9 s is out of range; give 0 to 0.6"),
+        (("--sil", "--effects", "nowhere.py"), "cannot be read; give a Python file"),
+        (("--sil", "--model", "papr"), "there is no model 'papr'; did you mean paper"),
+        (("--effect", "rotor_lag"), "are for a simulated board; add --sil"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused_in_one_line(
+    terminal: Terminal, options: tuple[str, ...], message: str
+) -> None:
+    ended = terminal("fly", "hover", *options)
+    assert ended.code != 0
+    assert message in ended.err
+    assert len(ended.err.strip().splitlines()) == 1
