@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from heli_host.flight import Flight
+from heli_sim.model.effects import catalogue, effect_numbers
+from heli_sim.rig import Rig, load_rig, write_rig
 
 from tests.cli.terminal import Terminal
 
@@ -50,3 +52,16 @@ def test_what_cannot_be_flown_is_refused_in_one_line(
     assert ended.code != 0
     assert message in ended.err
     assert len(ended.err.strip().splitlines()) == 1
+
+
+def test_a_rigs_effects_are_shown_and_checked(terminal: Terminal, tmp_path: Path) -> None:
+    path = tmp_path / "extended.toml"
+    rig, kind = load_rig("makki2024"), catalogue()["rotor_lag"]
+    numbers = effect_numbers(kind, {"rotor_lag_s": 0.118}, {"rotor_lag_s": 0.004}, "flight a")
+    write_rig(Rig("extended", "with lag", rig.numbers, {"rotor_lag": numbers}, "multibody"), path)
+    assert terminal("rig", "check", path).code == 0
+    assert "rotor_lag.s" in terminal("rig", "show", path).out
+    path.write_text(path.read_text().replace("rotor_lag", "rotor_lg"))
+    ended = terminal("rig", "check", path)
+    assert ended.code != 0
+    assert "there is no effect 'rotor_lg'; did you mean rotor_lag?" in ended.err

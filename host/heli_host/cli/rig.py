@@ -88,14 +88,16 @@ def check(
 
     Example: `heli-host rig check my-rig.toml`
     """
-    from heli_sim.errors import RigError
+    from heli_sim.errors import EffectError, RigError
+    from heli_sim.model.effects import effects_of
     from heli_sim.rig import load_rig
 
-    refused: list[RigError] = []
+    refused: list[RigError | EffectError] = []
     for name in rigs:
         try:
             rig = load_rig(name)
-        except RigError as error:
+            effects_of(rig)
+        except (RigError, EffectError) as error:
             if len(rigs) > 1:
                 print(f"{name}: {error}")
             refused.append(error)

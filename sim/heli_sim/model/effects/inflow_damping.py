@@ -13,10 +13,11 @@ from heli_sim.rig.quantity import Prior
 
 
 class InflowDamping(Effect):
-    """Each rotor loses a share of its thrust in proportion to its own speed along its thrust axis.
+    """Each rotor loses thrust in proportion to its own speed along its thrust axis.
 
-    Travel at pitch is such a speed too, in still air. The air of a small room soon turns with the rig; then
-    it is not.
+    A propeller that turns with the voltage loses more the more it pushes; one that turns at nearly one speed
+    loses the same at any thrust. Travel at pitch is such a speed too, in still air. The air of a small room
+    soon turns with the rig; then it is not.
     """
 
     def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
@@ -36,18 +37,33 @@ class InflowDamping(Effect):
         """
         through_air = {"travel_rate_rad_s": self.own(at, "still") * at.state["travel_rate_rad_s"]}
         climb_m_s = rotor_climb_m_s({**at.state, **through_air}, at.parameter)
-        return thrust_N * (1 - self.own(at, "s_per_m") * climb_m_s)
+        loaded = self.own(at, "loaded")
+        return thrust_N - self.own(at, "s_per_m") * climb_m_s * (loaded * thrust_N + (1 - loaded) * _AT_N)
+
+
+_AT_N: Final = 1.0
+"""Thrust of which the share is lost, where the loss is the same at any."""
 
 
 KIND: Final = EffectKind(
     id="inflow_damping",
     effect=InflowDamping,
     says="each rotor loses a share of {s_per_m} of its thrust to its own climb along its axis",
-    equation=r"F_i \to F_i (1 - c\, v_i), \quad v_i = \boldsymbol{n} \cdot \dot{\boldsymbol{r}}_i",
+    equation=(
+        r"F_i \to F_i - c\, v_i (l F_i + (1 - l) \cdot 1\,\mathrm{N}), "
+        r"\quad v_i = \boldsymbol{n} \cdot \dot{\boldsymbol{r}}_i"
+    ),
     acts_on="thrust",
     stage=Stage.INFLOW,
     numbers=(
         Parameter("s_per_m", "s/m", "share c lost for each m/s", 0.1, Prior(0.0, 0.15, -0.5, 2.0), size=True),
+        Parameter(
+            "loaded",
+            "1",
+            "1 where the loss goes with the thrust, 0 where it is that of 1 N at any thrust",
+            1.0,
+            scan=(1.0, 0.0),
+        ),
         Parameter(
             "still",
             "1",
