@@ -9,6 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from heli_sim.errors import PlantError
+from heli_sim.identify.functions import Functions, Inputs
+from heli_sim.identify.interpreted_kernel import InterpretedKernel
+from heli_sim.identify.kernel import kernel
 from heli_sim.model import Effect, Model, MultibodyModel, PaperModel
 from heli_sim.model.effects import EffectKind, RotorLag, catalogue, parse_effects
 from heli_sim.model.linear import derivatives, linearise, trim
@@ -118,6 +121,39 @@ def test_all_effects_fit_into_one_model_with_finite_derivatives(model: type[Mode
     limits = [rig[name].value for name in ("elevation_min", "elevation_max", "pitch_max", "travel_max")]
     after, _ = step(start, [2.0, 2.1], np.zeros(3), [*full.parameter_values(rig), *limits, 50.0])
     assert np.isfinite(np.asarray(after)).all()
+
+
+def test_both_kernels_run_all_effects_at_once_and_agree() -> None:
+    """Also where effects set their states anew after each step."""
+    rig, random = load_rig("makki2024"), np.random.default_rng(6)
+    full = MultibodyModel(tuple(kind.make() for kind in everything(MultibodyModel)))
+    free = tuple(name for effect in full.effects for name in effect.priors)
+    steps, windows = 20, 2
+    inputs = Inputs(
+        np.full(windows, steps, np.int64),
+        np.array([0.0, 20.0]),
+        0.01,
+        1.75 + 0.2 * random.standard_normal((windows * steps, 2)),
+        np.zeros((windows * steps, 2)),
+    )
+    start = np.column_stack(
+        (random.uniform(-0.3, 0.3, (windows, 6)), np.zeros((windows, len(full.states) - 6)))
+    )
+    numbers = full.parameter_values(rig)
+    angles, jacobian = kernel(full, free).run(inputs, start, numbers, True)
+    other_angles, other_jacobian = InterpretedKernel(Functions(full, free)).run(inputs, start, numbers, True)
+    assert jacobian is not None and other_jacobian is not None
+    assert np.isfinite(jacobian).all()
+    np.testing.assert_allclose(angles, other_angles, atol=1e-12)
+    np.testing.assert_allclose(jacobian, other_jacobian, atol=1e-9)
+    # The play of each encoder has a derivative although there is next to none of it.
+    assert (np.abs(jacobian[..., len(full.states) + free.index("backlash_pitch_rad")]).max()) > 0.4
+
+
+def test_a_rig_with_play_and_gusts_still_has_a_hover() -> None:
+    model = MultibodyModel(parse_effects(["backlash.pitch", "random_torque.travel", "rotor_lag"]))
+    at = trim(model, load_rig("makki2024"))
+    assert at.volts_V == pytest.approx(trim(MultibodyModel(), load_rig("makki2024")).volts_V)
 
 
 def test_effects_may_be_given_in_any_order() -> None:

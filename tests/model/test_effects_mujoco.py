@@ -102,6 +102,13 @@ def test_inflow_is_thrust_lost_to_the_speed_of_the_rotors_site_along_its_own_axi
     )
 
 
+def test_inflow_may_cost_the_same_at_any_thrust() -> None:
+    agree(
+        "inflow_damping=s_per_m:0.1,loaded:0",
+        theirs(control=lambda model, data, F: F - 0.1 * climb_m_s(model, data)),
+    )
+
+
 def test_ground_effect_goes_by_the_height_of_each_rotors_site() -> None:
     def control(model: Any, data: Any, thrust_N: Vector) -> Vector:
         height_m = data.site_xpos[[model.site("front").id, model.site("back").id], 2]
