@@ -80,7 +80,8 @@ def sil(
     def say(url: str) -> None:
         pace = "as fast as the host keeps up" if options.speed is None else f"{options.speed:g} x real time"
         what = "simulated board" if not choice.elf else choice.text
-        print(f"{what} on {url}, rig {options.rig}, {pace}; Ctrl-C ends it", flush=True)
+        flown = " with ".join(filter(None, (options.rig, ", ".join(options.effects))))
+        print(f"{what} on {url}, rig {flown}, {pace}; Ctrl-C ends it", flush=True)
 
     counters = run_server(options, pty=pty, tcp=tcp, rfc2217=rfc2217, on_ready=say)
     # Whoever started this may have gone, and its pipe with it.
