@@ -78,8 +78,9 @@ def test_law_agrees_when_gains_are_so_large_that_their_terms_leave_the_range_of_
     still = {"elevation_ki": 0.0, "pitch_ki": 0.0, "travel_ki": 0.0, "bumpless_s": 0.02}
     out = fly_both(12, 4000, (ALL,), differential_max_V=24.0, **large, **still)
     # The fade of the start is over by then. 1e-5 rad of rounding in a slewing pitch setpoint are 6 mV at this
-    # gain, and the blend multiplies by up to 20; a term that saturated alone would make it 10 V.
-    np.testing.assert_allclose(out[1000:, :2], out[1000:, 3:5], atol=0.1)
+    # gain and more where two of them meet, and the blend multiplies by up to 20; a term that saturated alone
+    # would make it 10 V.
+    np.testing.assert_allclose(out[1000:, :2], out[1000:, 3:5], atol=0.2)
 
 
 level = st.floats(-12, 12, width=32)

@@ -6,16 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from heli_host.link.declaration import PARAMS
 from heli_sim.errors import OptionError
 from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import parse_effects
 from heli_sim.plant import Plant
 from heli_sim.rig import load_rig
 from heli_sim.tune import (
+    Known,
     Law,
     LinearPlant,
     Pid,
     Spread,
     is_stable,
+    known_of,
     law_of,
     linear_plant,
     loops,
@@ -27,21 +31,7 @@ from heli_sim.tune.shaping import shaped_step
 
 from tests.tune.pilot import Floats, fly
 
-GAINS = {
-    "elevation_kp": 0.28,
-    "elevation_ki": 0.49,
-    "elevation_kd": 0.22,
-    "elevation_filter_Hz": 6.0,
-    "pitch_kp": 0.088,
-    "pitch_ki": 0.002,
-    "pitch_kd": 0.025,
-    "pitch_filter_Hz": 16.0,
-    "travel_kp": 0.37,
-    "travel_ki": 0.16,
-    "travel_kd": 4.2,
-    "travel_filter_Hz": 3.0,
-}
-LAW = law_of(GAINS)
+LAW = law_of({spec.name: spec.default for spec in PARAMS})
 
 
 @pytest.fixture(scope="module")
@@ -54,9 +44,12 @@ def scaled(pid: Pid, factor: float) -> Pid:
 
 
 def with_gain(loop: str, factor: float) -> Law:
-    """The law with the gain of one cut loop changed: the differential's cut is in front of both its parts."""
-    axis = {"differential": "pitch"}.get(loop, loop)
-    return replace(LAW, **{axis: scaled(getattr(LAW, axis), factor)})
+    """The law with the gain of one cut loop changed: the differential's cut is in front of all its parts."""
+    if loop == "differential":
+        return replace(LAW, pitch=scaled(LAW.pitch, factor), pitch_hold=factor * LAW.pitch_hold)
+    if loop == "travel":
+        return replace(LAW, travel=scaled(LAW.travel, factor))
+    return replace(LAW, elevation=scaled(LAW.elevation, factor))
 
 
 @pytest.mark.parametrize("loop", ["elevation", "travel", "differential"])
@@ -126,7 +119,7 @@ def test_the_shaped_step_is_the_path_that_the_board_flies(axis: int, size_deg: f
         out[t_s >= 4.0, axis] = size_deg
         return out
 
-    flown = fly(Plant(MultibodyModel(), load_rig("makki2024")), path_deg, 9.5, GAINS | limits)
+    flown = fly(Plant(MultibodyModel(), load_rig("makki2024")), path_deg, 9.5, limits)
     setpoint_deg = flown.setpoint_deg[:, axis]
     start = 3500 + int(np.argmax(np.abs(setpoint_deg[3500:] - setpoint_deg[3500]) > 2e-3))
     expected = shaped_step(size_deg, slew, acceleration, 5.0, 0.001)[:, 0]
@@ -136,6 +129,35 @@ def test_the_shaped_step_is_the_path_that_the_board_flies(axis: int, size_deg: f
         for shift in range(-40, 130, 2)
     ]
     assert min(shifts) < 0.02 * abs(size_deg)
+
+
+def test_a_delay_of_the_voltages_delays_the_loop_by_exactly_as_much(lagging: LinearPlant) -> None:
+    late = linear_plant(load_rig("makki2024"), 0.12, known=Known(delay_s=0.02))
+    frequency = np.geomspace(0.1, 100.0, 40)
+    plain, delayed = (loops.open_loops(plant, LAW, frequency) for plant in (lagging, late))
+    for loop in ("elevation", "pitch", "differential"):
+        np.testing.assert_allclose(delayed[loop] / plain[loop], np.exp(-0.02j * frequency), rtol=1e-6)
+
+
+def test_effects_are_sorted_by_what_they_are_for_a_loop() -> None:
+    later = ("coulomb_friction.travel", "thrust_step.front")
+    texts = ("rotor_lag=0.1", "input_delay=0.01", "inflow_damping", *later)
+    known = known_of(parse_effects(texts))
+    assert (known.lag_s, known.delay_s) == (0.1, 0.01)
+    assert [effect.name for effect in known.linear] == ["inflow_damping"]
+    assert known.left_out == later
+    assert known.spread.lag_s == pytest.approx((0.075, 0.1, 0.125))
+    assert known_of(()).spread == Spread()
+
+
+def test_what_holds_a_tilt_holds_it(lagging: LinearPlant) -> None:
+    hold = -lagging.tilt_A[2, 0] / lagging.pitch_gain
+    closed = loops.tilt_closed(lagging, Pid(0.0, 0.0, 0.0, 16.0), Pid(0.0, 0.0, 0.0, 3.0), hold)
+    tilt, volts = np.zeros(11), np.zeros(11)
+    tilt[0] = 1.0
+    volts[4] = -lagging.tilt_B[4] / lagging.tilt_A[4, 4] * hold
+    np.testing.assert_allclose((closed @ (tilt + volts))[2], 0.0, atol=1e-9)
+    assert LAW.pitch_hold == pytest.approx(hold, rel=0.01)
 
 
 def test_table_6_is_printed_and_corrected_by_exchanging_P_and_I_of_travel() -> None:

@@ -9,7 +9,7 @@
 
 namespace heli::link {
 
-inline constexpr std::uint32_t kLinkHash = 0x8cfe2c69U;
+inline constexpr std::uint32_t kLinkHash = 0xcef493a2U;
 inline constexpr std::uint8_t kLinkMajor = 1;
 inline constexpr std::uint8_t kLinkMinor = 0;
 inline constexpr std::uint8_t kFirmwareMajor = 0;
@@ -243,34 +243,34 @@ inline constexpr ParamInfo kParams[kParamCount] = {
     {-1.0F, 1.0F, 1.0F, true, false, true},  // motor_back_sign
     {0.0F, 5.0F, 1.0F, false, false, false},  // dead_zone_V
     {0.0F, 20.0F, 1.4F, false, false, false},  // hover_V
-    {-1.0F, 1.0F, 0.045F, false, false, false},  // hover_slope
-    {0.0F, 20.0F, 0.39F, false, false, false},  // elevation_kp
-    {0.0F, 20.0F, 0.08F, false, false, false},  // elevation_ki
-    {0.0F, 20.0F, 0.18F, false, false, false},  // elevation_kd
+    {-1.0F, 1.0F, 0.06F, false, false, false},  // hover_slope
+    {0.0F, 20.0F, 0.28F, false, false, false},  // elevation_kp
+    {0.0F, 20.0F, 0.49F, false, false, false},  // elevation_ki
+    {0.0F, 20.0F, 0.22F, false, false, false},  // elevation_kd
     {0.0F, 1.0F, 1.0F, false, false, false},  // elevation_rate_ff
     {0.0F, 1.0F, 0.036F, false, false, false},  // elevation_acceleration_ff
-    {0.0F, 20.0F, 0.25F, false, false, false},  // pitch_kp
-    {0.0F, 20.0F, 0.02F, false, false, false},  // pitch_ki
-    {0.0F, 20.0F, 0.043F, false, false, false},  // pitch_kd
-    {-1.0F, 1.0F, 0.0F, false, false, false},  // pitch_hold_ff
-    {0.0F, 20.0F, 2.2F, false, false, false},  // travel_kp
-    {0.0F, 20.0F, 0.06F, false, false, false},  // travel_ki
+    {0.0F, 20.0F, 0.092F, false, false, false},  // pitch_kp
+    {0.0F, 20.0F, 0.007F, false, false, false},  // pitch_ki
+    {0.0F, 20.0F, 0.0315F, false, false, false},  // pitch_kd
+    {-1.0F, 1.0F, 0.033F, false, false, false},  // pitch_hold_ff
+    {0.0F, 20.0F, 0.6F, false, false, false},  // travel_kp
+    {0.0F, 20.0F, 0.14F, false, false, false},  // travel_ki
     {0.0F, 20.0F, 3.3F, false, false, false},  // travel_kd
     {0.0F, 1.0F, 1.0F, false, false, false},  // travel_rate_ff
-    {0.0F, 20.0F, 1.5F, false, false, false},  // travel_acceleration_ff
+    {0.0F, 20.0F, 1.12F, false, false, false},  // travel_acceleration_ff
     {0.0F, 20.0F, 3.0F, false, false, false},  // elevation_integral_max_V
     {0.0F, 20.0F, 2.0F, false, false, false},  // pitch_integral_max_V
     {0.0F, 45.0F, 10.0F, false, false, false},  // travel_integral_max_deg
-    {0.5F, 200.0F, 4.0F, false, false, false},  // elevation_filter_Hz
+    {0.5F, 200.0F, 6.0F, false, false, false},  // elevation_filter_Hz
     {0.5F, 200.0F, 16.0F, false, false, false},  // pitch_filter_Hz
     {0.5F, 200.0F, 3.0F, false, false, false},  // travel_filter_Hz
-    {1.0F, 45.0F, 20.0F, false, false, false},  // pitch_setpoint_max_deg
+    {1.0F, 45.0F, 30.0F, false, false, false},  // pitch_setpoint_max_deg
     {0.1F, 24.0F, 1.4F, false, false, false},  // differential_max_V
     {0.5F, 200.0F, 15.0F, false, false, false},  // elevation_slew_deg_s
     {1.0F, 1000.0F, 90.0F, false, false, false},  // pitch_slew_deg_s
     {0.5F, 200.0F, 20.0F, false, false, false},  // travel_slew_deg_s
-    {1.0F, 2000.0F, 30.0F, false, false, false},  // elevation_acceleration_deg_s2
-    {1.0F, 2000.0F, 5.0F, false, false, false},  // travel_acceleration_deg_s2
+    {1.0F, 2000.0F, 29.0F, false, false, false},  // elevation_acceleration_deg_s2
+    {1.0F, 2000.0F, 3.0F, false, false, false},  // travel_acceleration_deg_s2
     {0.02F, 5.0F, 0.3F, false, false, false},  // bumpless_s
     {1.0F, 60.0F, 24.0F, false, false, true},  // elevation_max_deg
     {5.0F, 80.0F, 45.0F, false, false, true},  // pitch_max_deg

@@ -17,11 +17,15 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from heli_sim.errors import PlantError
+from heli_sim.model import MultibodyModel
+from heli_sim.model.base import Model
 from heli_sim.rig import Rig
 from heli_sim.rig.inertia import inertias_kg_m2
 from heli_sim.tune import loops
 from heli_sim.tune.loops import Law, Pid
-from heli_sim.tune.plants import LinearPlant, Spread, spread_plants
+from heli_sim.tune.march import STEP_s, led_to, march
+from heli_sim.tune.plants import Known, LinearPlant, Spread, spread_plants
 from heli_sim.tune.shaping import shaped_step
 
 Floats = npt.NDArray[np.float64]
@@ -32,7 +36,7 @@ MOTOR_MAX_V: Final = 10.0
 ELEVATION_SLEW_DEG_S: Final = 15.0
 TRAVEL_SLEW_DEG_S: Final = 20.0
 
-_PITCH_SHARE: Final = 0.3  # of the largest pitch setpoint, for the accelerations of a shaped step
+_PITCH_SHARE: Final = 0.2  # of the largest pitch setpoint, for the accelerations of a shaped step
 _COLLECTIVE_SHARE: Final = 0.75  # of the hover voltage, for those of a take-off
 _MOST_ELEVATION_DEG_S2: Final = 30.0
 _MOST_TRAVEL_DEG_S2: Final = 20.0
@@ -41,13 +45,12 @@ _FILTERS_Hz: Final = (
     16.0,
     3.0,
 )  # quantisation: travel's rate has the largest gain, pitch's the fastest loop
-_STEP_s: Final = 0.04
 _HOVER_s: Final = 8.0  # before a travel step: what a lopsided rig needs to be trimmed by its integrators
 _DECAY_1_s: Final = 0.02  # the slowest closed loop allowed
 _OVERSHOOT_WEIGHT: Final = 0.5
+_LATE_WEIGHT: Final = 10.0  # what is left when the path has ended is what a step is judged by
 _BOUND_WEIGHT: Final = 30.0
 _UNSTABLE: Final = 1e3
-_SEARCH: Final = {"xatol": 3e-3, "fatol": 1e-3, "maxiter": 300, "adaptive": True}
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,9 @@ def find_gains(
     spread: Spread | None = None,
     sensitivity: float = 3.5,
     on_progress: Callable[[str], None] | None = None,
+    *,
+    model: type[Model] = MultibodyModel,
+    known: Known | None = None,
 ) -> Design:
     """Find the control law's parameters for a rig.
 
@@ -85,11 +91,15 @@ def find_gains(
     rig : Rig
         The rig.
     spread : Spread, optional
-        How far it may be from its numbers.
+        How far it may be from its numbers; without it what `known` says.
     sensitivity : float
         Largest peak sensitivity of any loop on any plant.
     on_progress : callable taking str, optional
         Told what is searched for.
+    model : type of Model
+        Equations of the rig.
+    known : Known, optional
+        Its effects.
 
     Returns
     -------
@@ -99,18 +109,29 @@ def find_gains(
     Raises
     ------
     PlantError
-        When the rig, or a corner of its spread, cannot hover.
+        When the rig cannot hover, or needs more voltage for it than it has.
     """
     say = on_progress if on_progress is not None else _silent
-    spread = spread if spread is not None else Spread()
-    plants = spread_plants(rig, spread)
+    known = known if known is not None else Known()
+    spread = spread if spread is not None else known.spread
+    plants = spread_plants(rig, spread, model=model, known=known)
+    _check_lift(rig, plants[0].hover_V)
     say("elevation: take-off")
     elevation, elevation_path = _design_elevation(rig, plants, sensitivity)
     say("pitch and travel: step")
-    pitch, travel, tilt_path = _design_tilt(rig, plants, spread, sensitivity)
-    law = Law(elevation, pitch, travel)
+    pitch, travel, pitch_hold, tilt_path = _design_tilt(rig, plants, spread, sensitivity)
+    law = Law(elevation, pitch, travel, pitch_hold)
     parameters = _of_rig(rig) | elevation_path | tilt_path | _of_law(law)
     return Design(law, plants, sensitivity, parameters)
+
+
+def _check_lift(rig: Rig, hover_V: float) -> None:
+    lift_max_V = 2.0 * (_motor_max_V(rig) - rig["dead_zone"].value)
+    if hover_V >= lift_max_V:
+        raise PlantError(
+            f"rig '{rig.name}' hovers at {0.5 * hover_V + rig['dead_zone'].value:.1f} V a motor, and has "
+            f"{_motor_max_V(rig):.1f}; check its masses, thrust_gain and supply"
+        )
 
 
 def _silent(_: str) -> None:
@@ -157,7 +178,7 @@ def _design_elevation(
         _MOST_ELEVATION_DEG_S2, float(np.degrees(_COLLECTIVE_SHARE * own.hover_V * gain))
     )
     rise_deg = -rig["elevation_min"].value
-    path = shaped_step(rise_deg, ELEVATION_SLEW_DEG_S, acceleration_deg_s2, 8.0, _STEP_s)
+    path = shaped_step(rise_deg, ELEVATION_SLEW_DEG_S, acceleration_deg_s2, 8.0, STEP_s)
     forward_V = slope_V_rad * path[:, 0] + acceleration_ff * path[:, 2]
     # The other plants hover at other voltages than the one that is fed forward.
     missing_deg_s2 = np.degrees([(own.hover_V - plant.hover_V) * plant.elevation_gain for plant in plants])
@@ -170,7 +191,7 @@ def _design_elevation(
         given[:, 5, 1] = 1.0
         moved_V = forward_V + pid.kp * path[:, 0] + pid.kd * path[:, 1]
         inputs = np.column_stack((moved_V, path[:, 0], np.ones(len(path))))
-        return _march(closed, given, inputs)[:, :, 0] - path[:, :1]
+        return march(closed, given, inputs)[:, :, 0] - path[:, :1]
 
     def cost(gains: Floats) -> float:
         pid = _pid(gains, _FILTERS_Hz[0])
@@ -199,11 +220,13 @@ def _design_elevation(
 
 def _design_tilt(
     rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensitivity: float
-) -> tuple[Pid, Pid, dict[str, float]]:
+) -> tuple[Pid, Pid, float, dict[str, float]]:
     own, own_count = plants[0], _count_own(plants)
+    # Masses that hang below the pitch axis pull every tilt back: held by feed-forward, its gain need not.
+    hold = -float(own.tilt_A[2, 0]) / own.pitch_gain
     acceleration_deg_s2 = min(_MOST_TRAVEL_DEG_S2, _PITCH_SHARE * PITCH_SETPOINT_MAX_DEG * own.travel_gain)
-    path = shaped_step(STEP_DEG, TRAVEL_SLEW_DEG_S, acceleration_deg_s2, 10.0, _STEP_s)
-    after = round(2.0 * np.sqrt(STEP_DEG / acceleration_deg_s2) / _STEP_s)
+    path = shaped_step(STEP_DEG, TRAVEL_SLEW_DEG_S, acceleration_deg_s2, 10.0, STEP_s)
+    after = round(2.0 * np.sqrt(STEP_DEG / acceleration_deg_s2) / STEP_s)
     loads_deg_s2 = _constant_loads_deg_s2(rig, spread)
     differential_max_V = _differential_max_V(rig, own.hover_V)
     unit = Law(Pid(0.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0))
@@ -220,32 +243,33 @@ def _design_tilt(
         """
         given = np.zeros((len(plants), 11, 2))
         for index, plant in enumerate(plants):
-            given[index, :5, 0] = plant.tilt_B * pitch.kp
+            given[index, :5, 0] = plant.tilt_B * (pitch.kp + hold)
         given[:, 9, 0], given[:, 10, 1] = 1.0, 1.0
         setpoint = travel.kp * path[:, 0] + travel.kd * path[:, 1] + acceleration_ff * path[:, 2]
-        states = _march(closed, given, np.column_stack((setpoint, path[:, 0])))
+        states = march(closed, given, np.column_stack((setpoint, path[:, 0])))
         error = states[:, :, 1] - path[:, :1]
-        asked = np.einsum("tpn,n->tp", states[:, :own_count], loops.tilt_output(11, pitch, travel))
-        largest_V = float(np.radians(np.abs(asked + pitch.kp * setpoint[:, None]).max()))
+        asked = np.einsum("tpn,n->tp", states[:, :own_count], loops.tilt_output(11, pitch, travel, hold))
+        largest_V = float(np.radians(np.abs(asked + (pitch.kp + hold) * setpoint[:, None]).max()))
         step = np.mean(error**2, axis=0)
+        step = step + _LATE_WEIGHT * np.mean(error[after:] ** 2, axis=0)
         step = step + _OVERSHOOT_WEIGHT * np.maximum(error[after:].max(axis=0), 0.0) ** 2
         corners = closed[own_count:]
         for state, load_deg_s2 in loads_deg_s2.items():
             torque = np.zeros((len(corners), 11, 1))
             torque[:, state] = load_deg_s2
-            trimmed = _after(corners, torque, _HOVER_s)
-            left = _march(corners, torque, np.ones((len(path) // 2, 1)), trimmed)[:, :, 1]
+            trimmed = led_to(corners, torque, _HOVER_s)
+            left = march(corners, torque, np.ones((len(path) // 2, 1)), trimmed)[:, :, 1]
             step[own_count:] += np.mean(left**2, axis=0)
         return np.asarray(step), largest_V
 
     def cost(numbers: Floats) -> float:
         pitch, travel, acceleration_ff = pids(numbers)
-        closed = np.array([loops.tilt_closed(plant, pitch, travel) for plant in plants])
+        closed = np.array([loops.tilt_closed(plant, pitch, travel, hold) for plant in plants])
         slowest_1_s = _slowest_1_s(closed)
         if slowest_1_s > -_DECAY_1_s:
             return _UNSTABLE + slowest_1_s
         inner = pitch.response(loops.FREQUENCY_rad_s) * to_pitch
-        forward = pitch.kp + pitch.ki / (1j * loops.FREQUENCY_rad_s)
+        forward = pitch.kp + hold + pitch.ki / (1j * loops.FREQUENCY_rad_s)
         outer = travel.response(loops.FREQUENCY_rad_s) * forward * to_travel
         peaks = [
             float(np.max(1.0 / np.abs(1.0 + loop))) for loop in (inner, outer / (1.0 + inner), inner + outer)
@@ -264,7 +288,9 @@ def _design_tilt(
     return (
         pitch,
         travel,
+        hold,
         {
+            "pitch_hold_ff": float(np.radians(hold)),
             "travel_rate_ff": 1.0,
             "travel_acceleration_ff": acceleration_ff,
             "travel_slew_deg_s": TRAVEL_SLEW_DEG_S,
@@ -293,7 +319,8 @@ def _constant_loads_deg_s2(rig: Rig, spread: Spread) -> dict[int, float]:
     """Accelerations that never stop, by the plant's state: lopsided rotors, a pull on travel."""
     inertia = inertias_kg_m2({name: number.value for name, number in rig.items()})
     lopsided_Nm = spread.rotor * rig["M_f"].value * rig["g"].value * rig["L_h"].value
-    loads = {2: lopsided_Nm / inertia["J_phi"], 3: rig["torque_travel"].value / inertia["J_psi"]}
+    pull_rad_s2 = max(abs(rig["torque_travel"].value) / inertia["J_psi"], spread.pull_rad_s2)
+    loads = {2: lopsided_Nm / inertia["J_phi"], 3: pull_rad_s2}
     return {state: float(np.degrees(load)) for state, load in loads.items() if load}
 
 
@@ -308,46 +335,6 @@ def _count_own(plants: Sequence[LinearPlant]) -> int:
 def _first_guess_rad_s(plants: Sequence[LinearPlant]) -> float:
     """Crossover of a double integrator behind the longest lag, by the symmetrical optimum."""
     return 1.0 / (2.2 * (max(plant.lag_s for plant in plants) + 0.03))
-
-
-def _held(closed: Floats, given: Floats, duration_s: float) -> tuple[Floats, Floats]:
-    """Exact step of all plants: what is kept of the state, and what a held input adds to it."""
-    count, size, width = given.shape
-    both = np.zeros((count, size + width, size + width))
-    both[:, :size, :size], both[:, :size, size:] = closed, given
-    step = _exponential(both * duration_s)
-    return step[:, :size, :size], step[:, :size, size:]
-
-
-def _exponential(matrices: Floats) -> Floats:
-    """Exponentials of small matrices, (n, m, m), by Taylor's series of a fraction, squared up again.
-
-    scipy's hands every matrix to a threaded solver: 3 ms instead of 0.1 for fifteen, on a busy machine.
-    """
-    halvings = max(0, int(np.ceil(np.log2(np.abs(matrices).sum(axis=2).max() / 0.25))))
-    small = matrices / 2.0**halvings
-    result = unit = np.broadcast_to(np.eye(matrices.shape[1]), matrices.shape)
-    for order in range(9, 0, -1):
-        result = unit + small @ result / order
-    for _ in range(halvings):
-        result = result @ result
-    return np.asarray(result)
-
-
-def _after(closed: Floats, given: Floats, duration_s: float) -> Floats:
-    """State that a unit input has led to, (plants, states, 1)."""
-    return _held(closed, given, duration_s)[1]
-
-
-def _march(closed: Floats, given: Floats, inputs: Floats, start: Floats | None = None) -> Floats:
-    """States of all plants along a path, (times, plants, states); inputs are held between its points."""
-    keep, take = _held(closed, given, _STEP_s)
-    state = np.zeros((*closed.shape[:2], 1)) if start is None else start
-    states = np.empty((len(inputs), *closed.shape[:2]))
-    for index, pushed in enumerate(np.einsum("pnm,tm->tpn", take, inputs)):
-        states[index] = state[:, :, 0]
-        state = keep @ state + pushed[:, :, None]
-    return states
 
 
 def _slowest_1_s(closed: Floats) -> float:

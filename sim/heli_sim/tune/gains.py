@@ -21,6 +21,7 @@ _BARE: Final[Mapping[str, float]] = {
     "hover_slope": 0.0,
     "elevation_rate_ff": 1.0,
     "elevation_acceleration_ff": 0.0,
+    "pitch_hold_ff": 0.0,
     "travel_rate_ff": 1.0,
     "travel_acceleration_ff": 0.0,
     "elevation_integral_max_V": 20.0,
@@ -72,7 +73,7 @@ def law_of(parameters: Mapping[str, float]) -> Law:
     Parameters
     ----------
     parameters : Mapping of str to float
-        Holds kp, ki, kd and the filter of each axis, in declared units.
+        Holds kp, ki, kd and the filter of each axis, and maybe pitch_hold_ff, in declared units.
 
     Returns
     -------
@@ -85,4 +86,9 @@ def law_of(parameters: Mapping[str, float]) -> Law:
         return Pid(kp, ki, kd, parameters[f"{axis}_filter_Hz"])
 
     per_rad = 180.0 / np.pi
-    return Law(pid("elevation", per_rad), pid("pitch", per_rad), pid("travel", 1.0))
+    return Law(
+        pid("elevation", per_rad),
+        pid("pitch", per_rad),
+        pid("travel", 1.0),
+        parameters.get("pitch_hold_ff", 0.0) * per_rad,
+    )

@@ -1,8 +1,9 @@
 """The control law's loops around linear plants: state spaces, frequency responses, margins.
 
 Gains are in the law's own order (kp, ki, kd), in V/rad for elevation and pitch and in rad/rad for travel. The
-derivative acts on the measured angle behind the rate filter's two poles. Encoder steps and limits are left
-out; sampling at 1 kHz counts as a delay.
+derivative acts on the measured angle behind the rate filter's two poles. Pitch's setpoint is fed forward too,
+which is a part of travel's loop and none of pitch's. Encoder steps and limits are left out; sampling at 1 kHz
+counts as a delay.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from heli_sim.tune.plants import LinearPlant
+from heli_sim.tune.plants import LinearPlant, NO_LAG_s
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -69,11 +70,14 @@ class Law:
     ----------
     elevation, pitch, travel : Pid
         Gains of the three loops.
+    pitch_hold : float
+        Differential for each unit of pitch's setpoint, V/rad: what holds it against masses that hang.
     """
 
     elevation: Pid
     pitch: Pid
     travel: Pid
+    pitch_hold: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -125,7 +129,7 @@ def elevation_closed(plant: LinearPlant, pid: Pid) -> Floats:
     return closed
 
 
-def tilt_closed(plant: LinearPlant, pitch: Pid, travel: Pid) -> Floats:
+def tilt_closed(plant: LinearPlant, pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> Floats:
     """Close pitch and travel.
 
     Parameters
@@ -134,6 +138,8 @@ def tilt_closed(plant: LinearPlant, pitch: Pid, travel: Pid) -> Floats:
         The plant.
     pitch, travel : Pid
         The gains.
+    pitch_hold : float
+        As in `Law`.
 
     Returns
     -------
@@ -144,11 +150,11 @@ def tilt_closed(plant: LinearPlant, pitch: Pid, travel: Pid) -> Floats:
     closed = _with_filters(plant.tilt_A, (0, 1), (pitch, travel))
     size = closed.shape[0]
     closed[9], closed[10, 1] = _pitch_error(size, travel), -1.0
-    closed[:5] += np.outer(plant.tilt_B, tilt_output(size, pitch, travel))
+    closed[:5] += np.outer(plant.tilt_B, tilt_output(size, pitch, travel, pitch_hold))
     return closed
 
 
-def tilt_output(size: int, pitch: Pid, travel: Pid) -> Floats:
+def tilt_output(size: int, pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> Floats:
     """What the closed loops make of their states.
 
     Parameters
@@ -157,13 +163,16 @@ def tilt_output(size: int, pitch: Pid, travel: Pid) -> Floats:
         Number of states, those of `tilt_closed` first.
     pitch, travel : Pid
         The gains.
+    pitch_hold : float
+        As in `Law`.
 
     Returns
     -------
     ndarray (size,)
         Row from the states to the differential, V for each unit, setpoints being zero.
     """
-    row = pitch.kp * _pitch_error(size, travel)
+    row = (pitch.kp + pitch_hold) * _pitch_error(size, travel)
+    row[0] += pitch_hold
     row += _output(size, 0, 5, Pid(0.0, 0.0, pitch.kd, pitch.filter_Hz))
     row[9] += pitch.ki
     return row
@@ -188,7 +197,11 @@ def open_loops(
     dict of str to ndarray (n,)
         Loop gain L; the loop is stable up to L = -1.
     """
-    delay = np.exp(-1j * frequency_rad_s * SAMPLING_s)
+    s = 1j * frequency_rad_s
+    # The matrices have the delay of the voltages as more lag: out with that, and in with the delay itself.
+    lag_s = max(plant.lag_s + plant.delay_s, NO_LAG_s)
+    less_lag = (1.0 + s * lag_s) / (1.0 + s * max(lag_s - plant.delay_s, NO_LAG_s))
+    delay = less_lag * np.exp(-s * (SAMPLING_s + plant.delay_s))
     to_elevation = delay * _response(plant.elevation_A, plant.elevation_B, 0, frequency_rad_s)
     to_pitch = delay * _response(plant.tilt_A, plant.tilt_B, 0, frequency_rad_s)
     to_travel = delay * _response(plant.tilt_A, plant.tilt_B, 1, frequency_rad_s)
@@ -196,7 +209,8 @@ def open_loops(
         pid.response(frequency_rad_s) for pid in (law.elevation, law.pitch, law.travel)
     )
     inner = pitch * to_pitch
-    outer = travel * (law.pitch.kp + law.pitch.ki / (1j * frequency_rad_s)) * to_travel
+    forward = law.pitch.kp + law.pitch_hold + law.pitch.ki / s
+    outer = travel * forward * to_travel
     return {
         "elevation": elevation * to_elevation,
         "pitch": inner,
@@ -271,7 +285,7 @@ def is_stable(plant: LinearPlant, law: Law) -> bool:
     bool
         True when it does.
     """
-    both = (elevation_closed(plant, law.elevation), tilt_closed(plant, law.pitch, law.travel))
+    both = (elevation_closed(plant, law.elevation), tilt_closed(plant, law.pitch, law.travel, law.pitch_hold))
     return all(float(np.linalg.eigvals(closed).real.max()) < 0.0 for closed in both)
 
 
