@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from heli_sim.rig import Rig, load_rig
 
 from tests.blind.flights import flown, plan
-from tests.blind.hidden import LISTED
+from tests.blind.hidden import LISTED, OTHER_FORMS, Maker
 from tests.blind.mujoco_rig import Hidden
-from tests.blind.off_list import OFF_LIST
+from tests.blind.off_list import MORE_OFF_LIST, OFF_LIST
 
 TRAIN_S, VALIDATE_S = 60.0, 40.0
 _NOTHING = 12
@@ -29,6 +29,10 @@ _SEVERAL = (
 )
 
 
+_OFF_FACTOR = {2: 1.0, 1: 0.6}
+"""Large ones and small ones, of the size given."""
+
+
 @dataclass(frozen=True)
 class Case:
     """Something hidden in two flights.
@@ -38,17 +42,20 @@ class Case:
     name : str
         Name, for files and tables.
     effects : tuple of (str, float)
-        Listed effects and sizes.
+        Listed effects and sizes; a size is as the effect's maker takes it.
     off_list : tuple of (str, float)
         Effects that are on no list.
     seed : int
         Of rig, flight and effect.
+    makers : tuple of Maker
+        What makes each, listed ones first.
     """
 
     name: str
     effects: tuple[tuple[str, float], ...]
     off_list: tuple[tuple[str, float], ...]
     seed: int
+    makers: tuple[Maker, ...] = field(repr=False)
 
     @property
     def kind(self) -> str:
@@ -68,13 +75,23 @@ class Case:
             numbers[name] = rng.uniform(0.99, 1.01)
         return rig.replace(**{name: factor * rig[name].value for name, factor in numbers.items()})
 
-    def hidden(self) -> list[Hidden]:
-        """Make what is hidden, with the same moments, angles and frequencies in both flights."""
+    def hidden(self, flight: int = 0) -> list[Hidden]:
+        """Make what is hidden, with the same moments, angles and frequencies in both flights.
+
+        Parameters
+        ----------
+        flight : int
+            Number of the flight, for what differs by chance.
+        """
         made: list[Hidden] = []
-        for number, (name, size) in enumerate(self.effects):
-            made.append(LISTED[name][0](size, np.random.default_rng([self.seed, 2, number])))
-        for number, (name, size) in enumerate(self.off_list):
-            made.append(OFF_LIST[name][0](size, np.random.default_rng([self.seed, 3, number])))
+        for number, ((_, size), maker) in enumerate(
+            zip((*self.effects, *self.off_list), self.makers, strict=True)
+        ):
+            # 2 for what is listed, 3 for what is not; the second number starts again there.
+            place = [2, number] if number < len(self.effects) else [3, number - len(self.effects)]
+            one = maker(size, np.random.default_rng([self.seed, *place]))
+            one.chance = np.random.default_rng([self.seed, 5, flight, number])
+            made.append(one)
         return made
 
     def truth(self) -> dict[str, dict[str, float]]:
@@ -103,28 +120,46 @@ class Case:
             course = plan(f"{self.seed}", duration_s, rng)
             # Written whole and then named, so that an interrupted run leaves no half flight.
             unfinished = path.with_name("unfinished-" + path.name)
-            flown(self.rig(), self.hidden(), course, self.seed + number).write_csv(unfinished)
+            flown(self.rig(), self.hidden(number), course, self.seed + number).write_csv(unfinished)
             unfinished.rename(path)
         return paths
 
 
-def every_case() -> Iterator[Case]:
-    """All cases, in an order in which a part of them is a fair sample."""
+def every_case() -> list[Case]:
+    """All cases, in an order in which the first of them are a fair sample of all."""
+    cases = list(_in_order())
+    return [cases[i] for i in np.random.default_rng(0).permutation(len(cases))]
+
+
+def _in_order() -> Iterator[Case]:
     seed = 1000
     for size in (2, 1):
-        for name, (_, small, large) in LISTED.items():
+        word = ("", "small", "large")[size]
+        for name, (maker, small, large) in LISTED.items():
             seed += 1
-            rng = np.random.default_rng([seed, 0])
-            value = float((large if size == 2 else small) * rng.uniform(0.8, 1.3))
-            yield Case(f"{name}-{('', 'small', 'large')[size]}", ((name, value),), (), seed)
+            value = (large if size == 2 else small) * _factor(seed)
+            yield Case(f"{name}-{word}", ((name, value),), (), seed, (maker,))
         for number in range(_NOTHING // 2):
             seed += 1
-            yield Case(f"nothing-{number + (2 - size) * _NOTHING // 2}", (), (), seed)
-        for name, (_, off_size) in OFF_LIST.items():
+            yield Case(f"nothing-{number + (2 - size) * _NOTHING // 2}", (), (), seed, ())
+        for name, (maker, off_size) in OFF_LIST.items():
             seed += 1
-            factor = 1.0 if size == 2 else 0.6
-            yield Case(f"off-{name}-{('', 'small', 'large')[size]}", (), ((name, off_size * factor),), seed)
+            value = off_size * _OFF_FACTOR[size]
+            yield Case(f"off-{name}-{word}", (), ((name, value),), seed, (maker,))
         for names in _SEVERAL:
             seed += 1
             effects = tuple((name, float(np.mean(LISTED[name][1:]))) for name in names)
-            yield Case("+".join(names) + f"-{size}", effects, (), seed)
+            yield Case("+".join(names) + f"-{size}", effects, (), seed, tuple(LISTED[n][0] for n in names))
+    seed = 1500
+    for name, (effect, maker, value) in OTHER_FORMS.items():
+        seed += 1
+        yield Case(name, ((effect, value),), (), seed, (maker,))
+    for size in (2, 1):
+        for name, (maker, off_size) in MORE_OFF_LIST.items():
+            seed += 1
+            value = off_size * _OFF_FACTOR[size]
+            yield Case(f"off-{name}-{('', 'small', 'large')[size]}", (), ((name, value),), seed, (maker,))
+
+
+def _factor(seed: int) -> float:
+    return float(np.random.default_rng([seed, 0]).uniform(0.8, 1.3))

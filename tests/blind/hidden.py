@@ -17,7 +17,6 @@ class RotorLag(Hidden):
 
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)
-        self.truth = {"rotor_lag_s": size}
         self._thrust_N = np.zeros(2)
         self._keep = np.exp(-STEP_S / size)
 
@@ -31,8 +30,8 @@ class RotorLag(Hidden):
 class InputDelay(Hidden):
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)
-        self.truth = {"input_delay_s": size}
         self._delay = Delay(size, np.zeros(2))
+        self.truth = {"size": self._delay.delay_s}
 
     def volts(self, at: Moment) -> None:
         at.volts_V = self._delay(at.volts_V)
@@ -90,13 +89,21 @@ class GroundEffect(Hidden):
 
 
 class ReactionTorque(Hidden):
-    """Both propellers turn the same way: their reaction adds up about the rotors' axis."""
+    """Propellers that turn the same way: their reaction adds up about the rotors' axis."""
+
+    back_turns: float = 1.0
 
     def torque(self, at: Moment) -> None:
-        about_up_Nm = self.size * at.thrust_N.sum()
+        about_up_Nm = self.size * (at.thrust_N[0] + self.back_turns * at.thrust_N[1])
         # The rotors' axis in the frame of the arm: elevation turns about -y, travel about the vertical.
         at.torque_Nm[0] += about_up_Nm * -np.sin(at.angles_rad[1])
         at.torque_Nm[2] += about_up_Nm * at.up[2]
+
+
+class OpposedReactionTorque(ReactionTorque):
+    """Propellers that turn against each other: what is left is the difference."""
+
+    back_turns = -1.0
 
 
 class Coulomb(Hidden):
@@ -132,7 +139,7 @@ class AxisTilt(Hidden):
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)
         self._towards_rad = rng.uniform(-np.pi, np.pi)
-        self.truth = {"tilt_deg": size, "towards_rad": self._towards_rad}
+        self.truth = {"size": size, "towards_rad": self._towards_rad}
 
     def configure(self, model: Any) -> None:
         g, tilt = np.linalg.norm(model.opt.gravity), np.deg2rad(self.size)
@@ -178,7 +185,9 @@ class Eccentricity(Hidden):
     def __init__(self, size: float, rng: np.random.Generator, axis: int) -> None:
         super().__init__(size, rng)
         self._axis, self._phase_rad = axis, rng.uniform(-np.pi, np.pi)
+        # Once a revolution shows in travel only; on the other axes it is all but a scale.
         self._order = int(rng.choice([1, 2])) if axis == 2 else 2
+        self.truth = {"size": size, "order": self._order}
 
     def measured(self, angles_rad: Floats) -> Floats:
         out = angles_rad.copy()
@@ -215,20 +224,51 @@ class RandomTorque(Hidden):
 
     def __init__(self, size: float, rng: np.random.Generator, axis: int) -> None:
         super().__init__(size, rng)
-        self._axis, self._rng = axis, np.random.default_rng(rng.integers(1 << 30))
-        self._keep = np.exp(-STEP_S / rng.uniform(0.2, 0.8))
+        self._axis, self._lasts_s = axis, rng.uniform(0.2, 0.8)
+        self.truth = {"size": size, "lasts_s": self._lasts_s}
+        self._keep = np.exp(-STEP_S / self._lasts_s)
         self._torque_Nm = 0.0
 
     def torque(self, at: Moment) -> None:
         spread = self.size * np.sqrt(1.0 - self._keep**2)
-        self._torque_Nm = self._keep * self._torque_Nm + spread * self._rng.standard_normal()
+        self._torque_Nm = self._keep * self._torque_Nm + spread * self.chance.standard_normal()
         at.torque_Nm[self._axis] += self._torque_Nm
+
+
+class NoFriction(Hidden):
+    """An axis on air: size is the share of its friction that is not there."""
+
+    def __init__(self, size: float, rng: np.random.Generator, axis: int) -> None:
+        super().__init__(size, rng)
+        self._axis = axis
+
+    def configure(self, model: Any) -> None:
+        model.dof_damping[model.joint(AXES[self._axis]).dofadr[0]] *= 1.0 - self.size
+
+
+class NoDeadZone(Hidden):
+    """Drivers that make up for the dead zone themselves."""
+
+    def volts(self, at: Moment) -> None:
+        at.volts_V = np.where(at.volts_V > 0.0, at.volts_V + self.size, 0.0)
+
+
+class NoPendulum(Hidden):
+    """Masses at the height of the axis instead of below it."""
+
+    def __init__(self, size: float, rng: np.random.Generator, bodies: tuple[str, ...]) -> None:
+        super().__init__(size, rng)
+        self._bodies = bodies
+
+    def configure(self, model: Any) -> None:
+        for name in self._bodies:
+            model.body(name).pos[2] *= 1.0 - self.size
 
 
 Maker = Callable[[float, np.random.Generator], Hidden]
 
 
-def _on(kind: Callable[..., Hidden], place: int) -> Maker:
+def _on(kind: Callable[..., Hidden], place: Any) -> Maker:
     return lambda size, rng: kind(size, rng, place)
 
 
@@ -268,3 +308,22 @@ LISTED: dict[str, tuple[Maker, float, float]] = {
     "random_torque.travel": (_on(RandomTorque, 2), 0.015, 0.05),
 }
 """Maker, small and large size of each. Travel has no zero to be off: every place of it is as good."""
+
+OTHER_FORMS: dict[str, tuple[str, Maker, float]] = {
+    "rotor_reaction_torque-opposed": ("rotor_reaction_torque", OpposedReactionTorque, 0.03),
+    "removed.friction.elevation-gone": ("removed.friction.elevation", _on(NoFriction, 0), 1.0),
+    "removed.friction.pitch-gone": ("removed.friction.pitch", _on(NoFriction, 1), 1.0),
+    "removed.friction.travel-gone": ("removed.friction.travel", _on(NoFriction, 2), 1.0),
+    "removed.dead_zone-gone": ("removed.dead_zone", NoDeadZone, 1.0),
+    "removed.pendulum.elevation-gone": (
+        "removed.pendulum.elevation",
+        _on(NoPendulum, ("long_arm", "counterweight", "body")),
+        1.0,
+    ),
+    "removed.pendulum.pitch-gone": (
+        "removed.pendulum.pitch",
+        _on(NoPendulum, ("short_arm", "front_rotor", "back_rotor")),
+        1.0,
+    ),
+}
+"""Effect, maker and size of cases of one size: other forms, and terms of the baseline that are gone."""

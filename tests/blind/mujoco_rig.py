@@ -25,13 +25,15 @@ STEP_S = 0.0005
 _POINT = 'diaginertia="1e-12 1e-12 1e-12"'
 
 
-def model_of(rig: Rig) -> Any:
+def model_of(rig: Rig, hung: str = "") -> Any:
     """Draw the rig's masses as bodies and its axes as joints.
 
     Parameters
     ----------
     rig : Rig
         Gives the numbers of Table 2.
+    hung : str
+        Further bodies on the long arm, as MuJoCo's XML.
 
     Returns
     -------
@@ -57,6 +59,7 @@ def model_of(rig: Rig) -> Any:
             <joint name="elevation" axis="0 -1 0" damping="{v["friction_elevation"]}"/>
             {mass("long_arm", v["M_l"], v["L_x"], 0, arm_z)}
             {mass("counterweight", v["M_w"], -v["L_b"], 0, arm_z)}
+            {hung}
             <body name="body" pos="{v["L_a"]} 0 {arm_z}">
               <inertial pos="0 0 0" mass="1e-9" {_POINT}/>
               <joint name="pitch" axis="-1 0 0" damping="{v["friction_pitch"]}"/>
@@ -117,9 +120,16 @@ class Hidden:
     late: bool = False
     """Whether `thrust` comes after everything else that changes the thrust."""
 
+    chance: np.random.Generator
+    """For what differs from flight to flight: no gust comes twice. Given before a flight."""
+
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         self.size = size
         self.truth: dict[str, float] = {"size": size}
+
+    def hung(self, rig: Rig) -> str:
+        """Bodies that hang on the long arm, as MuJoCo's XML."""
+        return ""
 
     def configure(self, model: Any) -> None:
         """Change MuJoCo's model before the flight."""
@@ -158,7 +168,7 @@ class MujocoPlant:
     def __init__(self, rig: Rig, hidden: Sequence[Hidden]) -> None:
         self.rig = rig
         self.hidden = sorted(hidden, key=lambda one: one.late)
-        self.physics = model_of(rig)
+        self.physics = model_of(rig, "".join(one.hung(rig) for one in self.hidden))
         for one in self.hidden:
             one.configure(self.physics)
         self.data = mujoco.MjData(self.physics)
@@ -167,18 +177,21 @@ class MujocoPlant:
         self._sites = [self.physics.site(name).id for name in ("front", "back")]
         self._body = self.physics.body("body").id
         self.parameters: Floats = np.zeros(1)
-        self._lowest_rad = np.deg2rad(rig["elevation_min"].value)
+        self._rest = np.array([np.deg2rad(rig["elevation_min"].value), 0.0, 0.0, 0.0, 0.0, 0.0])
+        for one in self.hidden:
+            one.rest(self._rest)
+        self._lowest_rad = float(self._rest[0])
         self._time_s = self._flight_s = 0.0
         self._let_go = False
         self._gain, self._dead_zone_V = rig["thrust_gain"].value, rig["dead_zone"].value
 
     def rest_state(self) -> Floats:
         """At rest on the table, (6,)."""
-        state = np.array([self._lowest_rad, 0.0, 0.0, 0.0, 0.0, 0.0])
-        for one in self.hidden:
-            one.rest(state)
-        self._lowest_rad = float(state[0])
-        return state
+        return self._rest.copy()
+
+    def step(self, state: Floats, volts_V: Sequence[float]) -> tuple[Floats, Floats]:
+        """Answer the world's question whether the arm rests by itself: yes, held by `_step`'s own hand."""
+        return state, state[:3]
 
     def native_step(self) -> _native.PlantStep:
         """The millisecond for the world."""
@@ -243,6 +256,7 @@ class Delay:
 
     def __init__(self, delay_s: float, first: Floats) -> None:
         self._queue = deque([first.copy()] * max(1, round(delay_s / STEP_S)))
+        self.delay_s = len(self._queue) * STEP_S
 
     def __call__(self, value: Floats) -> Floats:
         self._queue.append(value.copy())

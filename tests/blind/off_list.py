@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from heli_sim.rig import Rig
 
 from tests.blind.mujoco_rig import STEP_S, Hidden, Moment
 
@@ -42,18 +44,23 @@ class CableTwist(Hidden):
 
 
 class Slosh(Hidden):
-    """A weight that swings on a thread below the long arm."""
+    """Size: mass in kg, taken from the counterweight, that swings on a thread where that is."""
 
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)
-        self._swing_rad, self._rate_rad_s = 0.0, 0.0
-        self._natural_rad_s = 2.0 * np.pi * rng.uniform(0.8, 1.4)
+        self._thread_m = 9.81 / (2.0 * np.pi * rng.uniform(0.8, 1.4)) ** 2
 
-    def torque(self, at: Moment) -> None:
-        drive = self._natural_rad_s**2 * (at.rates_rad_s[2] * 0.2 - self._swing_rad)
-        self._rate_rad_s += STEP_S * (drive - 0.3 * self._rate_rad_s)
-        self._swing_rad += STEP_S * self._rate_rad_s
-        at.torque_Nm[2] += self.size * (self._swing_rad - at.rates_rad_s[2] * 0.2)
+    def hung(self, rig: Rig) -> str:
+        damping = 0.05 * self.size * self._thread_m**2
+        return f"""
+        <body name="bob" pos="{-rig["L_b"].value} 0 {-rig["L_theta"].value}">
+          <joint name="swing_across" axis="1 0 0" damping="{damping}"/>
+          <joint name="swing_along" axis="0 1 0" damping="{damping}"/>
+          <inertial pos="0 0 {-self._thread_m}" mass="{self.size}" diaginertia="1e-9 1e-9 1e-9"/>
+        </body>"""
+
+    def configure(self, model: Any) -> None:
+        model.body_mass[model.body("counterweight").id] -= self.size
 
 
 class BumpyPitch(Hidden):
@@ -64,16 +71,19 @@ class BumpyPitch(Hidden):
 
 
 class WanderingThrust(Hidden):
-    """The thrust of both rotors wanders slowly, as with a draughty supply of air."""
+    """The front rotor's thrust wanders slowly, as with brushes that burn.
+
+    With both rotors alike it would be a random torque about elevation by another name.
+    """
 
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)
-        self._rng, self._gain = np.random.default_rng(rng.integers(1 << 30)), 0.0
+        self._gain = 0.0
 
     def thrust(self, at: Moment) -> None:
         keep = np.exp(-STEP_S / 4.0)
-        self._gain = keep * self._gain + self.size * np.sqrt(1.0 - keep**2) * self._rng.standard_normal()
-        at.thrust_N = at.thrust_N * (1.0 + self._gain)
+        self._gain = keep * self._gain + self.size * np.sqrt(1.0 - keep**2) * self.chance.standard_normal()
+        at.thrust_N = at.thrust_N * np.array([1.0 + self._gain, 1.0])
 
 
 class WakeOnTravel(Hidden):
@@ -83,13 +93,48 @@ class WakeOnTravel(Hidden):
         at.thrust_N = at.thrust_N * (1.0 + self.size * at.rates_rad_s[2] ** 2)
 
 
+class HystereticThrust(Hidden):
+    """Size: play in V between the voltage and the thrust, which follows it up and down on two curves."""
+
+    def __init__(self, size: float, rng: np.random.Generator) -> None:
+        super().__init__(size, rng)
+        self._follows_V = np.zeros(2)
+
+    def volts(self, at: Moment) -> None:
+        half_V = self.size / 2.0
+        self._follows_V = np.clip(self._follows_V, at.volts_V - half_V, at.volts_V + half_V)
+        at.volts_V = np.where(at.volts_V > 0.0, self._follows_V, 0.0)
+
+
+class CrossCoupling(Hidden):
+    """Each rotor drives air over the other: a share of one's thrust is added to the other's."""
+
+    def thrust(self, at: Moment) -> None:
+        at.thrust_N = at.thrust_N + self.size * at.thrust_N[::-1]
+
+
+class StickSlip(Hidden):
+    """Size: torque in N m by which the travel bearing holds more at rest than in motion."""
+
+    def during(self, at: Moment, model: Any) -> None:
+        speed = at.rates_rad_s[2] / 0.05
+        model.dof_frictionloss[model.joint("travel").dofadr[0]] = self.size * np.exp(-(speed**2))
+
+
 OFF_LIST: dict[str, tuple[Callable[[float, np.random.Generator], Hidden], float]] = {
     "draught": (Draught, 0.06),
     "pitch_drag_quadratic": (PitchDragQuadratic, 0.06),
     "stiff_bearing": (StiffBearing, 0.08),
     "cable_twist": (CableTwist, 0.03),
-    "slosh": (Slosh, 1.0),
+    "slosh": (Slosh, 0.2),
     "bumpy_pitch": (BumpyPitch, 0.02),
     "wandering_thrust": (WanderingThrust, 0.04),
     "wake_on_travel": (WakeOnTravel, 0.4),
 }
+
+MORE_OFF_LIST: dict[str, tuple[Callable[[float, np.random.Generator], Hidden], float]] = {
+    "hysteretic_thrust": (HystereticThrust, 0.3),
+    "cross_coupling": (CrossCoupling, 0.08),
+    "stick_slip": (StickSlip, 0.06),
+}
+"""More of them; a list of its own, so that the cases of the others keep their seeds."""
