@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -76,6 +77,18 @@ def test_several_flights_share_the_rig_and_each_keeps_its_own_zeros() -> None:
     for name in CHANGED:
         assert both.fit.std[name] < alone.fit.std[name]
     assert both.rig("new")["offset_pitch"] == known()["offset_pitch"]
+
+
+def test_a_rig_file_that_is_far_off_is_no_obstacle() -> None:
+    numbers = dict(known().numbers)
+    for name, value, tolerance in (("thrust_gain", 0.2, 1.0), ("M_w", 1.0, 1.5), ("L_phi", -0.03, 0.2)):
+        numbers[name] = replace(numbers[name], value=value, tolerance=tolerance)
+    vague = Rig("vague", "hardly anything is known", numbers)
+    lost = solve(Problem(MultibodyModel(), vague, [changed_flight(3)]), fine=False)
+    assert check(lost).normalised > 100.0, "long windows alone would do: nothing is claimed here"
+    found = identify(MultibodyModel(), vague, [changed_flight(3)])
+    assert_found(found, CHANGED, within=4.0)
+    assert found.json()["normalised_residual"]["train"] <= 1.03
 
 
 def test_a_delay_and_a_lag_are_told_apart() -> None:

@@ -26,7 +26,7 @@ REACHED = {
     ("ksteinsland_d1_m25_ang45", "ksteinsland_d1_n25_00i"): (0.36, 1.30, 0.30),
     ("ksteinsland_d1_n25_00i", "ksteinsland_d1_m25_ang45"): (0.25, 1.55, 0.20),
     ("rendellc_P4p2_noint_pf5", "rendellc_P2p1"): (0.95, 3.60, 0.90),
-    ("rendellc_P2p1", "rendellc_P4p2_noint_pf5"): (0.70, 2.90, 0.40),
+    ("rendellc_P2p1", "rendellc_P4p2_noint_pf5"): (0.70, 2.90, 0.47),
     ("nicolaiadil_d4_n40", "nicolaiadil_d4_n60_q10"): (0.21, 0.48, 0.11),
     ("nicolaiadil_d4_n60_q10", "nicolaiadil_d4_n40"): (0.19, 1.08, 0.13),
 }

@@ -94,10 +94,12 @@ def test_white_is_white_and_coloured_is_not() -> None:
 
 def test_a_window_out_of_line_loses_weight() -> None:
     residual = coloured(0.0)
-    residual[WINDOWS[7]] *= 10.0
+    residual[WINDOWS[7]] *= 6.0
+    residual[WINDOWS[8]] *= 100.0
     weights = window_weights(residual, WINDOWS, np.ones(3))
-    assert weights[7] == pytest.approx(0.09, rel=0.1)
-    assert np.all(np.delete(weights, 7) == 1.0)
+    assert weights[7] == pytest.approx(0.25, rel=0.1)
+    assert weights[8] == pytest.approx(9e-4 * 1e-2, rel=0.1)
+    assert np.all(np.delete(weights, [7, 8]) == 1.0)
 
 
 def test_no_axis_of_a_wrong_model_is_taken_for_exact() -> None:

@@ -13,6 +13,8 @@ LONGEST_LAG_S: Final = 0.5
 LEAST_SHARE: Final = 0.5
 OUTLIER: Final = 3.0
 """A window whose rms residual is this many times the median window's loses weight."""
+GROSS: Final = 10.0
+"""Beyond this many times the median, a window counts less the more it is off: somebody touched the arm."""
 
 
 def autocovariance(residual: Floats, windows: Sequence[slice], lags: int) -> Floats:
@@ -116,11 +118,12 @@ def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats)
     Returns
     -------
     ndarray (w,)
-        1 for a window in line with the others; less for one whose rms is over `OUTLIER` times the median.
+        1 for a window in line with the others; less for one whose rms is over `OUTLIER` times the median, so
+        that it counts as one at that limit, and next to nothing far beyond `GROSS` times.
     """
     rms = np.sqrt([np.mean(residual[window] ** 2 / variance) for window in windows])
-    limit = OUTLIER * max(float(np.median(rms)), 1e-12)
-    result: Floats = np.minimum(1.0, (limit / np.maximum(rms, 1e-12)) ** 2)
+    times = np.maximum(rms, 1e-12) / max(float(np.median(rms)), 1e-12)
+    result: Floats = np.minimum(1.0, OUTLIER / times) ** 2 * np.minimum(1.0, GROSS / times) ** 2
     return result
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +24,7 @@ from heli_sim.rig import Prior, Rig
 _STATE_FIT_S: Final = 0.15
 _LEAD_IN_S: Final = 1.0
 BLOCK_S: Final = 0.01
-"""Windows are a whole number of blocks about this long, whatever the step, so that means over blocks exist."""
+"""Windows are whole numbers of blocks about this long, whatever the step, so that means over blocks exist."""
 
 
 @dataclass(frozen=True)
@@ -171,6 +172,24 @@ class Problem:
         """Values to start from: those of rig and effects, within the bounds; shape (f,)."""
         result: Floats = np.clip(self.base[self._place], *self.bounds)
         return result
+
+    def with_windows(self, window_s: float) -> Problem:
+        """Pose the same problem with windows of another length.
+
+        Parameters
+        ----------
+        window_s : float
+            Length of the windows, nearly.
+
+        Returns
+        -------
+        Problem
+            Shares records, parameters and kernel with this one.
+        """
+        other = copy.copy(self)
+        other.window_s = window_s
+        other._grids = {}
+        return other
 
     def parameters(self, theta: Floats, index: int = 0) -> Floats:
         """Complete a vector of free parameters.

@@ -16,6 +16,7 @@ import numpy as np
 
 from heli_sim.errors import IdentifyError
 from heli_sim.identify.functions import Floats
+from heli_sim.identify.grid import Grid
 from heli_sim.identify.noise import balanced, inflation, window_weights
 from heli_sim.identify.normal import bounded_solve, reduce_looks
 from heli_sim.identify.problem import Look, Problem
@@ -28,6 +29,8 @@ _SETTLED: Final = 0.15
 _SMALL_STEP: Final = 0.02
 """In standard errors."""
 _LARGEST_DAMPING: Final = 1e8
+_SPREADS: Final = 3
+"""Turns between variances and weights; a window out of line must not widen what it is measured against."""
 
 
 @dataclass(frozen=True)
@@ -171,14 +174,9 @@ class _Solver:
         variance, weights = [], []
         for index, look in enumerate(point.looks):
             grid = self.problem.grid(index, self.fine, point.theta)
-            found = inflation(look.residual, grid.slices, grid.inputs.step_s)
-            found = balanced(found, np.mean(look.residual**2, axis=0), grid.record.sigma_rad)
+            found, weight = self.spread(look, grid)
             variance.append(found)
-            weights.append(
-                window_weights(look.residual, grid.slices, found)
-                if self.robust
-                else np.ones(len(grid.slices))
-            )
+            weights.append(weight)
         change = (
             max(
                 float(np.max(np.abs(new / old - 1))) for new, old in zip(variance, self.variance, strict=True)
@@ -189,6 +187,22 @@ class _Solver:
         self.variance, self.weights = variance, weights
         point.cost = self.cost(point)
         return change
+
+    def spread(self, look: Look, grid: Grid) -> tuple[Floats, Floats]:
+        """Variance of a record's axes, and weights of its windows, neither of them deciding about itself."""
+        weight = np.ones(len(grid.slices))
+        for _ in range(_SPREADS if self.robust else 1):
+            rows = np.repeat(weight, grid.inputs.steps)[:, None]
+            share = float(np.mean(rows))
+            kept = look.residual * np.sqrt(rows)
+            found = np.maximum(1.0, inflation(kept, grid.slices, grid.inputs.step_s) / share)
+            found = balanced(found, np.mean(kept**2, axis=0) / share, grid.record.sigma_rad)
+            before = weight
+            if self.robust:
+                weight = window_weights(look.residual, grid.slices, found)
+            if np.array_equal(weight, before):
+                break
+        return found, weight
 
     def cost(self, point: _Point) -> float:
         problem = self.problem
