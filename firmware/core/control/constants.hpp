@@ -13,8 +13,8 @@ namespace heli::control {
 
 struct Constants {
   PerCount rad_per_count[kAxisCount];
-  std::int32_t count_sign[kAxisCount];
-  std::int32_t elevation_rest_counts;
+  std::int32_t count_sign[kAxisCount] = {};
+  std::int32_t elevation_rest_counts = 0;
   Share smoothing[kAxisCount];
 
   PidGains elevation;

@@ -15,7 +15,7 @@ struct ControlInput {
   Quantity setpoint_rad[kAxisCount];  // pitch counts only while travel is not closed
   Quantity setpoint_rate_rad_s[kAxisCount];
   Quantity setpoint_acceleration_rad_s2[kAxisCount];
-  std::uint8_t axes;      // link::axes bits of the closed loops
+  std::uint8_t axes = 0;  // link::axes bits of the closed loops
   Quantity open_front_V;  // motor volts for what is not closed
   Quantity open_back_V;
   Quantity excitation_front_V;  // added to the motors
@@ -26,9 +26,9 @@ struct ControlOutput {
   Quantity front_V;  // motor volts, within the motor limits
   Quantity back_V;
   Quantity pitch_setpoint_rad;  // the one that was used
-  bool front_saturated;
-  bool back_saturated;
-  bool pitch_limited;
+  bool front_saturated = false;
+  bool back_saturated = false;
+  bool pitch_limited = false;
 };
 
 }  // namespace heli::control

@@ -16,21 +16,21 @@ using control::Quantity;
 struct Limits {
   Quantity angle_max_rad[kAxisCount];
   Quantity rate_max_rad_s[kAxisCount];
-  std::uint32_t encoder_illegal_max;
-  std::uint32_t overrun_max;
+  std::uint32_t encoder_illegal_max = 0;
+  std::uint32_t overrun_max = 0;
   Quantity arm_rate_max_rad_s;
   Quantity arm_elevation_tolerance_rad;
   Quantity arm_pitch_tolerance_rad;
   Quantity rest_rad;
-  std::uint32_t hold_ticks;
-  std::uint32_t land_ticks;
-  std::uint32_t landing_timeout_ticks;
-  std::uint32_t voltage_valid_max_ticks;
-  float excitation_max_V;
-  float excitation_max_s;
-  float motor_min_V;
-  float motor_max_V;
-  bool params_consistent;
+  std::uint32_t hold_ticks = 0;
+  std::uint32_t land_ticks = 0;
+  std::uint32_t landing_timeout_ticks = 0;
+  std::uint32_t voltage_valid_max_ticks = 0;
+  float excitation_max_V = 0.0F;
+  float excitation_max_s = 0.0F;
+  float motor_min_V = 0.0F;
+  float motor_max_V = 0.0F;
+  bool params_consistent = false;
 };
 
 Limits limits_of(const params::Params& params);
@@ -39,9 +39,9 @@ Limits limits_of(const params::Params& params);
 struct Situation {
   Quantity angle_rad[kAxisCount];
   Quantity rate_rad_s[kAxisCount];
-  std::uint32_t illegal[kAxisCount];  // since arming
-  std::uint32_t overruns;             // since arming
-  bool hardware_stop;
+  std::uint32_t illegal[kAxisCount] = {};  // since arming
+  std::uint32_t overruns = 0;              // since arming
+  bool hardware_stop = false;
 };
 
 struct Verdict {

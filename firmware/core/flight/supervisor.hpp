@@ -20,15 +20,15 @@ struct OpenVoltages {
 
 // Seen once a tick, after the encoders were read.
 struct Observation {
-  std::uint32_t tick;
+  std::uint32_t tick = 0;
   Quantity angle_rad[kAxisCount];
   Quantity rate_rad_s[kAxisCount];
-  std::uint32_t illegal[kAxisCount];  // since power-up
-  std::uint32_t overruns;             // since power-up
-  bool hardware_stop;
-  std::uint32_t link_age_ticks;
+  std::uint32_t illegal[kAxisCount] = {};  // since power-up
+  std::uint32_t overruns = 0;              // since power-up
+  bool hardware_stop = false;
+  std::uint32_t link_age_ticks = 0;
   OpenVoltages acted;  // motor voltages of the previous tick
-  bool params_usable;
+  bool params_usable = false;
 };
 
 class Supervisor {
