@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from heli_sim.diagnose.hypothesis import Hypothesis
+from heli_sim.diagnose.pattern import named
 from heli_sim.diagnose.result import Diagnosis
 from heli_sim.diagnose.search import Round
 from heli_sim.diagnose.tangent import Tangent
@@ -162,7 +163,7 @@ def figure_of_ranking(rounds: tuple[Round, ...]) -> Figure:
 def _rank(one: Round, number: int, panel: Axes) -> None:
     tried = {step.trial.id: step for step in one.steps}
     every = sorted((*one.screened[:7], *one.patterns[:3]), key=lambda scored: scored.answer.gain)
-    names = [scored.trial.id.replace("pattern:", "curve: ").replace(":", " on ", 1) for scored in every]
+    names = [named(scored.trial.id) for scored in every]
     place = np.arange(len(every))
     gains = [max(scored.answer.gain, 0.1) for scored in every]
     panel.barh(place, gains, color="#dddddd", label="screened, flight fitted")
@@ -174,11 +175,9 @@ def _rank(one: Round, number: int, panel: Axes) -> None:
     panel.set_xscale("log")
     panel.set_xlim(1.0, max(10.0, 1.5 * max(gains)))
     panel.set_yticks(place, names, fontsize=8)
-    taken = f"taken: {one.taken.replace('pattern:', 'curve: ')}" if one.taken else "nothing taken"
+    taken = f"taken: {named(one.taken)}" if one.taken else "nothing taken"
     panel.set_title(f"round {number}: {taken}", fontsize=10, loc="left")
-    panel.set_xlabel(
-        "logarithm of the likelihood ratio; grey: screened, blue: refitted and held out", fontsize=8
-    )
+    panel.set_xlabel("log likelihood ratio; grey: screened, blue: refitted, held out", fontsize=8)
 
 
 def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
@@ -222,12 +221,13 @@ def _deg(angles_rad: Floats, axis: int, keep: slice) -> Floats:
 
 def _broken(one: Trace, axis: int) -> tuple[Floats, Floats]:
     """A prediction with a gap between windows."""
-    t_s, values = [], []
+    t_s: list[Floats] = []
+    values: list[Floats] = []
     for window in one.windows:
         step = max(1, len(one.t_s) // _MOST_POINTS)
         part = slice(window.start, window.stop, step)
-        t_s += [one.t_s[part], [one.t_s[window.stop - 1]]]
-        values += [np.rad2deg(one.predicted_rad[part, axis]), [np.nan]]
+        t_s += [one.t_s[part], one.t_s[window.stop - 1 : window.stop]]
+        values += [np.rad2deg(one.predicted_rad[part, axis]), np.array([np.nan])]
     return np.concatenate(t_s), np.concatenate(values)
 
 
@@ -238,7 +238,7 @@ def _spectrum(torque: Torque, axis: int) -> tuple[Floats, Floats]:
     parts = [value[i : i + size] for i in range(0, len(value) - size + 1, size // 2)]
     window = np.hanning(size)
     power = np.mean([np.abs(np.fft.rfft((p - p.mean()) * window)) ** 2 for p in parts], axis=0)
-    density = np.sqrt(2.0 * power * step_s / np.sum(window**2))
-    frequency = np.fft.rfftfreq(size, step_s)
+    density: Floats = np.sqrt(2.0 * power * step_s / np.sum(window**2)).astype(np.float64)
+    frequency: Floats = np.fft.rfftfreq(size, step_s)
     keep = (frequency > 0.0) & (frequency < 20.0)
     return frequency[keep], np.maximum(density[keep], 1e-6)

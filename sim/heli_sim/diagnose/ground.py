@@ -148,7 +148,7 @@ class Ground:
         variance = np.einsum("waii,w->ai", gram[:, :, -1:, -1:], self.weights)[:, 0] / self.rows
         scale = np.maximum(variance, _LEAST_VARIANCE)
         # Columns in units of their own size: frequencies and masses side by side stay well conditioned.
-        unit = np.sqrt(np.maximum(np.einsum("waii->i", gram[:, :, nx:-1, nx:-1]), 1e-300))
+        unit = np.sqrt(np.maximum(np.einsum("waii->i", gram[:, :, nx:-1, nx:-1]) + prior, 1e-30))
         diagonal = np.arange(nx)
         for _ in range(_ROUNDS):
             normal = np.einsum("wa,waij->wij", self.weights[:, None] / scale, gram)

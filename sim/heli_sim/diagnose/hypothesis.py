@@ -17,6 +17,8 @@ from heli_sim.rig import Prior, Rig
 
 _CORRELATED_s: Final = 0.5
 _LEAST_VARIANCE: Final = 0.05
+_RELIEF: Final = 20.0
+"""Relief of the rig's numbers that counts as much as a visible drop of the errors."""
 _STEP_s: Final = 0.004
 """Steps of 10 ms lose their way in effects that change within a few milliseconds, such as dry friction."""
 _RESAMPLED: Final = 400
@@ -35,6 +37,9 @@ class Errors:
         Rows of each window.
     independent : ndarray (3,)
         Share of the rows that count, their errors being correlated.
+    tension : float
+        Half the sum of squares by which numbers of the rig left what was known of them, in standard
+        deviations of their priors: a cost beside that of the errors.
     normalised : float
         Root mean square of every sample's error, in standard deviations of the rounding.
     axis_normalised : ndarray (3,)
@@ -44,6 +49,7 @@ class Errors:
     squares: Floats
     rows: Floats
     independent: Floats
+    tension: float
     normalised: float
     axis_normalised: Floats
 
@@ -214,6 +220,7 @@ class Bench:
             np.maximum(counts @ more.held.squares, _LEAST_VARIANCE)
         )
         resampled = 0.5 * rows * (logs @ _shares(more.held, less.held))
+        resampled += less.held.tension - more.held.tension
         return Evidence(
             train,
             _ratio(more.held, less.held),
@@ -261,6 +268,7 @@ def errors(fit: Fit) -> Errors:
         np.array(squares),
         np.array(rows, float),
         np.where(long_run > 0.0, independent, 1.0),
+        _tension(fit),
         float(np.sqrt(np.mean(samples**2))),
         np.sqrt(np.mean(samples**2, axis=0)),
     )
@@ -273,14 +281,24 @@ def _shares(more: Errors, less: Errors) -> Floats:
     return result
 
 
+def _tension(fit: Fit) -> float:
+    problem = fit.problem
+    own = {name for effect in problem.model.effects for name in effect.priors}
+    rig = np.array([one.quantity not in own for one in problem.free], bool)
+    off = ((fit.theta - problem.prior_mean) / problem.prior_std)[rig]
+    return float(0.5 * (off @ off))
+
+
 def _raw(more: Errors, less: Errors) -> float:
-    return float(0.5 * more.rows.sum() * np.log(less.variance / more.variance).sum())
+    logs = np.log(less.variance / more.variance).sum()
+    return float(0.5 * more.rows.sum() * logs + less.tension - more.tension)
 
 
 def _drop(more: Errors, less: Errors) -> float:
-    return float(np.max(1.0 - more.variance / less.variance))
+    relieved = 1.0 if less.tension - more.tension > _RELIEF else 0.0
+    return max(relieved, float(np.max(1.0 - more.variance / less.variance)))
 
 
 def _ratio(more: Errors, less: Errors) -> float:
     logs = np.log(less.variance / more.variance)
-    return float(0.5 * more.rows.sum() * (_shares(more, less) @ logs))
+    return float(0.5 * more.rows.sum() * (_shares(more, less) @ logs) + less.tension - more.tension)

@@ -36,6 +36,9 @@ class Leftover:
         The same over what the estimate is unsure by.
     memory_s : float
         Time over which its autocorrelation falls to 1/e.
+    bursts : float
+        Excess kurtosis: 0 for steady chance, large where it comes in bursts, as what belongs to manoeuvres
+        does.
     repeats : float
         Share of its variance on a flight not seen that its dependence on states, voltages and time, learned
         on the flights fitted, predicts. Around 0 and below for chance.
@@ -45,6 +48,7 @@ class Leftover:
     size_Nm: float
     over_error: float
     memory_s: float
+    bursts: float
     repeats: float
 
 
@@ -75,8 +79,14 @@ def leftover(final: Hypothesis, screening: Screening) -> Leftover:
         float(np.sqrt(np.mean(value[:, index] ** 2 + std[:, index] ** 2))),
         float(over[index]),
         _memory_s(screening.torques[0].value_Nm[:, index], tangents[0].path.step_s),
+        _kurtosis(value[:, index]),
         repeats,
     )
+
+
+def _kurtosis(value: Floats) -> float:
+    off = value - value.mean()
+    return float(np.mean(off**4) / max(float(np.mean(off**2)) ** 2, 1e-30) - 3.0)
 
 
 def _memory_s(value: Floats, step_s: float) -> float:

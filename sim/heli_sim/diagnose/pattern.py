@@ -30,6 +30,12 @@ _TORQUE_Nm: Final = 0.3
 _SHARE: Final = 0.2
 _ANGLE_rad: Final = 0.02
 
+_UNITS: Final = {
+    "torque": ("N m", _TORQUE_Nm),
+    "thrust": ("1", _SHARE),
+    "measurement": ("rad", _ANGLE_rad),
+}
+
 _Look = Callable[[Situation], ca.SX]
 
 
@@ -182,10 +188,7 @@ def pattern(channel: str, on: str, low: float, step: float, number: int = 0) -> 
         With all points at 0, and priors that let them be found.
     """
     name = f"pattern{number}"
-    kind = channel.split(".")[0]
-    unit, std = {"torque": ("N m", _TORQUE_Nm), "thrust": ("1", _SHARE), "measurement": ("rad", _ANGLE_rad)}[
-        kind
-    ]
+    unit, std = _UNITS[channel.partition(".")[0]]
     points = [Quantity(f"{name}_{i}", unit, f"point {i} of the curve") for i in range(POINTS)]
     span = [
         Quantity(f"{name}_low", QUANTITIES[on][1], "second point of the curve, where it begins"),
@@ -278,3 +281,20 @@ def choices() -> list[tuple[str, str]]:
         for channel, on in itertools.product(CHANNELS, QUANTITIES)
         if not (channel.startswith("measurement") and "thrust" in on)
     ]
+
+
+def named(trial: str) -> str:
+    """Name a trial for people.
+
+    Parameters
+    ----------
+    trial : str
+        Id of a trial.
+
+    Returns
+    -------
+    str
+        ``a curve: CHANNEL on QUANTITY`` for a pattern; an effect's id as it is.
+    """
+    kind, _, rest = trial.partition(":")
+    return f"a curve: {rest.replace(':', ' on ')}" if kind == "pattern" else trial

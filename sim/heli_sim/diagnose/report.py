@@ -123,14 +123,7 @@ def _causes(causes: Sequence[dict[str, Any]]) -> str:
     parts = []
     for one in causes:
         sentence = one["sentence"][:1].upper() + one["sentence"][1:]
-        rows = [
-            [
-                name,
-                f"{rounded(n['value'], n['std'])} ± {rounded(n['std'], n['std']) if n['std'] else 'fixed'}",
-                n["unit"],
-            ]
-            for name, n in one["parameters"].items()
-        ]
+        rows = [_number(name, n) for name, n in one["parameters"].items()]
         unclear = (
             f" It could as well be {_text(', '.join(one['ambiguous_with']))}."
             if one["ambiguous_with"]
@@ -148,6 +141,11 @@ def _causes(causes: Sequence[dict[str, Any]]) -> str:
             + f'<p class="note">Evidence: {evidence}.</p>'
         )
     return "".join(parts)
+
+
+def _number(name: str, number: dict[str, Any]) -> list[str]:
+    value, std = number["value"], number["std"]
+    return [name, f"{rounded(value, std)} ± {rounded(std, std) if std else 'fixed'}", number["unit"]]
 
 
 def _residual(residual: dict[str, Any]) -> str:
@@ -198,7 +196,7 @@ def _ranking(ranking: Sequence[dict[str, Any]]) -> str:
         for one in ranking
         if one["train"] is not None or one["score"] > 3.0
     ]
-    note = "Logarithms of likelihood ratios. The price pays for parameters and for the number of candidates tried."
+    note = "Logarithms of likelihood ratios. The price pays for parameters and for all that was tried."
     return (
         _table(["round: candidate", "screened", "refitted", "held out", "price"], rows)
         + f'<p class="note">{note}</p>'

@@ -11,6 +11,7 @@ import numpy as np
 from heli_sim.diagnose.gain import AxisGain
 from heli_sim.diagnose.hypothesis import Errors, Hypothesis
 from heli_sim.diagnose.leftover import Leftover, correlates
+from heli_sim.diagnose.next_flight import NextFlight
 from heli_sim.diagnose.search import Found, Search
 from heli_sim.diagnose.verdict import Verdict, ambiguous_with, confidence
 from heli_sim.identify import Fit, check
@@ -20,22 +21,6 @@ from heli_sim.model.effects import EffectKind, effect_numbers
 from heli_sim.rig import Number, Rig
 
 METRIC: Final = "2 s free-run rms on the validation flights, deg"
-
-
-@dataclass(frozen=True)
-class NextFlight:
-    """A flight that would tell more.
-
-    Parameters
-    ----------
-    why : str
-        What it would tell.
-    plan : str
-        The plan, TOML, for `heli-host fly`.
-    """
-
-    why: str
-    plan: str
 
 
 @dataclass(frozen=True)
@@ -58,6 +43,8 @@ class Diagnosis:
         Terms of the baseline that the flights reject, with a sentence each.
     kinds : Mapping[str, EffectKind]
         The catalogue.
+    unseen : tuple of str
+        Effects that would not have been seen in these flights at a typical size.
     next_flight : NextFlight or None
         A flight that would tell more.
     seconds : float
@@ -71,6 +58,7 @@ class Diagnosis:
     gains: Mapping[str, AxisGain]
     removed: Mapping[str, str]
     kinds: Mapping[str, EffectKind]
+    unseen: tuple[str, ...]
     next_flight: NextFlight | None
     seconds: float
 
@@ -167,6 +155,8 @@ class Diagnosis:
                 f"{axis}: {one.before_deg:.3g} deg before, {one.after_deg:.3g} deg after; ratio "
                 f"{one.ratio:.2f} ({low:.2f} to {high:.2f}); {METRIC.split(',')[0]}"
             )
+        if self.unseen:
+            lines.append(f"at a typical size these flights would not show: {', '.join(self.unseen)}")
         if self.next_flight is not None:
             lines.append(f"next flight: {self.next_flight.why}")
         if not self.search.complete:
@@ -201,6 +191,7 @@ class Diagnosis:
             "next_flight": {"why": self.next_flight.why, "plan": self.next_flight.plan}
             if self.next_flight
             else None,
+            "could_not_be_seen": list(self.unseen),
             "flights": self._flights(),
             "ranking": self._ranking(),
             "seconds_taken": self.seconds,
@@ -342,7 +333,7 @@ class Diagnosis:
         _, channel, on = strongest.trial.id.split(":")
         first = next(r for r in self.search.rounds if r.taken == strongest.trial.id)
         others = [name for name in correlates(first.patterns) if name != f"{channel} on {on}"]
-        kind, where = channel.split(".")
+        where = channel.rpartition(".")[2]
         axis = where if where in AXES else ("pitch" if where == "difference" else "elevation")
         base, final = self.search.baseline.train, self.search.final.train
         return {

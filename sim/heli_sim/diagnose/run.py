@@ -4,20 +4,31 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from typing import Final
 
 from heli_host.flight import Flight
 
 from heli_sim.diagnose.gain import gain
 from heli_sim.diagnose.hypothesis import Bench, Hypothesis
 from heli_sim.diagnose.leftover import leftover
+from heli_sim.diagnose.next_flight import NextFlight, next_flight, part_for
 from heli_sim.diagnose.result import Diagnosis
+from heli_sim.diagnose.screening import Scored
 from heli_sim.diagnose.search import Search, search
-from heli_sim.diagnose.verdict import judge
+from heli_sim.diagnose.verdict import Verdict, ambiguous_with, judge
 from heli_sim.errors import IdentifyError
-from heli_sim.identify import Record, prepare
+from heli_sim.identify import Fit, Record, prepare
 from heli_sim.model.base import Model
 from heli_sim.model.effects import EffectKind, catalogue
 from heli_sim.rig import Rig
+
+_NOTHING_STD: Final = 2.0
+_KNOWN_SHARE: Final = 0.15
+"""A term is gone when its number is nothing within 2 standard errors that are this small beside the rig's."""
+_STANDS_OUT: Final = 5.0
+"""Standard errors that an effect must measure to be seen among all that are tried."""
+_SHORT_s: Final = 15.0
+_MANY_UNSEEN: Final = 12
 
 
 def diagnose(
@@ -77,27 +88,89 @@ def diagnose(
     held = [_ready(f, rig, n, None, None) for f, n in zip(validation, names[len(flights) :], strict=True)]
     bench = Bench(model, rig, train, held, seed=seed)
     known = {effect.name for effect in model.effects}
-    tried = {
-        id_: kind
-        for id_, kind in every.items()
-        if kind.suits(model) and id_ not in known and not kind.baseline and not kind.shaken
-    }
+    tried = {id_: kind for id_, kind in every.items() if _candidate(kind, model, known)}
     found = search(bench, tried, say=tell, seconds=seconds - (time.perf_counter() - started_s))
     tell("looking at what remains", 0.9)
     left = leftover(found.final, found.last)
     verdict = judge(found, left)
     extended = _extended(bench, found)
+    unseen = _unseen(found.rounds[-1].screened, every)
     return Diagnosis(
         found,
         verdict,
         left,
         extended,
         gain(found.baseline, extended, seed),
-        {},
+        _removed(extended.fit, rig, every),
         every,
-        None,
+        unseen,
+        _next(verdict, found, every, unseen),
         time.perf_counter() - started_s,
     )
+
+
+def _candidate(kind: EffectKind, model: Model, known: set[str]) -> bool:
+    """Whether an effect is searched for; numbers of the rig that vanish are seen in the fit itself."""
+    if not kind.suits(model) or kind.id in known or kind.shaken:
+        return False
+    return not kind.baseline or (not kind.held and model.name != "multibody")
+
+
+def _removed(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> dict[str, str]:
+    """Terms of the baseline whose numbers the flights find to be nothing."""
+    values, std = fit.values, fit.std
+    gone = {}
+    for id_, kind in kinds.items():
+        names = [name for name in kind.held if name in values]
+        if not kind.baseline or not names:
+            continue
+        nothing = all(
+            values[name] < _NOTHING_STD * std[name] and std[name] < _KNOWN_SHARE * abs(rig[name].value)
+            for name in names
+        )
+        if nothing:
+            share = 1.0 - values[names[0]] / rig[names[0]].value
+            spread = std[names[0]] / abs(rig[names[0]].value)
+            size = kind.size[0]
+            gone[id_] = kind.sentence({size: min(max(share, 0.0), 1.0)}, {size: spread})
+    return gone
+
+
+def _unseen(screened: Sequence[Scored], kinds: Mapping[str, EffectKind]) -> tuple[str, ...]:
+    """Effects that would not stand out of their standard error at a typical size."""
+    unseen = []
+    for one in screened:
+        kind = kinds[one.trial.id]
+        # Without columns for each size, the unit of the only coefficient is the size tried.
+        name = kind.size[0]
+        unit = 1.0 if one.trial.size else one.trial.effect.values[name]
+        if one.answer.std[0] * abs(unit) * _STANDS_OUT > abs(kind.typical[name]):
+            unseen.append(kind.id)
+    return tuple(sorted(unseen))
+
+
+def _next(
+    verdict: Verdict, found: Search, kinds: Mapping[str, EffectKind], unseen: Sequence[str]
+) -> NextFlight | None:
+    """The flight that would tell more, where these left something open."""
+    if verdict.word == "ambiguous":
+        pairs = [(one.trial.id, rival) for one in verdict.causes for rival in ambiguous_with(one)]
+        names = "; ".join(f"{one} or {other}" for one, other in pairs)
+        parts = {part_for(kinds[id_]) for pair in pairs for id_ in pair}
+        return next_flight(f"These flights do not tell apart: {names}.", parts)
+    if verdict.word == "unexplained":
+        on = {one.trial.id.rpartition(":")[2] for one in verdict.off_list}
+        parts = {part for part in ("travel", "elevation", "time") if any(part in name for name in on)}
+        parts |= {"motors"} if any("thrust" in name for name in on) or not on else set()
+        return next_flight("What is missing should be seen over a wider range.", parts)
+    seconds = sum(record.used_s for record in found.baseline.fit.problem.records)
+    if seconds < _SHORT_s or len(unseen) > _MANY_UNSEEN:
+        which = ", ".join(unseen[:6]) or "small effects"
+        return next_flight(
+            f"{seconds:.0f} s of free flight show too little to tell about {which}.",
+            {part_for(kinds[id_]) for id_ in unseen},
+        )
+    return None
 
 
 def _extended(bench: Bench, found: Search) -> Hypothesis:

@@ -1,6 +1,6 @@
 """How the windows' predictions answer small changes of the dynamics, to first order and for any signal.
 
-A change g(t) of the rates of the state moves a window's state by d/dt dx = A(t) dx + g(t), A being the model's
+A change g(t) of the state's rates moves a window's state by d/dt dx = A(t) dx + g(t), A being the model's
 Jacobian along the prediction. One pass of this linear system tells what any number of candidates would do to
 the predicted angles: a candidate is nothing but the signal by which it changes the rates. So screening costs
 no fit and no compiler, however many moments, frequencies and angles are tried.
@@ -256,10 +256,10 @@ class Along:
             np.ascontiguousarray(a, float) for a in (path.state, path.volts_V, path.t_s, path.parameters)
         ]
         for i, array in enumerate(arrays):
-            self._buffer.set_arg(i, memoryview(array.reshape(-1)))
+            self._buffer.set_arg(i, memoryview(array.reshape(-1)))  # type: ignore[call-arg,arg-type]
         # CasADi stores columns one after the other.
         results = [np.zeros((self._steps, columns, rows)) for rows, columns in self._shapes]
         for i, result in enumerate(results):
-            self._buffer.set_res(i, memoryview(result.reshape(-1)))
+            self._buffer.set_res(i, memoryview(result.reshape(-1)))  # type: ignore[call-arg,arg-type]
         self._run()
         return [result.transpose(0, 2, 1) for result in results]

@@ -113,8 +113,8 @@ def _smooth(tangent: Tangent, size: Floats) -> tuple[Floats, Floats]:
         smoothed_spread = spread + back @ (later_spread - spread_ahead) @ back.transpose(0, 2, 1)
         later_mean = np.where(last, mean, smoothed)
         later_spread = np.where(last[:, :, None], spread, smoothed_spread)
-        alive = np.flatnonzero(tangent.steps > k)
-        rows = tangent.first[alive] + k
-        value[rows] = later_mean[alive, nx:]
-        variance[rows] = later_spread[alive][:, range(nx, order), range(nx, order)]
+        here = np.flatnonzero(tangent.steps > k)
+        place = tangent.first[here] + k
+        value[place] = later_mean[here, nx:]
+        variance[place] = later_spread[here][:, range(nx, order), range(nx, order)]
     return value, np.maximum(variance, 0.0)

@@ -1,4 +1,4 @@
-"""Candidates as columns: what an effect of the catalogue, or a pattern, would do to the predictions of a fit."""
+"""Candidates as columns: what an effect of the catalogue, or a pattern, would do to a fit's predictions."""
 
 from __future__ import annotations
 
@@ -84,6 +84,7 @@ class Columns:
         self._functions: dict[str, _Extended] = {}
         self._channels: dict[str, tuple[Floats, Floats]] = {}
         self._quantities: dict[str, Floats] = {}
+        self._rates: Along | None = None
 
     def pattern_signals(self, trial: Trial) -> tuple[Floats, Floats | None]:
         """The same as `signals` for a pattern: its channel's influence times the bumps of its curve.
@@ -129,22 +130,33 @@ class Columns:
         """
         if trial.is_pattern:
             return self.pattern_signals(trial)
-        if trial.id not in self._functions:
+        if trial.id not in self._functions and not trial.effect.delay:
             self._functions[trial.id] = _Extended(self.model, trial.effect, trial.size)
-        extended = self._functions[trial.id]
         path = self.tangent.path
         if trial.effect.delay:
-            path = self._late(path, trial.effect.values[trial.effect.delay])
-        rates, seen = extended.run(path, trial.effect.values)
+            return self._delayed(trial), None
+        rates, seen = self._functions[trial.id].run(path, trial.effect.values)
         return rates, seen if np.any(seen) else None
 
-    def _late(self, path: Path, delay_s: float) -> Path:
-        record = self.tangent.record
-        at_s = record.t_s - record.t_s[0]
-        volts = np.column_stack(
-            [np.interp(path.t_s - delay_s, at_s + 0.5 * record.step_s, v) for v in record.voltages_V.T]
+    def _delayed(self, trial: Trial) -> Floats:
+        """What later voltages change: the model itself is the same."""
+        if self._rates is None:
+            model = self.model
+            x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
+            t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
+            function = ca.Function("rates", [x, u, t, p], [ca.densify(model.dynamics(x, u, p, t))])
+            self._rates = Along(function, self.tangent.rows)
+        path, record = self.tangent.path, self.tangent.record
+        delay_s = trial.effect.values[trial.effect.delay]
+        middle_s = record.t_s - record.t_s[0] + 0.5 * record.step_s
+        kernel = np.ones(max(1, round(path.step_s / record.step_s)))
+        smooth = [np.convolve(v, kernel / len(kernel), mode="same") for v in record.voltages_V.T]
+        now, late = (
+            np.column_stack([np.interp(path.t_s - d, middle_s, v) for v in smooth]) for d in (0.0, delay_s)
         )
-        return replace(path, volts_V=volts)
+        (after,) = self._rates(replace(path, volts_V=late))
+        (before,) = self._rates(replace(path, volts_V=now))
+        return after - before
 
 
 class _Extended:

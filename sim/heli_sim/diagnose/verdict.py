@@ -13,6 +13,8 @@ EXPLAINED: Final = 1.04
 """A normalised error up to here is nothing but rounding: practice flights reach 1.00 to 1.02."""
 CHANCE_REPEATS: Final = 0.25
 """A missing torque of which less than this share repeats in another flight is chance."""
+CHANCE_BURSTS: Final = 3.0
+"""Excess kurtosis up to which it is steady enough to be chance."""
 CHANCE_OVER_ERROR: Final = 1.0
 """It must stand out of its estimate's error by this factor."""
 OFF_LIST_SHARE: Final = 0.3
