@@ -93,6 +93,10 @@ class ReactionTorque(Hidden):
 
     back_turns: float = 1.0
 
+    def __init__(self, size: float, rng: np.random.Generator) -> None:
+        super().__init__(size, rng)
+        self.truth = {"size": size, "back_turns": self.back_turns}
+
     def torque(self, at: Moment) -> None:
         about_up_Nm = self.size * (at.thrust_N[0] + self.back_turns * at.thrust_N[1])
         # The rotors' axis in the frame of the arm: elevation turns about -y, travel about the vertical.
@@ -187,7 +191,7 @@ class Eccentricity(Hidden):
         self._axis, self._phase_rad = axis, rng.uniform(-np.pi, np.pi)
         # Once a revolution shows in travel only; on the other axes it is all but a scale.
         self._order = int(rng.choice([1, 2])) if axis == 2 else 2
-        self.truth = {"size": size, "order": self._order}
+        self.truth = {"size": size, "order": self._order, "phase_rad": self._phase_rad}
 
     def measured(self, angles_rad: Floats) -> Floats:
         out = angles_rad.copy()

@@ -1,0 +1,114 @@
+"""`make blind`: every case, told as it goes; then confusion table, calibration curve and goals."""
+
+from __future__ import annotations
+
+import argparse
+import fnmatch
+import json
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict
+from multiprocessing import get_context
+from pathlib import Path
+
+from heli_sim.errors import SimError
+
+from tests.blind.cases import Case, every_case
+from tests.blind.judge import Row
+from tests.blind.run import run
+from tests.blind.summary import calibration, confusion, goals, text
+
+_PROCESSES = 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the cases and report.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Instead of the command line's.
+
+    Returns
+    -------
+    int
+        Exit status: 0 when every case ran.
+    """
+    parser = argparse.ArgumentParser(prog="python -m tests.blind", description=__doc__)
+    parser.add_argument("only", nargs="*", help="names of cases, wildcards allowed; all without")
+    parser.add_argument("--first", type=int, help="only so many of them, a fair sample")
+    parser.add_argument("--folder", type=Path, default=Path("build/blind"), help="flights and results")
+    parser.add_argument("--keep", action="store_true", help="take results there, whatever code made them")
+    parser.add_argument("--processes", type=int, default=_PROCESSES)
+    parser.add_argument("--json", type=Path, default=Path("blind.json"))
+    given = parser.parse_args(arguments)
+    cases = [case for case in every_case() if _wanted(case, given.only)][: given.first]
+    if not cases:
+        print(f"no case is called {', '.join(given.only)}; names are those of tests/blind/cases.py")
+        return 2
+    rows = list(_told(_done(cases, given.folder, given.keep, given.processes), len(cases)))
+    rows.sort(key=lambda row: row.case)
+    print(text(rows))
+    given.json.write_text(json.dumps(_report(rows), indent=1) + "\n")
+    print(f"\n{given.json} written")
+    return 0 if len(rows) == len(cases) else 1
+
+
+def _wanted(case: Case, patterns: Sequence[str]) -> bool:
+    return not patterns or any(fnmatch.fnmatchcase(case.name, pattern) for pattern in patterns)
+
+
+def _done(
+    cases: Sequence[Case], folder: Path, keep: bool, processes: int
+) -> Iterator[tuple[Row | None, str]]:
+    # Fresh processes, so that none inherits libraries that this one has loaded.
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        names = {pool.submit(run, case, folder, keep=keep): case for case in cases}
+        try:
+            for future in as_completed(names):
+                try:
+                    yield future.result(), ""
+                except (SimError, OSError, RuntimeError, ValueError) as error:
+                    yield None, f"{names[future].name}: {type(error).__name__}: {error}"
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            print("stopped; the same command goes on where this one was")
+            raise SystemExit(130) from None
+
+
+def _told(done: Iterable[tuple[Row | None, str]], count: int) -> Iterator[Row]:
+    started_s = time.monotonic()
+    for number, (row, failure) in enumerate(done, 1):
+        left_s = (time.monotonic() - started_s) / number * (count - number)
+        left = f"{number}/{count}, {left_s / 60.0:.0f} min left"
+        if row is None:
+            print(f"[{left}] {failure}", flush=True)
+            continue
+        word = "died" if row.failure else ("right" if row.right else "WRONG")
+        said = ", ".join(row.named) or row.failure or "no cause"
+        print(f"[{left}] {row.case}: {word}; {row.verdict}: {said}; {row.seconds:.0f} s", flush=True)
+        yield row
+
+
+def _report(rows: Sequence[Row]) -> dict[str, object]:
+    return {
+        "goals": goals(rows),
+        "confusion": confusion(rows),
+        "calibration": calibration(rows),
+        "cases": [
+            {
+                **asdict(row),
+                "right": row.right,
+                "spurious": row.spurious,
+                "missed": row.missed,
+                "fair": row.fair,
+            }
+            for row in rows
+        ],
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,109 @@
+"""One case from beginning to end, kept so that a run that was interrupted goes on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import heli_sim
+from heli_host.flight import Flight
+from heli_sim.diagnose import diagnose
+from heli_sim.errors import SimError
+from heli_sim.model import MultibodyModel
+from heli_sim.rig import Rig, load_rig
+
+from tests.blind.cases import Case
+from tests.blind.judge import Row, judged
+from tests.blind.oracle import Told, tell
+from tests.blind.truth import hidden_in
+
+_SIM = Path(heli_sim.__file__).parent
+_GENERATOR = tuple(
+    Path(__file__).with_name(name)
+    for name in ("mujoco_rig.py", "hidden.py", "off_list.py", "flights.py", "cases.py")
+)
+_ORACLE = (Path(__file__).with_name("oracle.py"), Path(__file__).with_name("truth.py"))
+
+
+def run(case: Case, folder: Path, *, keep: bool = False) -> Row:
+    """Make the flights of a case, have them diagnosed, and judge the answer.
+
+    Parameters
+    ----------
+    case : Case
+        The case.
+    folder : Path
+        Where flights and results are kept.
+    keep : bool
+        Take flights and results that are there, whatever code they were made with.
+
+    Returns
+    -------
+    Row
+        The judgement.
+    """
+    place = folder / case.name
+    place.mkdir(parents=True, exist_ok=True)
+    made_by = _digest(repr(case), _GENERATOR)
+    mark = place / "made_by.txt"
+    if not keep and not (mark.exists() and mark.read_text() == made_by):
+        for old in place.iterdir():
+            old.unlink()
+    paths = case.flights(folder)
+    if not mark.exists():
+        mark.write_text(made_by)
+    flights = Flight.read(paths[0]), Flight.read(paths[1])
+    rig = load_rig("makki2024")
+    hidden = hidden_in(case, _motors_on_s(flights[0], rig))
+    fits = _digest("", (*_ORACLE, *_sources("identify"), *_sources("model")))
+    told = Told(**_kept(place / "told.json", fits, keep, lambda: asdict(tell(rig, flights, hidden))))
+    all_of_it = _digest("", [*_sources("diagnose"), *_sources("identify"), *_sources("model")])
+    answer = _kept(place / "diagnosis.json", all_of_it, keep, lambda: _diagnosed(rig, flights))
+    return judged(case, hidden, told, answer["result"], answer["seconds"], answer["failure"])
+
+
+def _diagnosed(rig: Rig, flights: tuple[Flight, Flight]) -> dict[str, Any]:
+    started_s = time.perf_counter()
+    result, failure = None, ""
+    try:
+        result = diagnose(MultibodyModel(), rig, flights[:1], flights[1:], labels=["a", "b"]).json()
+    except (SimError, ArithmeticError, LookupError, TypeError, ValueError) as error:
+        # One case that dies must not end the night's run; it counts as a miss and is said.
+        failure = f"{type(error).__name__}: {error}"
+    return {"result": result, "failure": failure, "seconds": time.perf_counter() - started_s}
+
+
+def _motors_on_s(flight: Flight, rig: Rig) -> float:
+    # The drivers pass nothing on below their dead band.
+    least_V = rig["driver_dead_band"].value * rig["supply"].value
+    on = (flight.voltages_V > least_V).any(axis=1)
+    return float(flight.t_s[on][0] - flight.t_s[0])
+
+
+def _kept(path: Path, made_by: str, keep: bool, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Read what an earlier run found with the same code, or find it and write it down."""
+    if path.exists():
+        found: dict[str, Any] = json.loads(path.read_text())
+        if keep or found["made_by"] == made_by:
+            return dict(found["what"])
+    what = make()
+    unfinished = path.with_suffix(".unfinished")
+    unfinished.write_text(json.dumps({"made_by": made_by, "what": what}, indent=1, default=float))
+    unfinished.rename(path)
+    return what
+
+
+def _sources(room: str) -> list[Path]:
+    return sorted((_SIM / room).rglob("*.py"))
+
+
+def _digest(text: str, files: Iterable[Path]) -> str:
+    digest = hashlib.sha256(text.encode())
+    for path in files:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,117 @@
+"""What was hidden, in the words of the catalogue: its numbers by the names that a diagnosis gives them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from tests.blind.cases import Case
+
+Numbers = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """A hidden effect as the catalogue spells it.
+
+    Parameters
+    ----------
+    id : str
+        The effect.
+    start : Mapping[str, float]
+        Its numbers by full name, as far as they are known.
+    scalars : Mapping[str, float]
+        Those of them that the catalogue means as the generator does: to be found within their error.
+    amplitudes : Mapping[tuple[str, str], float]
+        Lengths of pairs of numbers, likewise.
+    """
+
+    id: str
+    start: Numbers
+    scalars: Numbers
+    amplitudes: Mapping[tuple[str, str], float] = field(default_factory=dict)
+
+
+def hidden_in(case: Case, motors_on_s: float) -> tuple[Hidden, ...]:
+    """Spell what is hidden in a case.
+
+    Parameters
+    ----------
+    case : Case
+        The case.
+    motors_on_s : float
+        When the motors first ran on the flights' time axis: the generator counts from there, a log from its
+        first row.
+
+    Returns
+    -------
+    tuple of Hidden
+        One for each effect of the list.
+    """
+    return tuple(_spelled(id_, numbers, motors_on_s) for id_, numbers in case.truth().items())
+
+
+def _spelled(id_: str, of: Numbers, motors_on_s: float) -> Hidden:
+    kind, _, _ = id_.partition(".")
+    prefix = id_.replace(".", "_")
+    scalars = _SAME[kind](of) if kind in _SAME else {}
+    if "at_s" in of:
+        scalars |= {"at_s": of["at_s"] + motors_on_s}
+    start = {f"{prefix}_{what}": value for what, value in scalars.items()}
+    amplitudes: dict[tuple[str, str], float] = {}
+    more: dict[str, float] = {}
+    if kind == "inflow_damping":
+        # Lost in N for each m/s, whatever the thrust, in air that stands still.
+        scalars = {"s_per_m": of["size"]}
+        more = {**scalars, "loaded": 0.0, "still": 1.0}
+    elif kind == "rotor_reaction_torque":
+        more = {"front_m": of["size"], "back_m": of["size"] * of["back_turns"]}
+        start = {}
+        scalars = more
+    elif kind == "axis_tilt":
+        lean = math.tan(math.radians(of["size"]))
+        more = {"x_rad": -lean * math.cos(of["towards_rad"]), "y_rad": -lean * math.sin(of["towards_rad"])}
+        scalars = more
+    elif kind == "encoder_eccentricity":
+        size_rad = math.radians(of["size"])
+        more = {
+            "sin_rad": size_rad * math.cos(of["phase_rad"]),
+            "cos_rad": size_rad * math.sin(of["phase_rad"]),
+            "order": of["order"],
+        }
+        amplitudes = {(f"{prefix}_sin_rad", f"{prefix}_cos_rad"): size_rad}
+    elif kind == "periodic_torque":
+        more = {"sin_Nm": of["size"]}
+        amplitudes = {(f"{prefix}_sin_Nm", f"{prefix}_cos_Nm"): of["size"]}
+    start |= {f"{prefix}_{what}": value for what, value in more.items()}
+    return Hidden(id_, start, {f"{prefix}_{what}": value for what, value in scalars.items()}, amplitudes)
+
+
+def _ground(of: Numbers) -> dict[str, float]:
+    # The generator's table lies where the arm's end is at -25 degrees, the catalogue's 0.25 m below the axis.
+    lower_m = 0.64 * math.sin(math.radians(25.0)) - 0.25
+    return {"share": of["size"] * math.exp(-lower_m / 0.15), "height_m": 0.15}
+
+
+_SAME: Mapping[str, Callable[[Numbers], dict[str, float]]] = {
+    "rotor_lag": lambda of: {"s": of["size"]},
+    "input_delay": lambda of: {"s": of["size"]},
+    # k e (1 + c e) = k (1 + c) e (1 + q (e - 1)) with q = c / (1 + c).
+    "thrust_quadratic": lambda of: {"share": of["size"] / (1.0 + of["size"])},
+    "thrust_asymmetry": lambda of: {"share": of["size"]},
+    "thrust_fade": lambda of: {"per_s": of["size"] / 60.0},
+    "thrust_step": lambda of: {"share": of["size"]},
+    "supply_sag": lambda of: {"per_V": of["size"] / 2.0},
+    "ground_effect": _ground,
+    "coulomb_friction": lambda of: {"Nm": of["size"]},
+    "travel_drag_quadratic": lambda of: {"Nms2": of["size"]},
+    "cable_spring": lambda of: {"Nm_per_rad": of["size"], "rest_rad": of["rest_rad"]},
+    "counterweight_shift": lambda of: {"m": of["size"]},
+    "backlash": lambda of: {"rad": math.radians(of["size"])},
+    # A place that is too high by so much is believed to be lower.
+    "zero_offset": lambda of: {"rad": -math.radians(of["size"])},
+    "periodic_torque": lambda of: {"Hz": of["frequency_Hz"]},
+    "random_torque": lambda of: {"Nm": of["size"], "s": of["lasts_s"]},
+    "removed": lambda of: {"share": of["size"]},
+}
