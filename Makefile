@@ -1,11 +1,12 @@
 # Two commands matter: `make fly` and `make test`. Everything they need is set up in .venv by .ci/setup.
 .DEFAULT_GOAL := help
-.PHONY: help setup fly test check bench fuzz firmware clean
+.PHONY: help setup fly test check bench blind fuzz firmware clean
 
 PLANS ?= hover sine
 SPEED ?= 1
 BOARD ?= auto
 FUZZ_S ?= 60
+CASES ?=
 HELI := .venv/bin/heli-host
 
 help: ## this list
@@ -29,6 +30,10 @@ bench: ## measure what the project promises: bench.json and a table
 	@.ci/setup bench
 	@.venv/bin/python -m tests.bench
 
+blind: ## hide effects in flights, see whether diagnosis finds them: blind.json; goes on where it was stopped
+	@.ci/setup test
+	@.venv/bin/python -m tests.blind $(CASES)
+
 fuzz: ## fuzz parser and dispatcher: make fuzz [FUZZ_S=60]; needs clang
 	@.ci/setup test
 	@.ci/fuzz $(FUZZ_S)
@@ -38,5 +43,5 @@ firmware: ## build what is flashed to the Due: build/pio/due/firmware.{elf,bin}
 	@.venv/bin/python firmware/pio/build.py run -e due
 
 clean: ## remove .venv and everything built; flights/ stays
-	rm -rf .venv build bench.json .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv build bench.json blind.json .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -193,6 +193,12 @@ class MujocoPlant:
         """Answer the world's question whether the arm rests by itself: yes, held by `_step`'s own hand."""
         return state, state[:3]
 
+    def holding_torque_Nm(self) -> Floats:
+        """Torques that hold the level arm still with its motors off, (3,)."""
+        self.data.qpos[:], self.data.qvel[:] = 0.0, 0.0
+        mujoco.mj_forward(self.physics, self.data)
+        return np.asarray(self.data.qfrc_bias[self._v])
+
     def native_step(self) -> _native.PlantStep:
         """The millisecond for the world."""
         return _native.CallbackStep(self._step, 6, 1)

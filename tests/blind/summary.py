@@ -28,7 +28,7 @@ def goals(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
         For each goal how many of how many, and what is wanted.
     """
     ran = [row for row in rows if not row.failure]
-    named = [row for row in ran if row.kind in ("one", "several") and row.fair]
+    named = [row for row in rows if row.kind in ("one", "several") and row.fair]
     several = [row for row in named if row.kind == "several"]
     within = [ok for row in ran for ok in row.within.values()]
     near = [
@@ -39,7 +39,7 @@ def goals(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
     return {
         "cause named first": _of((row.right for row in named), 0.95),
         "false alarms on nothing hidden": _of((not row.right for row in ran if row.kind == "nothing"), 0.0),
-        "off-list called unexplained": _of((row.right for row in ran if row.kind == "off_list"), 0.90),
+        "off-list called unexplained": _of((row.right for row in rows if row.kind == "off_list"), 0.90),
         "parameter within 3 std": _of(within, 0.90),
         "held-out error within 10 % of the fit told the answer": _of(near, 1.0),
         "nothing named that is not there": _of((not row.spurious for row in named), None),

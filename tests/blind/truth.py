@@ -65,6 +65,9 @@ def _spelled(id_: str, of: Numbers, motors_on_s: float) -> Hidden:
         # Lost in N for each m/s, whatever the thrust, in air that stands still.
         scalars = {"s_per_m": of["size"]}
         more = {**scalars, "loaded": 0.0, "still": 1.0}
+    elif kind == "ground_effect":
+        # The generator goes by the height of the arm's end, whatever the pitch.
+        more = {"own": 0.0}
     elif kind == "rotor_reaction_torque":
         more = {"front_m": of["size"], "back_m": of["size"] * of["back_turns"]}
         start = {}
