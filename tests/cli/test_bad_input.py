@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import threading
 from pathlib import Path
 
@@ -158,7 +159,11 @@ def test_a_log_that_cannot_be_written_does_not_take_off(terminal: Terminal) -> N
 
 
 @pytest.mark.parametrize("verb", ["info", "plot", "export"])
-@pytest.mark.parametrize("content", [None, b"", b"t_s,front_V\n0,1\n", os.urandom(1000)], ids=str)
+@pytest.mark.parametrize(
+    "content",
+    [None, b"", b"t_s,front_V\n0,1\n", random.Random(1).randbytes(1000)],
+    ids=["missing", "empty", "table", "noise"],
+)
 def test_a_file_that_is_no_log_is_refused(
     terminal: Terminal, tmp_path: Path, verb: str, content: bytes | None
 ) -> None:
