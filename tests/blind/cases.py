@@ -73,6 +73,9 @@ class Case:
             numbers[f"friction_{axis}"] = 2.0 ** rng.uniform(-1.0, 1.0)
         for name in ("M_f", "M_b", "M_w", "M_h", "M_l", "L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x"):
             numbers[name] = rng.uniform(0.99, 1.01)
+        if any(name == "removed.dead_zone" for name, _ in self.effects):
+            # Without a dead zone the arm hovers below the voltage that the usual drivers pass on at all.
+            numbers["driver_dead_band"] = 0.0
         return rig.replace(**{name: factor * rig[name].value for name, factor in numbers.items()})
 
     def hidden(self, flight: int = 0) -> list[Hidden]:

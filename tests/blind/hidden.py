@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -272,8 +273,15 @@ class NoPendulum(Hidden):
 Maker = Callable[[float, np.random.Generator], Hidden]
 
 
-def _on(kind: Callable[..., Hidden], place: Any) -> Maker:
-    return lambda size, rng: kind(size, rng, place)
+@dataclass(frozen=True)
+class _On:
+    """Makes an effect at a place; a lambda could not be sent to another process."""
+
+    kind: Callable[..., Hidden]
+    place: Any
+
+    def __call__(self, size: float, rng: np.random.Generator) -> Hidden:
+        return self.kind(size, rng, self.place)
 
 
 LISTED: dict[str, tuple[Maker, float, float]] = {
@@ -282,51 +290,51 @@ LISTED: dict[str, tuple[Maker, float, float]] = {
     "thrust_quadratic": (ThrustQuadratic, 0.06, 0.2),
     "thrust_asymmetry": (ThrustAsymmetry, 0.03, 0.1),
     "thrust_fade": (ThrustFade, 0.05, 0.15),
-    "thrust_step.front": (_on(ThrustStep, 0), 0.05, 0.15),
-    "thrust_step.back": (_on(ThrustStep, 1), 0.05, 0.15),
+    "thrust_step.front": (_On(ThrustStep, 0), 0.05, 0.15),
+    "thrust_step.back": (_On(ThrustStep, 1), 0.05, 0.15),
     "supply_sag": (SupplySag, 0.03, 0.08),
     "inflow_damping": (InflowDamping, 0.1, 0.3),
     "ground_effect": (GroundEffect, 0.1, 0.3),
     "rotor_reaction_torque": (ReactionTorque, 0.01, 0.03),
-    "coulomb_friction.elevation": (_on(Coulomb, 0), 0.02, 0.06),
-    "coulomb_friction.pitch": (_on(Coulomb, 1), 0.005, 0.02),
-    "coulomb_friction.travel": (_on(Coulomb, 2), 0.01, 0.03),
+    "coulomb_friction.elevation": (_On(Coulomb, 0), 0.02, 0.06),
+    "coulomb_friction.pitch": (_On(Coulomb, 1), 0.005, 0.02),
+    "coulomb_friction.travel": (_On(Coulomb, 2), 0.01, 0.03),
     "travel_drag_quadratic": (QuadraticDrag, 0.05, 0.15),
-    "cable_spring.elevation": (_on(CableSpring, 0), 0.05, 0.2),
-    "cable_spring.travel": (_on(CableSpring, 2), 0.03, 0.1),
+    "cable_spring.elevation": (_On(CableSpring, 0), 0.05, 0.2),
+    "cable_spring.travel": (_On(CableSpring, 2), 0.03, 0.1),
     "axis_tilt": (AxisTilt, 1.0, 3.0),
     "counterweight_shift": (CounterweightShift, 0.003, 0.01),
-    "backlash.elevation": (_on(Backlash, 0), 0.3, 0.8),
-    "backlash.pitch": (_on(Backlash, 1), 0.3, 0.8),
-    "backlash.travel": (_on(Backlash, 2), 0.3, 0.8),
-    "encoder_eccentricity.elevation": (_on(Eccentricity, 0), 0.3, 0.8),
-    "encoder_eccentricity.pitch": (_on(Eccentricity, 1), 0.3, 0.8),
-    "encoder_eccentricity.travel": (_on(Eccentricity, 2), 0.3, 0.8),
-    "zero_offset.elevation": (_on(ZeroOffset, 0), 1.0, 3.0),
-    "zero_offset.pitch": (_on(ZeroOffset, 1), 1.0, 3.0),
-    "periodic_torque.elevation": (_on(PeriodicTorque, 0), 0.01, 0.05),
-    "periodic_torque.pitch": (_on(PeriodicTorque, 1), 0.003, 0.01),
-    "periodic_torque.travel": (_on(PeriodicTorque, 2), 0.01, 0.04),
-    "random_torque.elevation": (_on(RandomTorque, 0), 0.02, 0.08),
-    "random_torque.pitch": (_on(RandomTorque, 1), 0.004, 0.015),
-    "random_torque.travel": (_on(RandomTorque, 2), 0.015, 0.05),
+    "backlash.elevation": (_On(Backlash, 0), 0.3, 0.8),
+    "backlash.pitch": (_On(Backlash, 1), 0.3, 0.8),
+    "backlash.travel": (_On(Backlash, 2), 0.3, 0.8),
+    "encoder_eccentricity.elevation": (_On(Eccentricity, 0), 0.3, 0.8),
+    "encoder_eccentricity.pitch": (_On(Eccentricity, 1), 0.3, 0.8),
+    "encoder_eccentricity.travel": (_On(Eccentricity, 2), 0.8, 2.5),
+    "zero_offset.elevation": (_On(ZeroOffset, 0), 1.0, 3.0),
+    "zero_offset.pitch": (_On(ZeroOffset, 1), 1.0, 3.0),
+    "periodic_torque.elevation": (_On(PeriodicTorque, 0), 0.01, 0.05),
+    "periodic_torque.pitch": (_On(PeriodicTorque, 1), 0.003, 0.01),
+    "periodic_torque.travel": (_On(PeriodicTorque, 2), 0.01, 0.04),
+    "random_torque.elevation": (_On(RandomTorque, 0), 0.02, 0.08),
+    "random_torque.pitch": (_On(RandomTorque, 1), 0.004, 0.015),
+    "random_torque.travel": (_On(RandomTorque, 2), 0.015, 0.05),
 }
 """Maker, small and large size of each. Travel has no zero to be off: every place of it is as good."""
 
 OTHER_FORMS: dict[str, tuple[str, Maker, float]] = {
     "rotor_reaction_torque-opposed": ("rotor_reaction_torque", OpposedReactionTorque, 0.03),
-    "removed.friction.elevation-gone": ("removed.friction.elevation", _on(NoFriction, 0), 1.0),
-    "removed.friction.pitch-gone": ("removed.friction.pitch", _on(NoFriction, 1), 1.0),
-    "removed.friction.travel-gone": ("removed.friction.travel", _on(NoFriction, 2), 1.0),
+    "removed.friction.elevation-gone": ("removed.friction.elevation", _On(NoFriction, 0), 1.0),
+    "removed.friction.pitch-gone": ("removed.friction.pitch", _On(NoFriction, 1), 1.0),
+    "removed.friction.travel-gone": ("removed.friction.travel", _On(NoFriction, 2), 1.0),
     "removed.dead_zone-gone": ("removed.dead_zone", NoDeadZone, 1.0),
     "removed.pendulum.elevation-gone": (
         "removed.pendulum.elevation",
-        _on(NoPendulum, ("long_arm", "counterweight", "body")),
+        _On(NoPendulum, ("long_arm", "counterweight", "body")),
         1.0,
     ),
     "removed.pendulum.pitch-gone": (
         "removed.pendulum.pitch",
-        _on(NoPendulum, ("short_arm", "front_rotor", "back_rotor")),
+        _On(NoPendulum, ("short_arm", "front_rotor", "back_rotor")),
         1.0,
     ),
 }

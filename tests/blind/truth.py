@@ -92,8 +92,9 @@ def _spelled(id_: str, of: Numbers, motors_on_s: float) -> Hidden:
 
 
 def _ground(of: Numbers) -> dict[str, float]:
-    # The generator's table lies where the arm's end is at -25 degrees, the catalogue's 0.25 m below the axis.
-    lower_m = 0.64 * math.sin(math.radians(25.0)) - 0.25
+    # The generator's table lies where the arm's end is at -25 degrees, the catalogue's 0.25 m below the axis,
+    # and there the rotors are L_theta below the arm.
+    lower_m = 0.64 * math.sin(math.radians(25.0)) - 0.25 + 0.03
     return {"share": of["size"] * math.exp(-lower_m / 0.15), "height_m": 0.15}
 
 
