@@ -181,7 +181,7 @@ def test_without_keep_alive_the_board_is_left_to_its_failsafe() -> None:
     [
         ("elevation", 22.5, "-25 to 22"),
         ("travel", -171.0, "-170 to 170"),
-        ("pitch", 21.0, "-20 to 20"),
+        ("pitch", 31.0, "-30 to 30"),
         ("travel", math.nan, "-170 to 170"),
     ],
 )

@@ -65,7 +65,7 @@ def flown(options: Board, plan: str, log: Path, **more: str) -> FlightSummary:
         return fly(heli, plan, log_path=log)
 
 
-@pytest.mark.parametrize(("plan", "seed"), [("sine", "2"), ("step", "3"), ("identify", "4")])
+@pytest.mark.parametrize(("plan", "seed"), [("sine", "2"), ("step", "3"), ("identify", "2")])
 def test_the_same_flight_on_both_boards_agrees_tick_by_tick(
     plan: str, seed: str, elf: Path, tmp_path: Path
 ) -> None:

@@ -1,7 +1,5 @@
 #include "control/constants.hpp"
 
-#include <cmath>
-
 #include "control/math.hpp"
 
 namespace heli::control {
@@ -10,7 +8,17 @@ namespace {
 
 using link::Param;
 
-float smoothing_of(float cutoff_Hz) { return 1.0F - std::exp(-2.0F * kPi * cutoff_Hz * kTick_s); }
+// 1 - exp(-x) by its series, for x up to 1.3. Every C library rounds its exp in its own way, and by
+// that alone the emulated Due flew one count away from the same code on a PC.
+float gone_after(float x) {
+  float sum = 1.0F;
+  for (int n = 14; n > 1; --n) {
+    sum = 1.0F - x / static_cast<float>(n) * sum;
+  }
+  return x * sum;
+}
+
+float smoothing_of(float cutoff_Hz) { return gone_after(2.0F * kPi * cutoff_Hz * kTick_s); }
 
 PidGains gains_of(float kp, float ki, float kd, float integral_max) {
   return {Gain::of(kp), Share::of(ki * kTick_s), Gain::of(kd), Quantity::of(integral_max)};
@@ -52,7 +60,7 @@ Constants constants_of(const params::Params& params) {
   c.travel_acceleration_ff = Gain::of(params.get(Param::travel_acceleration_ff));
   c.pitch_setpoint_max_rad = Quantity::of(params.get(Param::pitch_setpoint_max_deg) * kRadPerDeg);
   c.pitch_step_max_rad = Quantity::of(params.get(Param::pitch_slew_deg_s) * kRadPerDeg * kTick_s);
-  c.bumpless_keep = Share::of(std::exp(-kTick_s / params.get(Param::bumpless_s)));
+  c.bumpless_keep = Share::of(1.0F - gone_after(kTick_s / params.get(Param::bumpless_s)));
 
   c.dead_zone = DeadZone::of(params.get(Param::dead_zone_V));
   c.motor_min_V = volts(Param::motor_min_V);

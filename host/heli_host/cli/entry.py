@@ -32,6 +32,7 @@ from heli_host.cli import (
     rig,
     setpoint,
     sil,
+    tune,
     watch,
 )
 from heli_host.cli.variadic import Variadic
@@ -63,6 +64,7 @@ app.add_typer(rig.app, name="rig")
 app.add_typer(paper.app, name="paper")
 app.command("doctor")(doctor.doctor)
 app.command("identify", cls=Variadic)(identify.identify)
+app.command("tune")(tune.tune)
 app.command("diagnose", cls=Variadic)(diagnose.diagnose)
 
 # Typer raises its errors from click, or from its own copy of click since 0.25; this class is in both.

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from heli_host.cli.gains import GainsOption, check_gains, load_gains
+from heli_host.cli.gains import GainsOption, ParamsFileOption, check_gains, load_gains, read_parameters
 from heli_host.cli.options import (
     BoardOption,
     ClearFaultOption,
@@ -43,6 +43,7 @@ def fly(
     seed: SeedOption = 1,
     clear_fault: ClearFaultOption = False,
     gains: GainsOption = None,
+    params: ParamsFileOption = None,
     log: Annotated[Path | None, typer.Option("--log", metavar="FILE", help="Log, MCAP.")] = None,
     json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Summary.")] = None,
     figure: Annotated[
@@ -68,6 +69,7 @@ def fly(
     parse_speed(speed)
     choice = choose_board(board, elf, simulated=sil)
     check_gains(gains, sil)
+    parameters = read_parameters(params, gains)
     more = plant_options(model, effect, effects, simulated=sil)
     loaded = [load_plan(plan) for plan in plans]
     for target in (json, figure):
@@ -79,6 +81,8 @@ def fly(
         if clear_fault:
             clear_latched_fault(heli)
         load_gains(heli, gains)
+        if parameters:
+            heli.params.restore(parameters)
         everything = log is None and json is None and figure is None
         folder = flight_folder() if log is None else log.parent
         log = log if log is not None else folder / "flight.mcap"

@@ -1,7 +1,9 @@
-"""The option ``--gains``: published gains, for simulated boards."""
+"""The options ``--gains`` and ``--params``: gains to fly with, other than the board's own."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
@@ -21,6 +23,49 @@ GainsOption = Annotated[
         show_default=False,
     ),
 ]
+ParamsFileOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--params",
+        metavar="FILE",
+        help="Parameters to fly with, as tune and params dump write them; in the board's memory, not saved.",
+    ),
+]
+
+
+def read_parameters(file: Path | None, gains: str | None) -> Mapping[str, float]:
+    """Read and check a file of parameters.
+
+    Parameters
+    ----------
+    file : Path or None
+        The file; None for no parameters.
+    gains : str or None
+        Published gains that were asked for as well.
+
+    Returns
+    -------
+    Mapping of str to float
+        Values by name.
+
+    Raises
+    ------
+    typer.BadParameter
+        If both were asked for.
+    ParameterError
+        If the file cannot be read, or the board would not take a value.
+    """
+    from heli_host.cli.params import read_dump
+    from heli_host.parameters import checked
+
+    if file is None:
+        return {}
+    if gains is not None:
+        raise typer.BadParameter("--gains and --params both set the gains; leave one of them out")
+    values = read_dump(file)
+    for name, value in values.items():
+        checked(name, value)
+    return values
 
 
 def check_gains(gains: str | None, sil: bool) -> None:

@@ -12,7 +12,7 @@ ModelOption = Annotated[
     typer.Option(
         "--model",
         metavar="NAME",
-        help="Model simulated: paper, multibody, ...; else the one that the rig's file names, or paper.",
+        help="Model simulated: multibody, paper, ...; else the one that the rig's file names, or multibody.",
         show_default=False,
     ),
 ]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from heli_sim.model.effects import effects_of, parse_effects
+from heli_sim.model.multibody import MultibodyModel
 from heli_sim.model.named import model_named
-from heli_sim.model.paper import PaperModel
 from heli_sim.plant import Plant
 from heli_sim.rig import load_rig
 from heli_sim.sil.options import SilOptions
@@ -38,5 +38,5 @@ def plant_of(options: SilOptions) -> Plant:
     asked = parse_effects(options.effects, options.effect_files)
     names = {effect.name for effect in asked}
     stated = tuple(one for one in effects_of(rig, options.effect_files) if one.name not in names)
-    model = model_named(options.model or rig.model or PaperModel.name, stated + asked)
+    model = model_named(options.model or rig.model or MultibodyModel.name, stated + asked)
     return Plant(model, rig, options.seed)

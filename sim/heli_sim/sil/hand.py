@@ -15,7 +15,7 @@ from heli_sim import _native
 from heli_sim.plant import Plant
 
 LOOKS_EVERY_TICKS: Final = 5
-"""How long the hand may take to let go, ms."""
+"""How often the hand looks, ms, by the world's clock: it must not depend on how often anybody reads."""
 _HOLDING: Final = [True, False, False]
 _AWAY: Final = [False, False, False]
 _TOUCH_RAD: Final = np.deg2rad(0.2)
@@ -52,12 +52,15 @@ class Hand:
         Returns
         -------
         int
-            Milliseconds after which to look again: all of them, while there is nothing to hold.
+            Milliseconds after which to ask again: all of them, for a rig that needs no hand.
         """
         if not self._needed or list(native.locked) != self._pins:
             return ticks
+        late = native.tick % LOOKS_EVERY_TICKS
+        if late:
+            return min(ticks, LOOKS_EVERY_TICKS - late)
         lying = native.state[0] <= self._table_rad + _TOUCH_RAD
         off = not any(volts > 0.0 for volts in native.volts_V)
         self._pins = _HOLDING if off and lying else _AWAY
         native.locked = self._pins
-        return min(ticks, LOOKS_EVERY_TICKS) if off else ticks
+        return min(ticks, LOOKS_EVERY_TICKS)

@@ -50,7 +50,7 @@ class SilOptions:
     faults : FaultPlan
         What goes wrong on the link.
     model : str
-        Name of the model; empty for the one that the rig's file names, or ``paper``.
+        Name of the model; empty for the one that the rig's file names, or ``multibody``.
     effects : tuple of str
         Effects beyond the model, such as ``rotor_lag=0.1``; they come before those of the rig's file.
     effect_files : tuple of str

@@ -122,7 +122,7 @@ class SilWorld:
         faults = self.options.faults
         self._held += self.to_board.pass_through(rx)
         received = b""
-        while ticks > 0:
+        while ticks > 0 and not (until_output and received and least <= 0):
             tick = self.native.tick
             unplugged, stalled = faults.unplugged(tick), faults.stalled(tick)
             if unplugged:
@@ -132,13 +132,12 @@ class SilWorld:
             write = b"" if stalled else self._held
             if write:
                 self._held = b""
-            stretch = self._hand.tend(self.native, min(ticks, faults.next_edge(tick) - tick))
-            passed, data = self._pass(stretch, write, until_output, least)
+            most = min(ticks, least) if until_output and received else ticks
+            stretch = self._hand.tend(self.native, min(most, faults.next_edge(tick) - tick))
+            passed, data = self._pass(stretch, write, until_output, max(1, least))
             received += data
             ticks -= passed
-            least = max(1, least - passed)
-            if until_output and received:
-                break
+            least -= passed
         return self.to_host.pass_through(received)
 
     def reset_board(self) -> None:

@@ -36,10 +36,10 @@ MOTOR_MAX_V: Final = 10.0
 ELEVATION_SLEW_DEG_S: Final = 15.0
 TRAVEL_SLEW_DEG_S: Final = 20.0
 
-_PITCH_SHARE: Final = 0.2  # of the largest pitch setpoint, for the accelerations of a shaped step
-_COLLECTIVE_SHARE: Final = 0.75  # of the hover voltage, for those of a take-off
+_PITCH_SHARE: Final = 0.2  # of the largest pitch setpoint, for a shaped step
+_COLLECTIVE_SHARE: Final = 0.75  # of the hover voltage or of what there is beyond it, for a take-off
 _MOST_ELEVATION_DEG_S2: Final = 30.0
-_MOST_TRAVEL_DEG_S2: Final = 20.0
+_MOST_TRAVEL_DEG_S2: Final = 4.0
 _FILTERS_Hz: Final = (
     6.0,
     16.0,
@@ -126,8 +126,7 @@ def find_gains(
 
 
 def _check_lift(rig: Rig, hover_V: float) -> None:
-    lift_max_V = 2.0 * (_motor_max_V(rig) - rig["dead_zone"].value)
-    if hover_V >= lift_max_V:
+    if hover_V >= _lift_max_V(rig):
         raise PlantError(
             f"rig '{rig.name}' hovers at {0.5 * hover_V + rig['dead_zone'].value:.1f} V a motor, and has "
             f"{_motor_max_V(rig):.1f}; check its masses, thrust_gain and supply"
@@ -174,9 +173,8 @@ def _design_elevation(
     # The hover voltage rises with elevation: masses that hang below the axis pull back to level.
     slope_V_rad = -float(own.elevation_A[1, 0]) / gain
     acceleration_ff = 1.0 / gain
-    acceleration_deg_s2 = min(
-        _MOST_ELEVATION_DEG_S2, float(np.degrees(_COLLECTIVE_SHARE * own.hover_V * gain))
-    )
+    spare_V = min(own.hover_V, _lift_max_V(rig) - own.hover_V)
+    acceleration_deg_s2 = min(_MOST_ELEVATION_DEG_S2, float(np.degrees(_COLLECTIVE_SHARE * spare_V * gain)))
     rise_deg = -rig["elevation_min"].value
     path = shaped_step(rise_deg, ELEVATION_SLEW_DEG_S, acceleration_deg_s2, 8.0, STEP_s)
     forward_V = slope_V_rad * path[:, 0] + acceleration_ff * path[:, 2]
@@ -307,8 +305,12 @@ def _differential_max_V(rig: Rig, hover_V: float) -> float:
     With more than the hover voltage, one rotor stands still and the other lifts the arm; with more than
     what the stronger one has left, it sinks.
     """
-    lift_max_V = _motor_max_V(rig) - rig["dead_zone"].value
-    return max(min(hover_V, 2.0 * lift_max_V - hover_V), 0.1 * hover_V)
+    return max(min(hover_V, _lift_max_V(rig) - hover_V), 0.1 * hover_V)
+
+
+def _lift_max_V(rig: Rig) -> float:
+    """Most that the sum of both voltages may be above the dead zone."""
+    return 2.0 * (_motor_max_V(rig) - rig["dead_zone"].value)
 
 
 def _motor_max_V(rig: Rig) -> float:

@@ -1,0 +1,121 @@
+"""``heli-host tune``: gains for any rig, written as parameters, and what they then fly like."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from heli_host.cli.entry import run
+from heli_host.cli.params import read_dump
+from heli_host.parameters import checked
+from heli_sim.rig import load_rig, write_rig
+
+
+def tuned(rig: str, folder: Path, *more: str) -> dict[str, Any]:
+    files = [f"--{name}={folder / name}.{end}" for name, end in (("out", "toml"), ("json", "json"))]
+    assert run(["tune", "--rig", rig, *files, *more]) == 0
+    numbers: dict[str, Any] = json.loads((folder / "json.json").read_text())
+    return numbers
+
+
+@pytest.mark.parametrize(
+    ("rig", "travel_rms_deg", "elevation_rms_deg"),
+    # A constant torque pulls the course's rig round: it hovers with 7 degrees of tilt.
+    [("quanser-course", 2.0, 0.4), ("makki2024-identified", 1.0, 0.4)],
+)
+def test_gains_for_a_rig_fly_hover_and_sines_on_it_within_stated_errors(
+    rig: str, travel_rms_deg: float, elevation_rms_deg: float, tmp_path: Path
+) -> None:
+    numbers = tuned(rig, tmp_path)
+    values = read_dump(tmp_path / "out.toml")
+    assert values == numbers["parameters"]
+    for name, value in values.items():
+        checked(name, value)
+    for flight in numbers["flights"]:
+        assert flight["outcome"] == "completed"
+        assert flight["travel_rms_deg"] <= travel_rms_deg
+        assert flight["elevation_rms_deg"] <= elevation_rms_deg
+    summary, log = tmp_path / "summary.json", tmp_path / "flight.mcap"
+    flown = ["--sil", "--speed", "max", "--rig", rig, "--effect", "rotor_lag=0.12"]
+    files = ["--params", str(tmp_path / "out.toml"), "--log", str(log), "--json", str(summary)]
+    assert run(["fly", "hover", "sine", *flown, *files]) == 0
+    errors = json.loads(summary.read_text())["rms_error_deg"]
+    assert errors["travel"] <= 1.5 * travel_rms_deg
+    assert errors["elevation"] <= elevation_rms_deg
+
+
+def test_margins_are_stated_for_every_loop_on_every_plant(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    numbers = tuned("makki2024", tmp_path, "--effect", "rotor_lag=0.1", "--effect", "input_delay=0.01")
+    assert [plant["lag_s"] for plant in numbers["plants"][:3]] == pytest.approx([0.075, 0.1, 0.125])
+    assert {plant["delay_s"] for plant in numbers["plants"]} == {0.01}
+    for plant in numbers["plants"]:
+        assert set(plant["margins"]) == {"elevation", "pitch", "travel", "differential"}
+        for margin in plant["margins"].values():
+            assert margin["sensitivity"] <= 1.02 * numbers["sensitivity"]
+            assert margin["delay_s"] > 0.03
+    text = capsys.readouterr().out
+    assert "lag 75 to 125 ms, delay 10 ms" in text
+    assert "worst of all" in text
+    (flight,) = numbers["flights"]
+    assert flight["overshoot_percent"] <= 10.0
+
+
+def test_what_no_linear_plant_has_is_flown_and_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tuned("makki2024", tmp_path, "--effect", "coulomb_friction.travel", "--effect", "rotor_lag=0.1")
+    assert "no part of the design: coulomb_friction.travel" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"M_w": 1.75}, "cannot hover at 0 degrees"),
+        ({"M_w": 1.67}, "too little to travel by"),
+        ({"thrust_gain": 0.03}, "hovers at 14.7 V a motor, and has 10.0; check its masses"),
+    ],
+)
+def test_a_rig_that_cannot_fly_gets_one_line(
+    change: dict[str, float], why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_rig(load_rig("makki2024").replace(**change), tmp_path / "bad.toml")
+    assert run(["tune", "--rig", str(tmp_path / "bad.toml"), "--out", str(tmp_path / "out.toml")]) == 2
+    error = capsys.readouterr().err
+    assert why in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (["--rig", "nowhere"], "nowhere"),
+        (["--model", "mulitbody"], "did you mean multibody"),
+        (["--effect", "rotorlag"], "did you mean rotor_lag"),
+        (["--figure", "loops.gif"], "give a file that ends in"),
+        (["--sensitivity", "1"], "1.6"),
+    ],
+)
+def test_a_wrong_option_gets_one_line(
+    arguments: list[str], why: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["tune", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert why in error
+    assert error.count("\n") == 1
+
+
+def test_parameters_and_published_gains_are_not_flown_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "p.toml"
+    file.write_text("[parameters]\nhover_V = 1.5\n")
+    assert run(["fly", "hover", "--sil", "--gains", "paper", "--params", str(file)]) == 2
+    assert "leave one of them out" in capsys.readouterr().err
+    file.write_text("[parameters]\nhover_V = 150\n")
+    assert run(["fly", "hover", "--sil", "--params", str(file)]) == 2
+    assert "hover_V = 150 is out of range" in capsys.readouterr().err
