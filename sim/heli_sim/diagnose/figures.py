@@ -239,6 +239,6 @@ def _spectrum(torque: Torque, axis: int) -> tuple[Floats, Floats]:
     window = np.hanning(size)
     power = np.mean([np.abs(np.fft.rfft((p - p.mean()) * window)) ** 2 for p in parts], axis=0)
     density: Floats = np.sqrt(2.0 * power * step_s / np.sum(window**2)).astype(np.float64)
-    frequency: Floats = np.fft.rfftfreq(size, step_s)
+    frequency: Floats = np.fft.rfftfreq(size, step_s).astype(np.float64)
     keep = (frequency > 0.0) & (frequency < 20.0)
     return frequency[keep], np.maximum(density[keep], 1e-6)

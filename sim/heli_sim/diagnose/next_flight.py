@@ -31,17 +31,13 @@ excite = { signal = "prbs", front_V = 0.5, back_V = 0.5, stop_Hz = 8, seed = 3 }
 kind = "sine"
 travel_amplitude_deg = 110
 travel_period_s = 36
-elevation_amplitude_deg = 0
-elevation_period_s = 36
 duration_s = 36
 excite = { signal = "multisine", front_V = 0.15, back_V = 0.15, start_Hz = 0.1, stop_Hz = 2 }
 
 [[segment]]
 kind = "sine"
-travel_amplitude_deg = 40
+travel_amplitude_deg = 36
 travel_period_s = 12
-elevation_amplitude_deg = 0
-elevation_period_s = 12
 duration_s = 36
 """,
     ),
@@ -50,8 +46,6 @@ duration_s = 36
         """
 [[segment]]
 kind = "sine"
-travel_amplitude_deg = 0
-travel_period_s = 20
 elevation_amplitude_deg = 13
 elevation_period_s = 20
 duration_s = 40
@@ -59,8 +53,6 @@ excite = { signal = "multisine", front_V = 0.2, back_V = 0.2, start_Hz = 0.1, st
 
 [[segment]]
 kind = "sine"
-travel_amplitude_deg = 0
-travel_period_s = 7
 elevation_amplitude_deg = 5
 elevation_period_s = 7
 duration_s = 28

@@ -22,9 +22,15 @@ from heli_sim.identify import Fit
 from heli_sim.model.effects.kind import EffectKind
 
 MOST_CAUSES: Final = 6
+NOTHING_LEFT: Final = 1.012
+"""Normalised error, on all flights, below which nothing is worth a fit."""
+SETTLED: Final = 1.04
+"""Normalised error, on all flights, that settles a round but for close rivals."""
+RIVAL: Final = 0.5
+"""Share of the best score that makes a rival close."""
 SHORTLIST: Final = 4
 """Effects that are refitted in a round, at most."""
-WORTH_A_FIT: Final = 0.08
+WORTH_A_FIT: Final = 0.1
 """Share of the best score that an effect must reach to be refitted."""
 LEAST_HELD: Final = 3.0
 """Logarithm of the likelihood ratio on held-out flights that an effect must reach."""
@@ -55,11 +61,14 @@ class Step:
         What it has over the model before.
     price : float
         What its parameters and the number of candidates tried cost.
+    linear : float
+        Its score before it was refitted.
     """
 
     hypothesis: Hypothesis
     evidence: Evidence
     price: float
+    linear: float
 
     @property
     def trial(self) -> Trial:
@@ -206,7 +215,8 @@ class _Searcher:
             best = hypothesis
         if best is None or not self._in_flight(best.fit, one.trial):
             return None
-        return Step(best, self.bench.evidence(best, base), self.price(one.trial, 60 + one.tried))
+        price = self.price(one.trial, 60 + one.tried)
+        return Step(best, self.bench.evidence(best, base), price, one.answer.gain)
 
     def _places(self, one: Scored) -> list[Trial]:
         """The candidate, then its further places that no descent finds, as long as each is better."""
@@ -232,9 +242,13 @@ class _Searcher:
         moments = [fit.values[q.name] for q in trial.effect.parameters if q.name.endswith("_at_s")]
         return all(_EDGE_s < moment < last_s - _EDGE_s for moment in moments)
 
-    def shortlist(self, screened: Sequence[Scored], patterns: Sequence[Scored]) -> list[Scored]:
+    def shortlist(
+        self, base: Hypothesis, screened: Sequence[Scored], patterns: Sequence[Scored]
+    ) -> list[Scored]:
+        # A first-order score may be half of what a refit finds.
+        share = float(base.train.independent.min())
         worth = [
-            one for one in screened if one.answer.gain > max(3.0, self.price(one.trial, 60 + one.tried) * 0.5)
+            one for one in screened if one.answer.gain * share > 0.5 * self.price(one.trial, 60 + one.tried)
         ]
         if not worth:
             chosen = []
@@ -258,7 +272,12 @@ class _Searcher:
             patterns = screening.patterns(number)
             steps: list[Step] = []
             full = len(hypothesis.trials) >= MOST_CAUSES or self.out_of_time()
-            for one in [] if full else self.shortlist(screened, patterns):
+            shortlist = (
+                [] if full or _nothing_left(hypothesis) else self.shortlist(hypothesis, screened, patterns)
+            )
+            for one in shortlist:
+                if _settled(steps) and one.answer.gain < RIVAL * steps[0].linear:
+                    continue
                 self.say(f"trying {one.trial.id}", 0.1 + 0.6 * (1 - 0.6 ** (number + 0.5)))
                 step = self.attempt(hypothesis, hypothesis.trials, one)
                 if step is not None:
@@ -283,7 +302,7 @@ class _Searcher:
             self.say(f"checking whether {trial.id} is needed", 0.75 + 0.1 * number / len(final.trials))
             rest = [other for other in final.trials if other is not trial]
             less = self.bench.try_out(rest, final.fit.values) if rest else self.baseline
-            step = Step(final, self.bench.evidence(final, less), self.price(trial, 60))
+            step = Step(final, self.bench.evidence(final, less), self.price(trial, 60), 0.0)
             if not step.accepted and not self.out_of_time():
                 final, number = less, 0
                 without.clear()
@@ -307,12 +326,13 @@ class _Searcher:
         if seen is None:
             return ()
         rest = [other for other in final.trials if other is not trial]
-        for step in seen.steps:
+        best = max(step.linear for step in seen.steps)
+        for step in sorted(seen.steps, key=lambda step: -step.linear):
             if step.trial.id == trial.id or step.trial.id in final.ids or step.trial.is_pattern:
                 continue
             if len(rest) == 0:
                 other = step
-            elif self.out_of_time() or len(rivals) >= 2:
+            elif self.out_of_time() or rivals or step.linear < 0.2 * best:
                 continue
             else:
                 scored = next(one for one in seen.screened if one.trial.id == step.trial.id)
@@ -328,10 +348,26 @@ class _Searcher:
         self.say("refitting the baseline", 0.02)
         self.baseline = self.bench.try_out([])
         reached, screening, complete = self.forward(self.baseline)
-        final, found = self.backward(reached)
-        if final is not reached:
+        self.say("measuring what was found", 0.72)
+        best = self.bench.try_out(reached.trials, reached.fit, final=True)
+        final, found = self.backward(best)
+        if final is not best:
             screening = Screening(final.fit)
         return Search(self.baseline, final, tuple(found), tuple(self.rounds), screening, complete)
+
+
+def _nothing_left(hypothesis: Hypothesis) -> bool:
+    return max(hypothesis.train.normalised, hypothesis.held.normalised) < NOTHING_LEFT
+
+
+def _settled(steps: Sequence[Step]) -> bool:
+    """Whether a candidate leaves nothing but rounding."""
+    return any(
+        step.accepted
+        and not step.trial.is_pattern
+        and max(step.hypothesis.train.normalised, step.hypothesis.held.normalised) < SETTLED
+        for step in steps
+    )
 
 
 def _choice(steps: Sequence[Step]) -> Step | None:

@@ -143,7 +143,9 @@ def check(fit: Fit, index: int = 0) -> Check:
     )
 
 
-def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str] | None = None) -> Fit:
+def validate(
+    fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str] | None = None, *, fine: bool = True
+) -> Fit:
     """Predict flights that a fit has not seen.
 
     Only what no other flight can tell is found from them: the windows' initial states, and the encoders'
@@ -157,6 +159,8 @@ def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str]
         Other flights.
     labels : sequence of str, optional
         Their names.
+    fine : bool
+        Finish on every sample, not on the fit's coarse grid.
 
     Returns
     -------
@@ -180,7 +184,7 @@ def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str]
         priors=local,
         values=dict(zip((q.name for q in problem.model.parameters), problem.base, strict=True)) | shared,
     )
-    return solve(held_out, robust=False)
+    return solve(held_out, robust=False, fine=fine)
 
 
 def _by_axis(values: Floats) -> dict[str, float]:

@@ -1,0 +1,39 @@
+"""Flights in which something is hidden, made once for all tests of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import casadi as ca
+from heli_host.flight import Flight
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effect import Effect, Situation
+from heli_sim.model.effects import parse_effects
+from heli_sim.rig import load_rig
+
+from tests.identify.made import flown, thinned
+
+TRAIN_S, HELD_OUT_S = 34.0, 26.0
+
+
+@dataclass(frozen=True)
+class OffList(Effect):
+    """Pitch is pushed as elevation rises: an effect that no catalogue has."""
+
+    def torque_Nm(self, at: Situation) -> ca.SX:
+        """See `Effect.torque_Nm`."""
+        return ca.vertcat(0, 0.05 * at.state["elevation_rad"], 0)
+
+
+@cache
+def flights(*effects: str, off_list: bool = False) -> tuple[Flight, Flight]:
+    """A flight to fit and one to judge on."""
+    rig = load_rig("makki2024").replace(thrust_gain=0.62, friction_travel=0.05)
+    hidden: tuple[Effect, ...] = parse_effects(effects)
+    if off_list:
+        hidden = (*hidden, OffList("off_list"))
+    model = MultibodyModel(hidden)
+    fit = thinned(flown(rig, 11, TRAIN_S, model), 2)
+    held = thinned(flown(rig, 12, HELD_OUT_S, model), 2)
+    return fit, held

@@ -1,0 +1,78 @@
+"""What is hidden is found, nothing is found in nothing, and what is off the list is said to be so."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import pytest
+from heli_sim.diagnose import Diagnosis, diagnose
+from heli_sim.diagnose.report import write_report
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import effects_of
+from heli_sim.rig import load_rig, write_rig
+
+from tests.diagnose.hidden import flights
+
+
+@cache
+def diagnosed(*effects: str, off_list: bool = False) -> Diagnosis:
+    """Diagnose a flight with something hidden in it."""
+    fit, held = flights(*effects, off_list=off_list)
+    return diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held], labels=["fit", "held out"])
+
+
+def test_nothing_hidden_is_explained_without_a_cause() -> None:
+    found = diagnosed()
+    numbers = found.json()
+    assert numbers["verdict"] == "explained"
+    assert numbers["causes"] == []
+    assert numbers["unexplained"] is None
+    assert numbers["residual"]["normalised"]["held_out_after"] < 1.05
+
+
+@pytest.mark.parametrize(
+    ("effect", "name", "truth"),
+    [
+        ("rotor_lag=0.06", "rotor_lag_s", 0.06),
+        ("cable_spring.travel=0.06", "cable_spring_travel_Nm_per_rad", 0.06),
+    ],
+)
+def test_hidden_effect_is_named_measured_and_halves_the_error(effect: str, name: str, truth: float) -> None:
+    numbers = diagnosed(effect).json()
+    assert numbers["verdict"] == "cause_found"
+    first, *others = numbers["causes"]
+    assert first["effect"] == effect.partition("=")[0]
+    assert others == []
+    found = first["parameters"][name]
+    assert abs(found["value"] - truth) < 3.0 * found["std"]
+    assert first["confidence"] > 0.9
+    best = min(numbers["gain"]["axis"].values(), key=lambda one: one["ratio"])
+    assert best["ratio"] < best["interval95"][1] < 0.5
+
+
+def test_effect_that_no_catalogue_has_is_unexplained_and_said_to_go_with_elevation() -> None:
+    numbers = diagnosed(off_list=True).json()
+    assert numbers["verdict"] == "unexplained"
+    assert numbers["causes"] == []
+    assert numbers["unexplained"]["axis"] == "pitch"
+    assert numbers["unexplained"]["correlates_with"][0] == "torque.pitch on elevation"
+    assert numbers["unexplained"]["share_of_variance"] > 0.9
+    assert "[[segment]]" in numbers["next_flight"]["plan"]
+
+
+def test_extended_rig_is_read_back_with_the_cause_and_its_size(tmp_path: Path) -> None:
+    found = diagnosed("rotor_lag=0.06")
+    write_rig(found.rig("extended"), tmp_path / "extended.toml")
+    (effect,) = effects_of(load_rig(tmp_path / "extended.toml"))
+    assert effect.name == "rotor_lag"
+    assert effect.values["rotor_lag_s"] == pytest.approx(0.06, abs=0.003)
+
+
+def test_report_needs_nothing_else_and_says_the_cause_with_its_number(tmp_path: Path) -> None:
+    page = write_report(diagnosed("rotor_lag=0.06"), tmp_path).read_text(encoding="utf-8")
+    assert "The rotors&#x27; thrust lags their voltage by 0.0" in page
+    assert "http" not in page.replace("http-equiv", "")
+    assert {"flight.png", "torque.png", "ranking.png", "windows.png", "size.png", "index.html"} <= {
+        path.name for path in tmp_path.iterdir()
+    }

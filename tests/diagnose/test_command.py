@@ -1,0 +1,68 @@
+"""The command: its files, and one line for each way to ask for the impossible."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+from heli_sim.rig import load_rig
+
+from tests.cli.terminal import Terminal
+from tests.diagnose.hidden import flights
+
+
+@pytest.fixture
+def tables(tmp_path: Path) -> tuple[Path, Path]:
+    """Two flights as files."""
+    paths = tmp_path / "a.csv.gz", tmp_path / "b.csv.gz"
+    for flight, path in zip(flights(), paths, strict=True):
+        flight.write_csv(path)
+    return paths
+
+
+def test_command_writes_numbers_rig_and_page(terminal: Terminal, tables: tuple[Path, Path]) -> None:
+    fit, held = tables
+    files = ("--report", "why", "--json", "why.json", "--out", "extended.toml")
+    ended = terminal("diagnose", fit, "--validate", held, "--rig", "makki2024", *files)
+    assert ended.code == 0, ended.err
+    assert ended.out.count("explained: ") == 1
+    numbers = json.loads(Path("why.json").read_text())
+    assert {"verdict", "causes", "residual", "gain", "unexplained", "next_flight"} <= numbers.keys()
+    assert set(numbers["gain"]["axis"]) == {"elevation", "pitch", "travel"}
+    assert load_rig("extended.toml").effects == {}
+    assert Path("why/index.html").stat().st_size > 100_000
+
+
+def test_short_part_of_a_flight_is_answered_with_the_flight_that_would_tell(
+    terminal: Terminal, tables: tuple[Path, Path]
+) -> None:
+    fit, held = tables
+    ended = terminal("diagnose", fit, "--validate", held, "--from", "12", "--to", "17", "--json", "why.json")
+    assert ended.code == 0, ended.err
+    numbers = json.loads(Path("why.json").read_text())
+    assert numbers["causes"] == []
+    assert numbers["could_not_be_seen"]
+    assert tomllib.loads(numbers["next_flight"]["plan"])["segment"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("missing.csv",), "missing.csv"),
+        (("a.csv.gz", "--rig", "nobodys"), "no rig 'nobodys'"),
+        (("a.csv.gz", "--model", "none"), "there is no model 'none'"),
+        (("a.csv.gz", "--validate", "a.csv.gz"), "both fitted and validated on"),
+        (("a.csv.gz", "--from", "500"), "no second of free flight"),
+        (("a.csv.gz", "--effects", "mine.py"), "mine.py cannot be read"),
+        (("a.csv.gz", "--json", "a.csv.gz/why.json"), "a.csv.gz"),
+    ],
+)
+def test_the_impossible_is_one_line_with_a_remedy(
+    terminal: Terminal, tables: tuple[Path, Path], arguments: tuple[str, ...], said: str
+) -> None:
+    ended = terminal("diagnose", *arguments)
+    assert ended.code != 0
+    assert len(ended.err.strip().splitlines()) == 1
+    assert said in ended.err

@@ -1,0 +1,97 @@
+"""The parts of a diagnosis, each against something that knows better."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from heli_host.fly.plan import Plan
+from heli_sim.diagnose.ground import Ground
+from heli_sim.diagnose.next_flight import next_flight, part_for
+from heli_sim.diagnose.pattern import POINTS, bumps, choices, span_of
+from heli_sim.diagnose.tangent import Tangent
+from heli_sim.diagnose.torque import missing_torque
+from heli_sim.identify import Fit, Problem, prepare, solve
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue
+from heli_sim.rig import load_rig
+
+from tests.diagnose.hidden import flights
+
+
+@pytest.fixture(scope="module")
+def baseline() -> Fit:
+    """The baseline on a flight with nothing hidden."""
+    rig = load_rig("makki2024")
+    return solve(Problem(MultibodyModel(), rig, [prepare(flights()[0], rig)]))
+
+
+@pytest.mark.parametrize("name", ["thrust_gain", "L_phi", "friction_travel", "torque_pitch"])
+def test_tangent_answers_as_the_free_run_itself_does(baseline: Fit, name: str) -> None:
+    tangent = Tangent(baseline)
+    column = tangent.free()[:, :, baseline.problem.names.index(name)]
+    step = np.zeros(len(baseline.theta))
+    step[baseline.problem.names.index(name)] = (
+        1e-4 * baseline.problem.prior_std[baseline.problem.names.index(name)]
+    )
+    more, less = (
+        baseline.problem.look(
+            0, baseline.theta + sign * step, baseline.states[0], fine=True, derivatives=False
+        ).residual
+        for sign in (1, -1)
+    )
+    blocks = ((less - more) / (2 * step.max())).reshape(tangent.rows, -1, 3).mean(axis=1)
+    assert np.sqrt(np.mean((column - blocks) ** 2)) < 0.02 * np.sqrt(np.mean(blocks**2))
+
+
+def test_curves_have_a_sum_of_one_everywhere() -> None:
+    values = np.linspace(-3.0, 5.0, 200)
+    low, step = span_of(values)
+    assert bumps(values, low, step).shape == (200, POINTS)
+    assert np.allclose(bumps(values, low, step).sum(axis=1), 1.0)
+
+
+def test_no_curve_asks_whether_a_measurement_goes_with_thrust() -> None:
+    # The controller answers to rounding, so it always does.
+    assert not [pair for pair in choices() if pair[0].startswith("measurement") and "thrust" in pair[1]]
+
+
+def test_missing_torque_is_the_torque_that_was_hidden() -> None:
+    fit_flight, _ = flights(off_list=True)
+    rig = load_rig("makki2024").replace(thrust_gain=0.62, friction_travel=0.05)
+    fit = solve(Problem(MultibodyModel(), rig, [prepare(fit_flight, rig)], free=("offset_pitch",)))
+    tangent = Tangent(fit)
+    torque = missing_torque(tangent)
+    truth = 0.05 * tangent.path.state[:, 0]
+    found = torque.value_Nm[:, 1]
+    assert np.corrcoef(truth, found)[0, 1] > 0.97
+    assert np.sqrt(np.mean((truth - found) ** 2)) < 0.3 * truth.std()
+
+
+def test_nothing_scores_as_nothing(baseline: Fit) -> None:
+    ground = Ground(baseline)
+    random = np.random.default_rng(1)
+    signal = random.standard_normal((ground.tangents[0].rows, 6, 3))
+    signal[:, :3] = 0.0
+    answer = ground.score([ground.tangents[0].answer(signal)])
+    assert answer.gain < 12.0
+    assert np.all(np.abs(answer.size) < 5.0 * answer.std)
+
+
+def test_column_that_is_the_residual_scores_all_of_it(baseline: Fit) -> None:
+    ground = Ground(baseline)
+    column = ground.tangents[0].residual[:, :, None]
+    answer = ground.score([column])
+    assert answer.size[0] == pytest.approx(1.0, abs=0.1)
+    assert answer.gain > 100.0
+
+
+@pytest.mark.parametrize("parts", [(), ("motors",), ("travel", "time"), ("elevation",)])
+def test_next_flight_is_a_plan_that_can_be_flown(parts: tuple[str, ...]) -> None:
+    flight = next_flight("Why.", parts)
+    plan = Plan.parse(flight.plan, "next flight")
+    plan.check()
+    assert plan.duration_s > 20.0
+
+
+def test_every_effect_has_a_part_that_shows_it() -> None:
+    assert {part_for(kind) for kind in catalogue().values()} == {"motors", "travel", "elevation", "time"}
