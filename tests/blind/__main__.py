@@ -46,11 +46,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not cases:
         print(f"no case is called {', '.join(given.only)}; names are those of tests/blind/cases.py")
         return 2
-    rows = list(_told(_done(cases, given.folder, given.keep, given.processes), len(cases)))
-    rows.sort(key=lambda row: row.case)
+    rows: list[Row] = []
+    for row in _told(_done(cases, given.folder, given.keep, given.processes), len(cases)):
+        rows = sorted((*rows, row), key=lambda one: one.case)
+        # After each case, so that a run that is stopped leaves what it knows.
+        given.json.write_text(json.dumps(_report(rows), indent=1) + "\n")
     print(text(rows))
-    given.json.write_text(json.dumps(_report(rows), indent=1) + "\n")
-    print(f"\n{given.json} written")
+    print(f"\n{given.json} has all of it")
     return 0 if len(rows) == len(cases) else 1
 
 

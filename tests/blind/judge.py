@@ -15,6 +15,8 @@ from tests.blind.truth import Hidden
 
 VISIBLE = 3.0
 """An effect that the fit told the answer finds smaller than this many standard errors is not to be found."""
+VISIBLE_OFF_LIST = 1.05
+"""What is on no list is there to be seen when the refitted baseline is off by this, in units of the rounding."""
 MOST_STD = 3.0
 _LEAST_STD_SHARE = 1e-3
 
@@ -71,7 +73,9 @@ class Row:
     @property
     def fair(self) -> bool:
         """Whether there is something to be found, or nothing to be said."""
-        return self.kind in ("nothing", "off_list") or bool(self.visible)
+        if self.kind == "off_list":
+            return max(self.errors["baseline"], self.errors["baseline_train"]) >= VISIBLE_OFF_LIST
+        return self.kind == "nothing" or bool(self.visible)
 
     @property
     def first_right(self) -> bool:

@@ -134,7 +134,7 @@ OFF_LIST: dict[str, tuple[Callable[[float, np.random.Generator], Hidden], float]
 
 MORE_OFF_LIST: dict[str, tuple[Callable[[float, np.random.Generator], Hidden], float]] = {
     "hysteretic_thrust": (HystereticThrust, 0.3),
-    "cross_coupling": (CrossCoupling, 0.08),
+    "cross_coupling": (CrossCoupling, 0.2),
     "stick_slip": (StickSlip, 0.06),
 }
 """More of them; a list of its own, so that the cases of the others keep their seeds."""

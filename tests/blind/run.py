@@ -63,15 +63,33 @@ def run(case: Case, folder: Path, *, keep: bool = False) -> Row:
     fits = _digest("", (*_ORACLE, *_sources("identify"), *_sources("model")))
     told = Told(**_kept(place / "told.json", fits, keep, lambda: asdict(tell(rig, flights, hidden))))
     all_of_it = _digest("", [*_sources("diagnose"), *_sources("identify"), *_sources("model")])
-    answer = _kept(place / "diagnosis.json", all_of_it, keep, lambda: _diagnosed(rig, flights))
+    answer = _kept(place / "diagnosis.json", all_of_it, keep, lambda: _asked(rig, flights))
     return judged(case, hidden, told, answer["result"], answer["seconds"], answer["failure"])
 
 
-def _diagnosed(rig: Rig, flights: tuple[Flight, Flight]) -> dict[str, Any]:
+def diagnosed(rig: Rig, flights: tuple[Flight, Flight]) -> dict[str, Any]:
+    """Ask the diagnosis, which gets the flights and the nominal rig and nothing else.
+
+    Parameters
+    ----------
+    rig : Rig
+        Nominal numbers.
+    flights : tuple of Flight
+        The flight to fit and the one to hold out.
+
+    Returns
+    -------
+    dict
+        Its JSON.
+    """
+    return diagnose(MultibodyModel(), rig, flights[:1], flights[1:], labels=["a", "b"]).json()
+
+
+def _asked(rig: Rig, flights: tuple[Flight, Flight]) -> dict[str, Any]:
     started_s = time.perf_counter()
     result, failure = None, ""
     try:
-        result = diagnose(MultibodyModel(), rig, flights[:1], flights[1:], labels=["a", "b"]).json()
+        result = diagnosed(rig, flights)
     except (SimError, ArithmeticError, LookupError, TypeError, ValueError) as error:
         # One case that dies must not end the night's run; it counts as a miss and is said.
         failure = f"{type(error).__name__}: {error}"

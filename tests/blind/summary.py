@@ -39,7 +39,9 @@ def goals(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
     return {
         "cause named first": _of((row.right for row in named), 0.95),
         "false alarms on nothing hidden": _of((not row.right for row in ran if row.kind == "nothing"), 0.0),
-        "off-list called unexplained": _of((row.right for row in rows if row.kind == "off_list"), 0.90),
+        "off-list called unexplained": _of(
+            (row.right for row in rows if row.kind == "off_list" and row.fair), 0.90
+        ),
         "parameter within 3 std": _of(within, 0.90),
         "held-out error within 10 % of the fit told the answer": _of(near, 1.0),
         "nothing named that is not there": _of((not row.spurious for row in named), None),
