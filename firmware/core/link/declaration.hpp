@@ -9,7 +9,7 @@
 
 namespace heli::link {
 
-inline constexpr std::uint32_t kLinkHash = 0xcef493a2U;
+inline constexpr std::uint32_t kLinkHash = 0xab677f82U;
 inline constexpr std::uint8_t kLinkMajor = 1;
 inline constexpr std::uint8_t kLinkMinor = 0;
 inline constexpr std::uint8_t kFirmwareMajor = 0;
@@ -249,15 +249,15 @@ inline constexpr ParamInfo kParams[kParamCount] = {
     {0.0F, 20.0F, 0.22F, false, false, false},  // elevation_kd
     {0.0F, 1.0F, 1.0F, false, false, false},  // elevation_rate_ff
     {0.0F, 1.0F, 0.036F, false, false, false},  // elevation_acceleration_ff
-    {0.0F, 20.0F, 0.092F, false, false, false},  // pitch_kp
-    {0.0F, 20.0F, 0.007F, false, false, false},  // pitch_ki
-    {0.0F, 20.0F, 0.0315F, false, false, false},  // pitch_kd
+    {0.0F, 20.0F, 0.09F, false, false, false},  // pitch_kp
+    {0.0F, 20.0F, 0.0025F, false, false, false},  // pitch_ki
+    {0.0F, 20.0F, 0.028F, false, false, false},  // pitch_kd
     {-1.0F, 1.0F, 0.033F, false, false, false},  // pitch_hold_ff
     {0.0F, 20.0F, 0.6F, false, false, false},  // travel_kp
-    {0.0F, 20.0F, 0.14F, false, false, false},  // travel_ki
-    {0.0F, 20.0F, 3.3F, false, false, false},  // travel_kd
+    {0.0F, 20.0F, 0.06F, false, false, false},  // travel_ki
+    {0.0F, 20.0F, 3.15F, false, false, false},  // travel_kd
     {0.0F, 1.0F, 1.0F, false, false, false},  // travel_rate_ff
-    {0.0F, 20.0F, 1.12F, false, false, false},  // travel_acceleration_ff
+    {0.0F, 20.0F, 1.09F, false, false, false},  // travel_acceleration_ff
     {0.0F, 20.0F, 3.0F, false, false, false},  // elevation_integral_max_V
     {0.0F, 20.0F, 2.0F, false, false, false},  // pitch_integral_max_V
     {0.0F, 45.0F, 10.0F, false, false, false},  // travel_integral_max_deg
@@ -270,7 +270,7 @@ inline constexpr ParamInfo kParams[kParamCount] = {
     {1.0F, 1000.0F, 90.0F, false, false, false},  // pitch_slew_deg_s
     {0.5F, 200.0F, 20.0F, false, false, false},  // travel_slew_deg_s
     {1.0F, 2000.0F, 29.0F, false, false, false},  // elevation_acceleration_deg_s2
-    {1.0F, 2000.0F, 3.0F, false, false, false},  // travel_acceleration_deg_s2
+    {1.0F, 2000.0F, 4.5F, false, false, false},  // travel_acceleration_deg_s2
     {0.02F, 5.0F, 0.3F, false, false, false},  // bumpless_s
     {1.0F, 60.0F, 24.0F, false, false, true},  // elevation_max_deg
     {5.0F, 80.0F, 45.0F, false, false, true},  // pitch_max_deg

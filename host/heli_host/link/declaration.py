@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import ClassVar
 
-LINK_HASH = 0xCEF493A2
+LINK_HASH = 0xAB677F82
 LINK_VERSION = "1.0"
 FIRMWARE_VERSION = "0.1.0"
 PROTOCOL = 1
@@ -347,15 +347,15 @@ PARAMS: tuple[ParamSpec, ...] = (
     ParamSpec(14, "elevation_kd", "V s/deg", 0.0, 20.0, 0.22, False, False, False, "elevation derivative gain, on the measurement (paper Table 6: 0.1)"),
     ParamSpec(15, "elevation_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, "share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone"),
     ParamSpec(16, "elevation_acceleration_ff", "V s2/deg", 0.0, 1.0, 0.036, False, False, False, "collective for the setpoint's own acceleration: inertia over thrust gain and arm"),
-    ParamSpec(17, "pitch_kp", "V/deg", 0.0, 20.0, 0.092, False, False, False, "pitch proportional gain (paper Table 6: 0.66)"),
-    ParamSpec(18, "pitch_ki", "V/(deg s)", 0.0, 20.0, 0.007, False, False, False, "pitch integral gain (paper Table 6: 3)"),
-    ParamSpec(19, "pitch_kd", "V s/deg", 0.0, 20.0, 0.0315, False, False, False, "pitch derivative gain, on the measurement (paper Table 6: 0.1)"),
+    ParamSpec(17, "pitch_kp", "V/deg", 0.0, 20.0, 0.09, False, False, False, "pitch proportional gain (paper Table 6: 0.66)"),
+    ParamSpec(18, "pitch_ki", "V/(deg s)", 0.0, 20.0, 0.0025, False, False, False, "pitch integral gain (paper Table 6: 3)"),
+    ParamSpec(19, "pitch_kd", "V s/deg", 0.0, 20.0, 0.028, False, False, False, "pitch derivative gain, on the measurement (paper Table 6: 0.1)"),
     ParamSpec(20, "pitch_hold_ff", "V/deg", -1.0, 1.0, 0.033, False, False, False, "difference of the voltages that holds a degree of pitch setpoint against masses that hang below the pitch axis"),
     ParamSpec(21, "travel_kp", "deg/deg", 0.0, 20.0, 0.6, False, False, False, "travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)"),
-    ParamSpec(22, "travel_ki", "deg/(deg s)", 0.0, 20.0, 0.14, False, False, False, "travel integral gain (paper Table 6 with P and I exchanged: 0.13)"),
-    ParamSpec(23, "travel_kd", "deg s/deg", 0.0, 20.0, 3.3, False, False, False, "travel derivative gain, on the measurement (paper Table 6: 1.462)"),
+    ParamSpec(22, "travel_ki", "deg/(deg s)", 0.0, 20.0, 0.06, False, False, False, "travel integral gain (paper Table 6 with P and I exchanged: 0.13)"),
+    ParamSpec(23, "travel_kd", "deg s/deg", 0.0, 20.0, 3.15, False, False, False, "travel derivative gain, on the measurement (paper Table 6: 1.462)"),
     ParamSpec(24, "travel_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, "share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone"),
-    ParamSpec(25, "travel_acceleration_ff", "deg s2/deg", 0.0, 20.0, 1.12, False, False, False, "pitch for the setpoint's own acceleration: inertia over hover thrust and arm"),
+    ParamSpec(25, "travel_acceleration_ff", "deg s2/deg", 0.0, 20.0, 1.09, False, False, False, "pitch for the setpoint's own acceleration: inertia over hover thrust and arm"),
     ParamSpec(26, "elevation_integral_max_V", "V", 0.0, 20.0, 3.0, False, False, False, "bound of the elevation integrator"),
     ParamSpec(27, "pitch_integral_max_V", "V", 0.0, 20.0, 2.0, False, False, False, "bound of the pitch integrator"),
     ParamSpec(28, "travel_integral_max_deg", "deg", 0.0, 45.0, 10.0, False, False, False, "bound of the travel integrator"),
@@ -368,7 +368,7 @@ PARAMS: tuple[ParamSpec, ...] = (
     ParamSpec(35, "pitch_slew_deg_s", "deg/s", 1.0, 1000.0, 90.0, False, False, False, "fastest change of the pitch setpoint, from the travel loop or the host"),
     ParamSpec(36, "travel_slew_deg_s", "deg/s", 0.5, 200.0, 20.0, False, False, False, "fastest change of the travel setpoint"),
     ParamSpec(37, "elevation_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 29.0, False, False, False, "fastest change of the elevation setpoint's rate: a step becomes a ramp that starts and stops gently"),
-    ParamSpec(38, "travel_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 3.0, False, False, False, "fastest change of the travel setpoint's rate; travel can only accelerate by tilting"),
+    ParamSpec(38, "travel_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 4.5, False, False, False, "fastest change of the travel setpoint's rate; travel can only accelerate by tilting"),
     ParamSpec(39, "bumpless_s", "s", 0.02, 5.0, 0.3, False, False, False, "time constant with which the jump of a mode change is faded out"),
     ParamSpec(40, "elevation_max_deg", "deg", 1.0, 60.0, 24.0, False, False, True, "elevation above which the motors are cut; setpoints are refused from 2 degrees below it"),
     ParamSpec(41, "pitch_max_deg", "deg", 5.0, 80.0, 45.0, False, False, True, "pitch beyond which the motors are cut"),

@@ -36,10 +36,10 @@ MOTOR_MAX_V: Final = 10.0
 ELEVATION_SLEW_DEG_S: Final = 15.0
 TRAVEL_SLEW_DEG_S: Final = 20.0
 
-_PITCH_SHARE: Final = 0.2  # of the largest pitch setpoint, for a shaped step
+_PITCH_SHARE: Final = 0.3  # of the largest pitch setpoint, for a shaped step
 _COLLECTIVE_SHARE: Final = 0.75  # of the hover voltage or of what there is beyond it, for a take-off
 _MOST_ELEVATION_DEG_S2: Final = 30.0
-_MOST_TRAVEL_DEG_S2: Final = 4.0
+_MOST_TRAVEL_DEG_S2: Final = 4.5
 _FILTERS_Hz: Final = (
     6.0,
     16.0,
@@ -48,7 +48,7 @@ _FILTERS_Hz: Final = (
 _HOVER_s: Final = 8.0  # before a travel step: what a lopsided rig needs to be trimmed by its integrators
 _DECAY_1_s: Final = 0.02  # the slowest closed loop allowed
 _OVERSHOOT_WEIGHT: Final = 0.5
-_LATE_WEIGHT: Final = 10.0  # what is left when the path has ended is what a step is judged by
+_LATE_WEIGHT: Final = 30.0  # what is left when the path has ended is what a step is judged by
 _BOUND_WEIGHT: Final = 30.0
 _UNSTABLE: Final = 1e3
 
