@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from heli_sim.diagnose.trial import Trial
-from heli_sim.identify import Budget, Fit, Problem, Record, solve, validate
+from heli_sim.identify import Fit, Problem, Record, solve, validate
 from heli_sim.identify.functions import Floats
 from heli_sim.identify.noise import autocovariance
 from heli_sim.model.base import Effect, Model
@@ -19,8 +19,8 @@ _CORRELATED_s: Final = 0.5
 _LEAST_VARIANCE: Final = 0.05
 _RELIEF: Final = 20.0
 """Relief of the rig's numbers that counts as much as a visible drop of the errors."""
-_EVALUATIONS: Final = 60
-"""Most predictions in a fit that only tries a candidate."""
+_STEP_s: Final = 0.004
+"""Steps of 10 ms lose their way in effects that change within a few milliseconds, such as dry friction."""
 _RESAMPLED: Final = 400
 _STATE_STD: Final[Mapping[str, float]] = {"rad": 0.02, "N": 1.0, "V": 1.0, "N m": 0.1}
 
@@ -156,8 +156,6 @@ class Bench:
         self,
         trials: Sequence[Trial],
         start: Mapping[str, float] | Fit | None = None,
-        *,
-        final: bool = False,
     ) -> Hypothesis:
         """Refit the model with some effects and measure its errors.
 
@@ -167,8 +165,6 @@ class Bench:
             The effects.
         start : Mapping[str, float] or Fit, optional
             Values to start from.
-        final : bool
-            Whether its standard errors matter, not only its errors.
 
         Returns
         -------
@@ -183,14 +179,12 @@ class Bench:
             self.rig,
             self.train,
             window_s=self.window_s,
-            # Every sample: steps of 10 ms lose their way in effects as abrupt as dry friction.
-            step_s=min(record.step_s for record in self.train),
+            step_s=_STEP_s,
             state_std={name: _STATE_STD.get(unit, 1.0) for name, unit in units.items()},
         )
-        budget = Budget() if final or not trials else Budget(evaluations=_EVALUATIONS)
-        fit = solve(problem, start=start, budget=budget, fine=final)
+        fit = solve(problem, start=start)
         self.fits += 1
-        held_fit = validate(fit, self.held, fine=False) if self.held else None
+        held_fit = validate(fit, self.held) if self.held else None
         train = errors(fit)
         return Hypothesis(tuple(trials), fit, held_fit, train, errors(held_fit) if held_fit else train)
 

@@ -348,10 +348,8 @@ class _Searcher:
         self.say("refitting the baseline", 0.02)
         self.baseline = self.bench.try_out([])
         reached, screening, complete = self.forward(self.baseline)
-        self.say("measuring what was found", 0.72)
-        best = self.bench.try_out(reached.trials, reached.fit, final=True)
-        final, found = self.backward(best)
-        if final is not best:
+        final, found = self.backward(reached)
+        if final is not reached:
             screening = Screening(final.fit)
         return Search(self.baseline, final, tuple(found), tuple(self.rounds), screening, complete)
 

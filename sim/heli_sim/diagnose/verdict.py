@@ -13,7 +13,7 @@ EXPLAINED: Final = 1.04
 """A normalised error up to here is nothing but rounding: practice flights reach 1.00 to 1.02."""
 CHANCE_REPEATS: Final = 0.25
 """A missing torque of which less than this share repeats in another flight is chance."""
-CHANCE_BURSTS: Final = 3.0
+CHANCE_BURSTS: Final = 2.0
 """Excess kurtosis up to which it is steady enough to be chance."""
 CHANCE_OVER_ERROR: Final = 1.0
 """It must stand out of its estimate's error by this factor."""
@@ -66,7 +66,11 @@ def judge(search: Search, left: Leftover) -> Verdict:
     remains = search.final.train.normalised > EXPLAINED and search.final.held.normalised > EXPLAINED
     remains |= min(search.final.train.normalised, search.final.held.normalised) > EXPLAINED
     chance = (
-        remains and not off_list and left.repeats < CHANCE_REPEATS and left.over_error > CHANCE_OVER_ERROR
+        remains
+        and not off_list
+        and left.repeats < CHANCE_REPEATS
+        and left.over_error > CHANCE_OVER_ERROR
+        and left.bursts < CHANCE_BURSTS
     )
     if off_list:
         pattern, effect = (sum(one.evidence.raw for one in group) for group in (off_list, causes))

@@ -143,9 +143,7 @@ def check(fit: Fit, index: int = 0) -> Check:
     )
 
 
-def validate(
-    fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str] | None = None, *, fine: bool = True
-) -> Fit:
+def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str] | None = None) -> Fit:
     """Predict flights that a fit has not seen.
 
     Only what no other flight can tell is found from them: the windows' initial states, and the encoders'
@@ -159,8 +157,6 @@ def validate(
         Other flights.
     labels : sequence of str, optional
         Their names.
-    fine : bool
-        Finish on every sample, not on the fit's coarse grid.
 
     Returns
     -------
@@ -184,7 +180,7 @@ def validate(
         priors=local,
         values=dict(zip((q.name for q in problem.model.parameters), problem.base, strict=True)) | shared,
     )
-    return solve(held_out, robust=False, fine=fine)
+    return solve(held_out, robust=False)
 
 
 def _by_axis(values: Floats) -> dict[str, float]:
