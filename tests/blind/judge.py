@@ -16,7 +16,7 @@ from tests.blind.truth import Hidden
 VISIBLE = 3.0
 """An effect that the fit told the answer finds smaller than this many standard errors is not to be found."""
 VISIBLE_OFF_LIST = 1.05
-"""What is on no list is there to be seen when the refitted baseline is off by this, in units of the rounding."""
+"""What is on no list is to be seen when the refitted baseline is off by this, in units of the rounding."""
 MOST_STD = 3.0
 _LEAST_STD_SHARE = 1e-3
 

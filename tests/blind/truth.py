@@ -85,7 +85,8 @@ def _spelled(id_: str, of: Numbers, motors_on_s: float) -> Hidden:
         }
         amplitudes = {(f"{prefix}_sin_rad", f"{prefix}_cos_rad"): size_rad}
     elif kind == "periodic_torque":
-        more = {"sin_Nm": of["size"]}
+        # Its phase is not known: from a torque of the wrong phase a fit flees to another frequency.
+        more = {"sin_Nm": 0.05 * of["size"]}
         amplitudes = {(f"{prefix}_sin_Nm", f"{prefix}_cos_Nm"): of["size"]}
     start |= {f"{prefix}_{what}": value for what, value in more.items()}
     return Hidden(id_, start, {f"{prefix}_{what}": value for what, value in scalars.items()}, amplitudes)
