@@ -15,7 +15,7 @@ from pathlib import Path
 
 from tests.blind.cases import Case, every_case
 from tests.blind.judge import Row
-from tests.blind.run import run
+from tests.blind.run import BUDGET_s, run
 from tests.blind.summary import calibration, confusion, goals, text
 
 _PROCESSES = 2
@@ -39,6 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--first", type=int, help="only so many of them, a fair sample")
     parser.add_argument("--folder", type=Path, default=Path("build/blind"), help="flights and results")
     parser.add_argument("--keep", action="store_true", help="take results there, whatever code made them")
+    parser.add_argument("--budget", type=float, default=BUDGET_s, help="most seconds for a search")
     parser.add_argument("--processes", type=int, default=_PROCESSES)
     parser.add_argument("--json", type=Path, default=Path("blind.json"))
     given = parser.parse_args(arguments)
@@ -47,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"no case is called {', '.join(given.only)}; names are those of tests/blind/cases.py")
         return 2
     rows: list[Row] = []
-    for row in _told(_done(cases, given.folder, given.keep, given.processes), len(cases)):
+    for row in _told(_done(cases, given), len(cases)):
         rows = sorted((*rows, row), key=lambda one: one.case)
         # After each case, so that a run that is stopped leaves what it knows.
         given.json.write_text(json.dumps(_report(rows), indent=1) + "\n")
@@ -60,12 +61,13 @@ def _wanted(case: Case, patterns: Sequence[str]) -> bool:
     return not patterns or any(fnmatch.fnmatchcase(case.name, pattern) for pattern in patterns)
 
 
-def _done(
-    cases: Sequence[Case], folder: Path, keep: bool, processes: int
-) -> Iterator[tuple[Row | None, str]]:
+def _done(cases: Sequence[Case], given: argparse.Namespace) -> Iterator[tuple[Row | None, str]]:
     # Fresh processes, so that none inherits libraries that this one has loaded.
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        names = {pool.submit(run, case, folder, keep=keep): case for case in cases}
+    with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
+        names = {
+            pool.submit(run, case, given.folder, keep=given.keep, budget_s=given.budget): case
+            for case in cases
+        }
         try:
             for future in as_completed(names):
                 try:

@@ -22,6 +22,8 @@ from tests.blind.judge import Row, judged
 from tests.blind.oracle import Told, tell
 from tests.blind.truth import hidden_in
 
+BUDGET_s = 600.0
+"""As the command line has it."""
 _SIM = Path(heli_sim.__file__).parent
 _GENERATOR = tuple(
     Path(__file__).with_name(name)
@@ -30,7 +32,7 @@ _GENERATOR = tuple(
 _ORACLE = (Path(__file__).with_name("oracle.py"), Path(__file__).with_name("truth.py"))
 
 
-def run(case: Case, folder: Path, *, keep: bool = False) -> Row:
+def run(case: Case, folder: Path, *, keep: bool = False, budget_s: float = BUDGET_s) -> Row:
     """Make the flights of a case, have them diagnosed, and judge the answer.
 
     Parameters
@@ -41,6 +43,8 @@ def run(case: Case, folder: Path, *, keep: bool = False) -> Row:
         Where flights and results are kept.
     keep : bool
         Take flights and results that are there, whatever code they were made with.
+    budget_s : float
+        Most time for the search.
 
     Returns
     -------
@@ -63,11 +67,11 @@ def run(case: Case, folder: Path, *, keep: bool = False) -> Row:
     fits = _digest("", (*_ORACLE, *_sources("identify"), *_sources("model")))
     told = Told(**_kept(place / "told.json", fits, keep, lambda: asdict(tell(rig, flights, hidden))))
     all_of_it = _digest("", [*_sources("diagnose"), *_sources("identify"), *_sources("model")])
-    answer = _kept(place / "diagnosis.json", all_of_it, keep, lambda: _asked(rig, flights))
+    answer = _kept(place / "diagnosis.json", all_of_it, keep, lambda: _asked(rig, flights, budget_s))
     return judged(case, hidden, told, answer["result"], answer["seconds"], answer["failure"])
 
 
-def diagnosed(rig: Rig, flights: tuple[Flight, Flight]) -> dict[str, Any]:
+def diagnosed(rig: Rig, flights: tuple[Flight, Flight], budget_s: float = BUDGET_s) -> dict[str, Any]:
     """Ask the diagnosis, which gets the flights and the nominal rig and nothing else.
 
     Parameters
@@ -76,20 +80,23 @@ def diagnosed(rig: Rig, flights: tuple[Flight, Flight]) -> dict[str, Any]:
         Nominal numbers.
     flights : tuple of Flight
         The flight to fit and the one to hold out.
+    budget_s : float
+        Most time for the search.
 
     Returns
     -------
     dict
         Its JSON.
     """
-    return diagnose(MultibodyModel(), rig, flights[:1], flights[1:], labels=["a", "b"]).json()
+    labels = ["a", "b"]
+    return diagnose(MultibodyModel(), rig, flights[:1], flights[1:], labels=labels, seconds=budget_s).json()
 
 
-def _asked(rig: Rig, flights: tuple[Flight, Flight]) -> dict[str, Any]:
+def _asked(rig: Rig, flights: tuple[Flight, Flight], budget_s: float) -> dict[str, Any]:
     started_s = time.perf_counter()
     result, failure = None, ""
     try:
-        result = diagnosed(rig, flights)
+        result = diagnosed(rig, flights, budget_s)
     except (SimError, ArithmeticError, LookupError, TypeError, ValueError) as error:
         # One case that dies must not end the night's run; it counts as a miss and is said.
         failure = f"{type(error).__name__}: {error}"
