@@ -77,6 +77,8 @@ class Pattern(Effect):
 
     Parameters
     ----------
+    name, parameters, values, states, priors, delay, stage, shaken, shown
+        As of `Effect`; `pattern` makes them.
     channel : str
         One of `CHANNELS`; ``torque`` in N m, ``thrust`` as a share of itself, ``measurement`` in rad.
     on : str
