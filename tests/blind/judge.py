@@ -92,7 +92,7 @@ class Row:
             return self.verdict == "explained" and not self.named
         if self.kind == "off_list":
             return self.verdict == "unexplained"
-        return self.verdict in ("cause_found", "ambiguous", "unexplained") and self.first_right
+        return self.first_right
 
     @property
     def spurious(self) -> tuple[str, ...]:

