@@ -252,12 +252,12 @@ def _design_tilt(
         step = step + _LATE_WEIGHT * np.mean(error[after:] ** 2, axis=0)
         step = step + _OVERSHOOT_WEIGHT * np.maximum(error[after:].max(axis=0), 0.0) ** 2
         corners = closed[own_count:]
-        for state, load_deg_s2 in loads_deg_s2.items():
+        for state, (load_deg_s2, weight) in loads_deg_s2.items():
             torque = np.zeros((len(corners), 11, 1))
             torque[:, state] = load_deg_s2
             trimmed = led_to(corners, torque, _HOVER_s)
             left = march(corners, torque, np.ones((len(path) // 2, 1)), trimmed)[:, :, 1]
-            step[own_count:] += np.mean(left**2, axis=0)
+            step[own_count:] += weight * np.mean(left**2, axis=0)
         return np.asarray(step), largest_V
 
     def cost(numbers: Floats) -> float:
@@ -317,13 +317,19 @@ def _motor_max_V(rig: Rig) -> float:
     return min(rig["supply"].value, MOTOR_MAX_V)
 
 
-def _constant_loads_deg_s2(rig: Rig, spread: Spread) -> dict[int, float]:
-    """Accelerations that never stop, by the plant's state: lopsided rotors, a pull on travel."""
+def _constant_loads_deg_s2(rig: Rig, spread: Spread) -> dict[int, tuple[float, float]]:
+    """Accelerations that never stop, and weights, by the plant's state: lopsided rotors, a pull on travel.
+
+    A pull that the rig file states is there in every flight and weighs like what is left of a step; one that
+    is only to be reckoned with does not.
+    """
     inertia = inertias_kg_m2({name: number.value for name, number in rig.items()})
     lopsided_Nm = spread.rotor * rig["M_f"].value * rig["g"].value * rig["L_h"].value
-    pull_rad_s2 = max(abs(rig["torque_travel"].value) / inertia["J_psi"], spread.pull_rad_s2)
-    loads = {2: lopsided_Nm / inertia["J_phi"], 3: pull_rad_s2}
-    return {state: float(np.degrees(load)) for state, load in loads.items() if load}
+    stated_rad_s2 = abs(rig["torque_travel"].value) / inertia["J_psi"]
+    pull_rad_s2 = max(stated_rad_s2, spread.pull_rad_s2)
+    pull_weight = _LATE_WEIGHT if stated_rad_s2 > spread.pull_rad_s2 else 1.0
+    loads = {2: (lopsided_Nm / inertia["J_phi"], 1.0), 3: (pull_rad_s2, pull_weight)}
+    return {state: (float(np.degrees(load)), weight) for state, (load, weight) in loads.items() if load}
 
 
 def _pid(gains: Floats, filter_Hz: float) -> Pid:
