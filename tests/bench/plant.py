@@ -79,7 +79,7 @@ def mujocos_step() -> Callable[[], float]:
     """Nanoseconds for one mj_step of the same masses, RK4 at 1 ms as well."""
     import mujoco
 
-    from tests.plant.test_multibody import mujoco_rig
+    from tests.mujoco_rig import mujoco_rig
 
     plant, _, volts = hovering()
     physics = mujoco_rig(plant.rig)

@@ -113,6 +113,7 @@ def flown(rig: Rig, hidden: Sequence[Hidden], course: Plan, seed: int) -> Flight
     FlightAborted
         When the flight did not complete.
     """
+    # MujocoPlant stands where a Plant does: it has the members that SilWorld uses, no others.
     world = SilWorld(SilOptions(seed=seed), MujocoPlant(rig, hidden))  # type: ignore[arg-type]
     session = Session(InProcessTransport(world), session_number=1)
     session.connect()

@@ -17,66 +17,11 @@ import numpy.typing as npt
 from heli_sim import _native
 from heli_sim.rig import Rig
 
+from tests.mujoco_rig import JOINTS, mujoco_rig
+
 Floats = npt.NDArray[np.float64]
 
-JOINTS = ("elevation", "pitch", "travel")
 STEP_S = 0.0005
-# MuJoCo wants an inertia of every body; this one is a point mass for all that counts.
-_POINT = 'diaginertia="1e-12 1e-12 1e-12"'
-
-
-def model_of(rig: Rig, hung: str = "") -> Any:
-    """Draw the rig's masses as bodies and its axes as joints.
-
-    Parameters
-    ----------
-    rig : Rig
-        Gives the numbers of Table 2.
-    hung : str
-        Further bodies on the long arm, as MuJoCo's XML.
-
-    Returns
-    -------
-    mujoco.MjModel
-        Joints elevation, pitch and travel; bodies by name; sites front and back where the thrusts act.
-    """
-    v = {name: rig[name].value for name in rig}
-    arm_z, body_z = -v["L_theta"], -v["L_phi"]
-
-    def mass(name: str, kg: float, x: float, y: float, z: float) -> str:
-        return f'<body name="{name}" pos="{x} {y} {z}"><inertial pos="0 0 0" mass="{kg}" {_POINT}/></body>'
-
-    return mujoco.MjModel.from_xml_string(f"""
-    <mujoco>
-      <compiler angle="radian" balanceinertia="false"/>
-      <option timestep="{STEP_S}" integrator="RK4" gravity="0 0 -{v["g"]}"><flag contact="disable"/></option>
-      <worldbody>
-        <body name="post">
-          <inertial pos="0 0 0" mass="1e-9" {_POINT}/>
-          <joint name="travel" axis="0 0 1" damping="{v["friction_travel"]}"/>
-          <body name="arm">
-            <inertial pos="0 0 0" mass="1e-9" {_POINT}/>
-            <joint name="elevation" axis="0 -1 0" damping="{v["friction_elevation"]}"/>
-            {mass("long_arm", v["M_l"], v["L_x"], 0, arm_z)}
-            {mass("counterweight", v["M_w"], -v["L_b"], 0, arm_z)}
-            {hung}
-            <body name="body" pos="{v["L_a"]} 0 {arm_z}">
-              <inertial pos="0 0 0" mass="1e-9" {_POINT}/>
-              <joint name="pitch" axis="-1 0 0" damping="{v["friction_pitch"]}"/>
-              {mass("short_arm", v["M_h"], 0, 0, body_z)}
-              {mass("front_rotor", v["M_f"], 0, -v["L_h"], body_z)}
-              {mass("back_rotor", v["M_b"], 0, v["L_h"], body_z)}
-              <site name="front" pos="0 {-v["L_h"]} 0"/>
-              <site name="back" pos="0 {v["L_h"]} 0"/>
-            </body>
-          </body>
-        </body>
-      </worldbody>
-      <actuator>
-        <general site="front" gear="0 0 1 0 0 0"/>
-        <general site="back" gear="0 0 1 0 0 0"/>
-      </actuator>
-    </mujoco>""")
 
 
 @dataclass
@@ -168,7 +113,7 @@ class MujocoPlant:
     def __init__(self, rig: Rig, hidden: Sequence[Hidden]) -> None:
         self.rig = rig
         self.hidden = sorted(hidden, key=lambda one: one.late)
-        self.physics = model_of(rig, "".join(one.hung(rig) for one in self.hidden))
+        self.physics = mujoco_rig(rig, step_s=STEP_S, hung="".join(one.hung(rig) for one in self.hidden))
         for one in self.hidden:
             one.configure(self.physics)
         self.data = mujoco.MjData(self.physics)

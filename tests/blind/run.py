@@ -25,9 +25,12 @@ from tests.blind.truth import hidden_in
 BUDGET_s = 600.0
 """As the command line has it."""
 _SIM = Path(heli_sim.__file__).parent
-_GENERATOR = tuple(
-    Path(__file__).with_name(name)
-    for name in ("mujoco_rig.py", "hidden.py", "off_list.py", "flights.py", "cases.py")
+_GENERATOR = (
+    Path(__file__).parent.with_name("mujoco_rig.py"),
+    *(
+        Path(__file__).with_name(name)
+        for name in ("mujoco_rig.py", "hidden.py", "off_list.py", "flights.py", "cases.py")
+    ),
 )
 _ORACLE = (Path(__file__).with_name("oracle.py"), Path(__file__).with_name("truth.py"))
 

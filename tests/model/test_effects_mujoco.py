@@ -13,7 +13,7 @@ from heli_sim.model.effects import parse_effects
 from heli_sim.plant import Plant
 from heli_sim.rig import load_rig
 
-from tests.plant.test_multibody import JOINTS, mujoco_rig
+from tests.mujoco_rig import JOINTS, mujoco_rig
 from tests.plant.toys import WIDE
 
 mujoco = pytest.importorskip("mujoco")

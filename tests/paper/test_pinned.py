@@ -11,7 +11,8 @@ from heli_sim.rig import load_rig
 
 mujoco = pytest.importorskip("mujoco")
 
-from tests.plant.test_multibody import JOINTS, STEP_S, mujoco_rig, runge_kutta  # noqa: E402
+from tests.mujoco_rig import JOINTS, mujoco_rig  # noqa: E402
+from tests.plant.test_multibody import STEP_S, runge_kutta  # noqa: E402
 
 SECONDS = 3
 # Inertia of a joint that nothing here could turn.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -12,55 +11,12 @@ import pytest
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig, load_rig
 
+from tests.mujoco_rig import JOINTS, mujoco_rig
+
 mujoco = pytest.importorskip("mujoco")
 
 STEP_S = 0.001
 STEPS = 10_000
-# MuJoCo wants an inertia of every body; this one is a point mass for all that counts.
-POINT = 'diaginertia="1e-12 1e-12 1e-12"'
-
-
-def mujoco_rig(rig: Rig) -> Any:
-    """The same masses at the same places, drawn as bodies and joints instead of equations."""
-    v = {name: rig[name].value for name in rig}
-    arm_z, body_z = -v["L_theta"], -v["L_phi"]
-
-    def mass(name: str, kg: float, x: float, y: float, z: float) -> str:
-        return f'<body name="{name}" pos="{x} {y} {z}"><inertial pos="0 0 0" mass="{kg}" {POINT}/></body>'
-
-    return mujoco.MjModel.from_xml_string(f"""
-    <mujoco>
-      <compiler angle="radian" balanceinertia="false"/>
-      <option timestep="{STEP_S}" integrator="RK4" gravity="0 0 -{v["g"]}"><flag contact="disable"/></option>
-      <worldbody>
-        <body name="post">
-          <inertial pos="0 0 0" mass="1e-9" {POINT}/>
-          <joint name="travel" axis="0 0 1" damping="{v["friction_travel"]}"/>
-          <body name="arm">
-            <inertial pos="0 0 0" mass="1e-9" {POINT}/>
-            <joint name="elevation" axis="0 -1 0" damping="{v["friction_elevation"]}"/>
-            {mass("long_arm", v["M_l"], v["L_x"], 0, arm_z)}
-            {mass("counterweight", v["M_w"], -v["L_b"], 0, arm_z)}
-            <body name="body" pos="{v["L_a"]} 0 {arm_z}">
-              <inertial pos="0 0 0" mass="1e-9" {POINT}/>
-              <joint name="pitch" axis="-1 0 0" damping="{v["friction_pitch"]}"/>
-              {mass("short_arm", v["M_h"], 0, 0, body_z)}
-              {mass("front_rotor", v["M_f"], 0, -v["L_h"], body_z)}
-              {mass("back_rotor", v["M_b"], 0, v["L_h"], body_z)}
-              <site name="front" pos="0 {-v["L_h"]} 0"/>
-              <site name="back" pos="0 {v["L_h"]} 0"/>
-            </body>
-          </body>
-        </body>
-      </worldbody>
-      <actuator>
-        <general site="front" gear="0 0 1 0 0 0"/>
-        <general site="back" gear="0 0 1 0 0 0"/>
-      </actuator>
-    </mujoco>""")
-
-
-JOINTS = ("elevation", "pitch", "travel")
 
 
 def fly_mujoco(

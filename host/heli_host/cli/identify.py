@@ -81,16 +81,12 @@ def identify(
     from heli_sim.model.named import model_named
     from heli_sim.rig import load_rig, write_rig
 
-    from heli_host.cli.places import check_place
+    from heli_host.cli.places import check_result_places
     from heli_host.cli.work import WorkBar
     from heli_host.flight import Flight
 
     others = validate or []
-    for target in (out, json):
-        if target is not None:
-            check_place(target)
-    if report is not None:
-        check_place(report / "index.html")
+    check_result_places(out, json, report=report)
     chosen = load_rig(rig)
     asked = parse_effects(effect or (), effects or ())
     names = {one.name for one in asked}

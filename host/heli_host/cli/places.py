@@ -25,3 +25,25 @@ def check_place(path: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     if path.is_dir() or not os.access(path if path.exists() else folder, os.W_OK):
         raise typer.BadParameter(f"{path} cannot be written; choose another place")
+
+
+def check_result_places(*files: Path | None, report: Path | None = None) -> None:
+    """Refuse places that the results of long work cannot be written to, before the work begins.
+
+    Parameters
+    ----------
+    *files : Path or None
+        Files to write; None for one that nobody asked for.
+    report : Path, optional
+        Folder of a page.
+
+    Raises
+    ------
+    typer.BadParameter
+        As `check_place` does.
+    """
+    for target in files:
+        if target is not None:
+            check_place(target)
+    if report is not None:
+        check_place(report / "index.html")

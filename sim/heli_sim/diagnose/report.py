@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import base64
-import html
-import io
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from heli_sim.diagnose.figures import (
     figure_of_flight,
@@ -20,11 +17,8 @@ from heli_sim.diagnose.figures import (
 from heli_sim.diagnose.result import Diagnosis
 from heli_sim.identify.record import AXES
 from heli_sim.identify.result import rounded
+from heli_sim.page import escaped, image, table
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-_DPI: Final = 110
 _WORDS: Final = {
     "explained": "Nothing is missing",
     "cause_found": "Cause found",
@@ -71,20 +65,20 @@ def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
     word = diagnosis.verdict.word
     sections = [
         f"<h1>{_WORDS[word]}</h1>",
-        f'<p class="verdict {word}">{_text(diagnosis.summary)}</p>',
+        f'<p class="verdict {word}">{escaped(diagnosis.summary)}</p>',
         f"<h2>Measured against simulated, on {judged}</h2>",
         _gain(numbers["gain"]),
-        _image(figure_of_windows(before, after), folder / "windows.png", "worst windows"),
-        _image(figure_of_flight(before, after), folder / "flight.png", "measured against simulated"),
+        image(figure_of_windows(before, after), folder / "windows.png", "worst windows"),
+        image(figure_of_flight(before, after), folder / "flight.png", "measured against simulated"),
         "<h2>What was found</h2>",
         _causes(numbers["causes"]),
-        *([_image(size, folder / "size.png", "acceleration by each cause")] if size is not None else []),
+        *([image(size, folder / "size.png", "acceleration by each cause")] if size is not None else []),
         "<h2>What is left over</h2>",
         _residual(numbers["residual"]),
-        _image(figure_of_torque(diagnosis), folder / "torque.png", "torque that the model lacks"),
+        image(figure_of_torque(diagnosis), folder / "torque.png", "torque that the model lacks"),
         _remains(diagnosis, numbers),
         "<h2>What was tried</h2>",
-        _image(figure_of_ranking(diagnosis.search.rounds), folder / "ranking.png", "candidates by score"),
+        image(figure_of_ranking(diagnosis.search.rounds), folder / "ranking.png", "candidates by score"),
         _ranking(numbers["ranking"]),
         *_next(numbers["next_flight"]),
         "<h2>What was used</h2>",
@@ -93,7 +87,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
     page = folder / "index.html"
     page.write_text(
         '<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>Diagnosis: '
-        f"{_text(_WORDS[word])}</title><style>{_STYLE}</style>\n" + "\n".join(sections) + "\n</html>\n",
+        f"{escaped(_WORDS[word])}</title><style>{_STYLE}</style>\n" + "\n".join(sections) + "\n</html>\n",
         encoding="utf-8",
     )
     return page
@@ -112,8 +106,8 @@ def _gain(gain: dict[str, Any]) -> str:
     ]
     heads = ["axis", "before [deg]", "after [deg]", "ratio", "95 % interval of the ratio"]
     return (
-        _table(heads, rows)
-        + f'<p class="note">{_text(gain["metric"])}; intervals by drawing windows anew.</p>'
+        table(heads, rows)
+        + f'<p class="note">{escaped(gain["metric"])}; intervals by drawing windows anew.</p>'
     )
 
 
@@ -125,19 +119,19 @@ def _causes(causes: Sequence[dict[str, Any]]) -> str:
         sentence = one["sentence"][:1].upper() + one["sentence"][1:]
         rows = [_number(name, n) for name, n in one["parameters"].items()]
         unclear = (
-            f" It could as well be {_text(', '.join(one['ambiguous_with']))}."
+            f" It could as well be {escaped(', '.join(one['ambiguous_with']))}."
             if one["ambiguous_with"]
             else ""
         )
         evidence = ", ".join(
-            f"{_text(name.replace('_', ' '))} {value:.3g}"
+            f"{escaped(name.replace('_', ' '))} {value:.3g}"
             for name, value in one["evidence"].items()
             if isinstance(value, float)
         )
         parts.append(
-            f"<h3>{_text(one['effect'])}</h3><p><b>{_text(sentence)}.</b> Confidence "
-            f"{one['confidence']:.2f}.{unclear}</p><p>Equation: <code>{_text(one['equation'])}</code></p>"
-            + _table(["number", "value ± std", "unit"], rows)
+            f"<h3>{escaped(one['effect'])}</h3><p><b>{escaped(sentence)}.</b> Confidence "
+            f"{one['confidence']:.2f}.{unclear}</p><p>Equation: <code>{escaped(one['equation'])}</code></p>"
+            + table(["number", "value ± std", "unit"], rows)
             + f'<p class="note">Evidence: {evidence}.</p>'
         )
     return "".join(parts)
@@ -155,11 +149,11 @@ def _residual(residual: dict[str, Any]) -> str:
     rows.append(["all, held out", f"{whole['held_out_before']:.3f}", f"{whole['held_out_after']:.3f}"])
     note = "Root mean square error in standard deviations of the rounding to counts: 1 when nothing is left."
     white = [
-        f"{_text(role.replace('_', ' '))}: {', '.join(a for a in AXES if one['after'][a]) or 'no axis'}"
+        f"{escaped(role.replace('_', ' '))}: {', '.join(a for a in AXES if one['after'][a]) or 'no axis'}"
         for role, one in residual["white"].items()
     ]
     return (
-        _table(["axis", "before", "after"], rows)
+        table(["axis", "before", "after"], rows)
         + f'<p class="note">{note} White over 0.1 s afterwards: {"; ".join(white)}.</p>'
     )
 
@@ -174,9 +168,9 @@ def _remains(diagnosis: Diagnosis, numbers: dict[str, Any]) -> str:
     )
     if missing is None:
         return text
-    depends = "".join(f"<li>{_text(one)}</li>" for one in missing["correlates_with"])
+    depends = "".join(f"<li>{escaped(one)}</li>" for one in missing["correlates_with"])
     return (
-        f"{text}<p>Unexplained about {_text(missing['axis'])}: a share of "
+        f"{text}<p>Unexplained about {escaped(missing['axis'])}: a share of "
         f"{missing['share_of_variance']:.3f} of the error's variance. It goes with:</p><ul>{depends}</ul>"
     )
 
@@ -198,7 +192,7 @@ def _ranking(ranking: Sequence[dict[str, Any]]) -> str:
     ]
     note = "Logarithms of likelihood ratios. The price pays for parameters and for all that was tried."
     return (
-        _table(["round: candidate", "screened", "refitted", "held out", "price"], rows)
+        table(["round: candidate", "screened", "refitted", "held out", "price"], rows)
         + f'<p class="note">{note}</p>'
     )
 
@@ -208,7 +202,7 @@ def _next(flight: dict[str, str] | None) -> list[str]:
         return []
     return [
         "<h2>The flight that would tell more</h2>",
-        f"<p>{_text(flight['why'])}</p><pre>{_text(flight['plan'])}</pre>",
+        f"<p>{escaped(flight['why'])}</p><pre>{escaped(flight['plan'])}</pre>",
     ]
 
 
@@ -217,31 +211,13 @@ def _used(numbers: dict[str, Any]) -> str:
     for one in numbers["flights"]:
         role = "fitted" if one["role"] == "train" else "held out"
         spans = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in one["used"])
-        notes = "".join(f" {_text(note)}." for note in one["notes"])
+        notes = "".join(f" {escaped(note)}." for note in one["notes"])
         parts.append(
-            f"<p>{_text(one['flight'])}, {role}: {one['seconds_used']:.1f} s used ({spans}).{notes}</p>"
+            f"<p>{escaped(one['flight'])}, {role}: {one['seconds_used']:.1f} s used ({spans}).{notes}</p>"
         )
         rows = [[f"{c['from_s']:.2f}", f"{c['to_s']:.2f}", c["why"]] for c in one["left_out"]]
         if rows:
-            parts.append(_table(["left out from [s]", "to [s]", "because"], rows))
+            parts.append(table(["left out from [s]", "to [s]", "because"], rows))
     done = "" if numbers["complete"] else " The time ran out before everything was tried."
     parts.append(f"<p>It took {numbers['seconds_taken']:.1f} s.{done}</p>")
     return "".join(parts)
-
-
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    head = "".join(f"<th>{_text(cell)}</th>" for cell in heads)
-    body = "".join(f"<tr>{''.join(f'<td>{_text(cell)}</td>' for cell in row)}</tr>" for row in rows)
-    return f"<table><tr>{head}</tr>{body}</table>"
-
-
-def _image(figure: Figure, path: Path, meaning: str) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI)
-    path.write_bytes(buffer.getvalue())
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return f'<p><img alt="{_text(meaning)}" src="data:image/png;base64,{data}"></p>'
-
-
-def _text(value: object) -> str:
-    return html.escape(str(value))

@@ -256,6 +256,7 @@ class Along:
             np.ascontiguousarray(a, float) for a in (path.state, path.volts_V, path.t_s, path.parameters)
         ]
         for i, array in enumerate(arrays):
+            # CasADi's own stubs ask for a size that set_arg and set_res do not take.
             self._buffer.set_arg(i, memoryview(array.reshape(-1)))  # type: ignore[call-arg,arg-type]
         # CasADi stores columns one after the other.
         results = [np.zeros((self._steps, columns, rows)) for rows, columns in self._shapes]

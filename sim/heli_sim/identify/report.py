@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-import base64
-import html
-import io
 import json
-import math
-from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from heli_sim.identify.check import Check
 from heli_sim.identify.figures import figure_of_correlations, figure_of_flight, figure_of_parameters
 from heli_sim.identify.record import AXES
 from heli_sim.identify.result import Identification, rounded
 from heli_sim.identify.uncertainty import Combination
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from heli_sim.page import escaped, image, table
 
 _GOOD: Final = 1.05
 """A normalised error up to here is nothing but rounding."""
-_DPI: Final = 110
 _STYLE: Final = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222 }
 body { max-width: 62rem; margin: 2rem auto; padding: 0 1rem }
@@ -53,19 +45,19 @@ def write_report(identification: Identification, folder: str | Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "result.json").write_text(json.dumps(identification.json(), indent=2) + "\n", encoding="utf-8")
     flights = [
-        _image(figure_of_flight(trace, role), folder / f"{role}-{number}.png", f"{trace.label}, {role}")
+        image(figure_of_flight(trace, role), folder / f"{role}-{number}.png", f"{trace.label}, {role}")
         for role, traces in (
             ("train", identification.training_traces),
             ("validation", identification.validation_traces),
         )
         for number, trace in enumerate(traces, 1)
     ]
-    parameters = _image(figure_of_parameters(identification), folder / "parameters.png", "parameters")
-    correlations = _image(figure_of_correlations(identification), folder / "correlations.png", "correlations")
+    parameters = image(figure_of_parameters(identification), folder / "parameters.png", "parameters")
+    correlations = image(figure_of_correlations(identification), folder / "correlations.png", "correlations")
     problem = identification.fit.problem
     sections = [
-        f"<h1>{_text(problem.model.name)} model on {_text(problem.rig.name)}</h1>",
-        f'<p class="verdict">{_text(verdict(identification))}</p>',
+        f"<h1>{escaped(problem.model.name)} model on {escaped(problem.rig.name)}</h1>",
+        f'<p class="verdict">{escaped(verdict(identification))}</p>',
         "<h2>Measured against predicted</h2>",
         _errors(identification),
         *flights,
@@ -81,7 +73,7 @@ def write_report(identification: Identification, folder: str | Path) -> Path:
     title = f"Identification of {problem.rig.name}"
     page = folder / "index.html"
     page.write_text(
-        f'<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>{_text(title)}</title>'
+        f'<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>{escaped(title)}</title>'
         f"<style>{_STYLE}</style>\n" + "\n".join(sections) + "\n</html>\n",
         encoding="utf-8",
     )
@@ -130,7 +122,7 @@ def _errors(identification: Identification) -> str:
         "nothing but the voltages. Normalised: in standard deviations of the rounding to counts, 1 if "
         "nothing else is left. A star marks an axis whose error is not white over 0.1 s."
     )
-    return _table(heads, rows) + f'<p class="note">{note}</p>'
+    return table(heads, rows) + f'<p class="note">{note}</p>'
 
 
 def _axis_cells(check: Check) -> list[str]:
@@ -147,7 +139,7 @@ def _parameters(identification: Identification) -> str:
         found = f"{rounded(value, std)} ± {rounded(2 * std, std)}"
         rows.append([one.name, found, one.unit, prior, f"{std / one.prior.std:.2g}", remark])
     heads = ["parameter", "found ± 2 std", "unit", "before", "std over prior's", ""]
-    return _table(heads, rows)
+    return table(heads, rows)
 
 
 def _combinations(identification: Identification) -> str:
@@ -163,14 +155,14 @@ def _combinations(identification: Identification) -> str:
     pairs = identification.strong_correlations
     if pairs:
         rows = [[a, b, f"{value:.3f}"] for a, b, value in pairs]
-        text += "<p>Pairs that can hardly be told apart:</p>" + _table(
+        text += "<p>Pairs that can hardly be told apart:</p>" + table(
             ["parameter", "and", "correlation"], rows
         )
     return text
 
 
 def _combination(combination: Combination) -> str:
-    parts = [f"{_text(name)} {change:+.2g}" for name, change in combination.change.items()]
+    parts = [f"{escaped(name)} {change:+.2g}" for name, change in combination.change.items()]
     return ", ".join(parts)
 
 
@@ -181,11 +173,11 @@ def _used(identification: Identification) -> str:
     ):
         rows = [[f"{cut.start_s:.2f}", f"{cut.stop_s:.2f}", cut.why] for cut in record.cuts]
         parts.append(
-            f"<p>{_text(record.label)}: {check.seconds_used:.1f} s of free flight in windows of "
-            f"{check.window_s:.2f} s.{''.join(f' {_text(note)}.' for note in record.notes)}</p>"
+            f"<p>{escaped(record.label)}: {check.seconds_used:.1f} s of free flight in windows of "
+            f"{check.window_s:.2f} s.{''.join(f' {escaped(note)}.' for note in record.notes)}</p>"
         )
         if rows:
-            parts.append(_table(["left out from [s]", "to [s]", "because"], rows))
+            parts.append(table(["left out from [s]", "to [s]", "because"], rows))
         lowered = sum(1 for weight in identification.fit.weights[index] if weight < 1.0)
         if lowered:
             parts.append(f"<p>{lowered} windows fall out of line with the others and have less weight.</p>")
@@ -193,23 +185,3 @@ def _used(identification: Identification) -> str:
     end = "converged" if fit.converged else "stopped by its budget before it had converged"
     parts.append(f"<p>The fit {end} in {fit.seconds:.1f} s and {fit.evaluations} evaluations.</p>")
     return "".join(parts)
-
-
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    head = "".join(f"<th>{_text(cell)}</th>" for cell in heads)
-    body = "".join(f"<tr>{''.join(f'<td>{_text(cell)}</td>' for cell in row)}</tr>" for row in rows)
-    return f"<table><tr>{head}</tr>{body}</table>"
-
-
-def _image(figure: Figure, path: Path, meaning: str) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI)
-    path.write_bytes(buffer.getvalue())
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return f'<p><img alt="{_text(meaning)}" src="data:image/png;base64,{data}"></p>'
-
-
-def _text(value: object) -> str:
-    if isinstance(value, float) and not math.isfinite(value):
-        return "–"
-    return html.escape(str(value))

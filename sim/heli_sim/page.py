@@ -1,0 +1,78 @@
+"""Pieces of a report: one HTML page that needs nothing else."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_DPI: Final = 110
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Write a table.
+
+    Parameters
+    ----------
+    heads : sequence of str
+        Cells of its first row.
+    rows : iterable of sequence of str
+        Cells of the others.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    head = "".join(f"<th>{escaped(cell)}</th>" for cell in heads)
+    body = "".join(f"<tr>{''.join(f'<td>{escaped(cell)}</td>' for cell in row)}</tr>" for row in rows)
+    return f"<table><tr>{head}</tr>{body}</table>"
+
+
+def image(figure: Figure, path: Path, meaning: str) -> str:
+    """Keep a figure as PNG and put it into the page.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        The figure.
+    path : Path
+        File to write.
+    meaning : str
+        What it shows, for those who cannot see it.
+
+    Returns
+    -------
+    str
+        HTML that needs no other file.
+    """
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=_DPI)
+    path.write_bytes(buffer.getvalue())
+    data = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return f'<p><img alt="{escaped(meaning)}" src="data:image/png;base64,{data}"></p>'
+
+
+def escaped(value: object) -> str:
+    """Write a value as text.
+
+    Parameters
+    ----------
+    value : object
+        Anything.
+
+    Returns
+    -------
+    str
+        Its text, safe in HTML; a dash for a number that is none.
+    """
+    if isinstance(value, float) and not math.isfinite(value):
+        return "–"
+    return html.escape(str(value))
