@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from heli_sim.rig import load_rig
+from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Terminal
 from tests.diagnose.hidden import flights
@@ -45,6 +46,16 @@ def test_short_part_of_a_flight_is_answered_with_the_flight_that_would_tell(
     assert numbers["causes"] == []
     assert numbers["could_not_be_seen"]
     assert tomllib.loads(numbers["next_flight"]["plan"])["segment"]
+
+
+@pytest.mark.parametrize("verb", ["diagnose", "identify"])
+def test_model_that_the_rig_names_is_the_one_that_is_fitted(
+    terminal: Terminal, tables: tuple[Path, Path], verb: str
+) -> None:
+    write_rig(replace(load_rig("makki2024"), model="nobodys"), "mine.toml")
+    ended = terminal(verb, tables[0], "--rig", "mine.toml")
+    assert ended.code != 0
+    assert "there is no model 'nobodys'" in ended.err
 
 
 @pytest.mark.parametrize(

@@ -164,7 +164,7 @@ def test_a_gap_is_left_out_on_request(terminal: Terminal, tmp_path: Path) -> Non
         (("good.csv", "--free", "M_f", "--fix", "M_f"), "asked for and fixed at once"),
         (("good.csv", "--validate", "good.csv"), "both fitted and validated on"),
         (("good.csv", "good.csv"), "the same label"),
-        (("good.csv", "--from-s", "9.5"), "no second of free flight"),
+        (("good.csv", "--from", "9.5"), "no second of free flight"),
         (("missing.csv",), "cannot read missing.csv"),
     ],
 )

@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from heli_host.cli.identify import DEFAULT_MODEL
+from heli_host.cli.fit_options import (
+    DEFAULT_MODEL,
+    EquationsOption,
+    FlightsArgument,
+    FoundRigOption,
+    FromOption,
+    KnownRigOption,
+    NumbersOption,
+    OwnEffectsOption,
+    ReportOption,
+    ToOption,
+    ValidateOption,
+)
 from heli_host.cli.options import DEFAULT_RIG
 
 if TYPE_CHECKING:
@@ -16,38 +28,18 @@ if TYPE_CHECKING:
 
 
 def diagnose(
-    flights: Annotated[
-        list[Path], typer.Argument(metavar="FLIGHT...", help="Flights to fit: .mcap, .csv or .csv.gz.")
-    ],
-    validate: Annotated[
-        list[Path] | None,
-        typer.Option("--validate", metavar="FLIGHT...", help="Flights to judge on; give at least one."),
-    ] = None,
-    rig: Annotated[
-        str, typer.Option("--rig", metavar="NAME|FILE", help="What is known beforehand: values, tolerances.")
-    ] = DEFAULT_RIG,
-    model: Annotated[
-        str, typer.Option("--model", metavar="NAME", help="Equations of motion.")
-    ] = DEFAULT_MODEL,
-    effects: Annotated[
-        list[Path] | None,
-        typer.Option("--effects", metavar="FILE...", help="Python files with effects of your own."),
-    ] = None,
-    start_s: Annotated[
-        float | None, typer.Option("--from", metavar="S", help="Fit nothing before this time.")
-    ] = None,
-    stop_s: Annotated[
-        float | None, typer.Option("--to", metavar="S", help="Fit nothing from this time on.")
-    ] = None,
-    report: Annotated[
-        Path | None, typer.Option("--report", metavar="DIR", help="A page with figures to look at.")
-    ] = None,
-    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="All numbers.")] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="The extended rig, TOML, to be flown.")
-    ] = None,
+    flights: FlightsArgument,
+    validate: ValidateOption = None,
+    rig: KnownRigOption = DEFAULT_RIG,
+    model: EquationsOption = None,
+    effects: OwnEffectsOption = None,
+    start_s: FromOption = None,
+    stop_s: ToOption = None,
+    report: ReportOption = None,
+    json: NumbersOption = None,
+    out: FoundRigOption = None,
     seed: Annotated[
-        int, typer.Option("--seed", metavar="N", help="Seed of the resampling behind the intervals.")
+        int, typer.Option("--seed", metavar="N", min=0, help="Seed of the resampling behind the intervals.")
     ] = 0,
     budget_s: Annotated[
         float, typer.Option("--budget", metavar="S", min=5.0, help="Most time for the search.")
@@ -79,7 +71,8 @@ def diagnose(
     check_result_places(out, json, report=report)
     chosen = load_rig(rig)
     kinds = catalogue(effects or ())
-    equations = model_named(model, effects_of(chosen, effects or ()))
+    named = model or chosen.model or DEFAULT_MODEL
+    equations = model_named(named, effects_of(chosen, effects or ()))
     with WorkBar() as bar:
         bar.show("reading", 0.0)
         fitted = [Flight.read(path) for path in flights]
@@ -100,7 +93,7 @@ def diagnose(
         written: list[Path] = []
         if out is not None:
             write_rig(
-                found.rig(out.stem), out, f"Found by heli-host diagnose, model {model}. {found.summary}"
+                found.rig(out.stem), out, f"Found by heli-host diagnose, model {named}. {found.summary}"
             )
             written.append(out)
         if report is not None:

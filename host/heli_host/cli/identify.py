@@ -7,35 +7,34 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from heli_host.cli.fit_options import (
+    DEFAULT_MODEL,
+    EquationsOption,
+    FlightsArgument,
+    FoundRigOption,
+    FromOption,
+    KnownRigOption,
+    NumbersOption,
+    OwnEffectsOption,
+    ReportOption,
+    ToOption,
+    ValidateOption,
+)
 from heli_host.cli.options import DEFAULT_RIG
 
 if TYPE_CHECKING:
     from heli_sim.identify.result import Identification
 
-DEFAULT_MODEL = "multibody"
-
 
 def identify(
-    flights: Annotated[
-        list[Path], typer.Argument(metavar="FLIGHT...", help="Flights to fit: .mcap, .csv or .csv.gz.")
-    ],
-    rig: Annotated[
-        str, typer.Option("--rig", metavar="NAME|FILE", help="What is known beforehand: values, tolerances.")
-    ] = DEFAULT_RIG,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            "--model", metavar="NAME", help="Equations of motion; else those the rig names, or multibody."
-        ),
-    ] = None,
+    flights: FlightsArgument,
+    rig: KnownRigOption = DEFAULT_RIG,
+    model: EquationsOption = None,
     effect: Annotated[
         list[str] | None,
         typer.Option("--effect", metavar="ID...", help="Effects to find as well, such as rotor_lag."),
     ] = None,
-    effects: Annotated[
-        list[Path] | None,
-        typer.Option("--effects", metavar="FILE...", help="Python files with effects of your own."),
-    ] = None,
+    effects: OwnEffectsOption = None,
     free: Annotated[
         list[str] | None,
         typer.Option("--free", metavar="NAME...", help="Find only these numbers; else all with a tolerance."),
@@ -43,27 +42,18 @@ def identify(
     fix: Annotated[
         list[str] | None, typer.Option("--fix", metavar="NAME...", help="Do not look for these numbers.")
     ] = None,
-    validate: Annotated[
-        list[Path] | None,
-        typer.Option("--validate", metavar="FLIGHT...", help="Flights to try the result on."),
-    ] = None,
-    start_s: Annotated[
-        float | None, typer.Option("--from-s", metavar="S", help="Fit nothing before this time.")
-    ] = None,
-    stop_s: Annotated[
-        float | None, typer.Option("--to-s", metavar="S", help="Fit nothing from this time on.")
-    ] = None,
+    validate: ValidateOption = None,
+    start_s: FromOption = None,
+    stop_s: ToOption = None,
     window_s: Annotated[
         float, typer.Option("--window-s", metavar="S", min=0.5, max=30.0, help="Length of a free run.")
     ] = 2.0,
     allow_gaps: Annotated[
         bool, typer.Option("--allow-gaps", help="Leave out missing rows instead of refusing the flight.")
     ] = False,
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="The rig found, TOML.")] = None,
-    report: Annotated[
-        Path | None, typer.Option("--report", metavar="DIR", help="A page with figures to look at.")
-    ] = None,
-    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="All numbers.")] = None,
+    out: FoundRigOption = None,
+    report: ReportOption = None,
+    json: NumbersOption = None,
 ) -> None:
     """Find a rig's numbers from flights, and say how sure they are.
 
