@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from heli_sim.diagnose.hypothesis import Bench, Evidence, Hypothesis
+from heli_sim.diagnose.removed import without_terms
 from heli_sim.diagnose.screening import Scored, Screening
 from heli_sim.diagnose.trial import Trial
 from heli_sim.errors import IdentifyError
@@ -186,6 +187,7 @@ class _Searcher:
     kinds: Mapping[str, EffectKind]
     say: Callable[[str, float], None]
     until_s: float
+    removable: Sequence[EffectKind]
     rounds: list[Round] = field(default_factory=list)
 
     def out_of_time(self) -> bool:
@@ -347,7 +349,8 @@ class _Searcher:
     def run(self) -> Search:
         self.say("refitting the baseline", 0.02)
         self.baseline = self.bench.try_out([])
-        reached, screening, complete = self.forward(self.baseline)
+        whole = without_terms(self.bench, self.baseline, self.removable)
+        reached, screening, complete = self.forward(whole)
         final, found = self.backward(reached)
         if final is not reached:
             screening = Screening(final.fit)
@@ -384,6 +387,7 @@ def search(
     bench: Bench,
     kinds: Mapping[str, EffectKind],
     *,
+    removable: Sequence[EffectKind] = (),
     say: Callable[[str, float], None] | None = None,
     seconds: float = math.inf,
 ) -> Search:
@@ -395,6 +399,8 @@ def search(
         Flights, rig and model.
     kinds : Mapping[str, EffectKind]
         Effects to try.
+    removable : sequence of EffectKind
+        Kinds that take away terms of the baseline which the rig states closely.
     say : callable, optional
         Told what is being done, and which share of the work is.
     seconds : float
@@ -405,4 +411,5 @@ def search(
     Search
         What was found, also when the time ran out.
     """
-    return _Searcher(bench, kinds, say or (lambda _what, _share: None), time.perf_counter() + seconds).run()
+    until_s = time.perf_counter() + seconds
+    return _Searcher(bench, kinds, say or (lambda _what, _share: None), until_s, removable).run()

@@ -45,7 +45,7 @@ class Verdict:
     chance: bool
 
 
-def judge(search: Search, left: Leftover) -> Verdict:
+def judge(search: Search, left: Leftover, removed: bool = False) -> Verdict:
     """Decide what to say.
 
     Parameters
@@ -54,6 +54,8 @@ def judge(search: Search, left: Leftover) -> Verdict:
         What was found.
     left : Leftover
         What remains.
+    removed : bool
+        Whether the fit itself found a term of the baseline to be gone: a cause like any other.
 
     Returns
     -------
@@ -80,7 +82,7 @@ def judge(search: Search, left: Leftover) -> Verdict:
         unclear = any(ambiguous_with(one) for one in causes)
         return Verdict("ambiguous" if unclear else "cause_found", causes, off_list, chance)
     if not remains:
-        return Verdict("explained", (), off_list, False)
+        return Verdict("cause_found" if removed else "explained", (), off_list, False)
     return Verdict("cause_found" if chance else "unexplained", (), off_list, chance)
 
 
