@@ -12,6 +12,7 @@ from heli_sim.diagnose.gain import AxisGain
 from heli_sim.diagnose.hypothesis import Errors, Hypothesis
 from heli_sim.diagnose.leftover import Leftover, correlates
 from heli_sim.diagnose.next_flight import NextFlight
+from heli_sim.diagnose.removed import Removed
 from heli_sim.diagnose.search import Found, Search
 from heli_sim.diagnose.verdict import Verdict, ambiguous_with, confidence
 from heli_sim.identify import Fit, check
@@ -39,8 +40,8 @@ class Diagnosis:
         The model with the causes of the catalogue alone, as the extended rig flies it.
     gains : Mapping[str, AxisGain]
         Free-run errors before and after, by axis.
-    removed : Mapping[str, str]
-        Terms of the baseline that the flights reject, with a sentence each.
+    removed : tuple of Removed
+        Terms of the baseline whose numbers the fit found to be nothing.
     kinds : Mapping[str, EffectKind]
         The catalogue.
     unseen : tuple of str
@@ -56,7 +57,7 @@ class Diagnosis:
     leftover: Leftover
     extended: Hypothesis
     gains: Mapping[str, AxisGain]
-    removed: Mapping[str, str]
+    removed: tuple[Removed, ...]
     kinds: Mapping[str, EffectKind]
     unseen: tuple[str, ...]
     next_flight: NextFlight | None
@@ -274,15 +275,20 @@ class Diagnosis:
                     "ambiguous_with": [],
                 }
             )
-        for id_, sentence in self.removed.items():
+        for term in self.removed:
+            kind = self.kinds[term.id]
+            (name,) = kind.size
             causes.append(
                 {
-                    "effect": id_,
-                    "parameters": {},
-                    "confidence": 0.9,
-                    "sentence": sentence,
-                    "equation": self.kinds[id_].equation,
-                    "evidence": {},
+                    "effect": term.id,
+                    "parameters": _spelled({name: (term.share, term.std, "1")}),
+                    "confidence": round(term.confidence, 3),
+                    "sentence": kind.sentence({name: term.share}, {name: term.std}),
+                    "equation": kind.equation,
+                    "evidence": {
+                        "standard_errors_from_nothing": term.from_nothing,
+                        "standard_errors_from_the_rig": term.from_rig,
+                    },
                     "ambiguous_with": [],
                 }
             )

@@ -12,19 +12,17 @@ from heli_sim.diagnose.gain import gain
 from heli_sim.diagnose.hypothesis import Bench, Hypothesis
 from heli_sim.diagnose.leftover import leftover
 from heli_sim.diagnose.next_flight import NextFlight, next_flight, part_for
+from heli_sim.diagnose.removed import removed_terms
 from heli_sim.diagnose.result import Diagnosis
 from heli_sim.diagnose.screening import Scored
 from heli_sim.diagnose.search import Search, search
 from heli_sim.diagnose.verdict import Verdict, ambiguous_with, judge
 from heli_sim.errors import IdentifyError
-from heli_sim.identify import Fit, Record, prepare
+from heli_sim.identify import Record, prepare
 from heli_sim.model.base import Model
 from heli_sim.model.effects import EffectKind, catalogue
 from heli_sim.rig import Rig
 
-_NOTHING_STD: Final = 2.0
-_KNOWN_SHARE: Final = 0.15
-"""A term is gone when its number is nothing within 2 standard errors that are this small beside the rig's."""
 _STANDS_OUT: Final = 5.0
 """Standard errors that an effect must measure to be seen among all that are tried."""
 _SHORT_s: Final = 15.0
@@ -89,11 +87,13 @@ def diagnose(
     bench = Bench(model, rig, train, held, seed=seed)
     known = {effect.name for effect in model.effects}
     tried = {id_: kind for id_, kind in every.items() if _candidate(kind, model, known)}
-    found = search(bench, tried, say=tell, seconds=seconds - (time.perf_counter() - started_s))
+    left_s = seconds - (time.perf_counter() - started_s)
+    found = search(bench, tried, removable=tuple(every.values()), say=tell, seconds=left_s)
     tell("looking at what remains", 0.9)
     left = leftover(found.final, found.last)
-    verdict = judge(found, left)
     extended = _extended(bench, found)
+    removed = removed_terms(extended.fit, rig, every)
+    verdict = judge(found, left, bool(removed))
     unseen = _unseen(found.rounds[-1].screened, every)
     return Diagnosis(
         found,
@@ -101,7 +101,7 @@ def diagnose(
         left,
         extended,
         gain(found.baseline, extended, seed),
-        _removed(extended.fit, rig, every),
+        removed,
         every,
         unseen,
         _next(verdict, found, every, unseen),
@@ -114,26 +114,6 @@ def _candidate(kind: EffectKind, model: Model, known: set[str]) -> bool:
     if not kind.suits(model) or kind.id in known or kind.shaken:
         return False
     return not kind.baseline or (not kind.held and model.name != "multibody")
-
-
-def _removed(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> dict[str, str]:
-    """Terms of the baseline whose numbers the flights find to be nothing."""
-    values, std = fit.values, fit.std
-    gone = {}
-    for id_, kind in kinds.items():
-        names = [name for name in kind.held if name in values]
-        if not kind.baseline or not names:
-            continue
-        nothing = all(
-            values[name] < _NOTHING_STD * std[name] and std[name] < _KNOWN_SHARE * abs(rig[name].value)
-            for name in names
-        )
-        if nothing:
-            share = 1.0 - values[names[0]] / rig[names[0]].value
-            spread = std[names[0]] / abs(rig[names[0]].value)
-            size = kind.size[0]
-            gone[id_] = kind.sentence({size: min(max(share, 0.0), 1.0)}, {size: spread})
-    return gone
 
 
 def _unseen(screened: Sequence[Scored], kinds: Mapping[str, EffectKind]) -> tuple[str, ...]:

@@ -1,0 +1,97 @@
+"""Terms that the baseline has and the rig has not are named."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+from heli_sim.diagnose import Diagnosis, diagnose
+from heli_sim.diagnose.hypothesis import Bench, Hypothesis
+from heli_sim.diagnose.removed import gone, removed_terms, without_terms
+from heli_sim.identify import prepare
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue, effects_of
+from heli_sim.rig import load_rig
+
+from tests.diagnose.hidden import flights
+
+KINDS = catalogue()
+
+
+@cache
+def tried(effect: str) -> tuple[Bench, Hypothesis]:
+    """Refit the baseline to flights of a rig that lacks a term."""
+    rig = load_rig("makki2024")
+    fit, held = flights(effect)
+    bench = Bench(MultibodyModel(), rig, [prepare(fit, rig, "fit")], [prepare(held, rig, "held out")])
+    return bench, bench.try_out([])
+
+
+@cache
+def diagnosed(effect: str) -> Diagnosis:
+    """Diagnose flights of a rig that lacks a term; few rivals, to be quick."""
+    fit, held = flights(effect)
+    few = {id_: kind for id_, kind in KINDS.items() if kind.baseline or id_ in ("rotor_lag", "axis_tilt")}
+    return diagnose(
+        MultibodyModel(), load_rig("makki2024"), [fit], [held], kinds=few, labels=["fit", "held out"]
+    )
+
+
+@pytest.mark.parametrize("axis", ["elevation", "pitch", "travel"])
+def test_friction_that_is_not_there_is_named_by_the_fit_itself(axis: str) -> None:
+    bench, baseline = tried(f"removed.friction.{axis}=1")
+    (term,) = removed_terms(baseline.fit, bench.rig, KINDS)
+    assert term.id == f"removed.friction.{axis}"
+    assert abs(term.share - 1.0) < 3.0 * term.std
+    assert term.confidence > 0.9
+    assert term.from_nothing < 3.0
+    assert term.from_rig > 10.0
+
+
+@pytest.mark.parametrize("axis", ["elevation", "pitch"])
+def test_pendulum_that_the_rig_states_closely_is_found_to_be_gone(axis: str) -> None:
+    bench, baseline = tried(f"removed.pendulum.{axis}=1")
+    assert baseline.train.normalised > 5.0
+    less = without_terms(bench, baseline, KINDS.values())
+    assert less.ids == (f"removed.pendulum.{axis}",)
+    assert less.held.normalised < 1.05
+
+
+def test_other_causes_take_no_term_away() -> None:
+    bench, baseline = tried("rotor_lag=0.06")
+    assert baseline.train.normalised > 5.0
+    assert without_terms(bench, baseline, KINDS.values()) is baseline
+    assert removed_terms(baseline.fit, bench.rig, KINDS) == ()
+
+
+@pytest.mark.parametrize("term", ["friction.travel", "pendulum.elevation"])
+def test_removed_term_is_the_cause_with_its_share_and_flies_in_the_extended_rig(term: str) -> None:
+    found = diagnosed(f"removed.{term}=1")
+    numbers = found.json()
+    assert numbers["verdict"] == "cause_found"
+    (cause,) = numbers["causes"]
+    assert cause["effect"] == f"removed.{term}"
+    (share,) = cause["parameters"].values()
+    assert share["value"] == pytest.approx(1.0, abs=0.02)
+    assert cause["confidence"] > 0.9
+    assert "is not there" in found.summary
+    rig = found.rig("extended")
+    taken = {effect.name: effect.values for effect in effects_of(rig)}
+    assert taken.keys() == ({f"removed.{term}"} if term.startswith("pendulum") else set())
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "low", "high"),
+    [
+        (0.0, 0.02, 0.98, 0.99),
+        (0.04, 0.02, 0.9, 0.99),
+        (0.0, 0.5, 0.0, 0.4),
+        (0.1, 0.02, 0.0, 0.1),
+        (0.5, 0.05, 0.0, 0.01),
+        (1.0, 0.01, 0.0, 1e-6),
+    ],
+)
+def test_term_is_gone_only_if_its_number_is_nothing_and_known_to_be(
+    value: float, std: float, low: float, high: float
+) -> None:
+    assert low <= gone(value, std) <= high
