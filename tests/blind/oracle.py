@@ -19,13 +19,6 @@ from heli_sim.rig import Rig
 
 from tests.blind.truth import Hidden
 
-_SHARPER = {
-    "elevation": (0.005, 0.002, 0.001, 0.0005),
-    "pitch": (0.005, 0.002),
-    "travel": (0.005, 0.002, 0.001, 0.0005),
-}
-"""Rates in rad/s below which dry friction is rounded off, one after the other: from the first guess no fit
-finds its way at the last. The light axis takes none sharper at this step."""
 _STARTS = (1.0, 0.3, 0.03)
 _EXPLAINED = 1.03
 _STEP_S = 0.004
@@ -87,12 +80,8 @@ def tell(rig: Rig, flights: tuple[Flight, Flight], hidden: Sequence[Hidden]) -> 
             effects.append(kind.make(one.start))
             # Free beside a torque that starts small, a frequency runs away before the torque has grown.
             gone |= {name: value for name, value in one.start.items() if name.endswith("_Hz")}
-    tries = _best(rig, records, effects, gone, nothing) if effects or gone else [nothing]
-    told = tries[-1]
+    told = _best(rig, records, effects, gone, nothing) if effects or gone else nothing
     train, held_out = _errors(told, records[1])
-    if len(tries) > 1:
-        # A sharper friction, though better, may strand a window of the held-out flight in a wrong state.
-        held_out = min(_errors(fit, records[1])[1] for fit in tries)
     names = {name for effect in effects for name in effect.priors}
     return Told(
         train,
@@ -106,41 +95,19 @@ def tell(rig: Rig, flights: tuple[Flight, Flight], hidden: Sequence[Hidden]) -> 
 
 def _best(
     rig: Rig, records: tuple[Record, Record], effects: list[Effect], gone: dict[str, float], nothing: Fit
-) -> list[Fit]:
+) -> Fit:
     """Fit from several starts: the truth beside a rig that is still wrong may lie in another valley."""
     sizes = {name: effect.values[name] for effect in effects for name in effect.priors}
-    best: list[Fit] = []
+    best: Fit | None = None
     for share in _STARTS:
         start = {**nothing.values, **{name: share * value for name, value in sizes.items()}}
-        fits = _sharpened(rig, records, effects, gone, start)
-        if not best or check(fits[-1]).normalised < check(best[-1]).normalised:
-            best = fits
-        if check(best[-1]).normalised < _EXPLAINED:
+        fit = _fit(rig, records, tuple(effects), gone, start)
+        if best is None or check(fit).normalised < check(best).normalised:
+            best = fit
+        if check(best).normalised < _EXPLAINED:
             break
+    assert best is not None
     return best
-
-
-def _sharpened(
-    rig: Rig,
-    records: tuple[Record, Record],
-    effects: list[Effect],
-    gone: dict[str, float],
-    start: dict[str, float],
-) -> list[Fit]:
-    """Fit, and where there is dry friction fit again with ever less rounded."""
-    rounded = {
-        f"{effect.name.replace('.', '_')}_round_rad_s": _SHARPER[effect.name.split(".")[1]]
-        for effect in effects
-        if effect.name.startswith("coulomb_friction.")
-    }
-    fits = [_fit(rig, records, tuple(effects), gone | dict.fromkeys(rounded, 0.01), start)]
-    for sharpness in range(max((len(rates) for rates in rounded.values()), default=0)):
-        values = {name: rates[min(sharpness, len(rates) - 1)] for name, rates in rounded.items()}
-        sharper = _fit(rig, records, tuple(effects), gone | values, fits[-1].values)
-        if check(sharper).normalised > check(fits[-1]).normalised:
-            break
-        fits.append(sharper)
-    return fits
 
 
 def _fit(

@@ -15,7 +15,7 @@ from heli_host.flight import Flight
 from heli_sim.identify.check import check
 from heli_sim.identify.problem import Problem
 from heli_sim.identify.record import prepare
-from heli_sim.identify.solve import Fit, solve
+from heli_sim.identify.solve import solve
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import EffectKind, catalogue
 from heli_sim.rig import Prior, load_rig
@@ -56,15 +56,9 @@ def find(kind: EffectKind, seed: int = 7) -> Found:
     flight = flown(rig, seed, FLIGHT_S, MultibodyModel((true,)))
     record = prepare(flight, rig, "a")
     truth = as_logged(kind, flight)
-    fit: Fit | None = None
-    round_rates = kind.scan.get(kind.full("round_rad_s"), ())
-    for round_rad_s in round_rates if isinstance(round_rates, tuple) and round_rates else (None,):
-        values = {name: 0.5 * value if name in kind.size else value for name, value in kind.typical.items()}
-        if round_rad_s is not None:
-            values[kind.full("round_rad_s")] = round_rad_s
-        problem = Problem(MultibodyModel((kind.make(values),)), rig, [record], priors=searched(kind))
-        fit = solve(problem, start=fit)
-    assert fit is not None
+    values = {name: 0.5 * value if name in kind.size else value for name, value in kind.typical.items()}
+    problem = Problem(MultibodyModel((kind.make(values),)), rig, [record], priors=searched(kind))
+    fit = solve(problem)
     off = {name: (fit.values[name] - truth[name]) / fit.std[name] for name in kind.priors}
     values = {name: fit.values[name] for name in kind.priors}
     return Found(off, values, {name: fit.std[name] for name in kind.priors}, check(fit).normalised)

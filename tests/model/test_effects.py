@@ -178,10 +178,11 @@ def test_a_lag_follows_the_thrust_that_a_bent_curve_asks_for() -> None:
 
 
 def power_W(model: Model, effect: Effect, x: Vector, volts_V: tuple[float, float]) -> float:
-    """What an effect's torque gives to the axes."""
+    """What an effect's torque gives to the axes, at rates that they keep but for it."""
     symbols = ca.SX.sym("x", len(model.states))
     at = model.situation(symbols, ca.SX(list(volts_V)), ca.SX(model.parameter_values(load_rig("makki2024"))))
-    torque = ca.Function("torque", [symbols], [effect.torque_Nm(at)])
+    friction = effect.friction_Nm(at, ca.SX.zeros(3), ca.SX.ones(3))
+    torque = ca.Function("torque", [symbols], [effect.torque_Nm(at) + friction])
     return float(np.asarray(torque(x)).ravel() @ x[3:6])
 
 
@@ -192,6 +193,23 @@ def test_friction_and_drag_only_take_energy(id: str) -> None:
     powers = [power_W(model, effect, states(random), (2.0, 2.0)) for _ in range(50)]
     assert max(powers) <= 0.0
     assert min(powers) < -1e-4
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_dry_friction_holds_what_pushes_less_and_slows_what_moves(axis: str) -> None:
+    c_Nm, row = 0.01, AXES.index(axis)
+    effect = KINDS[f"coulomb_friction.{axis}"].make({f"coulomb_friction_{axis}_Nm": c_Nm})
+    model, inertia = MultibodyModel((effect,)), ca.SX([0.8, 0.05, 0.7])
+    at = model.situation(
+        ca.SX.sym("x", 6), ca.SX.zeros(2), ca.SX(model.parameter_values(load_rig("makki2024")))
+    )
+    rate, push_Nm = at.state[f"{axis}_rate_rad_s"], ca.SX.sym("push")
+    left = push_Nm + effect.friction_Nm(at, push_Nm / inertia, inertia)[row]
+    left_Nm = ca.Function("left", [rate, push_Nm], [left])
+    assert float(left_Nm(0.0, 0.9 * c_Nm)) == pytest.approx(0.0, abs=1e-15)
+    assert float(left_Nm(0.0, -3.0 * c_Nm)) == pytest.approx(-2.0 * c_Nm)
+    assert float(left_Nm(0.5, 0.0)) == pytest.approx(-c_Nm)
+    assert float(left_Nm(-0.5, 0.0)) == pytest.approx(c_Nm)
 
 
 @pytest.mark.parametrize("text", ["cable_spring.elevation=0.3", "cable_spring.travel=0.3", "axis_tilt=0.1"])

@@ -175,8 +175,19 @@ class Model(ABC):
         torque = friction_torque_Nm(x[3:6], p_at) + ca.vertcat(*(p_at[f"torque_{axis}"] for axis in _AXES))
         for effect in self.effects:
             torque = torque + effect.torque_Nm(at)
-        acceleration = (1 - at.pinned) * self.acceleration(at, thrust, torque)
-        return ca.vertcat(x[3:6], acceleration, *rates)
+        acceleration = self._with_friction(at, thrust, self.acceleration(at, thrust, torque))
+        return ca.vertcat(x[3:6], (1 - at.pinned) * acceleration, *rates)
+
+    def _with_friction(self, at: Situation, thrust: ca.SX, acceleration: ca.SX) -> ca.SX:
+        """Acceleration under the torques that answer it; every model's is linear in the torque."""
+        rubbing = [effect for effect in self.effects if effect.rubs]
+        if not rubbing:
+            return acceleration
+        torque = ca.SX.sym("torque", 3)
+        mobility = ca.jacobian(self.acceleration(at, thrust, torque), torque)
+        inertia = 1 / (ca.diag(mobility) + at.pinned)
+        friction = [effect.friction_Nm(at, acceleration, inertia) for effect in rubbing]
+        return acceleration + mobility @ sum(friction, ca.SX.zeros(3))
 
     def settled(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> ca.SX:
         """State as it is set anew after each step of an integration, for effects that a rate cannot say.

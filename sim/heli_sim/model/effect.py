@@ -193,6 +193,30 @@ class Effect:
         """
         return ca.SX.zeros(3)
 
+    def friction_Nm(self, at: Situation, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
+        """Add a torque that goes by what the axes would do without it: dry friction holds against any other.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state, voltages and parameters, and the final thrust.
+        acceleration_rad_s2 : casadi.SX
+            Acceleration of elevation, pitch and travel without any such torque, shape (3, 1).
+        inertia_kg_m2 : casadi.SX
+            Torque about each axis over the acceleration that it gives that axis, shape (3, 1).
+
+        Returns
+        -------
+        casadi.SX
+            Torque about the elevation, pitch and travel axes, shape (3, 1).
+        """
+        return ca.SX.zeros(3)
+
+    @property
+    def rubs(self) -> bool:
+        """Whether it has a `friction_Nm` of its own."""
+        return type(self).friction_Nm is not Effect.friction_Nm
+
     def energy_J(self, at: Situation) -> ca.SX:
         """Potential energy of a torque that has one, such as a spring's.
 

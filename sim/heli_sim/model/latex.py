@@ -96,6 +96,7 @@ def equations(model: Model) -> list[Equation]:
         In an order in which every name is known before it is used. F_f and F_b are the thrusts, f friction,
         D constant torques. A multibody model is written with its mass matrix M, potential energy U and
         generalised forces Q; Coriolis and centrifugal forces c follow from M by the rule in its first line.
+        Dry friction goes by the acceleration without it, with the index 0, and the inertia J of the axis.
 
     Raises
     ------
@@ -114,8 +115,11 @@ def equations(model: Model) -> list[Equation]:
         out += _multibody(model, at, F, torque, rates, writer)
     else:
         out += _accelerations(model.acceleration(at, F, torque), writer)
+    free = ca.vertcat(*(ca.SX.sym(rf"\ddot{{{angle}}}_{{0}}") for angle in _ANGLES))
+    inertia = ca.vertcat(*(ca.SX.sym(f"J_{{{angle}}}") for angle in _ANGLES))
     for effect in model.effects:
-        out += _effect(effect.name, effect.torque_Nm(at), effect.thrust_N(at, F), F, writer)
+        added = effect.torque_Nm(at) + effect.friction_Nm(at, free, inertia)
+        out += _effect(effect.name, added, effect.thrust_N(at, F), F, writer)
         if effect.states:
             lefts = [rf"\dot{{{symbol(state.name)}}}" for state in effect.states]
             out += writer.lines(lefts, effect.state_rates(replace(at, thrust_N=F)))
