@@ -8,6 +8,7 @@
     ├── EndpointError       the simulated serial port cannot be opened or did not appear
     ├── EffectError         an effect that is unknown, badly written or has a value it may not have
     ├── IdentifyError       a flight and a model from which nothing can be identified
+    │   └── ShowsNothing    a sound flight in which nothing flew, or nothing that could be learned from
     └── OptionError         an option of a sil:// address or of the server is unknown or out of range
 """
 
@@ -36,6 +37,10 @@ class OptionError(SimError):
 
 class IdentifyError(SimError):
     """A flight and a model from which nothing can be identified."""
+
+
+class ShowsNothing(IdentifyError):
+    """A sound flight in which nothing flew, or nothing that could be learned from."""
 
 
 class EffectError(SimError):

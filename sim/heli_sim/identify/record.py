@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from heli_host.flight import Flight
 
-from heli_sim.errors import IdentifyError
+from heli_sim.errors import IdentifyError, ShowsNothing
 from heli_sim.identify.functions import Floats
 from heli_sim.rig import Rig
 
@@ -130,9 +130,11 @@ def prepare(
 
     Raises
     ------
+    ShowsNothing
+        When nothing flies in it: it never moves, or no second of it is free.
     IdentifyError
-        When nothing can be learned from it: it never moves, has no voltages, or duties in their place, its
-        rows are not evenly spaced, an angle jumps, or no second of it is free.
+        When it is not sound: it has no voltages, or duties in their place, its rows are not evenly spaced, or
+        an angle jumps.
     """
     angles, volts, t_s = flight.angles_rad, flight.voltages_V, flight.t_s
     step_s = _step_s(flight, label)
@@ -159,7 +161,7 @@ def prepare(
     record = Record(label, t_s, angles, volts, step_s, count_rad, segments, cuts, tuple(notes))
     if not segments:
         why = ", ".join(dict.fromkeys(cut.why for cut in cuts)) or "it is too short"
-        raise IdentifyError(
+        raise ShowsNothing(
             f"{label}: no second of free flight in t_s {t_s[0]:g} to {t_s[-1]:g}, data row 1 to {len(t_s)} "
             f"({why}); give a longer flight"
         )
@@ -228,6 +230,13 @@ def _counts(angles_rad: Floats, rig: Rig) -> tuple[Floats, list[str]]:
 
 def _refuse_dead_columns(flight: Flight, label: str, count_rad: Floats) -> None:
     rows = len(flight)
+    moved = np.ptp(flight.angles_rad, axis=0) / count_rad
+    if np.all(moved < _LEAST_COUNTS):
+        most = int(np.argmax(moved))
+        raise ShowsNothing(
+            f"{label}: the rig never moves: {AXES[most]}_rad varies by {moved[most]:.0f} counts "
+            f"from data row 1 to {rows}; fly it, for example with heli-host fly identify"
+        )
     for name in ("front_V", "back_V"):
         column = getattr(flight, name)
         if not np.any(column):
@@ -240,13 +249,6 @@ def _refuse_dead_columns(flight: Flight, label: str, count_rad: Floats) -> None:
                 f"{label}: {name} is {column[0]:g} from data row 1 to {rows}; "
                 "nothing can be learned from voltages that never change"
             )
-    moved = np.ptp(flight.angles_rad, axis=0) / count_rad
-    if np.all(moved < _LEAST_COUNTS):
-        most = int(np.argmax(moved))
-        raise IdentifyError(
-            f"{label}: the rig never moves: {AXES[most]}_rad varies by {moved[most]:.0f} counts "
-            f"from data row 1 to {rows}; fly it, for example with heli-host fly identify"
-        )
 
 
 def _near_table(flight: Flight, rig: Rig, step_s: float) -> npt.NDArray[np.bool_]:
