@@ -84,8 +84,9 @@ def test_a_rig_file_that_is_far_off_is_no_obstacle() -> None:
     for name, value, tolerance in (("thrust_gain", 0.2, 1.0), ("M_w", 0.8, 1.5), ("L_phi", -0.03, 0.2)):
         numbers[name] = replace(numbers[name], value=value, tolerance=tolerance)
     vague = Rig("vague", "hardly anything is known", numbers)
-    lost = solve(Problem(MultibodyModel(), vague, [changed_flight(3)]), fine=False)
-    assert check(lost).normalised > 100.0, "long windows alone would do: nothing is claimed here"
+    # Windows that a step leaves behind find their own way: so long ones alone do.
+    alone = solve(Problem(MultibodyModel(), vague, [changed_flight(3)]), fine=False)
+    assert check(alone).normalised <= 1.03
     found = identify(MultibodyModel(), vague, [changed_flight(3)])
     assert_found(found, CHANGED, within=4.0)
     assert found.json()["normalised_residual"]["train"] <= 1.03

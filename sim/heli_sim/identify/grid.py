@@ -45,6 +45,32 @@ class Grid:
         first = self.inputs.first
         return [slice(int(f), int(f + n)) for f, n in zip(first, self.inputs.steps, strict=True)]
 
+    def only(self, which: Integers) -> Grid:
+        """Keep some windows.
+
+        Parameters
+        ----------
+        which : ndarray of int64 (k,)
+            Which windows, in the order wanted.
+
+        Returns
+        -------
+        Grid
+            These windows alone.
+        """
+        inputs, slices = self.inputs, self.slices
+        kept = np.concatenate([np.arange(slices[i].start, slices[i].stop) for i in which])
+        own = Inputs(
+            inputs.steps[which],
+            inputs.start_s[which],
+            inputs.step_s,
+            inputs.mean_V[kept],
+            inputs.change_V[kept],
+            inputs.substeps,
+            tuple((name, mean[kept], change[kept]) for name, mean, change in inputs.shaped_by),
+        )
+        return Grid(self.record, own, self.rows[kept], self.every)
+
 
 def window_starts(record: Record, window_s: float, every: int) -> list[tuple[int, int]]:
     """Split the free segments into windows of nearly equal length.

@@ -15,11 +15,12 @@ from typing import Final
 import numpy as np
 
 from heli_sim.errors import IdentifyError
-from heli_sim.identify.functions import Floats
+from heli_sim.identify.functions import Floats, Integers
 from heli_sim.identify.grid import Grid
 from heli_sim.identify.noise import balanced, inflation, window_weights
 from heli_sim.identify.normal import bounded_solve, reduce_looks
 from heli_sim.identify.problem import Look, Problem
+from heli_sim.identify.relax import relax, window_cost
 from heli_sim.identify.uncertainty import rounding_scatter
 
 _ROUNDS: Final = 8
@@ -31,6 +32,12 @@ _SMALL_STEP: Final = 0.02
 _LARGEST_DAMPING: Final = 1e8
 _SPREADS: Final = 3
 """Turns between variances and weights; a window out of line must not widen what it is measured against."""
+_ASTRAY: Final = 1.5
+"""A window whose cost grows by this factor in a step did not follow it."""
+_ASTRAY_SHARE: Final = 1e-3
+"""And by this share of the whole cost."""
+_RELAXED: Final = 0.99
+"""Where windows alone lower the cost to less than this share, the next step starts from there."""
 
 
 @dataclass(frozen=True)
@@ -208,14 +215,44 @@ class _Solver:
         problem = self.problem
         prior = (point.theta - problem.prior_mean) / problem.prior_std
         total = float(prior @ prior)
-        for index, look in enumerate(point.looks):
-            assert look.gram is not None
-            squares = look.gram[:, :, -1, -1] / self.variance[index]
-            total += float(self.weights[index] @ squares.sum(axis=1))
-            if problem.state_count > 6:
-                off = (point.states[index] - self.reference[index])[:, 6:] / problem.state_std
-                total += float(np.sum(off**2))
+        total += float(sum(self.window_cost(point, index).sum() for index in range(len(point.looks))))
         return total if math.isfinite(total) else math.inf
+
+    def window_cost(self, point: _Point, index: int) -> Floats:
+        of_record = self.reference[index], self.variance[index], self.weights[index]
+        return window_cost(self.problem, point.looks[index], point.states[index], *of_record)
+
+    def relax(self, point: _Point, index: int, which: Integers, before: Floats | None, most: int) -> None:
+        """Let some windows of a point find their own way."""
+        of_record = self.reference[index], self.variance[index], which
+        point.states[index], point.looks[index] = relax(
+            self.problem,
+            index,
+            point.theta,
+            point.states[index],
+            point.looks[index],
+            *of_record,
+            before=before,
+            fine=self.fine,
+            most=most,
+        )
+        point.cost = self.cost(point)
+
+    def gather(self, point: _Point, before: _Point) -> None:
+        """Help windows that did not follow a step."""
+        for index in range(len(point.looks)):
+            old, new = self.window_cost(before, index), self.window_cost(point, index)
+            with np.errstate(invalid="ignore"):
+                astray = (new > _ASTRAY * old) & (new - old > _ASTRAY_SHARE * before.cost)
+            if astray.any():
+                self.relax(point, index, np.flatnonzero(astray), before.states[index], 4)
+
+    def settle(self, point: _Point) -> _Point | None:
+        """Let all windows find their own way; None where they are there."""
+        other = _Point(point.theta, list(point.states), list(point.looks), point.cost)
+        for index, states in enumerate(point.states):
+            self.relax(other, index, np.arange(len(states)), None, 6)
+        return other if other.cost < _RELAXED * point.cost else None
 
     def reduce(self, point: _Point) -> tuple[Floats, Floats, list[tuple[Floats, Floats]]]:
         return reduce_looks(
@@ -242,7 +279,7 @@ class _Solver:
         self, point: _Point, stage: str, share: tuple[float, float], most: int = 30
     ) -> tuple[_Point, bool]:
         """Step until steps are small."""
-        growth = 2.0
+        growth, settled = 2.0, False
         for number in range(most):
             if self.on_progress is not None:
                 done = share[0] + (share[1] - share[0]) * (1 - 0.5**number)
@@ -251,7 +288,13 @@ class _Solver:
             if self.out_of_budget():
                 return point, False
             other = self.evaluate(point.theta + move, states)
+            self.gather(other, point)
             if not other.cost < point.cost * (1 + 1e-12):
+                if not settled:
+                    settled, nearer = True, self.settle(point)
+                    if nearer is not None:
+                        point = nearer
+                        continue
                 if self.damping > _LARGEST_DAMPING:
                     return point, True
                 self.damping = max(1.0, growth * self.damping)
@@ -262,7 +305,7 @@ class _Solver:
             # After a rejected step the damping comes down slowly, or every second step is rejected.
             self.damping *= 0.2 if growth == 2.0 else 0.5
             self.damping = self.damping if self.damping > 0.05 else 0.0
-            growth, point = 2.0, other
+            growth, settled, point = 2.0, False, other
             if self.damping < 1.0 and (gain < 1e-6 or (small and gain < 1e-3)):
                 return point, True
         return point, True
