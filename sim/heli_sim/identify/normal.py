@@ -17,6 +17,8 @@ def reduce_looks(
     reference: Sequence[Floats],
     variance: Sequence[Floats],
     weights: Sequence[Floats],
+    *,
+    damping: float = 0.0,
 ) -> tuple[Floats, Floats, list[tuple[Floats, Floats]]]:
     """Eliminate the windows' initial states from the normal equations.
 
@@ -32,6 +34,8 @@ def reduce_looks(
         What the initial states of effects are tied to.
     variance, weights : sequence of ndarray
         As in `Fit`.
+    damping : float
+        What the diagonal of the states grows by, as a share of itself.
 
     Returns
     -------
@@ -58,6 +62,7 @@ def reduce_looks(
             own[:, diagonal[6:], diagonal[6:]] += tie
             coupling[:, 6:, -1] += tie * (reference[index] - states[index])[:, 6:]
         # A state that a window does not show at all must not make its block singular.
+        own[:, diagonal, diagonal] *= 1.0 + damping
         own[:, diagonal, diagonal] += 1e-12 * own[:, diagonal, diagonal].max(axis=1, keepdims=True)
         answer = np.linalg.solve(own, coupling)
         schur = normal[:, nx:, nx:] - coupling.transpose(0, 2, 1) @ answer

@@ -25,14 +25,18 @@ from heli_sim.identify.uncertainty import rounding_scatter
 
 _ROUNDS: Final = 8
 """Most updates of the weights."""
+_FINE_ROUNDS: Final = 4
+"""Most of them on every sample."""
 _SETTLED: Final = 0.15
 """Weights are settled when no variance changed by more than this share."""
 _SMALL_STEP: Final = 0.02
 """In standard errors."""
 _LARGEST_DAMPING: Final = 1e8
+_OF_STATES: Final = 0.01
+"""Damping of the states, in units of their own diagonal, for each unit of the parameters'."""
 _SPREADS: Final = 3
 """Turns between variances and weights; a window out of line must not widen what it is measured against."""
-_ASTRAY: Final = 1.5
+_ASTRAY: Final = 1.1
 """A window whose cost grows by this factor in a step did not follow it."""
 _ASTRAY_SHARE: Final = 1e-3
 """And by this share of the whole cost."""
@@ -254,15 +258,16 @@ class _Solver:
             self.relax(other, index, np.arange(len(states)), None, 6)
         return other if other.cost < _RELAXED * point.cost else None
 
-    def reduce(self, point: _Point) -> tuple[Floats, Floats, list[tuple[Floats, Floats]]]:
-        return reduce_looks(
-            self.problem, point.looks, point.states, self.reference, self.variance, self.weights
-        )
+    def reduce(
+        self, point: _Point, damping: float = 0.0
+    ) -> tuple[Floats, Floats, list[tuple[Floats, Floats]]]:
+        of_records = point.looks, point.states, self.reference, self.variance, self.weights
+        return reduce_looks(self.problem, *of_records, damping=damping)
 
     def step(self, point: _Point) -> tuple[Floats, list[Floats], Floats]:
         """A damped Gauss-Newton step, and the standard errors."""
         problem = self.problem
-        information, gradient, follow = self.reduce(point)
+        information, gradient, follow = self.reduce(point, _OF_STATES * self.damping)
         weight = 1.0 / problem.prior_std**2
         right = gradient + weight * (problem.prior_mean - point.theta)
         # Damped in units of the priors: weak combinations of known numbers may move that far and no more.
@@ -377,9 +382,12 @@ def solve(
         solver.fine = True
         point = solver.evaluate(point.theta, point.states)
         solver.reweight(point)
-        point, finished = solver.descend(point, "every sample", (0.6, 1.0), most=10)
-        converged = converged and finished
-        solver.reweight(point)
+        for number in range(_FINE_ROUNDS):
+            share = (0.6 + 0.4 * number / _FINE_ROUNDS, 1.0)
+            point, finished = solver.descend(point, "every sample", share, most=10)
+            converged = converged and finished
+            if solver.reweight(point) < _SETTLED or not finished:
+                break
     return _result(solver, point, converged)
 
 
