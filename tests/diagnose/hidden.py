@@ -7,12 +7,13 @@ from functools import cache
 
 import casadi as ca
 from heli_host.flight import Flight
+from heli_host.fly.plan import Plan
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effect import Effect, Situation
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig
 
-from tests.identify.made import flown, thinned
+from tests.identify.made import flown, flown_by_plan, thinned
 
 TRAIN_S, HELD_OUT_S = 34.0, 26.0
 
@@ -37,3 +38,10 @@ def flights(*effects: str, off_list: bool = False) -> tuple[Flight, Flight]:
     fit = thinned(flown(rig, 11, TRAIN_S, model), 2)
     held = thinned(flown(rig, 12, HELD_OUT_S, model), 2)
     return fit, held
+
+
+@cache
+def hovering(seconds: float) -> Flight:
+    """A flight that takes off and holds still, nothing excited."""
+    plan = f"title = 'Still'\n[[segment]]\nkind = 'hold'\nduration_s = {seconds}\n"
+    return thinned(flown_by_plan(load_rig("makki2024"), 13, Plan.parse(plan, "still")), 2)

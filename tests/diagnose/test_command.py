@@ -65,7 +65,6 @@ def test_model_that_the_rig_names_is_the_one_that_is_fitted(
         (("a.csv.gz", "--rig", "nobodys"), "no rig 'nobodys'"),
         (("a.csv.gz", "--model", "none"), "there is no model 'none'"),
         (("a.csv.gz", "--validate", "a.csv.gz"), "both fitted and validated on"),
-        (("a.csv.gz", "--from", "500"), "no second of free flight"),
         (("a.csv.gz", "--effects", "mine.py"), "mine.py cannot be read"),
         (("a.csv.gz", "--json", "a.csv.gz/why.json"), "a.csv.gz"),
     ],

@@ -25,6 +25,7 @@ from heli_host.cli.options import DEFAULT_RIG
 
 if TYPE_CHECKING:
     from heli_sim.diagnose import Diagnosis
+    from heli_sim.diagnose.silent import Silence
 
 
 def diagnose(
@@ -57,7 +58,9 @@ def diagnose(
     import json as text
 
     from heli_sim.diagnose import diagnose as find
-    from heli_sim.diagnose.report import write_report
+    from heli_sim.diagnose.report import write_report, write_silence
+    from heli_sim.diagnose.silent import Silence, silence
+    from heli_sim.errors import ShowsNothing
     from heli_sim.identify.result import short_names
     from heli_sim.model.effects import catalogue, effects_of
     from heli_sim.model.named import model_named
@@ -73,32 +76,39 @@ def diagnose(
     kinds = catalogue(effects or ())
     named = model or chosen.model or DEFAULT_MODEL
     equations = model_named(named, effects_of(chosen, effects or ()))
+    found: Diagnosis | Silence
+    written: list[Path] = []
     with WorkBar() as bar:
         bar.show("reading", 0.0)
         fitted = [Flight.read(path) for path in flights]
         held_out = [Flight.read(path) for path in others]
-        found = find(
-            equations,
-            chosen,
-            fitted,
-            held_out,
-            kinds=kinds,
-            labels=short_names([*flights, *others]),
-            start_s=start_s,
-            stop_s=stop_s,
-            seed=seed,
-            seconds=budget_s,
-            say=bar.show,
-        )
-        written: list[Path] = []
-        if out is not None:
+        try:
+            found = find(
+                equations,
+                chosen,
+                fitted,
+                held_out,
+                kinds=kinds,
+                labels=short_names([*flights, *others]),
+                start_s=start_s,
+                stop_s=stop_s,
+                seed=seed,
+                seconds=budget_s,
+                say=bar.show,
+            )
+        except ShowsNothing as nothing:
+            found = silence(str(nothing), equations, chosen, kinds)
+        if out is not None and not isinstance(found, Silence):
             write_rig(
                 found.rig(out.stem), out, f"Found by heli-host diagnose, model {named}. {found.summary}"
             )
             written.append(out)
         if report is not None:
             bar.show("drawing", 0.95)
-            written.append(write_report(found, report))
+            if isinstance(found, Silence):
+                written.append(write_silence(found, report))
+            else:
+                written.append(write_report(found, report))
         if json is not None:
             json.write_text(text.dumps(found.json(), indent=2) + "\n", encoding="utf-8")
             written.append(json)
@@ -107,8 +117,8 @@ def diagnose(
         print(f"files: {', '.join(str(path) for path in written)}")
 
 
-def _print(found: Diagnosis) -> None:
+def _print(found: Diagnosis | Silence) -> None:
     """Print the verdict, the causes and the gain."""
-    print(f"{found.verdict.word}: {found.summary}")
+    print(f"{found.word}: {found.summary}")
     for line in found.lines:
         print(f"  {line}")

@@ -1,11 +1,20 @@
-"""The flight that would tell more: plans for `heli-host fly`, put together from what has to be seen."""
+"""The flight that would tell more: plans for `heli-host fly`, put together from what has to be seen.
+
+Which of them tells two hypotheses apart is not guessed: each plan is flown on the simulated rig with one of
+them true, and the other one is fitted to that flight (`rehearsal.py`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from heli_sim.diagnose.hypothesis import Bench, Hypothesis
+from heli_sim.diagnose.rehearsal import rehearse, separation
+from heli_sim.diagnose.screening import Screening
+from heli_sim.diagnose.unseen import unseen_effects
+from heli_sim.errors import SimError
 from heli_sim.model.effects import EffectKind
 
 _PARTS: Final[Mapping[str, tuple[str, str]]] = {
@@ -22,6 +31,15 @@ points = [
 ]
 duration_s = 30
 excite = { signal = "prbs", front_V = 0.5, back_V = 0.5, stop_Hz = 8, seed = 3 }
+""",
+    ),
+    "fast": (
+        "both motors shaken harder and faster for a minute, which tells a lag from a delay",
+        """
+[[segment]]
+kind = "hold"
+duration_s = 60
+excite = { signal = "prbs", front_V = 0.8, back_V = 0.8, stop_Hz = 20, seed = 5 }
 """,
     ),
     "travel": (
@@ -73,6 +91,11 @@ excite = { signal = "multisine", front_V = 0.25, back_V = 0.25, start_Hz = 0.1, 
     ),
 }
 """Parts of a plan: what each shows, and its segments."""
+_USUAL: Final = ("motors", "travel", "elevation")
+_TRIED: Final = ("motors", "fast", "travel", "elevation")
+"""Parts that are rehearsed besides those of the two effects themselves."""
+_CLEARLY: Final = 10.0
+"""Times what is enough at which no other plan is rehearsed."""
 
 _HEAD: Final = """title = "The flight that would tell more"
 
@@ -135,13 +158,130 @@ def next_flight(reason: str, parts: Iterable[str]) -> NextFlight:
     reason : str
         Why another flight is needed, a sentence.
     parts : iterable of str
-        Keys of the parts that it needs; all of them where there are none.
+        Keys of the parts that it needs; all but the longest where there are none.
 
     Returns
     -------
     NextFlight
         The flight.
     """
-    chosen = [key for key in _PARTS if key in set(parts)] or ["motors", "travel", "elevation"]
-    shows = "; ".join(_PARTS[key][0] for key in chosen)
-    return NextFlight(f"{reason} Fly {shows}.", _HEAD + _BACK.join(_PARTS[key][1] for key in chosen))
+    chosen = [key for key in _PARTS if key in set(parts)] or list(_USUAL)
+    return NextFlight(f"{reason} Fly {_shows(chosen)}.", _plan(chosen))
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two hypotheses that the flights given do not tell apart.
+
+    Parameters
+    ----------
+    first, second : Hypothesis
+        The models, fitted to the flights given.
+    names : (str, str)
+        Ids of the effects in which they differ.
+    behind : float
+        Logarithm of the likelihood ratio by which the second is behind on the flights given.
+    """
+
+    first: Hypothesis
+    second: Hypothesis
+    names: tuple[str, str]
+    behind: float
+
+
+def flight_that_separates(
+    pair: Pair, bench: Bench, kinds: Mapping[str, EffectKind], enough: float, in_time: Callable[[], bool]
+) -> NextFlight:
+    """Choose the plan that would tell two hypotheses apart best.
+
+    Parameters
+    ----------
+    pair : Pair
+        The hypotheses.
+    bench : Bench
+        Model and rig.
+    kinds : Mapping[str, EffectKind]
+        The catalogue.
+    enough : float
+        Logarithm of a likelihood ratio from which on two hypotheses are told apart.
+    in_time : callable
+        Whether there is time for another rehearsal.
+
+    Returns
+    -------
+    NextFlight
+        The plan with the largest expected separation, none being tried after one that is plenty; where there
+        was no time for any, the one that shows the two effects best by what they act on.
+    """
+    apart = (
+        f"These flights do not tell {pair.names[0]} from {pair.names[1]}: their log-likelihoods differ by "
+        f"{abs(pair.behind):.1f}, and {enough:.0f} are needed."
+    )
+    parts = [part_for(kinds[id_]) for id_ in pair.names if id_ in kinds]
+    found: dict[str, float] = {}
+    for key in dict.fromkeys((*parts, *_TRIED)):
+        if not in_time() or max(found.values(), default=0.0) > _CLEARLY * enough:
+            break
+        expected_apart = separation(pair.first, pair.second, bench, _plan([key]))
+        if expected_apart is not None:
+            found[key] = expected_apart
+    if not found:
+        return next_flight(apart, parts)
+    best = max(found, key=lambda key: found[key])
+    other = separation(pair.second, pair.first, bench, _plan([best])) if in_time() else None
+    expected = f"{found[best]:.0f} if it is {pair.names[0]}"
+    if other is not None:
+        expected += f" and {other:.0f} if it is {pair.names[1]}"
+    return NextFlight(
+        f"{apart} Fly {_shows([best])}. Rehearsed on the simulated rig, this plan alone sets them apart by "
+        f"{expected}; it does best of {len(found)} plans tried.",
+        _plan([best]),
+    )
+
+
+def flight_that_shows(
+    reason: str, unseen: Iterable[str], baseline: Hypothesis, kinds: Mapping[str, EffectKind]
+) -> NextFlight:
+    """Choose the plan that shows effects which the flights given could not show, and say which it would.
+
+    Parameters
+    ----------
+    reason : str
+        Why another flight is needed, a sentence.
+    unseen : iterable of str
+        Ids of the effects.
+    baseline : Hypothesis
+        The refitted baseline, to rehearse the plan on.
+    kinds : Mapping[str, EffectKind]
+        The catalogue.
+
+    Returns
+    -------
+    NextFlight
+        The plan, and how many of the effects it would show at a typical size.
+    """
+    asked = [kinds[id_] for id_ in unseen]
+    flight = next_flight(reason, {part_for(kind) for kind in asked})
+    record = rehearse(baseline.fit, flight.plan)
+    if record is None:
+        return flight
+    problem = baseline.fit.problem
+    try:
+        new = Bench(problem.model, problem.rig, [record], ()).try_out([], baseline.fit.values)
+        still = unseen_effects(Screening(new.fit).effects(asked), kinds)
+    except SimError:
+        return flight
+    but = f", not {', '.join(still)}" if still else ""
+    return NextFlight(
+        f"{flight.why} Rehearsed on the simulated rig, it shows {len(asked) - len(still)} of these "
+        f"{len(asked)} at a typical size{but}.",
+        flight.plan,
+    )
+
+
+def _plan(keys: Iterable[str]) -> str:
+    return _HEAD + _BACK.join(_PARTS[key][1] for key in keys)
+
+
+def _shows(keys: Iterable[str]) -> str:
+    return "; ".join(_PARTS[key][0] for key in keys)

@@ -15,6 +15,7 @@ from heli_sim.diagnose.figures import (
     figure_of_windows,
 )
 from heli_sim.diagnose.result import Diagnosis
+from heli_sim.diagnose.silent import Silence
 from heli_sim.identify.record import AXES
 from heli_sim.identify.result import rounded
 from heli_sim.page import escaped, image, table
@@ -84,10 +85,45 @@ def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
         "<h2>What was used</h2>",
         _used(numbers),
     ]
+    return _page(folder, _WORDS[word], sections)
+
+
+def write_silence(silence: Silence, folder: str | Path) -> Path:
+    """Write the page of flights that show nothing, and result.json.
+
+    Parameters
+    ----------
+    silence : Silence
+        The answer to them.
+    folder : str or Path
+        Where to; made if it is missing.
+
+    Returns
+    -------
+    Path
+        The page.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    numbers = silence.json()
+    (folder / "result.json").write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
+    title = "These flights show nothing"
+    sections = [
+        f"<h1>{title}</h1>",
+        f'<p class="verdict ambiguous">{escaped(silence.summary)}</p>',
+        "<h2>What cannot be known from them</h2>",
+        f"<p>Any of these effects, or none, may be there: {escaped(', '.join(silence.unseen))}.</p>",
+        f"<p>Nothing was learned of these numbers of the rig: {escaped(', '.join(silence.unlearned))}.</p>",
+        *_next(numbers["next_flight"]),
+    ]
+    return _page(folder, title, sections)
+
+
+def _page(folder: Path, title: str, sections: Sequence[str]) -> Path:
     page = folder / "index.html"
     page.write_text(
-        '<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>Diagnosis: '
-        f"{escaped(_WORDS[word])}</title><style>{_STYLE}</style>\n" + "\n".join(sections) + "\n</html>\n",
+        f'<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>Diagnosis: {escaped(title)}</title>'
+        f"<style>{_STYLE}</style>\n" + "\n".join(sections) + "\n</html>\n",
         encoding="utf-8",
     )
     return page
@@ -218,6 +254,8 @@ def _used(numbers: dict[str, Any]) -> str:
         rows = [[f"{c['from_s']:.2f}", f"{c['to_s']:.2f}", c["why"]] for c in one["left_out"]]
         if rows:
             parts.append(table(["left out from [s]", "to [s]", "because"], rows))
-    done = "" if numbers["complete"] else " The time ran out before everything was tried."
-    parts.append(f"<p>It took {numbers['seconds_taken']:.1f} s.{done}</p>")
+    parts += [
+        f"<p><b>{escaped(caution[:1].upper() + caution[1:])}.</b></p>" for caution in numbers["cautions"]
+    ]
+    parts.append(f"<p>It took {numbers['seconds_taken']:.1f} s.</p>")
     return "".join(parts)

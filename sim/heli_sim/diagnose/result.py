@@ -14,6 +14,7 @@ from heli_sim.diagnose.leftover import Leftover, correlates
 from heli_sim.diagnose.next_flight import NextFlight
 from heli_sim.diagnose.removed import Removed
 from heli_sim.diagnose.search import Found, Search
+from heli_sim.diagnose.unseen import unlearned_numbers
 from heli_sim.diagnose.verdict import Verdict, ambiguous_with, confidence
 from heli_sim.identify import Fit, check
 from heli_sim.identify.record import AXES
@@ -21,6 +22,7 @@ from heli_sim.identify.result import Identification
 from heli_sim.model.effects import EffectKind, effect_numbers
 from heli_sim.rig import Number, Rig
 
+_FEW_WINDOWS: Final = 5
 METRIC: Final = "2 s free-run rms on the validation flights, deg"
 
 
@@ -46,6 +48,8 @@ class Diagnosis:
         The catalogue.
     unseen : tuple of str
         Effects that would not have been seen in these flights at a typical size.
+    skipped : tuple of str
+        Why each flight that shows nothing was left out.
     next_flight : NextFlight or None
         A flight that would tell more.
     seconds : float
@@ -60,6 +64,7 @@ class Diagnosis:
     removed: tuple[Removed, ...]
     kinds: Mapping[str, EffectKind]
     unseen: tuple[str, ...]
+    skipped: tuple[str, ...]
     next_flight: NextFlight | None
     seconds: float
 
@@ -107,6 +112,11 @@ class Diagnosis:
         )
 
     @property
+    def word(self) -> str:
+        """The verdict."""
+        return self.verdict.word
+
+    @property
     def random_torque(self) -> dict[str, tuple[float, float, str]]:
         """Numbers of the random torque, value, standard error and unit; empty when there is none."""
         if not self.verdict.chance:
@@ -143,6 +153,20 @@ class Diagnosis:
         return f"{first} is missing that no effect of the catalogue explains; it goes with {depends}."
 
     @property
+    def cautions(self) -> list[str]:
+        """What weakens the result, a line each; empty when nothing does."""
+        cautions = [f"left out: {why}" for why in self.skipped]
+        held = self.extended.held_fit
+        if held is None:
+            cautions.append("no flight was held out: nothing here is confirmed; give one to --validate")
+        elif len(self.extended.held.rows) < _FEW_WINDOWS:
+            seconds = sum(record.used_s for record in held.problem.records)
+            cautions.append(f"only {seconds:.0f} s were held out: too few for the intervals of the ratios")
+        if not self.search.complete:
+            cautions.append("the time ran out before everything was tried; give more with --budget")
+        return cautions
+
+    @property
     def lines(self) -> list[str]:
         """Numbers behind the summary, a line each."""
         lines = []
@@ -156,13 +180,11 @@ class Diagnosis:
                 f"{axis}: {one.before_deg:.3g} deg before, {one.after_deg:.3g} deg after; ratio "
                 f"{one.ratio:.2f} ({low:.2f} to {high:.2f}); {METRIC.split(',')[0]}"
             )
-        if self.unseen:
-            lines.append(f"at a typical size these flights would not show: {', '.join(self.unseen)}")
         if self.next_flight is not None:
             lines.append(f"next flight: {self.next_flight.why}")
-        if not self.search.complete:
-            lines.append("the time ran out before everything was tried; give more with --budget")
-        return lines
+        elif self.unseen:
+            lines.append(f"at a typical size these flights would not show: {', '.join(self.unseen)}")
+        return lines + self.cautions
 
     def json(self) -> dict[str, Any]:
         """Spell the result for other programs, as docs/diagnosing.md describes it.
@@ -193,6 +215,8 @@ class Diagnosis:
             if self.next_flight
             else None,
             "could_not_be_seen": list(self.unseen),
+            "could_not_be_learned": list(unlearned_numbers(self.search.baseline.fit)),
+            "cautions": self.cautions,
             "flights": self._flights(),
             "ranking": self._ranking(),
             "seconds_taken": self.seconds,

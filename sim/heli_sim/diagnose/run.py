@@ -6,27 +6,34 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
+import numpy as np
 from heli_host.flight import Flight
 
 from heli_sim.diagnose.gain import gain
 from heli_sim.diagnose.hypothesis import Bench, Hypothesis
 from heli_sim.diagnose.leftover import leftover
-from heli_sim.diagnose.next_flight import NextFlight, next_flight, part_for
+from heli_sim.diagnose.next_flight import (
+    NextFlight,
+    Pair,
+    flight_that_separates,
+    flight_that_shows,
+    next_flight,
+)
 from heli_sim.diagnose.removed import removed_terms
 from heli_sim.diagnose.result import Diagnosis
-from heli_sim.diagnose.screening import Scored
-from heli_sim.diagnose.search import Search, search
+from heli_sim.diagnose.search import AMBIGUOUS, Search, search
+from heli_sim.diagnose.unseen import unseen_effects
 from heli_sim.diagnose.verdict import Verdict, ambiguous_with, judge
-from heli_sim.errors import IdentifyError
+from heli_sim.errors import IdentifyError, ShowsNothing
 from heli_sim.identify import Record, prepare
 from heli_sim.model.base import Model
 from heli_sim.model.effects import EffectKind, catalogue
 from heli_sim.rig import Rig
 
-_STANDS_OUT: Final = 5.0
-"""Standard errors that an effect must measure to be seen among all that are tried."""
 _SHORT_s: Final = 15.0
 _MANY_UNSEEN: Final = 12
+_LEAST_FOR_PLANS_s, _MOST_FOR_PLANS_s = 5.0, 25.0
+"""Time for rehearsing plans: at least one is, however much of the budget is gone."""
 
 
 def diagnose(
@@ -73,17 +80,20 @@ def diagnose(
 
     Raises
     ------
+    ShowsNothing
+        When nothing flies in the flights to fit; `silence` is the answer to it.
     IdentifyError
-        When nothing can be learned from the flights.
+        When a flight is not sound, or is to be fitted and judged on at once.
     """
     started_s = time.perf_counter()
     tell = say or (lambda _what, _share: None)
     every = catalogue() if kinds is None else dict(kinds)
     names = list(labels or [f"flight {i + 1}" for i in range(len(flights) + len(validation))])
-    if len(set(names)) < len(names):
-        raise IdentifyError("a flight is both fitted and validated on; give another to --validate")
-    train = [_ready(f, rig, name, start_s, stop_s) for f, name in zip(flights, names, strict=False)]
-    held = [_ready(f, rig, n, None, None) for f, n in zip(validation, names[len(flights) :], strict=True)]
+    train, lost = _ready(flights, names[: len(flights)], rig, start_s, stop_s)
+    if not train:
+        raise lost[0]
+    held, lost_held = _ready(validation, names[len(flights) :], rig, None, None)
+    _refuse_twins(train, held)
     bench = Bench(model, rig, train, held, seed=seed)
     known = {effect.name for effect in model.effects}
     tried = {id_: kind for id_, kind in every.items() if _candidate(kind, model, known)}
@@ -94,7 +104,7 @@ def diagnose(
     extended = _extended(bench, found)
     removed = removed_terms(extended.fit, rig, every)
     verdict = judge(found, left, bool(removed))
-    unseen = _unseen(found.rounds[-1].screened, every)
+    unseen = unseen_effects(found.rounds[-1].screened, every)
     return Diagnosis(
         found,
         verdict,
@@ -104,7 +114,8 @@ def diagnose(
         removed,
         every,
         unseen,
-        _next(verdict, found, every, unseen),
+        tuple(str(one) for one in (*lost, *lost_held)),
+        _next(bench, verdict, found, every, unseen, started_s + seconds),
         time.perf_counter() - started_s,
     )
 
@@ -116,28 +127,21 @@ def _candidate(kind: EffectKind, model: Model, known: set[str]) -> bool:
     return not kind.baseline or (not kind.held and model.name != "multibody")
 
 
-def _unseen(screened: Sequence[Scored], kinds: Mapping[str, EffectKind]) -> tuple[str, ...]:
-    """Effects that would not stand out of their standard error at a typical size."""
-    unseen = []
-    for one in screened:
-        kind = kinds[one.trial.id]
-        # Without columns for each size, the unit of the only coefficient is the size tried.
-        name = kind.size[0]
-        unit = 1.0 if one.trial.size else one.trial.effect.values[name]
-        if one.answer.std[0] * abs(unit) * _STANDS_OUT > abs(kind.typical[name]):
-            unseen.append(kind.id)
-    return tuple(sorted(unseen))
-
-
 def _next(
-    verdict: Verdict, found: Search, kinds: Mapping[str, EffectKind], unseen: Sequence[str]
+    bench: Bench,
+    verdict: Verdict,
+    found: Search,
+    kinds: Mapping[str, EffectKind],
+    unseen: Sequence[str],
+    until_s: float,
 ) -> NextFlight | None:
     """The flight that would tell more, where these left something open."""
-    if verdict.word == "ambiguous":
-        pairs = [(one.trial.id, rival) for one in verdict.causes for rival in ambiguous_with(one)]
-        names = "; ".join(f"{one} or {other}" for one, other in pairs)
-        parts = {part_for(kinds[id_]) for pair in pairs for id_ in pair}
-        return next_flight(f"These flights do not tell apart: {names}.", parts)
+    pair = _pair(bench, verdict, found) if verdict.word == "ambiguous" else None
+    if pair is not None:
+        # What it may still take is as open as the question: a part of the budget, but not nothing.
+        stop_s = max(until_s, time.perf_counter() + _LEAST_FOR_PLANS_s)
+        stop_s = min(stop_s, time.perf_counter() + _MOST_FOR_PLANS_s)
+        return flight_that_separates(pair, bench, kinds, AMBIGUOUS, lambda: time.perf_counter() < stop_s)
     if verdict.word == "unexplained":
         on = {one.trial.id.rpartition(":")[2] for one in verdict.off_list}
         parts = {part for part in ("travel", "elevation", "time") if any(part in name for name in on)}
@@ -145,12 +149,41 @@ def _next(
         return next_flight("What is missing should be seen over a wider range.", parts)
     seconds = sum(record.used_s for record in found.baseline.fit.problem.records)
     if seconds < _SHORT_s or len(unseen) > _MANY_UNSEEN:
-        which = ", ".join(unseen[:6]) or "small effects"
-        return next_flight(
+        which = ", ".join(unseen) or "small effects"
+        return flight_that_shows(
             f"{seconds:.0f} s of free flight show too little to tell about {which}.",
-            {part_for(kinds[id_]) for id_ in unseen},
+            unseen,
+            found.baseline,
+            kinds,
         )
     return None
+
+
+def _pair(bench: Bench, verdict: Verdict, found: Search) -> Pair | None:
+    """The cause that is least sure and its closest rival, both fitted in the place of the same effect."""
+    unclear = [one for one in verdict.causes if ambiguous_with(one)]
+    if not unclear:
+        return None
+    one = min(unclear, key=lambda cause: cause.rivals[0].behind)
+    rival = one.rivals[0]
+    step = next(
+        (
+            step
+            for tried in found.rounds
+            if tried.taken == one.trial.id
+            for step in tried.steps
+            if step.trial.id == rival.id
+        ),
+        None,
+    )
+    if step is None:
+        return None
+    first = _extended(bench, found)
+    rest = [trial for trial in first.trials if trial.id != one.trial.id]
+    second = step.hypothesis
+    if rest:
+        second = bench.try_out([*rest, step.trial], {**first.fit.values, **second.fit.values})
+    return Pair(first, second, (one.trial.id, rival.id), rival.behind)
 
 
 def _extended(bench: Bench, found: Search) -> Hypothesis:
@@ -164,8 +197,29 @@ def _extended(bench: Bench, found: Search) -> Hypothesis:
 
 
 def _ready(
-    flight: Flight | Record, rig: Rig, label: str, start_s: float | None, stop_s: float | None
-) -> Record:
-    if isinstance(flight, Record):
-        return flight
-    return prepare(flight, rig, label, start_s=start_s, stop_s=stop_s)
+    flights: Sequence[Flight | Record],
+    labels: Sequence[str],
+    rig: Rig,
+    start_s: float | None,
+    stop_s: float | None,
+) -> tuple[list[Record], list[ShowsNothing]]:
+    """Flights that can be fitted, and what is wrong with those that show nothing."""
+    records, lost = [], []
+    for flight, label in zip(flights, labels, strict=True):
+        if isinstance(flight, Record):
+            records.append(flight)
+            continue
+        try:
+            records.append(prepare(flight, rig, label, start_s=start_s, stop_s=stop_s))
+        except ShowsNothing as nothing:
+            lost.append(nothing)
+    return records, lost
+
+
+def _refuse_twins(train: Sequence[Record], held: Sequence[Record]) -> None:
+    for one in train:
+        for other in held:
+            if np.array_equal(one.angles_rad, other.angles_rad):
+                raise IdentifyError(
+                    f"{other.label} is both fitted and validated on; give another flight to --validate"
+                )

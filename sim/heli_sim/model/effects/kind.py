@@ -236,9 +236,12 @@ class EffectKind:
         Returns
         -------
         dict
-            Values of each number of `scan`.
+            Values of each number of `scan`, those outside the range of its prior left out.
         """
-        return {name: one(seconds) if callable(one) else one for name, one in self.scan.items()}
+        return {
+            name: self._in_range(name, one(seconds) if callable(one) else one)
+            for name, one in self.scan.items()
+        }
 
     def sentence(self, values: Mapping[str, float], stds: Mapping[str, float] | None = None) -> str:
         """Say the effect with its numbers.
@@ -261,6 +264,13 @@ class EffectKind:
             for one in self.numbers
         }
         return self.says.format(**texts)
+
+    def _in_range(self, name: str, values: tuple[float, ...]) -> tuple[float, ...]:
+        """Scale of a scan is the flight's length: in a very short one values may be out of range."""
+        prior = self.priors.get(name)
+        if prior is None:
+            return values
+        return tuple(value for value in values if prior.low <= value <= prior.high) or (self.typical[name],)
 
     def _check(self, name: str, value: float) -> None:
         ranges = {q.name: self.priors.get(q.name) for q in self.parameters}

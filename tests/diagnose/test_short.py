@@ -1,0 +1,111 @@
+"""Flights too short, or in which nothing happens: what cannot be known from them, and what would tell."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from heli_host.flight import Flight
+from heli_host.fly.plan import Plan
+from heli_sim.model.effects import catalogue
+
+from tests.cli.terminal import Ended, Terminal
+from tests.diagnose.hidden import flights, hovering
+
+
+def part(flight: Flight, start_s: float, stop_s: float) -> Flight:
+    """Cut a part out of a flight, with a time axis of its own."""
+    rows = slice(*np.searchsorted(flight.t_s, [start_s, stop_s]))
+    return Flight(
+        flight.t_s[rows] - flight.t_s[rows.start],
+        flight.front_V[rows],
+        flight.back_V[rows],
+        *flight.angles_rad[rows].T,
+    )
+
+
+def on_table() -> Flight:
+    """Twenty seconds at rest on the table, motors off."""
+    rows = 10_000
+    still = np.zeros(rows)
+    return Flight(np.arange(rows) / 500.0, still, still, np.full(rows, -0.48), still, still)
+
+
+def answered(terminal: Terminal, *arguments: str | Path) -> tuple[Ended, dict[str, Any]]:
+    """Diagnose, and read the answer."""
+    ended = terminal("diagnose", *arguments, "--json", "why.json", "--report", "why", "--out", "found.toml")
+    assert ended.code == 0, ended.err
+    numbers: dict[str, Any] = json.loads(Path("why.json").read_text())
+    assert Path("why/index.html").exists()
+    return ended, numbers
+
+
+def test_three_seconds_name_nothing_wrong_and_say_what_they_cannot_show(terminal: Terminal) -> None:
+    fit, held = flights("rotor_lag=0.06")
+    part(fit, 10.0, 13.0).write_csv("a.csv")
+    held.write_csv("b.csv")
+    ended, numbers = answered(terminal, "a.csv", "--validate", "b.csv")
+    assert {"cable_spring.elevation", "thrust_fade"} <= set(numbers["could_not_be_seen"])
+    assert numbers["could_not_be_learned"]
+    # The lag is plain even in three seconds, for the flight held out confirms it; nothing else may be named.
+    assert {cause["effect"] for cause in numbers["causes"]} <= {"rotor_lag"}
+    asked = numbers["next_flight"]
+    assert "3 s of free flight show too little" in asked["why"]
+    assert "Rehearsed on the simulated rig, it shows" in asked["why"]
+    Plan.parse(asked["plan"], "plan").check()
+    assert "next flight: " in ended.out
+
+
+def test_hovering_still_names_no_cause_and_asks_for_motion(terminal: Terminal) -> None:
+    hovering(10.0).write_csv("a.csv")
+    _, numbers = answered(terminal, "a.csv")
+    assert numbers["causes"] == []
+    assert len(numbers["could_not_be_seen"]) > 10
+    assert "show too little" in numbers["next_flight"]["why"]
+    assert any("no flight was held out" in caution for caution in numbers["cautions"])
+
+
+@pytest.mark.parametrize("which", ["table", "asked for"])
+def test_flight_in_which_nothing_flies_is_answered_and_writes_no_rig(terminal: Terminal, which: str) -> None:
+    (on_table() if which == "table" else flights()[0]).write_csv("a.csv")
+    ended, numbers = answered(terminal, "a.csv", *(("--from", "500") if which == "asked for" else ()))
+    assert numbers["verdict"] == "ambiguous"
+    assert numbers["causes"] == []
+    assert "rotor_lag" in numbers["could_not_be_seen"]
+    assert set(numbers["could_not_be_seen"]) < set(catalogue())
+    assert "thrust_gain" in numbers["could_not_be_learned"]
+    Plan.parse(numbers["next_flight"]["plan"], "plan").check()
+    assert ended.out.startswith("ambiguous: Nothing can be said")
+    assert not Path("found.toml").exists()
+
+
+def test_validation_flight_that_shows_nothing_is_left_out_and_said_to_be(terminal: Terminal) -> None:
+    flights()[0].write_csv("a.csv")
+    on_table().write_csv("b.csv")
+    _, numbers = answered(terminal, "a.csv", "--validate", "b.csv")
+    assert numbers["verdict"] == "explained"
+    assert [caution.partition(":")[0] for caution in numbers["cautions"]] == [
+        "left out",
+        "no flight was held out",
+    ]
+    assert "fitted flights" in numbers["gain"]["metric"]
+
+
+def test_short_validation_flight_is_used_with_a_caution(terminal: Terminal) -> None:
+    fit, held = flights()
+    fit.write_csv("a.csv")
+    part(held, 10.0, 13.0).write_csv("b.csv")
+    _, numbers = answered(terminal, "a.csv", "--validate", "b.csv")
+    assert numbers["verdict"] == "explained"
+    assert any("only 3 s were held out" in caution for caution in numbers["cautions"])
+
+
+def test_copy_of_the_flight_is_no_validation_flight(terminal: Terminal) -> None:
+    flights()[0].write_csv("a.csv")
+    flights()[0].write_csv("b.csv")
+    ended = terminal("diagnose", "a.csv", "--validate", "b.csv")
+    assert ended.code == 2
+    assert "b.csv is both fitted and validated on" in ended.err
