@@ -13,7 +13,7 @@ from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig
 
-from tests.identify.made import flown
+from tests.identify.made import flown, thinned
 
 FLIGHT_S = 24.0
 DRY_Nm = 0.04
@@ -63,6 +63,24 @@ def test_a_window_in_a_wrong_state_finds_back_and_leaves_the_others_alone() -> N
     assert costs(back)[3] < 1.05 * costs(there)[3]
     np.testing.assert_array_equal(np.delete(back, 3, axis=0), np.delete(wrong, 3, axis=0))
     np.testing.assert_allclose(seen.residual, problem.look(0, theta, back).residual, atol=1e-9)
+
+
+def test_play_of_travel_is_found_though_nothing_ties_the_arm_to_a_side_of_it() -> None:
+    kind, play_rad = catalogue()["backlash.travel"], 0.012
+    effect = kind.make({"backlash_travel_rad": play_rad})
+    flights = [thinned(flown(RIG, seed, FLIGHT_S, MultibodyModel((effect,))), 2) for seed in (7, 8)]
+    problem = Problem(
+        MultibodyModel((kind.make({"backlash_travel_rad": 0.3 * play_rad}),)),
+        RIG,
+        flights[:1],
+        step_s=0.004,
+        state_std={"backlash_travel_shaft_rad": 0.02},
+    )
+    fit = solve(problem)
+    assert check(fit).normalised < 1.05
+    assert abs(fit.values["backlash_travel_rad"] - play_rad) < 3.0 * fit.std["backlash_travel_rad"]
+    # The first window has none before it to say on which side the arm lies.
+    assert check(validate(fit, flights[1:], labels=["other"])).normalised < 1.1
 
 
 def test_a_better_state_from_before_is_taken() -> None:

@@ -22,6 +22,7 @@ from heli_sim.model.base import Model
 from heli_sim.rig import Prior, Rig
 
 _STATE_FIT_S: Final = 0.15
+_SHORT_FIT_S: Final = 0.05
 _LEAD_IN_S: Final = 1.0
 BLOCK_S: Final = 0.01
 """Windows are whole numbers of blocks about this long, whatever the step, so that means over blocks exist."""
@@ -344,6 +345,45 @@ class Problem:
                 states[:, place] = record.angles_rad[rows, AXES.index(shown[state.name])]
         return states
 
+    def other_starts(self, index: int, theta: Floats, states: Floats) -> list[Floats]:
+        """Other initial states of the windows of a record, for those whose own lead to a wrong valley.
+
+        Parameters
+        ----------
+        index : int
+            Which record.
+        theta : ndarray (f,)
+            Free parameters.
+        states : ndarray (w, states)
+            Initial states.
+
+        Returns
+        -------
+        list of ndarray (w, states)
+            Where the window before ends, as long as nothing lies between: friction and play remember how
+            the arm came there. Then rates of a few samples alone, which no jump of the torque nearby bends,
+            and the sides that effects know.
+        """
+        record, windows = self.records[index], self.windows(index)
+        grid = self.grid(index, False, theta)
+        ends = self.kernel.end(grid.inputs, states, self.parameters(theta, index))
+        before, near = states.copy(), states.copy()
+        for number, (first, _) in enumerate(windows):
+            if number and sum(windows[number - 1]) == first and np.isfinite(ends[number - 1]).all():
+                before[number] = ends[number - 1]
+            near[number, :6] = _parabola(record, first, _SHORT_FIT_S)
+        places = {state.name: place for place, state in enumerate(self.model.states)}
+        values = dict(
+            zip((q.name for q in self.model.parameters), self.parameters(theta, index), strict=True)
+        )
+        sides = []
+        for side in (side for effect in self.model.effects for side in effect.sides(values)):
+            shifted = self.states_at(index, self._starts(index, theta), theta)
+            for name, shift in side.items():
+                shifted[:, places[name]] += shift
+            sides.append(shifted)
+        return [before, near, *sides]
+
     def look(
         self, index: int, theta: Floats, states: Floats, *, fine: bool = False, derivatives: bool = True
     ) -> Look:
@@ -424,10 +464,10 @@ class Problem:
         return end
 
 
-def _parabola(record: Record, row: int) -> Floats:
+def _parabola(record: Record, row: int, reach_s: float = _STATE_FIT_S) -> Floats:
     """Angles and rates at a row, from the samples around it in the same segment."""
     start, stop = next(segment for segment in record.segments if segment[0] <= row < segment[1])
-    reach = max(3, round(_STATE_FIT_S / record.step_s))
+    reach = max(3, round(reach_s / record.step_s))
     low, high = max(start, row - reach), min(stop, row + reach + 1)
     time_s = (np.arange(low, high) - row) * record.step_s
     fit: Floats = np.polynomial.polynomial.polyfit(time_s, record.angles_rad[low:high], 2)

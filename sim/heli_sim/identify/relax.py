@@ -16,9 +16,12 @@ from heli_sim.identify.functions import Floats, Integers
 from heli_sim.identify.problem import Look, Problem
 
 _FIRST_DAMPING: Final = 1e-3
-_LARGEST_DAMPING: Final = 1e4
 _WORTH: Final = 0.01
 """Steps go on while they take this share off the cost of the windows together."""
+_IDLE: Final = 2
+"""Or did so one step before."""
+_PATIENCE: Final = 5
+"""The same for windows that start from elsewhere: damping has to grow before they find a way."""
 
 
 def window_cost(
@@ -105,17 +108,46 @@ def relax(
     some = _Windows(problem, index, theta, states, look, reference, variance, which, fine)
     if before is not None:
         some.offer(before[which])
-    damping = np.full(len(which), _FIRST_DAMPING)
-    for _ in range(most):
-        if not np.isfinite(some.cost).all():
-            break
-        total = float(some.cost.sum())
-        better = some.offer(some.step(damping))
-        damping = np.where(better, 0.2 * damping, np.maximum(10.0 * damping, 10.0 * _FIRST_DAMPING))
-        if better.all() and total - float(some.cost.sum()) < _WORTH * total:
-            break
-        if not better.any() and float(damping.min()) > _LARGEST_DAMPING:
-            break
+    some.descend(most, _IDLE)
+    return some.among(states, look)
+
+
+def restart(
+    problem: Problem,
+    index: int,
+    theta: Floats,
+    states: Floats,
+    look: Look,
+    reference: Floats,
+    variance: Floats,
+    which: Integers,
+    other: Floats,
+    *,
+    fine: bool = False,
+    most: int = 12,
+) -> tuple[Floats, Look]:
+    """Start some windows from elsewhere, and keep what they come to where it is better.
+
+    Parameters
+    ----------
+    problem, index, theta, states, look, reference, variance, which, fine, most
+        As in `relax`.
+    other : ndarray (w, states)
+        Where to start.
+
+    Returns
+    -------
+    states : ndarray (w, states)
+        Initial states of all windows.
+    look : Look
+        Predictions from them.
+    """
+    some = _Windows(problem, index, theta, states, look, reference, variance, which, fine)
+    again = _Windows(problem, index, theta, states, look, reference, variance, which, fine)
+    again.cost[:] = np.inf
+    again.offer(other[which])
+    again.descend(most, _PATIENCE)
+    some.take(again)
     return some.among(states, look)
 
 
@@ -155,6 +187,25 @@ class _Windows:
         rows = np.repeat(better, self.grid.inputs.steps)
         self.residual[rows] = ((measured - angles) / sigma)[rows]
         return better
+
+    def take(self, other: _Windows) -> None:
+        """Take what other states of the same windows came to, where that is better."""
+        better = other.cost < self.cost
+        self.states[better], self.gram[better] = other.states[better], other.gram[better]
+        self.cost[better] = other.cost[better]
+        rows = np.repeat(better, self.grid.inputs.steps)
+        self.residual[rows] = other.residual[rows]
+
+    def descend(self, most: int, patience: int) -> None:
+        """Take damped steps while they are worth it."""
+        damping, idle = np.full(len(self.which), _FIRST_DAMPING), 0
+        for _ in range(most):
+            if not np.isfinite(self.cost).all() or idle == patience:
+                break
+            total = float(self.cost.sum())
+            better = self.offer(self.step(damping))
+            damping = np.where(better, 0.2 * damping, 30.0 * damping)
+            idle = 0 if total - float(self.cost.sum()) > _WORTH * total else idle + 1
 
     def step(self, damping: Floats) -> Floats:
         """States after a damped Gauss-Newton step, each window's damping in units of its own diagonal."""

@@ -20,7 +20,7 @@ from heli_sim.identify.grid import Grid
 from heli_sim.identify.noise import balanced, inflation, window_weights
 from heli_sim.identify.normal import bounded_solve, reduce_looks
 from heli_sim.identify.problem import Look, Problem
-from heli_sim.identify.relax import relax, window_cost
+from heli_sim.identify.relax import relax, restart, window_cost
 from heli_sim.identify.uncertainty import rounding_scatter
 
 _ROUNDS: Final = 8
@@ -34,12 +34,17 @@ _SMALL_STEP: Final = 0.02
 _LARGEST_DAMPING: Final = 1e8
 _OF_STATES: Final = 0.01
 """Damping of the states, in units of their own diagonal, for each unit of the parameters'."""
+_OUT_OF_LINE: Final = 1.5
+"""A window whose mean square is this many times the median window's is started again from elsewhere."""
+_RESTARTS: Final = 2
 _SPREADS: Final = 3
 """Turns between variances and weights; a window out of line must not widen what it is measured against."""
 _ASTRAY: Final = 1.1
 """A window whose cost grows by this factor in a step did not follow it."""
 _ASTRAY_SHARE: Final = 1e-3
 """And by this share of the whole cost."""
+_IDLE_GAIN: Final = 1e-3
+"""A fit whose cost falls by less than this share in each of two steps goes no further, small steps or not."""
 _RELAXED: Final = 0.99
 """Where windows alone lower the cost to less than this share, the next step starts from there."""
 
@@ -258,6 +263,34 @@ class _Solver:
             self.relax(other, index, np.arange(len(states)), None, 6)
         return other if other.cost < _RELAXED * point.cost else None
 
+    def rescue(self, point: _Point) -> bool:
+        """Start windows that are out of line again from elsewhere; say whether that found a better valley."""
+        before = point.cost
+        for index in range(len(point.looks)):
+            of_record = self.reference[index], self.variance[index]
+            # The second time the window before may have found its own valley.
+            for turn in range(_RESTARTS):
+                squares = self.window_cost(point, index) / self.weights[index]
+                squares = squares / self.problem.grid(index, self.fine, point.theta).inputs.steps
+                lost = np.flatnonzero(squares > _OUT_OF_LINE * np.median(squares))
+                if not len(lost):
+                    break
+                others = self.problem.other_starts(index, point.theta, point.states[index])
+                for other in others if turn == 0 else others[:1]:
+                    point.states[index], point.looks[index] = restart(
+                        self.problem,
+                        index,
+                        point.theta,
+                        point.states[index],
+                        point.looks[index],
+                        *of_record,
+                        lost,
+                        other,
+                        fine=self.fine,
+                    )
+        point.cost = self.cost(point)
+        return point.cost < _RELAXED * before
+
     def reduce(
         self, point: _Point, damping: float = 0.0
     ) -> tuple[Floats, Floats, list[tuple[Floats, Floats]]]:
@@ -284,7 +317,7 @@ class _Solver:
         self, point: _Point, stage: str, share: tuple[float, float], most: int = 30
     ) -> tuple[_Point, bool]:
         """Step until steps are small."""
-        growth, settled = 2.0, False
+        growth, settled, idle = 2.0, False, 0
         for number in range(most):
             if self.on_progress is not None:
                 done = share[0] + (share[1] - share[0]) * (1 - 0.5**number)
@@ -294,24 +327,25 @@ class _Solver:
                 return point, False
             other = self.evaluate(point.theta + move, states)
             self.gather(other, point)
+            small = not len(move) or bool(np.all(np.abs(move) < _SMALL_STEP * std))
             if not other.cost < point.cost * (1 + 1e-12):
                 if not settled:
                     settled, nearer = True, self.settle(point)
                     if nearer is not None:
                         point = nearer
                         continue
-                if self.damping > _LARGEST_DAMPING:
+                if self.damping > _LARGEST_DAMPING or (small and len(move)):
                     return point, True
                 self.damping = max(1.0, growth * self.damping)
                 growth *= 2.0
                 continue
             gain = (point.cost - other.cost) / max(other.cost, 1e-300)
-            small = not len(move) or bool(np.all(np.abs(move) < _SMALL_STEP * std))
             # After a rejected step the damping comes down slowly, or every second step is rejected.
             self.damping *= 0.2 if growth == 2.0 else 0.5
             self.damping = self.damping if self.damping > 0.05 else 0.0
             growth, settled, point = 2.0, False, other
-            if self.damping < 1.0 and (gain < 1e-6 or (small and gain < 1e-3)):
+            idle = idle + 1 if gain < (0.2 if self.fine else 1.0) * _IDLE_GAIN else 0
+            if idle == 2 or (self.damping < 1.0 and (gain < 1e-6 or (small and gain < 1e-3))):
                 return point, True
         return point, True
 
@@ -375,8 +409,10 @@ def solve(
             point, f"coarse fit, round {number + 1}", share, most=4 if number < 3 else 30
         )
         converged = finished
+        rescued = number in (2, 3) and finished and solver.rescue(point)
         change = solver.reweight(point)
-        if not finished or (number >= 2 and change < _SETTLED):
+        solver.damping = 0.0
+        if not finished or (number >= 2 and change < _SETTLED and not rescued):
             break
     if fine and not solver.out_of_budget():
         solver.fine = True
@@ -386,7 +422,9 @@ def solve(
             share = (0.6 + 0.4 * number / _FINE_ROUNDS, 1.0)
             point, finished = solver.descend(point, "every sample", share, most=10)
             converged = converged and finished
-            if solver.reweight(point) < _SETTLED or not finished:
+            rescued = number < 2 and finished and solver.rescue(point)
+            change = solver.reweight(point)
+            if not finished or not (rescued or change >= _SETTLED):
                 break
     return _result(solver, point, converged)
 

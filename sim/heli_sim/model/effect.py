@@ -264,6 +264,21 @@ class Effect:
         """
         return ca.SX.zeros(len(self.states))
 
+    def sides(self, parameters: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
+        """Other places from which a prediction may have to start, because the angles seen leave it open.
+
+        Parameters
+        ----------
+        parameters : Mapping[str, float]
+            Values of all parameters of the model.
+
+        Returns
+        -------
+        tuple of Mapping[str, float]
+            For each place, by how much states differ from what the angles seen suggest, by name.
+        """
+        return ()
+
     def settled(self, at: Situation) -> ca.SX:
         """Set own states anew after a step of whatever length, for what a rate cannot say, such as play.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 import casadi as ca
@@ -34,6 +35,22 @@ class Backlash(Effect):
         """
         angle, half = at.state[f"{self.place}_rad"], 0.5 * self.own(at, "rad")
         return ca.fmin(ca.fmax(self.own(at, "shaft_rad"), angle - half), angle + half)
+
+    def sides(self, parameters: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
+        """The axis at either end of its play; the angles seen put it into the middle.
+
+        Parameters
+        ----------
+        parameters : Mapping[str, float]
+            Values of all parameters of the model.
+
+        Returns
+        -------
+        tuple of Mapping[str, float]
+            Shifts of the axis' angle, rad.
+        """
+        half_rad = 0.5 * parameters[f"{self.prefix}_rad"]
+        return ({f"{self.place}_rad": half_rad}, {f"{self.place}_rad": -half_rad})
 
     def measured_rad(self, at: Situation, angles_rad: ca.SX) -> ca.SX:
         """Put the shaft's angle in place of the axis'.
