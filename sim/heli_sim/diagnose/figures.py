@@ -20,8 +20,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_MEASURED, _BEFORE, _AFTER = "#222222", "#d1495b", "#0b5fa5"
+_BEFORE, _AFTER = "#d1495b", "#0b5fa5"
+_BENEATH: Final = "#b9bec4"
 _MOST_POINTS: Final = 5000
+_EQUATION_POINTS: Final = 12.0
 
 
 def _judged(hypothesis: Hypothesis) -> Fit:
@@ -52,20 +54,21 @@ def figure_of_flight(before: Hypothesis, after: Hypothesis, index: int = 0) -> F
     for axis in range(3):
         above, below = panels[2 * axis], panels[2 * axis + 1]
         above.plot(
-            old.t_s[keep], _deg(old.measured_rad, axis, keep), color=_MEASURED, lw=1.4, label="measured"
+            old.t_s[keep], _deg(old.measured_rad, axis, keep), color=_BENEATH, lw=3.5, label="measured"
         )
-        above.plot(*_broken(old, axis), color=_BEFORE, lw=0.9, label="simulated before")
-        above.plot(*_broken(new, axis), color=_AFTER, lw=0.9, label="simulated after")
+        above.plot(*_broken(old, axis), color=_BEFORE, lw=1.0, label="simulated before")
+        above.plot(*_broken(new, axis), color=_AFTER, lw=1.0, label="simulated after")
         above.set_ylabel(f"{AXES[axis]} [deg]")
         for one, color in ((old, _BEFORE), (new, _AFTER)):
-            error = np.rad2deg(one.residual[keep, axis] * one.sigma_rad[axis])
-            below.plot(one.t_s[keep], error, color=color, lw=0.7)
+            error = np.rad2deg(one.residual[:, axis] * one.sigma_rad[axis])
+            below.plot(one.t_s[keep], error[keep], color=color, lw=0.7, label=f"rms {_rms(error):.3g}")
         below.set_ylabel("error [deg]")
+        _beside(below)
         for panel in (above, below):
             panel.grid(alpha=0.25)
-    panels[0].legend(loc="upper right", fontsize=8, ncols=3)
+    _beside(panels[0])
     panels[-1].set_xlabel("time [s]; every 2 s the simulation starts anew from the measured state")
-    figure.suptitle(f"{old.label}: measured against simulated")
+    figure.suptitle(f"{old.label}: measured against simulated", fontsize=11)
     return figure
 
 
@@ -92,14 +95,17 @@ def figure_of_windows(before: Hypothesis, after: Hypothesis, index: int = 0) -> 
     for axis, panel in enumerate(panels):
         worst = max(old.windows, key=lambda part: float(np.mean(old.residual[part, axis] ** 2)))
         t_s = old.t_s[worst]
-        panel.plot(t_s, np.rad2deg(old.measured_rad[worst, axis]), color=_MEASURED, lw=2.2, label="measured")
+        panel.plot(t_s, np.rad2deg(old.measured_rad[worst, axis]), color=_BENEATH, lw=4, label="measured")
         panel.plot(t_s, np.rad2deg(old.predicted_rad[worst, axis]), color=_BEFORE, lw=1.3, label="before")
         panel.plot(t_s, np.rad2deg(new.predicted_rad[worst, axis]), color=_AFTER, lw=1.3, label="after")
-        panel.set_title(f"{AXES[axis]}, worst {t_s[-1] - t_s[0]:.0f} s before", fontsize=10)
+        errors_deg = [np.rad2deg(_rms(one.residual[worst, axis]) * one.sigma_rad[axis]) for one in (old, new)]
+        title = f"{AXES[axis]}: rms {errors_deg[0]:.3g} deg before, {errors_deg[1]:.3g} after"
+        panel.set_title(title, fontsize=9)
         panel.set_xlabel("time [s]")
         panel.grid(alpha=0.25)
     panels[0].set_ylabel("angle [deg]")
-    panels[0].legend(fontsize=8)
+    lines, names = panels[0].get_legend_handles_labels()
+    figure.legend(lines, names, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     return figure
 
 
@@ -124,14 +130,16 @@ def figure_of_torque(diagnosis: Diagnosis) -> Figure:
     panels = figure.subplots(3, 2, width_ratios=[2.4, 1])
     for axis in range(3):
         for torque, color, label in ((before, _BEFORE, "before"), (after, _AFTER, "after")):
-            panels[axis, 0].plot(torque.t_s, 1e3 * torque.value_Nm[:, axis], color=color, lw=0.7, label=label)
+            value_mNm = 1e3 * torque.value_Nm[:, axis]
+            text = f"{label}: rms {_rms(value_mNm):.3g} mN m"
+            panels[axis, 0].plot(torque.t_s, value_mNm, color=color, lw=0.7, label=text)
             panels[axis, 1].loglog(*_spectrum(torque, axis), color=color, lw=0.9)
         panels[axis, 0].set_ylabel(f"{AXES[axis]} [mN m]")
+        _above(panels[axis, 0])
         for panel in panels[axis]:
             panel.grid(alpha=0.25)
-    panels[0, 0].set_title("torque that the model lacks", fontsize=10)
-    panels[0, 1].set_title("its spectrum [mN m / sqrt(Hz)]", fontsize=10)
-    panels[0, 0].legend(loc="upper right", fontsize=8, ncols=2)
+    figure.suptitle("torque that the model lacks, over the flight fitted, and its spectrum", fontsize=11)
+    panels[0, 1].set_title("[mN m / sqrt(Hz)]", fontsize=8)
     panels[2, 0].set_xlabel("time [s]")
     panels[2, 1].set_xlabel("frequency [Hz]")
     return figure
@@ -172,8 +180,10 @@ def _rank(one: Round, number: int, panel: Axes) -> None:
         if step is not None:
             color = _AFTER if scored.trial.id == one.taken else "#8fb3d1"
             panel.barh(row, max(step.evidence.held, 0.1), height=0.4, color=color)
+            text = f"  {step.evidence.held:.0f} held out"
+            panel.text(max(scored.answer.gain, step.evidence.held, 1.0), row, text, va="center", fontsize=7)
     panel.set_xscale("log")
-    panel.set_xlim(1.0, max(10.0, 1.5 * max(gains)))
+    panel.set_xlim(1.0, max(10.0, 5.0 * max(gains)))
     panel.set_yticks(place, names, fontsize=8)
     taken = f"taken: {named(one.taken)}" if one.taken else "nothing taken"
     panel.set_title(f"round {number}: {taken}", fontsize=10, loc="left")
@@ -204,14 +214,59 @@ def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
     for number, found in enumerate(diagnosis.verdict.causes):
         t_s, change = accelerations(diagnosis.extended.fit, found.trial.id)
         for axis, panel in enumerate(panels):
-            panel.plot(t_s, np.rad2deg(change[:, axis]), lw=0.7, color=f"C{number}", label=found.trial.id)
+            degrees = np.rad2deg(change[:, axis])
+            size = f"rms {_rms(degrees):.3g} deg/s$^2$" if degrees.any() else "none of its own"
+            text = f"{found.trial.id}: {size}"
+            panel.plot(t_s, degrees, lw=0.7, color=f"C{number}", label=text)
     for axis, panel in enumerate(panels):
-        panel.set_ylabel(f"{AXES[axis]} [deg/s2]")
+        panel.set_ylabel(f"{AXES[axis]} [deg/s$^2$]")
         panel.grid(alpha=0.25)
-    panels[0].legend(loc="upper right", fontsize=8)
-    panels[0].set_title("acceleration by each cause", fontsize=10)
+        _above(panel)
+    figure.suptitle("acceleration that each cause makes over the flight fitted", fontsize=11)
     panels[-1].set_xlabel("time [s]")
     return figure
+
+
+def figure_of_equation(latex: str) -> Figure | None:
+    """Set an equation.
+
+    Parameters
+    ----------
+    latex : str
+        LaTeX, without dollars.
+
+    Returns
+    -------
+    matplotlib.figure.Figure or None
+        As small as the equation; None where matplotlib cannot set it.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.mathtext import MathTextParser
+
+    text = "$" + latex.replace("\\boldsymbol", "\\mathbf") + "$"
+    try:
+        width, height, depth, *_ = MathTextParser("path").parse(text, dpi=72)
+    except ValueError:
+        return None
+    scale = _EQUATION_POINTS / 10.0 / 72.0
+    figure = Figure(figsize=(width * scale + 0.1, (height + depth) * scale + 0.1))
+    figure.text(0.5, 0.5, text, ha="center", va="center", fontsize=_EQUATION_POINTS)
+    return figure
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _beside(panel: Axes) -> None:
+    """A legend that hides no data."""
+    panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.03), fontsize=8, frameon=False)
+
+
+def _above(panel: Axes) -> None:
+    """A legend that hides no data, in a line over the panel."""
+    place = (1.0, 0.97)
+    panel.legend(loc="lower right", bbox_to_anchor=place, ncols=4, fontsize=8, frameon=False)
 
 
 def _deg(angles_rad: Floats, axis: int, keep: slice) -> Floats:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from heli_sim.diagnose.figures import (
+    figure_of_equation,
     figure_of_flight,
     figure_of_ranking,
     figure_of_size,
@@ -16,7 +17,6 @@ from heli_sim.diagnose.figures import (
 )
 from heli_sim.diagnose.result import Diagnosis
 from heli_sim.diagnose.silent import Silence
-from heli_sim.identify.record import AXES
 from heli_sim.identify.result import rounded
 from heli_sim.page import escaped, image, table
 
@@ -26,6 +26,7 @@ _WORDS: Final = {
     "ambiguous": "Cause found, but not told apart from others",
     "unexplained": "Something is missing, and it is none of what is known",
 }
+_WHEN: Final = ("before", "after")
 _STYLE: Final = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222 }
 body { max-width: 64rem; margin: 2rem auto; padding: 0 1rem }
@@ -66,13 +67,13 @@ def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
     word = diagnosis.verdict.word
     sections = [
         f"<h1>{_WORDS[word]}</h1>",
-        f'<p class="verdict {word}">{escaped(diagnosis.summary)}</p>',
+        f'<p class="verdict {word}">{escaped(diagnosis.summary)}{escaped(_gained(diagnosis))}</p>',
         f"<h2>Measured against simulated, on {judged}</h2>",
         _gain(numbers["gain"]),
         image(figure_of_windows(before, after), folder / "windows.png", "worst windows"),
         image(figure_of_flight(before, after), folder / "flight.png", "measured against simulated"),
         "<h2>What was found</h2>",
-        _causes(numbers["causes"]),
+        _causes(numbers["causes"], folder),
         *([image(size, folder / "size.png", "acceleration by each cause")] if size is not None else []),
         "<h2>What is left over</h2>",
         _residual(numbers["residual"]),
@@ -147,7 +148,27 @@ def _gain(gain: dict[str, Any]) -> str:
     )
 
 
-def _causes(causes: Sequence[dict[str, Any]]) -> str:
+def _gained(diagnosis: Diagnosis) -> str:
+    """What the extension gains on the axis that gains most, as a sentence."""
+    if not diagnosis.extended.trials:
+        return ""
+    axis, best = min(diagnosis.gains.items(), key=lambda one: one[1].ratio)
+    low, high = best.interval95
+    where = "on flights that no fit saw" if diagnosis.extended.held_fit else "on the flights fitted"
+    return (
+        f" With it the 2 s free run is off by {best.after_deg:.2g} deg in {axis} instead of "
+        f"{best.before_deg:.2g} {where}: {best.ratio:.2f} times as much ({low:.2f} to {high:.2f})."
+    )
+
+
+def _equation(latex: str, path: Path) -> str:
+    figure = figure_of_equation(latex)
+    if figure is None:
+        return f"<p>Equation: <code>{escaped(latex)}</code></p>"
+    return image(figure, path, latex)
+
+
+def _causes(causes: Sequence[dict[str, Any]], folder: Path) -> str:
     if not causes:
         return "<p>No effect of the catalogue.</p>"
     parts = []
@@ -166,7 +187,8 @@ def _causes(causes: Sequence[dict[str, Any]]) -> str:
         )
         parts.append(
             f"<h3>{escaped(one['effect'])}</h3><p><b>{escaped(sentence)}.</b> Confidence "
-            f"{one['confidence']:.2f}.{unclear}</p><p>Equation: <code>{escaped(one['equation'])}</code></p>"
+            f"{one['confidence']:.2f}.{unclear}</p>"
+            + _equation(one["equation"], folder / f"equation-{one['effect']}.png")
             + table(["number", "value ± std", "unit"], rows)
             + f'<p class="note">Evidence: {evidence}.</p>'
         )
@@ -179,19 +201,27 @@ def _number(name: str, number: dict[str, Any]) -> list[str]:
 
 
 def _residual(residual: dict[str, Any]) -> str:
-    rows = [[axis, f"{one['before']:.3f}", f"{one['after']:.3f}"] for axis, one in residual["axis"].items()]
-    whole = residual["normalised"]
-    rows.append(["all", f"{whole['before']:.3f}", f"{whole['after']:.3f}"])
-    rows.append(["all, held out", f"{whole['held_out_before']:.3f}", f"{whole['held_out_after']:.3f}"])
-    note = "Root mean square error in standard deviations of the rounding to counts: 1 when nothing is left."
-    white = [
-        f"{escaped(role.replace('_', ' '))}: {', '.join(a for a in AXES if one['after'][a]) or 'no axis'}"
-        for role, one in residual["white"].items()
+    role = "held_out" if "held_out" in residual["white"] else "train"
+    correlation = residual["correlation"][role]
+    rows = [
+        [
+            axis,
+            *(f"{one[when]:.3f}" for when in _WHEN),
+            *(f"{correlation[when][axis]:.2f}" for when in _WHEN),
+            "yes" if residual["white"][role]["after"][axis] else "no",
+        ]
+        for axis, one in residual["axis"].items()
     ]
-    return (
-        table(["axis", "before", "after"], rows)
-        + f'<p class="note">{note} White over 0.1 s afterwards: {"; ".join(white)}.</p>'
+    whole = residual["normalised"]
+    rows.append(["all", *(f"{whole[when]:.3f}" for when in _WHEN), "", "", ""])
+    rows.append(["all, held out", *(f"{whole[f'held_out_{when}']:.3f}" for when in _WHEN), "", "", ""])
+    where = "held out" if role == "held_out" else "fitted"
+    note = (
+        "Root mean square error of the flight fitted in standard deviations of the rounding: 1 when "
+        f"nothing is left. Autocorrelation over 0.1 s in the flight {where}; white when chance gives as much."
     )
+    heads = ["axis", "before", "after", "autocorrelation before", "after", "white after"]
+    return table(heads, rows) + f'<p class="note">{note}</p>'
 
 
 def _remains(diagnosis: Diagnosis, numbers: dict[str, Any]) -> str:

@@ -174,11 +174,12 @@ class Diagnosis:
             rivals = cause["ambiguous_with"]
             unclear = f"; could as well be {', '.join(rivals)}" if rivals else ""
             lines.append(f"{cause['effect']} (confidence {cause['confidence']:.2f}{unclear})")
+        lines.append(f"{self._metric}, before and after, and their ratio:")
         for axis, one in self.gains.items():
             low, high = one.interval95
             lines.append(
-                f"{axis}: {one.before_deg:.3g} deg before, {one.after_deg:.3g} deg after; ratio "
-                f"{one.ratio:.2f} ({low:.2f} to {high:.2f}); {METRIC.split(',')[0]}"
+                f"  {axis:9}  {one.before_deg:<7.3g} {one.after_deg:<7.3g} {one.ratio:.2f} "
+                f"({low:.2f} to {high:.2f})"
             )
         if self.next_flight is not None:
             lines.append(f"next flight: {self.next_flight.why}")
@@ -199,7 +200,7 @@ class Diagnosis:
             "causes": self._causes(),
             "residual": self._residual(),
             "gain": {
-                "metric": METRIC if self.extended.held_fit else METRIC.replace("validation", "fitted"),
+                "metric": self._metric,
                 "axis": {
                     axis: {
                         "before": one.before_deg,
@@ -258,6 +259,10 @@ class Diagnosis:
                 source,
             )
         return Rig(found.name, found.description, found.numbers, effects, found.model)
+
+    @property
+    def _metric(self) -> str:
+        return METRIC if self.extended.held_fit else METRIC.replace("validation", "fitted")
 
     def _causes(self) -> list[dict[str, Any]]:
         causes: list[dict[str, Any]] = []
@@ -320,13 +325,15 @@ class Diagnosis:
 
     def _residual(self) -> dict[str, Any]:
         before, after = self.search.baseline, self.extended
-        white = {}
+        white, correlation = {}, {}
         for role, before_fit, after_fit in (
             ("train", before.fit, after.fit),
             ("held_out", before.held_fit, after.held_fit),
         ):
             if before_fit is not None and after_fit is not None:
-                white[role] = {"before": check(before_fit).white, "after": check(after_fit).white}
+                checks = {"before": check(before_fit), "after": check(after_fit)}
+                white[role] = {when: one.white for when, one in checks.items()}
+                correlation[role] = {when: one.correlation for when, one in checks.items()}
         return {
             "axis": {
                 axis: {
@@ -342,6 +349,7 @@ class Diagnosis:
                 "held_out_after": after.held.normalised,
             },
             "white": white,
+            "correlation": correlation,
         }
 
     def _unexplained(self) -> dict[str, Any] | None:
