@@ -7,12 +7,14 @@ from pathlib import Path
 
 import pytest
 from heli_sim.diagnose import Diagnosis, diagnose
+from heli_sim.diagnose.gain import gain
 from heli_sim.diagnose.report import write_report
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import effects_of
 from heli_sim.rig import load_rig, write_rig
 
 from tests.diagnose.hidden import flights
+from tests.diagnose.schema import conforms
 
 
 @cache
@@ -20,6 +22,30 @@ def diagnosed(*effects: str, off_list: bool = False) -> Diagnosis:
     """Diagnose a flight with something hidden in it."""
     fit, held = flights(*effects, off_list=off_list)
     return diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held], labels=["fit", "held out"])
+
+
+def test_answer_has_the_keys_and_units_that_were_promised_whatever_the_verdict() -> None:
+    for found in (diagnosed(), diagnosed("rotor_lag=0.06"), diagnosed(off_list=True)):
+        conforms(found.json())
+
+
+def test_seed_settles_the_intervals() -> None:
+    found = diagnosed("rotor_lag=0.06")
+    drawn = [gain(found.search.baseline, found.extended, seed)["pitch"] for seed in (1, 1, 2)]
+    assert drawn[0] == drawn[1]
+    assert drawn[0].interval95 != drawn[2].interval95
+    assert drawn[0].ratio == drawn[2].ratio
+
+
+def test_budget_that_runs_out_is_said_where_the_verdict_is() -> None:
+    fit, held = flights("rotor_lag=0.06")
+    found = diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held], seconds=0.0)
+    numbers = found.json()
+    conforms(numbers)
+    assert numbers["complete"] is False
+    assert numbers["causes"] == []
+    assert "The time ran out before everything was tried" in found.summary
+    assert any("--budget" in caution for caution in numbers["cautions"])
 
 
 def test_nothing_hidden_is_explained_without_a_cause() -> None:

@@ -85,7 +85,7 @@ def test_column_that_is_the_residual_scores_all_of_it(baseline: Fit) -> None:
     assert answer.gain > 100.0
 
 
-@pytest.mark.parametrize("parts", [(), ("motors",), ("travel", "time"), ("elevation",)])
+@pytest.mark.parametrize("parts", [(), ("motors",), ("fast",), ("travel", "time"), ("elevation",)])
 def test_next_flight_is_a_plan_that_can_be_flown(parts: tuple[str, ...]) -> None:
     flight = next_flight("Why.", parts)
     plan = Plan.parse(flight.plan, "next flight")

@@ -14,6 +14,7 @@ from heli_sim.model.effects import catalogue
 
 from tests.cli.terminal import Ended, Terminal
 from tests.diagnose.hidden import flights, hovering
+from tests.diagnose.schema import conforms
 
 
 def part(flight: Flight, start_s: float, stop_s: float) -> Flight:
@@ -40,6 +41,7 @@ def answered(terminal: Terminal, *arguments: str | Path) -> tuple[Ended, dict[st
     assert ended.code == 0, ended.err
     numbers: dict[str, Any] = json.loads(Path("why.json").read_text())
     assert Path("why/index.html").exists()
+    conforms(numbers, silent=not numbers["flights"])
     return ended, numbers
 
 

@@ -43,8 +43,9 @@ def diagnose(
         int, typer.Option("--seed", metavar="N", min=0, help="Seed of the resampling behind the intervals.")
     ] = 0,
     budget_s: Annotated[
-        float, typer.Option("--budget", metavar="S", min=5.0, help="Most time for the search.")
-    ] = 600.0,
+        float,
+        typer.Option("--budget", metavar="S", min=5.0, help="Most time, nearly; what it cut short is said."),
+    ] = 120.0,
 ) -> None:
     """Show what a model gets wrong in flights, name the cause, extend the model, measure the gain.
 

@@ -134,6 +134,11 @@ class Diagnosis:
     @property
     def summary(self) -> str:
         """What was found, in a sentence or two."""
+        cut = "" if self.search.complete else " The time ran out before everything was tried."
+        return self._found + cut
+
+    @property
+    def _found(self) -> str:
         word = self.verdict.word
         normalised = self.extended.held.normalised
         where = "flights that no fit saw" if self.extended.held_fit else "the flights that were fitted"

@@ -1,0 +1,70 @@
+"""The JSON of a diagnosis as the command's users were promised it: names, types, units."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+from heli_host.fly.plan import Plan
+from heli_sim.model.effects import catalogue
+
+AXES = {"elevation", "pitch", "travel"}
+VERDICTS = {"explained", "cause_found", "ambiguous", "unexplained"}
+
+
+def conforms(numbers: dict[str, Any], silent: bool = False) -> None:
+    """Check the whole answer; where nothing flew, numbers may be null."""
+    json.dumps(numbers, allow_nan=False)
+    assert numbers["verdict"] in VERDICTS
+    for cause in numbers["causes"]:
+        _cause(cause)
+    confidences = [cause["confidence"] for cause in numbers["causes"]]
+    assert len(confidences) == len({cause["effect"] for cause in numbers["causes"]})
+
+    residual = numbers["residual"]
+    assert residual["axis"].keys() == AXES
+    for one in (*residual["axis"].values(), residual["normalised"]):
+        assert all(_number(one[when], silent) for when in ("before", "after"))
+    assert isinstance(residual["white"], dict)
+
+    gain = numbers["gain"]
+    assert gain["metric"] in (
+        "2 s free-run rms on the validation flights, deg",
+        "2 s free-run rms on the fitted flights, deg",
+    )
+    assert gain["axis"].keys() == AXES
+    for one in gain["axis"].values():
+        assert all(_number(one[key], silent) for key in ("before", "after", "ratio"))
+        if not silent:
+            low, high = one["interval95"]
+            assert low <= high
+            assert math.isclose(one["ratio"], one["after"] / one["before"])
+
+    missing = numbers["unexplained"]
+    if missing is not None:
+        assert missing["axis"] in AXES
+        assert all(isinstance(one, str) for one in missing["correlates_with"])
+        assert 0.0 <= missing["share_of_variance"] <= 1.0
+    asked = numbers["next_flight"]
+    if asked is not None:
+        assert asked["why"].endswith(".")
+        Plan.parse(asked["plan"], "next flight").check()
+
+
+def _cause(cause: dict[str, Any]) -> None:
+    kind = catalogue()[cause["effect"]]
+    units = {quantity.name: quantity.unit for quantity in kind.parameters}
+    assert cause["parameters"].keys() == units.keys()
+    for name, one in cause["parameters"].items():
+        assert one.keys() == {"value", "std", "unit"}
+        assert one["unit"] == units[name]
+        assert _number(one["value"])
+        assert one["std"] >= 0.0
+    assert 0.0 < cause["confidence"] < 1.0
+    assert cause["evidence"]
+    assert all(id_ in catalogue() and id_ != cause["effect"] for id_ in cause["ambiguous_with"])
+
+
+def _number(value: object, may_be_null: bool = False) -> bool:
+    return (value is None and may_be_null) or (isinstance(value, float) and math.isfinite(value))
