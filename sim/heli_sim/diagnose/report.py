@@ -229,8 +229,7 @@ def _remains(diagnosis: Diagnosis, numbers: dict[str, Any]) -> str:
     left = diagnosis.leftover
     text = (
         f"<p>After the extension the largest torque that is still missing is about {left.axis}: "
-        f"{1e3 * left.size_Nm:.2g} mN m, {left.over_error:.2g} times what its estimate is unsure by; "
-        f"{max(left.repeats, 0.0):.0%} of it repeats in the other flight.</p>"
+        f"{1e3 * left.size_Nm:.2g} mN m, {left.over_error:.2g} times what its estimate is unsure by.</p>"
     )
     if missing is None:
         return text

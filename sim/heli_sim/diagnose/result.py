@@ -122,7 +122,8 @@ class Diagnosis:
         if not self.verdict.chance:
             return {}
         left = self.leftover
-        seconds = sum(record.used_s for record in self.search.baseline.fit.problem.records)
+        fits = (self.search.baseline.fit, self.search.baseline.held_fit)
+        seconds = sum(record.used_s for fit in fits if fit is not None for record in fit.problem.records)
         independent = max(seconds / (2.0 * left.memory_s), 2.0)
         prefix = f"random_torque_{left.axis}"
         relative = 1.0 / np.sqrt(2.0 * independent)
@@ -304,7 +305,8 @@ class Diagnosis:
                     "equation": self.kinds[id_].equation,
                     "evidence": {
                         "over_error": self.leftover.over_error,
-                        "share_that_repeats_in_another_flight": self.leftover.repeats,
+                        "log_likelihood_ratio": self.leftover.gained,
+                        "lost_against_all_axes": self.leftover.lost,
                     },
                     "ambiguous_with": [],
                 }
@@ -363,14 +365,12 @@ class Diagnosis:
         if not self.verdict.off_list:
             if self.verdict.word in ("explained",) or excess < 0.1 or self.verdict.chance:
                 return None
-            last = self.search.last.patterns()
-            named = correlates(last)
+            named = [one.what for one in self.leftover.depends] or correlates(self.search.last.patterns())
             return {
                 "axis": self.leftover.axis,
                 "correlates_with": named,
                 "share_of_variance": round(excess, 4),
                 "size_Nm": self.leftover.size_Nm,
-                "repeats": self.leftover.repeats,
             }
         strongest = self.verdict.off_list[0]
         _, channel, on = strongest.trial.id.split(":")

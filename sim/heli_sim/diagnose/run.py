@@ -23,7 +23,7 @@ from heli_sim.diagnose.removed import removed_terms
 from heli_sim.diagnose.result import Diagnosis
 from heli_sim.diagnose.search import AMBIGUOUS, Search, search
 from heli_sim.diagnose.unseen import unseen_effects
-from heli_sim.diagnose.verdict import Verdict, ambiguous_with, judge
+from heli_sim.diagnose.verdict import Verdict, ambiguous_with, judge, remains
 from heli_sim.errors import IdentifyError, ShowsNothing
 from heli_sim.identify import Record, prepare
 from heli_sim.model.base import Model
@@ -100,7 +100,7 @@ def diagnose(
     left_s = seconds - (time.perf_counter() - started_s)
     found = search(bench, tried, removable=tuple(every.values()), say=tell, seconds=left_s)
     tell("looking at what remains", 0.9)
-    left = leftover(found.final, found.last)
+    left = leftover(found.final, found.last, found.chance if remains(found) else None)
     extended = _extended(bench, found)
     removed = removed_terms(extended.fit, rig, every)
     verdict = judge(found, left, bool(removed))

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
+from heli_sim.diagnose.coloured import Colour, Filter, coloured
 from heli_sim.diagnose.hypothesis import Bench, Evidence, Hypothesis
 from heli_sim.diagnose.removed import without_terms
 from heli_sim.diagnose.screening import Scored, Screening
@@ -44,6 +45,12 @@ LEAST_DROP_PATTERN: Final = 0.08
 PATTERN_LEAD: Final = 0.2
 """Share by which a pattern must be ahead of the best effect to be taken in its place."""
 PATTERN_LEAST: Final = 20.0
+LEAST_COLOURED: Final = 6.0
+"""Logarithm of the likelihood ratio, torques that wander by chance allowed, over an effect's price."""
+PLAIN: Final = 0.5
+"""An effect that lowers an axis' mean square by this share and leaves rounding only is no chance."""
+WEIGHED: Final = 3
+"""Effects that are weighed against chance in a round, at most."""
 AMBIGUOUS: Final = 6.0
 """Two candidates are not told apart when the logarithm of their likelihood ratio is below this."""
 _EDGE_s: Final = 1.0
@@ -64,12 +71,15 @@ class Step:
         What its parameters and the number of candidates tried cost.
     linear : float
         Its score before it was refitted.
+    coloured : float or None
+        What it has over the model before when torques may also wander by chance; None where that was plain.
     """
 
     hypothesis: Hypothesis
     evidence: Evidence
     price: float
     linear: float
+    coloured: float | None = None
 
     @property
     def trial(self) -> Trial:
@@ -93,6 +103,21 @@ class Step:
         plain = self.evidence.held > self.price and self.evidence.train > SURE * self.price
         plain &= self.evidence.held_low > -0.5 * self.evidence.held
         return self.evidence.train > self.price and (agreed or plain)
+
+    @property
+    def settled(self) -> bool:
+        """Whether it leaves nothing but rounding, and took away much."""
+        return self.leaves < SETTLED and self.evidence.drop > PLAIN
+
+    @property
+    def leaves(self) -> float:
+        """Normalised error that it leaves, on the worse flights."""
+        return max(self.hypothesis.train.normalised, self.hypothesis.held.normalised)
+
+    @property
+    def lead(self) -> float:
+        """What it has over chance, its price paid."""
+        return self.worth if self.coloured is None else self.coloured - self.price
 
 
 @dataclass(frozen=True)
@@ -171,6 +196,8 @@ class Search:
         Screening around the final model.
     complete : bool
         False when time ran out.
+    chance : tuple of (Colour, Filter) or None
+        Random torques beside the final model, where something is missing.
     """
 
     baseline: Hypothesis
@@ -179,6 +206,7 @@ class Search:
     rounds: tuple[Round, ...]
     last: Screening
     complete: bool
+    chance: tuple[Colour, Filter] | None = None
 
 
 @dataclass
@@ -189,6 +217,7 @@ class _Searcher:
     until_s: float
     removable: Sequence[EffectKind]
     rounds: list[Round] = field(default_factory=list)
+    colours: dict[int, tuple[Hypothesis, Colour, Filter]] = field(default_factory=dict)
 
     def out_of_time(self) -> bool:
         return time.perf_counter() > self.until_s
@@ -286,14 +315,40 @@ class _Searcher:
                     steps.append(step)
                 if self.out_of_time():
                     break
-            steps.sort(key=lambda step: -step.worth)
-            taken = _choice(steps)
+            steps, taken = self.choice(hypothesis, sorted(steps, key=lambda step: -step.worth))
             self.rounds.append(
                 Round(tuple(screened), tuple(patterns), tuple(steps), taken.trial.id if taken else "")
             )
             if taken is None:
                 return hypothesis, screening, not full
             hypothesis = taken.hypothesis
+
+    def colour(self, hypothesis: Hypothesis, near: Hypothesis | None = None) -> Colour:
+        """Random torques that make all flights likeliest under a hypothesis."""
+        if id(hypothesis) not in self.colours:
+            start = self.colours[id(near)][1] if near is not None and id(near) in self.colours else None
+            self.colours[id(hypothesis)] = hypothesis, *coloured(self.bench, hypothesis, start)
+        return self.colours[id(hypothesis)][1]
+
+    def weighed(self, base: Hypothesis, step: Step) -> Step:
+        """The candidate with what it has over chance."""
+        before = self.colour(base)
+        return replace(step, coloured=self.colour(step.hypothesis, base).likelihood - before.likelihood)
+
+    def choice(self, base: Hypothesis, steps: Sequence[Step]) -> tuple[list[Step], Step | None]:
+        """The best effect that chance does not imitate, or a pattern that is clearly ahead of it."""
+        effects = [step for step in steps if step.accepted and not step.trial.is_pattern]
+        if effects and effects[0].settled:
+            return list(steps), effects[0]
+        patterns = [step for step in steps if step.accepted and step.trial.is_pattern][:1]
+        known = {id(step): self.weighed(base, step) for step in (*effects[:WEIGHED], *patterns)}
+        ahead = [known[id(s)] for s in effects[:WEIGHED] if known[id(s)].lead > LEAST_COLOURED]
+        best = max(ahead, key=lambda step: step.lead, default=None)
+        for pattern in (known[id(step)] for step in patterns):
+            lead = pattern.lead - (best.lead if best else 0.0)
+            if lead > max(PATTERN_LEAST, PATTERN_LEAD * pattern.lead):
+                best = pattern
+        return [known.get(id(step), step) for step in steps], best
 
     def backward(self, final: Hypothesis) -> tuple[Hypothesis, list[Found]]:
         """Drop what is not needed any more; measure what the rest is worth, and its rivals."""
@@ -305,7 +360,9 @@ class _Searcher:
             rest = [other for other in final.trials if other is not trial]
             less = self.bench.try_out(rest, final.fit.values) if rest else self.baseline
             step = Step(final, self.bench.evidence(final, less), self.price(trial, 60), 0.0)
-            if not step.accepted and not self.out_of_time():
+            if step.accepted and not step.settled:
+                step = self.weighed(less, step)
+            if not (step.accepted and step.lead > LEAST_COLOURED) and not self.out_of_time():
                 final, number = less, 0
                 without.clear()
                 continue
@@ -354,7 +411,12 @@ class _Searcher:
         final, found = self.backward(reached)
         if final is not reached:
             screening = Screening(final.fit)
-        return Search(self.baseline, final, tuple(found), tuple(self.rounds), screening, complete)
+        chance = None
+        if max(final.train.normalised, final.held.normalised) > SETTLED:
+            self.say("weighing what remains against chance", 0.88)
+            self.colour(final, self.baseline)
+            chance = self.colours[id(final)][1:]
+        return Search(self.baseline, final, tuple(found), tuple(self.rounds), screening, complete, chance)
 
 
 def _nothing_left(hypothesis: Hypothesis) -> bool:
@@ -363,24 +425,7 @@ def _nothing_left(hypothesis: Hypothesis) -> bool:
 
 def _settled(steps: Sequence[Step]) -> bool:
     """Whether a candidate leaves nothing but rounding."""
-    return any(
-        step.accepted
-        and not step.trial.is_pattern
-        and max(step.hypothesis.train.normalised, step.hypothesis.held.normalised) < SETTLED
-        for step in steps
-    )
-
-
-def _choice(steps: Sequence[Step]) -> Step | None:
-    """The best effect, or a pattern that is clearly ahead of it."""
-    effects = [step for step in steps if step.accepted and not step.trial.is_pattern]
-    patterns = [step for step in steps if step.accepted and step.trial.is_pattern]
-    best = effects[0] if effects else None
-    if patterns:
-        lead = patterns[0].worth - (best.worth if best else 0.0)
-        if lead > max(PATTERN_LEAST, PATTERN_LEAD * patterns[0].worth):
-            return patterns[0]
-    return best
+    return any(step.accepted and not step.trial.is_pattern and step.leaves < SETTLED for step in steps)
 
 
 def search(

@@ -11,10 +11,12 @@ from heli_sim.diagnose.search import AMBIGUOUS, Found, Search
 
 EXPLAINED: Final = 1.04
 """A normalised error up to here is nothing but rounding: practice flights reach 1.00 to 1.02."""
-CHANCE_REPEATS: Final = 0.25
-"""A missing torque of which less than this share repeats in another flight is chance."""
-CHANCE_BURSTS: Final = 2.0
-"""Excess kurtosis up to which it is steady enough to be chance."""
+LEFT_SHARE: Final = 0.01
+"""Share of the excess of the mean square that causes may leave: models of large causes are not exact."""
+CHANCE_ELSEWHERE: Final = 0.003
+"""Share of its evidence that a random torque about one axis alone may lose against torques about all."""
+CHANCE_LOSES: Final = 15.0
+"""The same as a logarithm of a likelihood ratio, for small torques."""
 CHANCE_OVER_ERROR: Final = 1.0
 """It must stand out of its estimate's error by this factor."""
 OFF_LIST_SHARE: Final = 0.3
@@ -64,26 +66,44 @@ def judge(search: Search, left: Leftover, removed: bool = False) -> Verdict:
     """
     causes = tuple(one for one in search.found if not one.trial.is_pattern)
     off_list = tuple(one for one in search.found if one.trial.is_pattern)
-    # The held-out flight alone may be worse by what differs from flight to flight.
-    remains = search.final.train.normalised > EXPLAINED and search.final.held.normalised > EXPLAINED
-    remains |= min(search.final.train.normalised, search.final.held.normalised) > EXPLAINED
     chance = (
-        remains
+        remains(search)
         and not off_list
-        and left.repeats < CHANCE_REPEATS
+        and not left.depends
         and left.over_error > CHANCE_OVER_ERROR
-        and left.bursts < CHANCE_BURSTS
+        and left.lost < max(CHANCE_LOSES, CHANCE_ELSEWHERE * left.gained)
     )
     if off_list:
         pattern, effect = (sum(one.evidence.raw for one in group) for group in (off_list, causes))
         if not causes or pattern > OFF_LIST_SHARE * (pattern + effect):
             return Verdict("unexplained", causes, off_list, False)
+    if remains(search) and not chance:
+        return Verdict("unexplained", causes, off_list, False)
     if causes:
         unclear = any(ambiguous_with(one) for one in causes)
         return Verdict("ambiguous" if unclear else "cause_found", causes, off_list, chance)
-    if not remains:
-        return Verdict("cause_found" if removed else "explained", (), off_list, False)
-    return Verdict("cause_found" if chance else "unexplained", (), off_list, chance)
+    return Verdict("cause_found" if chance or removed else "explained", (), off_list, chance)
+
+
+def remains(search: Search) -> bool:
+    """Whether the final model leaves more than rounding.
+
+    Parameters
+    ----------
+    search : Search
+        What was found.
+
+    Returns
+    -------
+    bool
+        Whether something is still missing.
+    """
+    train, held = search.final.train.normalised, search.final.held.normalised
+    # The held-out flight alone may be worse by what differs from flight to flight.
+    if min(train, held) < EXPLAINED:
+        return False
+    before = search.baseline.train.normalised**2 + search.baseline.held.normalised**2 - 2.0
+    return train**2 + held**2 - 2.0 > LEFT_SHARE * before
 
 
 def ambiguous_with(found: Found) -> list[str]:
