@@ -35,6 +35,9 @@ ISSUE = [
     ),
 ]
 
+MEASURED = ["edgewise_flow", "gyroscopic_torque"]
+"""What the issue does not name, and measured flights show."""
+
 
 def example() -> str:
     """The file that the document shows."""
@@ -51,8 +54,9 @@ def written(folder: Path, text: str) -> Path:
 
 def test_every_effect_of_the_list_is_there_in_its_order() -> None:
     ids = list(catalogue())
-    assert ids[: len(ISSUE)] == ISSUE
-    assert all(id.startswith("removed.") for id in ids[len(ISSUE) :])
+    known = ISSUE + MEASURED
+    assert ids[: len(known)] == known
+    assert all(id.startswith("removed.") for id in ids[len(known) :])
 
 
 def test_no_two_effects_share_a_number_and_each_has_a_size_and_a_range() -> None:

@@ -137,6 +137,29 @@ def test_reaction_torque_is_an_actuators_moment_about_its_thrust(back: float) ->
     agree(f"rotor_reaction_torque=front_m:0.04,back_m:{back}", theirs(change))
 
 
+def test_edgewise_flow_goes_by_the_speed_of_the_pitch_axis_along_the_short_arm() -> None:
+    def control(model: Any, data: Any, thrust_N: Vector) -> Vector:
+        velocity = np.empty(6)
+        body = model.body("body").id
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 1)
+        moved: Vector = thrust_N * (1 + 0.1 * velocity[4] * np.array([-1.0, 1.0]))
+        return moved
+
+    agree("edgewise_flow=0.1", theirs(control=control))
+
+
+def test_gyroscopic_torque_is_that_of_a_spinning_wheel_on_the_short_arm() -> None:
+    def control(model: Any, data: Any, thrust_N: Vector) -> Vector:
+        velocity = np.empty(6)
+        body = model.body("body").id
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 0)
+        up = data.xmat[body].reshape(3, 3)[:, 2]
+        data.xfrc_applied[body, 3:] = -np.cross(velocity[:3], 0.05 * thrust_N.sum() * up)
+        return thrust_N
+
+    agree("gyroscopic_torque=0.05", theirs(control=control))
+
+
 @pytest.mark.parametrize("axis", ["elevation", "travel"])
 def test_a_cable_is_a_joints_spring(axis: str) -> None:
     def change(model: Any) -> None:

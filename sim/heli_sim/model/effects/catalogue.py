@@ -22,8 +22,10 @@ from heli_sim.model.effects import (
     cable_spring,
     coulomb_friction,
     counterweight_shift,
+    edgewise_flow,
     encoder_eccentricity,
     ground_effect,
+    gyroscopic_torque,
     inflow_damping,
     input_delay,
     periodic_torque,
@@ -65,6 +67,8 @@ _BUILT_IN: Final[tuple[EffectKind, ...]] = (
     *zero_offset.KINDS,
     *periodic_torque.KINDS,
     *random_torque.KINDS,
+    edgewise_flow.KIND,
+    gyroscopic_torque.KIND,
     *removed.KINDS,
 )
 

@@ -1,0 +1,61 @@
+"""The rotor that leads in travel meets still air and pushes more than the one that follows in its wake."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import casadi as ca
+
+from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.rig.quantity import Prior
+
+
+class EdgewiseFlow(Effect):
+    """Thrust moves from the rotor that follows to the one that leads, with the speed along the short arm.
+
+    A rotor that moves edgewise sucks in more air at its leading edge, and so does a pair of them. The torque
+    about pitch raises the side that leads, against the lean that drives travel: speed steadies the rig.
+    """
+
+    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
+        """Give to one rotor what the other loses.
+
+        Parameters
+        ----------
+        at : Situation
+            Present state, voltages and parameters.
+        thrust_N : casadi.SX
+            Thrust of rotors that do not move edgewise, shape (2, 1).
+
+        Returns
+        -------
+        casadi.SX
+            Thrust of these, shape (2, 1).
+        """
+        state, p = at.state, at.parameter
+        c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
+        around_m_s = (p["L_a"] * c + p["L_theta"] * s) * state["travel_rate_rad_s"]
+        up_m_s = p["L_a"] * state["elevation_rate_rad_s"]
+        pitch = state["pitch_rad"]
+        edgewise_m_s = around_m_s * ca.cos(pitch) - up_m_s * ca.sin(pitch)
+        # Positive travel moves the back rotor ahead of the front one.
+        return thrust_N * (1 + self.own(at, "s_per_m") * edgewise_m_s * ca.vertcat(-1, 1))
+
+
+KIND: Final = EffectKind(
+    id="edgewise_flow",
+    effect=EdgewiseFlow,
+    says="the rotor that leads in travel gains a share of {s_per_m} of its thrust, and the other loses it",
+    equation=(
+        r"F_f \to F_f (1 - c\, v), \quad F_b \to F_b (1 + c\, v), "
+        r"\quad v = L_a (\dot\psi \cos\theta \cos\phi - \dot\theta \sin\phi)"
+    ),
+    acts_on="thrust",
+    stage=Stage.INFLOW,
+    numbers=(
+        Parameter("s_per_m", "s/m", "share c for each m/s", 0.08, Prior(0.0, 0.1, 0.0, 1.0), size=True),
+    ),
+    needs=("L_a", "L_theta"),
+    source="helicopter theory: a rotor in edgewise flow has more inflow at its trailing edge, and pitches up",
+)
