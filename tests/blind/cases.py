@@ -10,7 +10,7 @@ import numpy as np
 from heli_sim.rig import Rig, load_rig
 
 from tests.blind.flights import flown, plan
-from tests.blind.hidden import LISTED, OTHER_FORMS, Maker
+from tests.blind.hidden import LISTED, MORE_LISTED, OTHER_FORMS, Maker
 from tests.blind.mujoco_rig import Hidden
 from tests.blind.off_list import MORE_OFF_LIST, OFF_LIST
 
@@ -162,6 +162,12 @@ def _in_order() -> Iterator[Case]:
             seed += 1
             value = off_size * _OFF_FACTOR[size]
             yield Case(f"off-{name}-{('', 'small', 'large')[size]}", (), ((name, value),), seed, (maker,))
+    seed = 1600
+    for size in (2, 1):
+        for name, (maker, small, large) in MORE_LISTED.items():
+            seed += 1
+            value = (large if size == 2 else small) * _factor(seed)
+            yield Case(f"{name}-{('', 'small', 'large')[size]}", ((name, value),), (), seed, (maker,))
 
 
 def _factor(seed: int) -> float:

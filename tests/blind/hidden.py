@@ -111,6 +111,31 @@ class OpposedReactionTorque(ReactionTorque):
     back_turns = -1.0
 
 
+class SpinningRotors(Hidden):
+    """Size: angular momentum for each newton of propellers that turn the same way, along their axis."""
+
+    def torque(self, at: Moment) -> None:
+        # Axes of the joints in a frame that turns with travel: elevation, pitch, travel.
+        elevation, pitch = at.angles_rad[0], at.angles_rad[1]
+        forward = np.array([np.cos(elevation), 0.0, np.sin(elevation)])
+        above = np.array([-np.sin(elevation), 0.0, np.cos(elevation)])
+        axes = np.array([[0.0, -1.0, 0.0], -forward, [0.0, 0.0, 1.0]])
+        along = np.cos(pitch) * above + np.sin(pitch) * np.array([0.0, 1.0, 0.0])
+        turning = axes.T @ at.rates_rad_s
+        at.torque_Nm += axes @ -np.cross(turning, self.size * at.thrust_N.sum() * along)
+
+
+class LeadingRotor(Hidden):
+    """Size: share of thrust for each m/s of travel that the leading rotor gains and the other loses."""
+
+    late = True
+
+    def thrust(self, at: Moment) -> None:
+        around_m_s = 0.64 * at.rates_rad_s[2] * np.cos(at.angles_rad[0]) * np.cos(at.angles_rad[1])
+        along_m_s = around_m_s - 0.64 * at.rates_rad_s[0] * np.sin(at.angles_rad[1])
+        at.thrust_N = at.thrust_N * (1.0 + self.size * along_m_s * np.array([-1.0, 1.0]))
+
+
 class Coulomb(Hidden):
     def __init__(self, size: float, rng: np.random.Generator, axis: int) -> None:
         super().__init__(size, rng)
@@ -320,6 +345,12 @@ LISTED: dict[str, tuple[Maker, float, float]] = {
     "random_torque.travel": (_On(RandomTorque, 2), 0.015, 0.05),
 }
 """Maker, small and large size of each. Travel has no zero to be off: every place of it is as good."""
+
+MORE_LISTED: dict[str, tuple[Maker, float, float]] = {
+    "edgewise_flow": (LeadingRotor, 0.04, 0.12),
+    "gyroscopic_torque": (SpinningRotors, 0.02, 0.05),
+}
+"""The same for what measured flights brought; a list of its own, so that the others keep their seeds."""
 
 OTHER_FORMS: dict[str, tuple[str, Maker, float]] = {
     "rotor_reaction_torque-opposed": ("rotor_reaction_torque", OpposedReactionTorque, 0.03),

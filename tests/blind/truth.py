@@ -118,5 +118,7 @@ _SAME: Mapping[str, Callable[[Numbers], dict[str, float]]] = {
     "zero_offset": lambda of: {"rad": -math.radians(of["size"])},
     "periodic_torque": lambda of: {"Hz": of["frequency_Hz"]},
     "random_torque": lambda of: {"Nm": of["size"], "s": of["lasts_s"]},
+    "edgewise_flow": lambda of: {"s_per_m": of["size"]},
+    "gyroscopic_torque": lambda of: {"m_s": of["size"]},
     "removed": lambda of: {"share": of["size"]},
 }
