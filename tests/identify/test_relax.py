@@ -83,6 +83,18 @@ def test_play_of_travel_is_found_though_nothing_ties_the_arm_to_a_side_of_it() -
     assert check(validate(fit, flights[1:], labels=["other"])).normalised < 1.1
 
 
+def test_a_frequency_waits_until_its_torque_is_found() -> None:
+    kind, own = catalogue()["periodic_torque.travel"], "periodic_torque_travel_"
+    true = {own + "sin_Nm": 0.04, own + "cos_Nm": 0.0, own + "Hz": 2.25}
+    flight = thinned(flown(RIG, 7, FLIGHT_S, MultibodyModel((kind.make(true),))), 2)
+    # Small, and at a phase that has nothing to do with the true one.
+    start = kind.make({own + "sin_Nm": -0.002, own + "cos_Nm": -0.002, own + "Hz": 2.26})
+    fit = solve(Problem(MultibodyModel((start,)), RIG, [flight], step_s=0.004))
+    assert check(fit).normalised < 1.03
+    assert abs(fit.values[own + "Hz"] - 2.25) < 3.0 * fit.std[own + "Hz"]
+    assert abs(np.hypot(fit.values[own + "sin_Nm"], fit.values[own + "cos_Nm"]) - 0.04) < 0.002
+
+
 def test_a_better_state_from_before_is_taken() -> None:
     problem = posed(DRY_Nm)
     theta = problem.start

@@ -7,12 +7,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_sim.identify import combinations, untaught
+from heli_sim.identify import Problem, combinations, prepare, solve, untaught
 from heli_sim.identify.functions import Floats
 from heli_sim.identify.noise import balanced, correlation_at, inflation, window_weights
 from heli_sim.identify.result import Identification
 from heli_sim.identify.run import identify
+from heli_sim.identify.uncertainty import timing_variance
 from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import RotorLag
 from heli_sim.rig import load_rig
 
 from tests.identify.made import flown
@@ -78,6 +80,16 @@ def test_no_estimate_is_less_sure_than_before_the_flight() -> None:
     for one, std in zip(told.fit.problem.free, told.fit.std.values(), strict=True):
         # What rounding scatters is added to what the prior holds: 2 % of it where a flight teaches nothing.
         assert std <= 1.03 * one.prior.std, one.name
+
+
+def test_no_time_is_surer_than_the_tick_within_which_a_voltage_begins() -> None:
+    record = prepare(flown(load_rig("makki2024"), 3, 25.0), load_rig("makki2024"), "a")
+    model = MultibodyModel((RotorLag(0.05),))
+    problem = Problem(model, load_rig("makki2024"), [record])
+    late = timing_variance(problem)
+    assert late[problem.names.index("rotor_lag_s")] == pytest.approx(record.step_s**2 / 12.0)
+    assert np.count_nonzero(late) == 1
+    assert solve(problem).std["rotor_lag_s"] >= record.step_s / math.sqrt(12.0)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.9])

@@ -21,8 +21,10 @@ from heli_sim.identify.noise import balanced, inflation, window_weights
 from heli_sim.identify.normal import bounded_solve, reduce_looks
 from heli_sim.identify.problem import Look, Problem
 from heli_sim.identify.relax import relax, restart, window_cost
-from heli_sim.identify.uncertainty import rounding_scatter
+from heli_sim.identify.uncertainty import rounding_scatter, timing_variance
 
+_ROUGH: Final = 3
+"""First rounds, in which the weights and much else is far off."""
 _ROUNDS: Final = 8
 """Most updates of the weights."""
 _FINE_ROUNDS: Final = 4
@@ -173,6 +175,7 @@ class _Solver:
         self.variance: list[Floats] = []
         self.weights: list[Floats] = []
         self.reference: list[Floats] = []
+        self.held = np.zeros(len(problem.free), bool)
 
     def out_of_budget(self) -> bool:
         seconds = time.perf_counter() - self.started_s
@@ -305,7 +308,8 @@ class _Solver:
         right = gradient + weight * (problem.prior_mean - point.theta)
         # Damped in units of the priors: weak combinations of known numbers may move that far and no more.
         matrix = information + np.diag((1.0 + self.damping) * weight)
-        move = bounded_solve(matrix, right, *(bound - point.theta for bound in problem.bounds))
+        room = [np.where(self.held, 0.0, bound - point.theta) for bound in problem.bounds]
+        move = bounded_solve(matrix, right, *room)
         states = [
             start + free - np.einsum("wsf,f->ws", slave, move[columns])
             for start, (free, slave), columns in zip(point.states, follow, problem.columns, strict=True)
@@ -402,17 +406,20 @@ def solve(
         )
     rounds = _ROUNDS
     converged = True
+    searched = {name for effect in problem.model.effects for name in effect.searched}
     for number in range(rounds):
+        # Beside sizes that are still wrong, a frequency or a moment would run away.
+        solver.held[:] = [number < _ROUGH and one.quantity in searched for one in problem.free]
         share = (0.6 * number / rounds, 0.6 * (number + 1) / rounds)
         # Far from the answer the weights are rough: only the last rounds need small steps.
         point, finished = solver.descend(
-            point, f"coarse fit, round {number + 1}", share, most=4 if number < 3 else 30
+            point, f"coarse fit, round {number + 1}", share, most=4 if number < _ROUGH else 30
         )
         converged = finished
         rescued = number in (2, 3) and finished and solver.rescue(point)
         change = solver.reweight(point)
         solver.damping = 0.0
-        if not finished or (number >= 2 and change < _SETTLED and not rescued):
+        if not finished or (number >= _ROUGH - 1 + bool(searched) and change < _SETTLED and not rescued):
             break
     if fine and not solver.out_of_budget():
         solver.fine = True
@@ -460,6 +467,7 @@ def _result(solver: _Solver, point: _Point, converged: bool) -> Fit:
         )
         wider = np.maximum(1.0, scatter / np.sqrt(np.diag(covariance)))
         covariance = covariance * np.outer(wider, wider)
+        covariance = covariance + np.diag(timing_variance(problem))
     low, high = problem.bounds
     bound = (point.theta <= low) | (point.theta >= high)
     return Fit(

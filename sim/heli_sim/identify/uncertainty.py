@@ -75,6 +75,30 @@ def rounding_scatter(
     return result
 
 
+def timing_variance(problem: Problem) -> Floats:
+    """Variance of times that are counted from the voltages, because a log does not say when these began.
+
+    A row holds the voltage of its tick, not the moment within the tick at which the motors got it. Simulators
+    differ in this by half a tick, as do explicit and exact steps of a lag, and a fit finds the time to a
+    fiftieth of a tick.
+
+    Parameters
+    ----------
+    problem : Problem
+        What is fitted.
+
+    Returns
+    -------
+    ndarray (f,)
+        That of a moment anywhere in a tick, for parameters of effects in s; 0 for all others.
+    """
+    own = {name for effect in problem.model.effects for name in effect.priors}
+    tick_s = max(record.step_s for record in problem.records)
+    late = [one.unit == "s" and one.quantity in own for one in problem.free]
+    result: Floats = np.where(late, tick_s**2 / 12.0, 0.0)
+    return result
+
+
 @dataclass(frozen=True)
 class Combination:
     """A direction in which the parameters may move together without the flight noticing.

@@ -89,6 +89,9 @@ class Effect:
     shown : Mapping[str, str]
         Those of `states` that are what an encoder shows, by name, with the axis: whoever starts in the middle
         of a flight knows them from it.
+    searched : tuple of str
+        Those of `parameters` that a search has to bring near, such as a frequency: beside a size that is still
+        wrong a descent leads away from them.
     """
 
     name: str
@@ -100,6 +103,7 @@ class Effect:
     stage: Stage = Stage.GAIN
     shaken: int = 0
     shown: Mapping[str, str] = field(default_factory=dict)
+    searched: tuple[str, ...] = ()
 
     @property
     def prefix(self) -> str:

@@ -223,6 +223,7 @@ class EffectKind:
             stage=self.stage,
             shaken=self.shaken,
             shown={self.full(state): axis for state, axis in self.shown.items()},
+            searched=tuple(name for name in self.scan if name in self.priors),
         )
 
     def scanned(self, seconds: float) -> dict[str, tuple[float, ...]]:
