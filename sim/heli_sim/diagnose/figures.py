@@ -1,4 +1,7 @@
-"""Figures of a diagnosis."""
+"""Figures of a diagnosis.
+
+Margins are set by hand: matplotlib's own layout takes as long as everything else in the report.
+"""
 
 from __future__ import annotations
 
@@ -48,8 +51,9 @@ def figure_of_flight(before: Hypothesis, after: Hypothesis, index: int = 0) -> F
     from matplotlib.figure import Figure
 
     old, new = trace(_judged(before), index), trace(_judged(after), index)
-    figure = Figure(figsize=(11, 9), layout="constrained")
+    figure = Figure(figsize=(11, 9))
     panels = figure.subplots(6, 1, sharex=True, height_ratios=[2, 1.2, 2, 1.2, 2, 1.2])
+    figure.subplots_adjust(0.06, 0.06, 0.87, 0.95, hspace=0.12)
     keep = slice(None, None, max(1, len(old.t_s) // _MOST_POINTS))
     for axis in range(3):
         above, below = panels[2 * axis], panels[2 * axis + 1]
@@ -90,8 +94,9 @@ def figure_of_windows(before: Hypothesis, after: Hypothesis, index: int = 0) -> 
     from matplotlib.figure import Figure
 
     old, new = trace(_judged(before), index), trace(_judged(after), index)
-    figure = Figure(figsize=(11, 3.4), layout="constrained")
+    figure = Figure(figsize=(11, 3.4))
     panels = figure.subplots(1, 3)
+    figure.subplots_adjust(0.06, 0.22, 0.98, 0.92, wspace=0.18)
     for axis, panel in enumerate(panels):
         worst = max(old.windows, key=lambda part: float(np.mean(old.residual[part, axis] ** 2)))
         t_s = old.t_s[worst]
@@ -105,7 +110,7 @@ def figure_of_windows(before: Hypothesis, after: Hypothesis, index: int = 0) -> 
         panel.grid(alpha=0.25)
     panels[0].set_ylabel("angle [deg]")
     lines, names = panels[0].get_legend_handles_labels()
-    figure.legend(lines, names, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    figure.legend(lines, names, loc="lower center", ncols=3, fontsize=8, frameon=False)
     return figure
 
 
@@ -126,8 +131,9 @@ def figure_of_torque(diagnosis: Diagnosis) -> Figure:
 
     before = missing_torque(Tangent(diagnosis.search.baseline.fit))
     after = missing_torque(Tangent(diagnosis.extended.fit))
-    figure = Figure(figsize=(11, 6.5), layout="constrained")
+    figure = Figure(figsize=(11, 6.5))
     panels = figure.subplots(3, 2, width_ratios=[2.4, 1])
+    figure.subplots_adjust(0.07, 0.08, 0.98, 0.91, wspace=0.12, hspace=0.35)
     for axis in range(3):
         for torque, color, label in ((before, _BEFORE, "before"), (after, _AFTER, "after")):
             value_mNm = 1e3 * torque.value_Nm[:, axis]
@@ -161,8 +167,10 @@ def figure_of_ranking(rounds: tuple[Round, ...]) -> Figure:
     from matplotlib.figure import Figure
 
     shown = rounds[:4]
-    figure = Figure(figsize=(11, 0.6 + 2.6 * len(shown)), layout="constrained")
+    height = 2.9 * len(shown)
+    figure = Figure(figsize=(11, height))
     panels: Floats = np.atleast_1d(figure.subplots(len(shown), 1))
+    figure.subplots_adjust(0.3, 0.5 / height, 0.98, 1.0 - 0.3 / height, hspace=0.4)
     for number, (one, panel) in enumerate(zip(shown, panels, strict=True), 1):
         _rank(one, number, panel)
     return figure
@@ -209,8 +217,9 @@ def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
 
     if not diagnosis.verdict.causes:
         return None
-    figure = Figure(figsize=(11, 5.5), layout="constrained")
+    figure = Figure(figsize=(11, 5.5))
     panels = figure.subplots(3, 1, sharex=True)
+    figure.subplots_adjust(0.08, 0.09, 0.98, 0.9, hspace=0.3)
     for number, found in enumerate(diagnosis.verdict.causes):
         t_s, change = accelerations(diagnosis.extended.fit, found.trial.id)
         for axis, panel in enumerate(panels):
