@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 from heli_sim.diagnose import Diagnosis, diagnose
 from heli_sim.diagnose.gain import gain
@@ -85,6 +86,20 @@ def test_effect_that_no_catalogue_has_is_unexplained_and_said_to_go_with_elevati
     assert numbers["unexplained"]["correlates_with"][0] == "torque.pitch on elevation"
     assert numbers["unexplained"]["share_of_variance"] > 0.9
     assert "[[segment]]" in numbers["next_flight"]["plan"]
+
+
+def test_curve_in_the_place_of_an_unknown_cause_is_the_cause_and_in_no_rig(tmp_path: Path) -> None:
+    found = diagnosed(off_list=True)
+    (curve,) = found.curves
+    # 0.05 N m a radian was hidden, in mN m against degrees, and a constant belongs to the trim.
+    slope = np.polyfit(curve.place, curve.value, 1)[0]
+    assert slope == pytest.approx(50.0 * np.pi / 180.0, rel=0.1)
+    assert found.curve_gains["pitch"].ratio < 0.2
+    assert found.gains["pitch"].ratio == pytest.approx(1.0)
+    assert found.rig("extended").effects == {}
+    page = write_report(found, tmp_path).read_text(encoding="utf-8")
+    assert "torque.pitch on elevation, seen from" in page
+    assert (tmp_path / "curves.png").exists()
 
 
 def test_extended_rig_is_read_back_with_the_cause_and_its_size(tmp_path: Path) -> None:

@@ -5,10 +5,12 @@ Margins are set by hand: matplotlib's own layout takes as long as everything els
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from heli_sim.diagnose.curves import Curve
 from heli_sim.diagnose.hypothesis import Hypothesis
 from heli_sim.diagnose.pattern import named
 from heli_sim.diagnose.result import Diagnosis
@@ -233,6 +235,34 @@ def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
         _above(panel)
     figure.suptitle("acceleration that each cause makes over the flight fitted", fontsize=11)
     panels[-1].set_xlabel("time [s]")
+    return figure
+
+
+def figure_of_curves(curves: Sequence[Curve]) -> Figure:
+    """Draw the curves that stand for what is on no list.
+
+    Parameters
+    ----------
+    curves : sequence of Curve
+        At least one.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel a curve, with twice its standard error.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 3.4))
+    panels = np.atleast_1d(figure.subplots(1, len(curves)))
+    figure.subplots_adjust(0.08, 0.16, 0.98, 0.92, wspace=0.25)
+    for curve, panel in zip(curves, panels, strict=True):
+        low, high = curve.value - 2.0 * curve.std, curve.value + 2.0 * curve.std
+        panel.fill_between(curve.place, low, high, color=_AFTER, alpha=0.2, lw=0)
+        panel.plot(curve.place, curve.value, color=_AFTER)
+        panel.set_xlabel(f"{curve.on} [{curve.place_unit}]")
+        panel.set_ylabel(f"{curve.channel} [{curve.value_unit}]")
+        panel.grid(alpha=0.25)
     return figure
 
 

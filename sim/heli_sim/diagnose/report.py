@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from heli_sim.diagnose.figures import (
+    figure_of_curves,
     figure_of_equation,
     figure_of_flight,
     figure_of_ranking,
@@ -78,7 +79,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
         "<h2>What is left over</h2>",
         _residual(numbers["residual"]),
         image(figure_of_torque(diagnosis), folder / "torque.png", "torque that the model lacks"),
-        _remains(diagnosis, numbers),
+        _remains(diagnosis, numbers, folder),
         "<h2>What was tried</h2>",
         image(figure_of_ranking(diagnosis.search.rounds), folder / "ranking.png", "candidates by score"),
         _ranking(numbers["ranking"]),
@@ -224,19 +225,30 @@ def _residual(residual: dict[str, Any]) -> str:
     return table(heads, rows) + f'<p class="note">{note}</p>'
 
 
-def _remains(diagnosis: Diagnosis, numbers: dict[str, Any]) -> str:
+def _remains(diagnosis: Diagnosis, numbers: dict[str, Any], folder: Path) -> str:
     missing = numbers["unexplained"]
     left = diagnosis.leftover
-    text = (
-        f"<p>After the extension the largest torque that is still missing is about {left.axis}: "
+    curves = diagnosis.curves
+    text = ""
+    if missing is not None:
+        depends = "".join(f"<li>{escaped(one)}</li>" for one in missing["correlates_with"])
+        text = (
+            f"<p>{missing['share_of_variance']:.1%} of the variance of the error about "
+            f"{escaped(missing['axis'])} is explained by no effect. It goes with, the strongest first:</p>"
+            f"<ul>{depends}</ul>"
+        )
+    if curves:
+        said = "; ".join(curve.what for curve in curves)
+        text += (
+            f"<p>In its place the model was given a plain curve: {escaped(said)}. It is in no rig. "
+            "With it the free run would be off by this much:</p>"
+            + _gain({"axis": missing["gain_with_curves"], "metric": numbers["gain"]["metric"]})
+            + image(figure_of_curves(curves), folder / "curves.png", "curve in the place of the cause")
+        )
+    after = "Beyond what was found" + (" and that curve" if curves else "")
+    return text + (
+        f"<p>{after}, the plainest torque that is still missing is about {left.axis}: "
         f"{1e3 * left.size_Nm:.2g} mN m, {left.over_error:.2g} times what its estimate is unsure by.</p>"
-    )
-    if missing is None:
-        return text
-    depends = "".join(f"<li>{escaped(one)}</li>" for one in missing["correlates_with"])
-    return (
-        f"{text}<p>Unexplained about {escaped(missing['axis'])}: a share of "
-        f"{missing['share_of_variance']:.3f} of the error's variance. It goes with:</p><ul>{depends}</ul>"
     )
 
 

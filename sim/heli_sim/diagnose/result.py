@@ -8,10 +8,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from heli_sim.diagnose.curves import Curve, curve_of
 from heli_sim.diagnose.gain import AxisGain
 from heli_sim.diagnose.hypothesis import Errors, Hypothesis
 from heli_sim.diagnose.leftover import Leftover, correlates
 from heli_sim.diagnose.next_flight import NextFlight
+from heli_sim.diagnose.pattern import Pattern
 from heli_sim.diagnose.removed import Removed
 from heli_sim.diagnose.search import Found, Search
 from heli_sim.diagnose.unseen import unlearned_numbers
@@ -23,6 +25,7 @@ from heli_sim.model.effects import EffectKind, effect_numbers
 from heli_sim.rig import Number, Rig
 
 _FEW_WINDOWS: Final = 5
+_WORTH_A_LINE: Final = 0.9
 METRIC: Final = "2 s free-run rms on the validation flights, deg"
 
 
@@ -42,6 +45,8 @@ class Diagnosis:
         The model with the causes of the catalogue alone, as the extended rig flies it.
     gains : Mapping[str, AxisGain]
         Free-run errors before and after, by axis.
+    curve_gains : Mapping[str, AxisGain]
+        The same with the curves that stand for what is on no list; empty without any.
     removed : tuple of Removed
         Terms of the baseline whose numbers the fit found to be nothing.
     kinds : Mapping[str, EffectKind]
@@ -61,6 +66,7 @@ class Diagnosis:
     leftover: Leftover
     extended: Hypothesis
     gains: Mapping[str, AxisGain]
+    curve_gains: Mapping[str, AxisGain]
     removed: tuple[Removed, ...]
     kinds: Mapping[str, EffectKind]
     unseen: tuple[str, ...]
@@ -117,6 +123,12 @@ class Diagnosis:
         return self.verdict.word
 
     @property
+    def curves(self) -> list[Curve]:
+        """What stands in the place of what is on no list, the strongest first."""
+        effects = (one.trial.effect for one in self.verdict.off_list)
+        return [curve_of(one, self.search.final.fit) for one in effects if isinstance(one, Pattern)]
+
+    @property
     def random_torque(self) -> dict[str, tuple[float, float, str]]:
         """Numbers of the random torque, value, standard error and unit; empty when there is none."""
         if not self.verdict.chance:
@@ -154,9 +166,12 @@ class Diagnosis:
         if word in ("cause_found", "ambiguous"):
             return f"{text}."
         missing = self._unexplained() or {}
-        depends = ", ".join(missing.get("correlates_with", ())[:2]) or "nothing that was looked at"
+        depends = ", ".join(missing.get("correlates_with", ())[:1]) or "nothing that was looked at"
         first = f"{text}. Besides, something" if text else "Something"
-        return f"{first} is missing that no effect of the catalogue explains; it goes with {depends}."
+        share = (
+            f"{missing['share_of_variance']:.0%} of the error about {missing['axis']}" if missing else "it"
+        )
+        return f"{first} is missing that no effect of the catalogue explains: {share} goes with {depends}."
 
     @property
     def cautions(self) -> list[str]:
@@ -187,6 +202,11 @@ class Diagnosis:
                 f"  {axis:9}  {one.before_deg:<7.3g} {one.after_deg:<7.3g} {one.ratio:.2f} "
                 f"({low:.2f} to {high:.2f})"
             )
+        for curve in self.curves:
+            lines.append(f"a curve in its place: {curve.what}")
+        for axis, one in self.curve_gains.items():
+            if one.ratio < _WORTH_A_LINE:
+                lines.append(f"  with it {axis} is off by {one.after_deg:.3g} deg, ratio {one.ratio:.2f}")
         if self.next_flight is not None:
             lines.append(f"next flight: {self.next_flight.why}")
         elif self.unseen:
@@ -207,15 +227,7 @@ class Diagnosis:
             "residual": self._residual(),
             "gain": {
                 "metric": self._metric,
-                "axis": {
-                    axis: {
-                        "before": one.before_deg,
-                        "after": one.after_deg,
-                        "ratio": one.ratio,
-                        "interval95": list(one.interval95),
-                    }
-                    for axis, one in self.gains.items()
-                },
+                "axis": _gains(self.gains),
             },
             "unexplained": self._unexplained(),
             "next_flight": {"why": self.next_flight.why, "plan": self.next_flight.plan}
@@ -385,6 +397,7 @@ class Diagnosis:
             "correlates_with": [f"{channel} on {on}", *others],
             "share_of_variance": round(_share(base, final, axis), 4),
             "all": [one.trial.id.removeprefix("pattern:") for one in self.verdict.off_list],
+            "gain_with_curves": _gains(self.curve_gains),
         }
 
     def _flights(self) -> list[dict[str, Any]]:
@@ -453,6 +466,18 @@ def stds(fit: Fit) -> dict[str, float]:
 
 def _spelled(values: Mapping[str, tuple[float, float, str]]) -> dict[str, dict[str, float | str]]:
     return {name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in values.items()}
+
+
+def _gains(gains: Mapping[str, AxisGain]) -> dict[str, dict[str, Any]]:
+    return {
+        axis: {
+            "before": one.before_deg,
+            "after": one.after_deg,
+            "ratio": one.ratio,
+            "interval95": list(one.interval95),
+        }
+        for axis, one in gains.items()
+    }
 
 
 def _share(before: Errors, after: Errors, axis: str) -> float:

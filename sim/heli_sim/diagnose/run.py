@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from heli_host.flight import Flight
 
+from heli_sim.diagnose.curves import curve_of
 from heli_sim.diagnose.gain import gain
 from heli_sim.diagnose.hypothesis import Bench, Hypothesis
 from heli_sim.diagnose.leftover import leftover
@@ -19,6 +20,7 @@ from heli_sim.diagnose.next_flight import (
     flight_that_shows,
     next_flight,
 )
+from heli_sim.diagnose.pattern import Pattern
 from heli_sim.diagnose.removed import removed_terms
 from heli_sim.diagnose.result import Diagnosis
 from heli_sim.diagnose.search import AMBIGUOUS, Search, search
@@ -111,6 +113,7 @@ def diagnose(
         left,
         extended,
         gain(found.baseline, extended, seed),
+        gain(found.baseline, found.final, seed) if verdict.off_list else {},
         removed,
         every,
         unseen,
@@ -146,7 +149,16 @@ def _next(
         on = {one.trial.id.rpartition(":")[2] for one in verdict.off_list}
         parts = {part for part in ("travel", "elevation", "time") if any(part in name for name in on)}
         parts |= {"motors"} if any("thrust" in name for name in on) or not on else set()
-        return next_flight("What is missing should be seen over a wider range.", parts)
+        curves = [
+            curve_of(effect, found.final.fit)
+            for effect in (one.trial.effect for one in verdict.off_list)
+            if isinstance(effect, Pattern)
+        ]
+        seen = " and ".join(
+            f"{one.on} only from {one.place[0]:.3g} to {one.place[-1]:.3g} {one.place_unit}" for one in curves
+        )
+        reason = "What is missing should be seen over a wider range"
+        return next_flight(f"{reason}: these flights have {seen}." if seen else f"{reason}.", parts)
     seconds = sum(record.used_s for record in found.baseline.fit.problem.records)
     if seconds < _SHORT_s or len(unseen) > _MANY_UNSEEN:
         which = ", ".join(unseen) or "small effects"
