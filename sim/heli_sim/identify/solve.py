@@ -38,6 +38,8 @@ _OF_STATES: Final = 0.01
 """Damping of the states, in units of their own diagonal, for each unit of the parameters'."""
 _OUT_OF_LINE: Final = 1.5
 """A window whose mean square is this many times the median window's is started again from elsewhere."""
+_TOO_WRONG: Final = 9.0
+"""Mean square of the median window, in units of the rounding, above which the model is to blame."""
 _RESTARTS: Final = 2
 _SPREADS: Final = 3
 """Turns between variances and weights; a window out of line must not widen what it is measured against."""
@@ -273,10 +275,13 @@ class _Solver:
             of_record = self.reference[index], self.variance[index]
             # The second time the window before may have found its own valley.
             for turn in range(_RESTARTS):
-                squares = self.window_cost(point, index) / self.weights[index]
-                squares = squares / self.problem.grid(index, self.fine, point.theta).inputs.steps
-                lost = np.flatnonzero(squares > _OUT_OF_LINE * np.median(squares))
-                if not len(lost):
+                gram = point.looks[index].gram
+                assert gram is not None
+                steps = self.problem.grid(index, self.fine, point.theta).inputs.steps
+                squares = gram[:, :, -1, -1].sum(axis=1) / (3 * steps)
+                usual = float(np.median(squares))
+                lost = np.flatnonzero(squares > _OUT_OF_LINE * usual)
+                if not len(lost) or usual > _TOO_WRONG:
                     break
                 others = self.problem.other_starts(index, point.theta, point.states[index])
                 for other in others if turn == 0 else others[:1]:
