@@ -186,7 +186,7 @@ def without_terms(bench: Bench, baseline: Hypothesis, kinds: Iterable[EffectKind
             values=kind.held,
         )
         try:
-            fit = solve(problem)
+            fit = solve(problem, fine=False)
         except IdentifyError:
             continue
         after = errors(fit).normalised

@@ -8,18 +8,18 @@ from typing import Any, Final
 
 import numpy as np
 
+from heli_sim.diagnose import spelled
 from heli_sim.diagnose.curves import Curve, curve_of
 from heli_sim.diagnose.gain import AxisGain
-from heli_sim.diagnose.hypothesis import Errors, Hypothesis
-from heli_sim.diagnose.leftover import Leftover, correlates
+from heli_sim.diagnose.hypothesis import Hypothesis
+from heli_sim.diagnose.leftover import Leftover
 from heli_sim.diagnose.next_flight import NextFlight
 from heli_sim.diagnose.pattern import Pattern
 from heli_sim.diagnose.removed import Removed
 from heli_sim.diagnose.search import Found, Search
 from heli_sim.diagnose.unseen import unlearned_numbers
-from heli_sim.diagnose.verdict import Verdict, ambiguous_with, confidence
-from heli_sim.identify import Fit, check
-from heli_sim.identify.record import AXES
+from heli_sim.diagnose.verdict import Verdict
+from heli_sim.identify import Fit
 from heli_sim.identify.result import Identification
 from heli_sim.model.effects import EffectKind, effect_numbers
 from heli_sim.rig import Number, Rig
@@ -155,7 +155,7 @@ class Diagnosis:
         word = self.verdict.word
         normalised = self.extended.held.normalised
         where = "flights that no fit saw" if self.extended.held_fit else "the flights that were fitted"
-        said = [one["sentence"] for one in self._causes()]
+        said = [one["sentence"] for one in spelled.causes(self)]
         text = "; ".join(said)
         text = text[:1].upper() + text[1:]
         if word == "explained":
@@ -165,7 +165,7 @@ class Diagnosis:
             )
         if word in ("cause_found", "ambiguous"):
             return f"{text}."
-        missing = self._unexplained() or {}
+        missing = spelled.unexplained(self) or {}
         depends = ", ".join(missing.get("correlates_with", ())[:1]) or "nothing that was looked at"
         first = f"{text}. Besides, something" if text else "Something"
         share = (
@@ -191,11 +191,11 @@ class Diagnosis:
     def lines(self) -> list[str]:
         """Numbers behind the summary, a line each."""
         lines = []
-        for cause in self._causes():
+        for cause in spelled.causes(self):
             rivals = cause["ambiguous_with"]
             unclear = f"; could as well be {', '.join(rivals)}" if rivals else ""
             lines.append(f"{cause['effect']} (confidence {cause['confidence']:.2f}{unclear})")
-        lines.append(f"{self._metric}, before and after, and their ratio:")
+        lines.append(f"{self.metric}, before and after, and their ratio:")
         for axis, one in self.gains.items():
             low, high = one.interval95
             lines.append(
@@ -223,21 +223,21 @@ class Diagnosis:
         """
         return {
             "verdict": self.verdict.word,
-            "causes": self._causes(),
-            "residual": self._residual(),
+            "causes": spelled.causes(self),
+            "residual": spelled.residual(self),
             "gain": {
-                "metric": self._metric,
-                "axis": _gains(self.gains),
+                "metric": self.metric,
+                "axis": spelled.gains(self.gains),
             },
-            "unexplained": self._unexplained(),
+            "unexplained": spelled.unexplained(self),
             "next_flight": {"why": self.next_flight.why, "plan": self.next_flight.plan}
             if self.next_flight
             else None,
             "could_not_be_seen": list(self.unseen),
             "could_not_be_learned": list(unlearned_numbers(self.search.baseline.fit)),
             "cautions": self.cautions,
-            "flights": self._flights(),
-            "ranking": self._ranking(),
+            "flights": spelled.flights(self),
+            "ranking": spelled.ranking(self),
             "seconds_taken": self.seconds,
             "complete": self.search.complete,
         }
@@ -279,166 +279,9 @@ class Diagnosis:
         return Rig(found.name, found.description, found.numbers, effects, found.model)
 
     @property
-    def _metric(self) -> str:
+    def metric(self) -> str:
+        """What the gains measure, with its unit."""
         return METRIC if self.extended.held_fit else METRIC.replace("validation", "fitted")
-
-    def _causes(self) -> list[dict[str, Any]]:
-        causes: list[dict[str, Any]] = []
-        for one in self.verdict.causes:
-            causes.append(
-                {
-                    "effect": one.trial.id,
-                    "parameters": _spelled(self.values(one)),
-                    "confidence": round(confidence(one, self.search), 3),
-                    "sentence": self.sentence(one),
-                    "equation": self.kinds[one.trial.id].equation,
-                    "evidence": {
-                        "log_likelihood_ratio_train": one.evidence.train,
-                        "log_likelihood_ratio_held_out": one.evidence.held,
-                        "held_out_5_percent": one.evidence.held_low,
-                        "price": one.price,
-                        "variance_drop": one.evidence.drop,
-                        "rivals": {rival.id: rival.behind for rival in one.rivals},
-                    },
-                    "ambiguous_with": ambiguous_with(one),
-                }
-            )
-        if self.verdict.chance:
-            id_ = f"random_torque.{self.leftover.axis}"
-            causes.append(
-                {
-                    "effect": id_,
-                    "parameters": _spelled(self.random_torque),
-                    "confidence": 0.8,
-                    "sentence": self.kinds[id_].sentence(
-                        {key: value for key, (value, _, _) in self.random_torque.items()},
-                        {key: std for key, (_, std, _) in self.random_torque.items()},
-                    ),
-                    "equation": self.kinds[id_].equation,
-                    "evidence": {
-                        "over_error": self.leftover.over_error,
-                        "log_likelihood_ratio": self.leftover.gained,
-                        "lost_against_all_axes": self.leftover.lost,
-                    },
-                    "ambiguous_with": [],
-                }
-            )
-        for term in self.removed:
-            kind = self.kinds[term.id]
-            (name,) = kind.size
-            causes.append(
-                {
-                    "effect": term.id,
-                    "parameters": _spelled({name: (term.share, term.std, "1")}),
-                    "confidence": round(term.confidence, 3),
-                    "sentence": kind.sentence({name: term.share}, {name: term.std}),
-                    "equation": kind.equation,
-                    "evidence": {
-                        "standard_errors_from_nothing": term.from_nothing,
-                        "standard_errors_from_the_rig": term.from_rig,
-                    },
-                    "ambiguous_with": [],
-                }
-            )
-        return causes
-
-    def _residual(self) -> dict[str, Any]:
-        before, after = self.search.baseline, self.extended
-        white, correlation = {}, {}
-        for role, before_fit, after_fit in (
-            ("train", before.fit, after.fit),
-            ("held_out", before.held_fit, after.held_fit),
-        ):
-            if before_fit is not None and after_fit is not None:
-                checks = {"before": check(before_fit), "after": check(after_fit)}
-                white[role] = {when: one.white for when, one in checks.items()}
-                correlation[role] = {when: one.correlation for when, one in checks.items()}
-        return {
-            "axis": {
-                axis: {
-                    "before": float(before.train.axis_normalised[i]),
-                    "after": float(after.train.axis_normalised[i]),
-                }
-                for i, axis in enumerate(AXES)
-            },
-            "normalised": {
-                "before": before.train.normalised,
-                "after": after.train.normalised,
-                "held_out_before": before.held.normalised,
-                "held_out_after": after.held.normalised,
-            },
-            "white": white,
-            "correlation": correlation,
-        }
-
-    def _unexplained(self) -> dict[str, Any] | None:
-        after = self.extended.train
-        excess = float(1.0 - 1.0 / max(after.normalised**2, 1.0))
-        if not self.verdict.off_list:
-            if self.verdict.word in ("explained",) or excess < 0.1 or self.verdict.chance:
-                return None
-            named = [one.what for one in self.leftover.depends] or correlates(self.search.last.patterns())
-            return {
-                "axis": self.leftover.axis,
-                "correlates_with": named,
-                "share_of_variance": round(excess, 4),
-                "size_Nm": self.leftover.size_Nm,
-            }
-        strongest = self.verdict.off_list[0]
-        _, channel, on = strongest.trial.id.split(":")
-        first = next(r for r in self.search.rounds if r.taken == strongest.trial.id)
-        others = [name for name in correlates(first.patterns) if name != f"{channel} on {on}"]
-        where = channel.rpartition(".")[2]
-        axis = where if where in AXES else ("pitch" if where == "difference" else "elevation")
-        base, final = self.search.baseline.train, self.search.final.train
-        return {
-            "axis": axis,
-            "channel": channel,
-            "correlates_with": [f"{channel} on {on}", *others],
-            "share_of_variance": round(_share(base, final, axis), 4),
-            "all": [one.trial.id.removeprefix("pattern:") for one in self.verdict.off_list],
-            "gain_with_curves": _gains(self.curve_gains),
-        }
-
-    def _flights(self) -> list[dict[str, Any]]:
-        flights = []
-        held = self.search.baseline.held_fit
-        for role, fit in (("train", self.search.baseline.fit), ("held_out", held)):
-            for record in fit.problem.records if fit is not None else ():
-                flights.append(
-                    {
-                        "flight": record.label,
-                        "role": role,
-                        "seconds_used": record.used_s,
-                        "used": [
-                            [float(record.t_s[a]), float(record.t_s[b - 1])] for a, b in record.segments
-                        ],
-                        "left_out": [
-                            {"from_s": c.start_s, "to_s": c.stop_s, "why": c.why} for c in record.cuts
-                        ],
-                        "notes": list(record.notes),
-                    }
-                )
-        return flights
-
-    def _ranking(self) -> list[dict[str, Any]]:
-        rows = []
-        for number, one in enumerate(self.search.rounds, 1):
-            tried = {step.trial.id: step for step in one.steps}
-            for scored in (*one.screened[:8], *one.patterns[:3]):
-                step = tried.get(scored.trial.id)
-                rows.append(
-                    {
-                        "round": number,
-                        "candidate": scored.trial.id,
-                        "score": scored.answer.gain,
-                        "train": step.evidence.train if step else None,
-                        "held_out": step.evidence.held if step else None,
-                        "price": step.price if step else None,
-                        "taken": scored.trial.id == one.taken,
-                    }
-                )
-        return rows
 
 
 def stds(fit: Fit) -> dict[str, float]:
@@ -462,24 +305,3 @@ def stds(fit: Fit) -> dict[str, float]:
     return {
         name: float(np.hypot(std, half_s)) if units[name] == "s" else std for name, std in fit.std.items()
     }
-
-
-def _spelled(values: Mapping[str, tuple[float, float, str]]) -> dict[str, dict[str, float | str]]:
-    return {name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in values.items()}
-
-
-def _gains(gains: Mapping[str, AxisGain]) -> dict[str, dict[str, Any]]:
-    return {
-        axis: {
-            "before": one.before_deg,
-            "after": one.after_deg,
-            "ratio": one.ratio,
-            "interval95": list(one.interval95),
-        }
-        for axis, one in gains.items()
-    }
-
-
-def _share(before: Errors, after: Errors, axis: str) -> float:
-    i = AXES.index(axis)
-    return float(max(0.0, 1.0 - after.variance[i] / before.variance[i]))
