@@ -161,7 +161,8 @@ def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str]
     Returns
     -------
     Fit
-        The same parameters on these flights; `check` and `trace` measure it.
+        The same parameters on these flights; `check` and `trace` measure it. How sure the zeros are is not
+        asked in full.
     """
     problem = fit.problem
     shared = {
@@ -180,7 +181,7 @@ def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str]
         priors=local,
         values=dict(zip((q.name for q in problem.model.parameters), problem.base, strict=True)) | shared,
     )
-    return solve(held_out, robust=False)
+    return solve(held_out, robust=False, scatter=False)
 
 
 def _by_axis(values: Floats) -> dict[str, float]:

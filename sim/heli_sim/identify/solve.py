@@ -366,6 +366,7 @@ def solve(
     budget: Budget | None = None,
     robust: bool = True,
     fine: bool = True,
+    scatter: bool = True,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Fit:
     """Fit the free parameters and the windows' initial states.
@@ -387,6 +388,8 @@ def solve(
         Whether windows that fall out of line lose weight.
     fine : bool
         Finish on every sample, not on the coarse grid.
+    scatter : bool
+        Widen standard errors by what the rounding may do, which takes as long as two steps.
     on_progress : callable, optional
         Told where the fit is.
 
@@ -438,7 +441,7 @@ def solve(
             change = solver.reweight(point)
             if not finished or not (rescued or change >= _SETTLED):
                 break
-    return _result(solver, point, converged)
+    return _result(solver, point, converged, scatter)
 
 
 def _start(problem: Problem, start: Fit | Mapping[str, float] | None) -> tuple[Floats, list[Floats]]:
@@ -461,16 +464,16 @@ def _start(problem: Problem, start: Fit | Mapping[str, float] | None) -> tuple[F
     return theta, states
 
 
-def _result(solver: _Solver, point: _Point, converged: bool) -> Fit:
+def _result(solver: _Solver, point: _Point, converged: bool, scatter: bool) -> Fit:
     problem = solver.problem
     information, _, _ = solver.reduce(point)
     weight = np.diag(1.0 / problem.prior_std**2)
     covariance: Floats = np.linalg.inv(information + weight).astype(np.float64)
-    if solver.fine and len(problem.free):
-        scatter = rounding_scatter(
+    if scatter and solver.fine and len(problem.free):
+        rounded = rounding_scatter(
             problem, point.theta, point.states, solver.variance, solver.weights, covariance
         )
-        wider = np.maximum(1.0, scatter / np.sqrt(np.diag(covariance)))
+        wider = np.maximum(1.0, rounded / np.sqrt(np.diag(covariance)))
         covariance = covariance * np.outer(wider, wider)
         covariance = covariance + np.diag(timing_variance(problem))
     low, high = problem.bounds
