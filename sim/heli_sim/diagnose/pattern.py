@@ -77,7 +77,7 @@ class Pattern(Effect):
 
     Parameters
     ----------
-    name, parameters, values, states, priors, delay, stage, shaken, shown
+    name, parameters, values, states, priors, delay, stage, shaken, shown, searched
         As of `Effect`; `pattern` makes them.
     channel : str
         One of `CHANNELS`; ``torque`` in N m, ``thrust`` as a share of itself, ``measurement`` in rad.
