@@ -39,12 +39,11 @@ _PLAYS: Final = (0.1, 0.3, 1.0)
 """Widths of a play, in standard deviations of the thrust."""
 _AT_REST: Final = (0.05, 0.2)
 """Rates up to which an axis is nearly at rest, in standard deviations."""
-_RIDGE: Final = 1e-3
 _NONE_Nm: Final = 1e-5
 _OTHER: Final = 99
 """Number of these patterns, so that none is called like one in the model."""
-_PRICE: Final = 24.0
-_PRICE_EACH: Final = 1.0
+_PRICE: Final = 18.0
+_PRICE_EACH: Final = 0.5
 
 
 @dataclass(frozen=True)
@@ -144,22 +143,11 @@ def dependences(filter_: Filter, colour: Colour) -> list[Dependence]:
             for place, tangent, curve in zip(signals, tangents, curves, strict=True):
                 place.append(tangent.by_torque[:, :, axis : axis + 1] * curve[:, None, :])
     columns = [t.answer(np.concatenate(place, axis=2)) for t, place in zip(tangents, signals, strict=True)]
-    filtered, _ = filter_.innovations(colour.size_Nm, colour.memory_s, columns)
-    free = len(filter_.fit.theta)
-    left, error, rest = filtered[:, :free], filtered[:, free], filtered[:, free + 1 :]
-    prior = np.diag(filter_.fit.problem.prior_std**-2.0)
-    inverse = np.linalg.inv(left.T @ left + prior)
-    error = error - left @ (inverse @ (left.T @ error))
-    rest = rest - left @ (inverse @ (left.T @ rest))
-    found = []
-    low = 0
-    for what, size in names:
-        own = rest[:, low : low + size]
-        low += size
-        gram = own.T @ own
-        gram += _RIDGE * np.trace(gram) / size * np.eye(size)
-        cross = own.T @ error
-        found.append(Dependence(what, float(0.5 * cross @ np.linalg.solve(gram, cross)), size, price(size)))
+    sizes = [size for _, size in names]
+    gains = filter_.gains(colour, columns, sizes)
+    found = [
+        Dependence(what, gain, size, price(size)) for (what, size), gain in zip(names, gains, strict=True)
+    ]
     return sorted(found, key=lambda one: -one.gain)
 
 

@@ -22,8 +22,10 @@ from heli_sim.diagnose.tangent import Tangent
 from heli_sim.identify import Fit, Problem
 from heli_sim.identify.functions import Floats
 
-_NOISE: Final = 0.5
-"""Variance of a step's mean residual that rounding leaves, in units of the rounding's variance."""
+_BLOCK: Final = 4
+"""Steps that are taken together: 40 ms, short beside the memory of any gust."""
+_NOISE: Final = 0.3
+"""Variance of a block's mean residual that rounding leaves, in units of the rounding's variance."""
 _FREE_ANGLE_rad: Final = 0.02
 _FREE_RATE: Final = 0.3
 _LEAST_Nm: Final = 1e-5
@@ -35,7 +37,8 @@ _EVALUATIONS: Final = 75
 _FIRST_STEP: Final = 0.7
 _NEXT_STEP: Final = 0.3
 _TOLERANCE_NATS: Final = 0.5
-_ROUNDS: Final = 4
+_RIDGE: Final = 1e-3
+MOST_ROUNDS: Final = 4
 _SMALL_MOVE: Final = 0.7
 """Standard errors by which numbers may move without another round."""
 
@@ -72,32 +75,47 @@ class Filter:
         self.fit = fit
         problem = fit.problem
         self.tangents = tuple(Tangent(fit, index) for index in range(len(problem.records)))
-        steps = np.concatenate([t.steps for t in self.tangents])
+        steps = np.concatenate([t.steps for t in self.tangents]) // _BLOCK
         self.alive = np.arange(steps.max())[:, None] < steps[None, :]
-        self.step_s = self.tangents[0].path.step_s
-        self.over = self._padded([t.over for t in self.tangents])
-        self.push = self._padded([t.push @ t.by_torque for t in self.tangents])
-        self.see = self._padded([t.see / t.record.sigma_rad[:, None] for t in self.tangents])
+        self.step_s = _BLOCK * self.tangents[0].path.step_s
         known = []
         for index, tangent in enumerate(self.tangents):
             own = np.zeros((tangent.rows, 3, len(problem.free) + 1))
             own[:, :, [*problem.columns[index]]] = tangent.free()
             own[:, :, -1] = tangent.residual
             known.append(own)
-        self._known = self._padded(known)
-        """Answers to the free parameters, and the residual."""
+        self._known = self._blocks(known).mean(axis=2)
+        """Answers to the free parameters, and the residual; mean of each block."""
         self._weight: Floats = problem.prior_std**-2.0
         self._off: Floats = fit.theta - problem.prior_mean
+        self.over, self.see = self._joined()
 
-    def _padded(self, arrays: Sequence[Floats]) -> Floats:
-        """Rows of all flights as (steps, windows, ...), zeros after a window's end."""
-        out = np.zeros((*self.alive.shape, *arrays[0].shape[1:]))
+    def _blocks(self, arrays: Sequence[Floats]) -> Floats:
+        """Rows of all flights as (blocks, windows, steps of a block, ...), zeros after a window's end."""
+        out = np.zeros((*self.alive.shape, _BLOCK, *arrays[0].shape[1:]))
         place = 0
         for tangent, array in zip(self.tangents, arrays, strict=True):
             for window in tangent.windows:
-                out[: window.stop - window.start, place] = array[window]
+                count = (window.stop - window.start) // _BLOCK
+                rows = array[window.start : window.start + count * _BLOCK]
+                out[:count, place] = rows.reshape(count, _BLOCK, *array.shape[1:])
                 place += 1
         return out
+
+    def _joined(self) -> tuple[Floats, Floats]:
+        """State and torque over a block, and the mean of what is seen in it, by those at its beginning."""
+        over = self._blocks([t.over for t in self.tangents])
+        push = self._blocks([t.push @ t.by_torque for t in self.tangents])
+        see = self._blocks([t.see / t.record.sigma_rad[:, None] for t in self.tangents])
+        nx = over.shape[-1]
+        reached = np.zeros((*self.alive.shape, nx, nx + 3))
+        reached[..., range(nx), range(nx)] = 1.0
+        seen = np.zeros((*self.alive.shape, 3, nx + 3))
+        for k in range(_BLOCK):
+            seen += see[:, :, k] @ reached / _BLOCK
+            reached = over[:, :, k] @ reached
+            reached[..., nx:] += push[:, :, k]
+        return reached, seen
 
     def innovations(
         self, size_Nm: Floats, memory_s: float, columns: Sequence[Floats] = ()
@@ -122,9 +140,8 @@ class Filter:
         """
         given = self._known
         if columns:
-            given = np.concatenate((given, self._padded(columns)), axis=3)
-        longest, count, _, nx = self.see.shape
-        order = nx + 3
+            given = np.concatenate((given, self._blocks(columns).mean(axis=2)), axis=3)
+        longest, count, nx, order = self.over.shape
         keep = float(np.exp(-self.step_s / memory_s))
         noise = np.zeros((order, order))
         noise[nx:, nx:] = np.diag((1.0 - keep**2) * size_Nm**2)
@@ -133,21 +150,20 @@ class Filter:
         mean = np.zeros((count, order, given.shape[3]))
         out = np.empty_like(given)
         logarithm = 0.0
+        over = np.zeros((count, order, order))
+        over[:, range(nx, order), range(nx, order)] = keep
         for k in range(longest):
             see = self.see[k]
-            cross = spread[:, :, :nx] @ see.transpose(0, 2, 1)
-            root = np.linalg.cholesky(see @ cross[:, :nx] + _NOISE * np.eye(3))
+            cross = spread @ see.transpose(0, 2, 1)
+            root = np.linalg.cholesky(see @ cross + _NOISE * np.eye(3))
             inverse = np.linalg.inv(root)
-            out[k] = inverse @ (given[k] - see @ mean[:, :nx])
+            out[k] = inverse @ (given[k] - see @ mean)
             gain = cross @ inverse.transpose(0, 2, 1)
             diagonal = np.diagonal(root, axis1=1, axis2=2)[self.alive[k]]
             logarithm += 2.0 * float(np.log(diagonal).sum())
             mean = mean + gain @ out[k]
             spread = spread - gain @ gain.transpose(0, 2, 1)
-            over = np.zeros((count, order, order))
-            over[:, :nx, :nx] = self.over[k]
-            over[:, :nx, nx:] = self.push[k]
-            over[:, range(nx, order), range(nx, order)] = keep
+            over[:, :nx] = self.over[k]
             mean = over @ mean
             spread = over @ spread @ over.transpose(0, 2, 1) + noise
         return out[self.alive].reshape(-1, given.shape[3]), logarithm
@@ -181,6 +197,49 @@ class Filter:
             move,
             np.sqrt(np.diag(inverse)),
         )
+
+    def gains(
+        self,
+        colour: Colour,
+        columns: Sequence[Floats],
+        sizes: Sequence[int],
+        priors: Sequence[Floats] | None = None,
+    ) -> list[float]:
+        """Score candidates beside random torques, to first order.
+
+        Parameters
+        ----------
+        colour : Colour
+            The random torques.
+        columns : sequence of ndarray (n, 3, s)
+            For each flight the columns of all candidates side by side, as `Tangent.answer` gives them.
+        sizes : sequence of int
+            Number of columns of each candidate.
+        priors : sequence of ndarray, optional
+            For each candidate standard deviations of its coefficients about 0; without them these are held
+            to what its columns can measure.
+
+        Returns
+        -------
+        list of float
+            Logarithm of the likelihood ratio that each adds.
+        """
+        filtered, _ = self.innovations(colour.size_Nm, colour.memory_s, columns)
+        free = len(self._weight)
+        left, error, rest = filtered[:, :free], filtered[:, free], filtered[:, free + 1 :]
+        inverse = np.linalg.inv(left.T @ left + np.diag(self._weight))
+        error = error - left @ (inverse @ (left.T @ error - self._weight * self._off))
+        rest = rest - left @ (inverse @ (left.T @ rest))
+        found = []
+        low = 0
+        for number, size in enumerate(sizes):
+            own = rest[:, low : low + size]
+            low += size
+            gram, cross = own.T @ own, own.T @ error
+            known = _RIDGE * np.diag(gram).mean() if priors is None else priors[number] ** -2.0
+            gram[range(size), range(size)] += known
+            found.append(float(0.5 * cross @ np.linalg.pinv(gram, hermitian=True) @ cross))
+        return found
 
     def likeliest(self, start: Colour | None = None) -> Colour:
         """Find the random torques that make the flights likeliest.
@@ -256,7 +315,9 @@ def pooled(bench: Bench, hypothesis: Hypothesis) -> Fit:
     return replace(fit, problem=problem, theta=np.array(theta), states=states)
 
 
-def coloured(bench: Bench, hypothesis: Hypothesis, start: Colour | None = None) -> tuple[Colour, Filter]:
+def coloured(
+    bench: Bench, hypothesis: Hypothesis, start: Colour | None = None, rounds: int = MOST_ROUNDS
+) -> tuple[Colour, Filter]:
     """Find how likely a hypothesis makes all flights.
 
     Parameters
@@ -267,6 +328,8 @@ def coloured(bench: Bench, hypothesis: Hypothesis, start: Colour | None = None) 
         The model with its numbers, which are moved to where the flights are likeliest.
     start : Colour, optional
         Where to start.
+    rounds : int
+        How often the numbers may be moved, at most.
 
     Returns
     -------
@@ -279,7 +342,7 @@ def coloured(bench: Bench, hypothesis: Hypothesis, start: Colour | None = None) 
     colour = reached.likeliest(start)
     best = colour, reached
     # A free run that misses a torque pulls the numbers along: again around where the filter says they are.
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         _, move, std = reached.likelihood(colour.size_Nm, colour.memory_s)
         if np.all(np.abs(move) < _SMALL_MOVE * std):
             break

@@ -206,24 +206,56 @@ class Screening:
         return answers
 
     def _group(self, trials: Sequence[Trial]) -> list[Answer]:
-        every: list[Floats] = []
-        for columns in self.columns:
-            pairs = [columns.signals(trial) for trial in trials]
-            signals = np.concatenate([rates for rates, _ in pairs], axis=2)
-            seen = None
-            if any(one is not None for _, one in pairs):
-                shape = len(signals), 3
-                seen = np.concatenate(
-                    [np.zeros((*shape, r.shape[2])) if one is None else one for r, one in pairs], axis=2
-                )
-            every.append(columns.tangent.answer(signals, seen))
-        priors = [
-            np.array([trial.effect.priors[name].std for name in trial.size])
-            if trial.size
-            else np.array([0.5])
-            for trial in trials
-        ]
-        return self.ground.score_each(every, [max(1, len(trial.size)) for trial in trials], priors)
+        every = answers(self.columns, trials)
+        sizes = [max(1, len(trial.size)) for trial in trials]
+        return self.ground.score_each(every, sizes, [spread(trial) for trial in trials])
+
+
+def answers(makers: Sequence[Columns], trials: Sequence[Trial]) -> list[Floats]:
+    """Predict what candidates change in the angles, side by side.
+
+    Parameters
+    ----------
+    makers : sequence of Columns
+        One for each flight.
+    trials : sequence of Trial
+        The candidates.
+
+    Returns
+    -------
+    list of ndarray (n, 3, s)
+        One for each flight, as `Tangent.answer` gives them.
+    """
+    every: list[Floats] = []
+    for columns in makers:
+        pairs = [columns.signals(trial) for trial in trials]
+        signals = np.concatenate([rates for rates, _ in pairs], axis=2)
+        seen = None
+        if any(one is not None for _, one in pairs):
+            shape = len(signals), 3
+            seen = np.concatenate(
+                [np.zeros((*shape, r.shape[2])) if one is None else one for r, one in pairs], axis=2
+            )
+        every.append(columns.tangent.answer(signals, seen))
+    return every
+
+
+def spread(trial: Trial) -> Floats:
+    """Say what is known of a candidate's coefficients before any flight.
+
+    Parameters
+    ----------
+    trial : Trial
+        The candidate.
+
+    Returns
+    -------
+    ndarray (g,)
+        Their standard deviations about 0.
+    """
+    if not trial.size:
+        return np.array([0.5])
+    return np.array([trial.effect.priors[name].std for name in trial.size])
 
 
 def _thinned(kind: EffectKind, seconds: float) -> EffectKind:

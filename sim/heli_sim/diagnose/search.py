@@ -14,11 +14,11 @@ from typing import Final
 
 import numpy as np
 
-from heli_sim.diagnose.coloured import Colour, Filter, coloured
+from heli_sim.diagnose.coloured import MOST_ROUNDS, Colour, Filter, coloured
 from heli_sim.diagnose.hypothesis import Bench, Evidence, Hypothesis
 from heli_sim.diagnose.removed import without_terms
-from heli_sim.diagnose.screening import Scored, Screening
-from heli_sim.diagnose.trial import Trial
+from heli_sim.diagnose.screening import Scored, Screening, answers, spread
+from heli_sim.diagnose.trial import Columns, Trial
 from heli_sim.errors import IdentifyError
 from heli_sim.identify import Fit
 from heli_sim.model.effects.kind import EffectKind
@@ -30,9 +30,13 @@ SETTLED: Final = 1.04
 """Normalised error, on all flights, that settles a round but for close rivals."""
 RIVAL: Final = 0.5
 """Share of the best score that makes a rival close."""
-SHORTLIST: Final = 4
+SCREENED: Final = 12
+"""Effects whose scores are weighed against chance in a round, at most."""
+SCREENED_PATTERNS: Final = 12
+"""The same of patterns."""
+SHORTLIST: Final = 3
 """Effects that are refitted in a round, at most."""
-WORTH_A_FIT: Final = 0.1
+WORTH_A_FIT: Final = 0.25
 """Share of the best score that an effect must reach to be refitted."""
 LEAST_HELD: Final = 3.0
 """Logarithm of the likelihood ratio on held-out flights that an effect must reach."""
@@ -49,6 +53,8 @@ LEAST_COLOURED: Final = 6.0
 """Logarithm of the likelihood ratio, torques that wander by chance allowed, over an effect's price."""
 PLAIN: Final = 0.5
 """An effect that lowers an axis' mean square by this share and leaves rounding only is no chance."""
+PLAINLY: Final = 60.0
+"""A gain further than this from its price need not be known any better."""
 WEIGHED: Final = 3
 """Effects that are weighed against chance in a round, at most."""
 AMBIGUOUS: Final = 6.0
@@ -70,7 +76,7 @@ class Step:
     price : float
         What its parameters and the number of candidates tried cost.
     linear : float
-        Its score before it was refitted.
+        Its score before it was refitted, to first order and beside chance.
     coloured : float or None
         What it has over the model before when torques may also wander by chance; None where that was plain.
     """
@@ -217,7 +223,7 @@ class _Searcher:
     until_s: float
     removable: Sequence[EffectKind]
     rounds: list[Round] = field(default_factory=list)
-    colours: dict[int, tuple[Hypothesis, Colour, Filter]] = field(default_factory=dict)
+    colours: dict[int, tuple[Hypothesis, Colour, Filter, int]] = field(default_factory=dict)
 
     def out_of_time(self) -> bool:
         return time.perf_counter() > self.until_s
@@ -231,7 +237,7 @@ class _Searcher:
             return 0.25 * free * math.log(rows) + math.log(tried)
         return 0.5 * free * math.log(rows) + math.log(tried)
 
-    def attempt(self, base: Hypothesis, trials: Sequence[Trial], one: Scored) -> Step | None:
+    def attempt(self, base: Hypothesis, trials: Sequence[Trial], one: Scored, score: float) -> Step | None:
         best: Hypothesis | None = None
         for trial in self._places(one):
             start = {**base.fit.values, **trial.started(one.answer.size)}
@@ -247,7 +253,7 @@ class _Searcher:
         if best is None or not self._in_flight(best.fit, one.trial):
             return None
         price = self.price(one.trial, 60 + one.tried)
-        return Step(best, self.bench.evidence(best, base), price, one.answer.gain)
+        return Step(best, self.bench.evidence(best, base), price, score)
 
     def _places(self, one: Scored) -> list[Trial]:
         """The candidate, then its further places that no descent finds, as long as each is better."""
@@ -275,22 +281,38 @@ class _Searcher:
 
     def shortlist(
         self, base: Hypothesis, screened: Sequence[Scored], patterns: Sequence[Scored]
-    ) -> list[Scored]:
+    ) -> list[tuple[Scored, float]]:
+        """Candidates that are worth a refit, each with its score beside chance, the best first."""
+        worth = [one for one in screened if one.answer.gain > 0.0][:SCREENED]
+        curves = [one for one in patterns if one.answer.gain > PATTERN_LEAST][:SCREENED_PATTERNS]
+        every = [*worth, *curves]
+        if not every:
+            return []
+        colour = self.colour(base)
+        filter_ = self.colours[id(base)][2]
+        trials = [one.trial for one in every]
+        gains = filter_.gains(
+            colour,
+            answers([Columns(tangent) for tangent in filter_.tangents], trials),
+            [max(1, len(trial.size)) for trial in trials],
+            [spread(trial) for trial in trials],
+        )
+        scored = sorted(zip(every, gains, strict=True), key=lambda one: -one[1])
         # A first-order score may be half of what a refit finds.
-        share = float(base.train.independent.min())
-        worth = [
-            one for one in screened if one.answer.gain * share > 0.5 * self.price(one.trial, 60 + one.tried)
+        effects = [
+            (one, gain)
+            for one, gain in scored
+            if not one.trial.is_pattern and gain > 0.5 * self.price(one.trial, 60 + one.tried)
         ]
-        if not worth:
-            chosen = []
-        else:
-            least = WORTH_A_FIT * worth[0].answer.gain
-            chosen = [one for one in worth if one.answer.gain >= least][:SHORTLIST]
-        best = chosen[0].answer.gain if chosen else 0.0
-        if patterns and patterns[0].answer.gain > max(
-            PATTERN_LEAST, 0.6 * best, self.price(patterns[0].trial, len(patterns))
-        ):
-            chosen.append(patterns[0])
+        least = WORTH_A_FIT * effects[0][1] if effects else 0.0
+        chosen = [one for one in effects if one[1] >= least][:SHORTLIST]
+        if worth and all(one is not worth[0] for one, _ in chosen):
+            # What bends the flight so much that nothing is linear any more is seen better without the filter.
+            chosen = [*chosen[: SHORTLIST - 1], next(one for one in scored if one[0] is worth[0])]
+        best = effects[0][1] if effects else 0.0
+        curve = next((one for one in scored if one[0].trial.is_pattern), None)
+        if curve and curve[1] > max(PATTERN_LEAST, best, self.price(curve[0].trial, len(patterns))):
+            chosen.append(curve)
         return chosen
 
     def forward(self, hypothesis: Hypothesis) -> tuple[Hypothesis, Screening, bool]:
@@ -306,11 +328,11 @@ class _Searcher:
             shortlist = (
                 [] if full or _nothing_left(hypothesis) else self.shortlist(hypothesis, screened, patterns)
             )
-            for one in shortlist:
-                if _settled(steps) and one.answer.gain < RIVAL * steps[0].linear:
+            for one, score in shortlist:
+                if _settled(steps) and score < RIVAL * steps[0].linear:
                     continue
                 self.say(f"trying {one.trial.id}", 0.1 + 0.6 * (1 - 0.6 ** (number + 0.5)))
-                step = self.attempt(hypothesis, hypothesis.trials, one)
+                step = self.attempt(hypothesis, hypothesis.trials, one, score)
                 if step is not None:
                     steps.append(step)
                 if self.out_of_time():
@@ -323,17 +345,23 @@ class _Searcher:
                 return hypothesis, screening, not full
             hypothesis = taken.hypothesis
 
-    def colour(self, hypothesis: Hypothesis, near: Hypothesis | None = None) -> Colour:
+    def colour(self, hypothesis: Hypothesis, near: Hypothesis | None = None, rounds: int = 1) -> Colour:
         """Random torques that make all flights likeliest under a hypothesis."""
-        if id(hypothesis) not in self.colours:
-            start = self.colours[id(near)][1] if near is not None and id(near) in self.colours else None
-            self.colours[id(hypothesis)] = hypothesis, *coloured(self.bench, hypothesis, start)
+        known = self.colours.get(id(hypothesis))
+        if known is None or known[3] < rounds:
+            beside = known or (self.colours.get(id(near)) if near is not None else None)
+            found = coloured(self.bench, hypothesis, beside[1] if beside else None, rounds)
+            self.colours[id(hypothesis)] = hypothesis, *found, rounds
         return self.colours[id(hypothesis)][1]
 
     def weighed(self, base: Hypothesis, step: Step) -> Step:
         """The candidate with what it has over chance."""
-        before = self.colour(base)
-        return replace(step, coloured=self.colour(step.hypothesis, base).likelihood - before.likelihood)
+        for rounds in (1, MOST_ROUNDS):
+            before = self.colour(base, rounds=rounds).likelihood
+            gain = self.colour(step.hypothesis, base, rounds).likelihood - before
+            if abs(gain - step.price) > PLAINLY:
+                break
+        return replace(step, coloured=gain)
 
     def choice(self, base: Hypothesis, steps: Sequence[Step]) -> tuple[list[Step], Step | None]:
         """The best effect that chance does not imitate, or a pattern that is clearly ahead of it."""
@@ -395,7 +423,7 @@ class _Searcher:
                 continue
             else:
                 scored = next(one for one in seen.screened if one.trial.id == step.trial.id)
-                attempted = self.attempt(less, rest, scored)
+                attempted = self.attempt(less, rest, scored, step.linear)
                 if attempted is None:
                     continue
                 other = attempted
@@ -414,8 +442,8 @@ class _Searcher:
         chance = None
         if max(final.train.normalised, final.held.normalised) > SETTLED:
             self.say("weighing what remains against chance", 0.88)
-            self.colour(final, self.baseline)
-            chance = self.colours[id(final)][1:]
+            self.colour(final, self.baseline, MOST_ROUNDS)
+            chance = self.colours[id(final)][1:3]
         return Search(self.baseline, final, tuple(found), tuple(self.rounds), screening, complete, chance)
 
 
