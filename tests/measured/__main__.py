@@ -1,0 +1,100 @@
+"""Tables and figures of docs/measured.md: ``python -m tests.measured``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from heli_sim.diagnose.run import diagnose
+from heli_sim.identify.record import AXES
+from heli_sim.model import MultibodyModel
+from heli_sim.rig import load_rig
+
+from tests.measured.figures import figure_of_pair, figure_of_sizes
+from tests.measured.pairs import MEASURED, PAIRS, RIG, Told, flights, told
+
+FIGURES = Path(__file__).resolve().parents[2] / "docs" / "figures"
+SIZES = {
+    "rotor_lag_s": "rotor_lag: T / s",
+    "gyroscopic_torque_m_s": "gyroscopic_torque: h / (N m s/N)",
+    "edgewise_flow_s_per_m": "edgewise_flow: c / (s/m)",
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Fit, print and draw.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Instead of the command line's.
+
+    Returns
+    -------
+    int
+        Exit status: 2 without the flights.
+    """
+    parser = argparse.ArgumentParser(prog="python -m tests.measured", description=__doc__)
+    parser.add_argument("pairs", nargs="*", help=f"some of {', '.join(PAIRS)}; all without")
+    parser.add_argument("--diagnose", action="store_true", help="let the search name the causes")
+    parser.add_argument("--figures", type=Path, default=FIGURES, help="folder to draw into")
+    given = parser.parse_args(arguments)
+    if not MEASURED.exists():
+        print("no measured flights: ../shared/data/measured is not there")
+        return 2
+    pairs = given.pairs or list(PAIRS)
+    if given.diagnose:
+        for pair in pairs:
+            print(_diagnosed(pair), flush=True)
+        return 0
+    last: list[Told] = []
+    for pair in pairs:
+        there, back = told(pair), told(pair, back=True)
+        for one, other in zip(there, back, strict=True):
+            print(_row(pair, one), _row(pair + ", back", other), sep="\n", flush=True)
+        last += [there[-1], back[-1]]
+        title = f"{PAIRS[pair][1]}, predicted two seconds ahead from what {PAIRS[pair][0]} taught"
+        figure_of_pair(there[0], there[-1], title).savefig(given.figures / f"measured-{pair}.png", dpi=90)
+    if pairs == list(PAIRS):
+        sizes = {
+            label: [(one.hypothesis.fit.values[name], one.hypothesis.fit.std[name]) for one in last]
+            for name, label in SIZES.items()
+        }
+        figure_of_sizes(sizes, pairs).savefig(given.figures / "measured-sizes.png", dpi=90)
+    return 0
+
+
+def _row(pair: str, one: Told) -> str:
+    """A line of the table: errors, ratios with their intervals, and the effects' numbers."""
+    fit = one.hypothesis.fit
+    cells = [pair, ", ".join(one.effects) or "baseline, refitted"]
+    for axis in AXES:
+        of = one.gain[axis]
+        low, high = of.interval95
+        cells.append(f"{of.after_deg:.2f} ({of.ratio:.2f}: {low:.2f} to {high:.2f})")
+    cells.append(", ".join(f"{fit.values[n]:.4f} +- {fit.std[n]:.4f}" for n in SIZES if n in fit.values))
+    return "| " + " | ".join(cells) + " |"
+
+
+def _diagnosed(pair: str) -> str:
+    """What the search says of a pair."""
+    train, held = flights(pair)
+    answer = diagnose(MultibodyModel(), load_rig(RIG), [train], [held], labels=list(PAIRS[pair])).json()
+    causes = [
+        f"{one['effect']} (confidence {one['confidence']:.2f}; "
+        + ", ".join(f"{n} {v['value']:.4f} +- {v['std']:.4f}" for n, v in one["parameters"].items())
+        + ")"
+        for one in answer["causes"]
+    ]
+    gains = [
+        f"{axis} {of['before']:.2f} to {of['after']:.2f}, ratio {of['ratio']:.2f} "
+        f"({of['interval95'][0]:.2f} to {of['interval95'][1]:.2f})"
+        for axis, of in answer["gain"]["axis"].items()
+    ]
+    return "\n  ".join([f"{pair}: {answer['verdict']}", *causes, *gains])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,117 @@
+"""The measured pairs, and models that are told which effects they have."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from heli_host.flight import Flight
+from heli_sim.diagnose.gain import AxisGain, gain
+from heli_sim.diagnose.hypothesis import Bench, Hypothesis
+from heli_sim.diagnose.trial import Trial
+from heli_sim.identify import Record, prepare
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue
+from heli_sim.rig import load_rig
+
+MEASURED: Final = Path(__file__).resolve().parents[3] / "shared" / "data" / "measured"
+PAIRS: Final = {
+    "kristianhope": ("kristianhope_d4r2_t3", "kristianhope_d4r1_t3"),
+    "ksteinsland": ("ksteinsland_d1_m25_ang45", "ksteinsland_d1_n25_00i"),
+    "rendellc": ("rendellc_P4p2_noint_pf5", "rendellc_P2p1"),
+    "nicolaiadil": ("nicolaiadil_d4_n40", "nicolaiadil_d4_n60_q10"),
+}
+"""The flight to fit and the one to predict, as the data's own description pairs them."""
+FROM_s: Final = 5.0
+"""The data's description asks for the take-off to be cut, up to here."""
+LANDS_s: Final = {
+    "ksteinsland_d1_m25_ang45": 33.0,
+    "ksteinsland_d1_n25_00i": 31.9,
+    "rendellc_P4p2_noint_pf5": 69.0,
+    "rendellc_P2p1": 46.5,
+}
+"""And the landing: from here on the voltages are taken back. The other flights end in the air."""
+RIG: Final = "quanser-course"
+TOLD: Final = (
+    (),
+    ("rotor_lag",),
+    ("rotor_lag", "gyroscopic_torque"),
+    ("rotor_lag", "gyroscopic_torque", "edgewise_flow"),
+)
+"""One model after the other, the same on every machine."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """A pair, fitted with effects that it was told.
+
+    Parameters
+    ----------
+    effects : tuple of str
+        Their ids.
+    hypothesis : Hypothesis
+        The fit, and its prediction of the other flight.
+    gain : dict of AxisGain
+        Against the refitted baseline, on the other flight, by axis.
+    """
+
+    effects: tuple[str, ...]
+    hypothesis: Hypothesis
+    gain: dict[str, AxisGain]
+
+
+def flights(pair: str, back: bool = False) -> tuple[Record, Record]:
+    """Read a pair.
+
+    Parameters
+    ----------
+    pair : str
+        Key of `PAIRS`.
+    back : bool
+        Whether to fit the second and predict the first.
+
+    Returns
+    -------
+    tuple of Record
+        The flight to fit and the one to predict.
+    """
+    rig = load_rig(RIG)
+    names = PAIRS[pair][::-1] if back else PAIRS[pair]
+    first, second = (
+        prepare(Flight.read(MEASURED / f"{name}.csv.gz"), rig, name, start_s=FROM_s, stop_s=LANDS_s.get(name))
+        for name in names
+    )
+    return first, second
+
+
+def told(pair: str, models: Sequence[tuple[str, ...]] = TOLD, back: bool = False) -> list[Told]:
+    """Fit models with given effects, each from the rig's numbers and from the model before it.
+
+    Parameters
+    ----------
+    pair : str
+        Key of `PAIRS`.
+    models : sequence of tuple of str
+        Ids of each model's effects; the first is what the others are compared with.
+    back : bool
+        Whether to fit the second flight and predict the first.
+
+    Returns
+    -------
+    list of Told
+        One a model.
+    """
+    train, held = flights(pair, back)
+    bench = Bench(MultibodyModel(), load_rig(RIG), [train], [held])
+    kinds = catalogue()
+    found: list[Told] = []
+    for effects in models:
+        trials = [Trial(id_, kinds[id_].make(kinds[id_].typical), kinds[id_].size) for id_ in effects]
+        starts = [None, found[-1].hypothesis.fit] if found else [None]
+        # A valley is chosen by the flight that is fitted; the other one is only looked at.
+        best = min((bench.try_out(trials, start) for start in starts), key=lambda one: one.fit.cost)
+        baseline = found[0].hypothesis if found else best
+        found.append(Told(effects, best, gain(baseline, best)))
+    return found
