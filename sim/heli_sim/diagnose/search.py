@@ -329,7 +329,8 @@ class _Searcher:
                 [] if full or _nothing_left(hypothesis) else self.shortlist(hypothesis, screened, patterns)
             )
             for one, score in shortlist:
-                if _settled(steps) and score < RIVAL * steps[0].linear:
+                # No curve is taken in the place of an effect that leaves nothing.
+                if _settled(steps) and (one.trial.is_pattern or score < RIVAL * steps[0].linear):
                     continue
                 self.say(f"trying {one.trial.id}", 0.1 + 0.6 * (1 - 0.6 ** (number + 0.5)))
                 step = self.attempt(hypothesis, hypothesis.trials, one, score)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from heli_sim.diagnose.gain import AxisGain
 from heli_sim.diagnose.hypothesis import Errors
 from heli_sim.diagnose.leftover import correlates
-from heli_sim.diagnose.verdict import ambiguous_with, confidence
+from heli_sim.diagnose.verdict import CONFIDENCE_CHANCE, ambiguous_with, confidence
 from heli_sim.identify import check
 from heli_sim.identify.record import AXES
 
@@ -35,7 +35,7 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
             {
                 "effect": one.trial.id,
                 "parameters": _spelled(found.values(one)),
-                "confidence": round(confidence(one, found.search), 3),
+                "confidence": round(confidence(one, found.search, found.verdict.word == "unexplained"), 3),
                 "sentence": found.sentence(one),
                 "equation": found.kinds[one.trial.id].equation,
                 "evidence": {
@@ -55,7 +55,7 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
             {
                 "effect": id_,
                 "parameters": _spelled(found.random_torque),
-                "confidence": 0.8,
+                "confidence": CONFIDENCE_CHANCE,
                 "sentence": found.kinds[id_].sentence(
                     {key: value for key, (value, _, _) in found.random_torque.items()},
                     {key: std for key, (_, std, _) in found.random_torque.items()},

@@ -21,6 +21,10 @@ CHANCE_OVER_ERROR: Final = 1.0
 """It must stand out of its estimate's error by this factor."""
 OFF_LIST_SHARE: Final = 0.3
 """Patterns that account for more than this share of what was explained make the verdict `unexplained`."""
+CONFIDENCE_CHANCE: Final = 0.8
+"""Of a random torque: a rare structure is foretold by nothing that is tried."""
+CONFIDENCE_BESIDE_UNKNOWN: Final = 0.5
+"""Factor on the confidence of causes beside which something unknown remains, which they may imitate."""
 CONFIDENCE_NATS: Final = 15.0
 """Lead, as a logarithm of a likelihood ratio, over which the doubt falls by a factor e."""
 
@@ -122,7 +126,7 @@ def ambiguous_with(found: Found) -> list[str]:
     return [rival.id for rival in found.rivals if rival.behind < AMBIGUOUS]
 
 
-def confidence(found: Found, search: Search) -> float:
+def confidence(found: Found, search: Search, unexplained: bool = False) -> float:
     """How sure a cause is.
 
     Parameters
@@ -131,6 +135,8 @@ def confidence(found: Found, search: Search) -> float:
         The cause.
     search : Search
         Everything that was found.
+    unexplained : bool
+        Whether something remains that is none of the causes known: it may be all of this one, too.
 
     Returns
     -------
@@ -142,5 +148,5 @@ def confidence(found: Found, search: Search) -> float:
     before = max(search.baseline.held.normalised**2 - 1.0, 1e-9)
     after = max(search.final.held.normalised**2 - 1.0, 0.0)
     open_share = min(1.0, after / before)
-    off_list = any(one.trial.is_pattern for one in search.found)
-    return float(min(0.99, sure) * (1.0 - 0.5 * open_share) * (0.6 if off_list else 1.0))
+    beside = CONFIDENCE_BESIDE_UNKNOWN if unexplained else 1.0
+    return float(min(0.99, sure) * (1.0 - 0.5 * open_share) * beside)
