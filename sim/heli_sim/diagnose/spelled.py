@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from heli_sim.diagnose.gain import AxisGain
 from heli_sim.diagnose.hypothesis import Errors
 from heli_sim.diagnose.leftover import correlates
-from heli_sim.diagnose.verdict import CONFIDENCE_CHANCE, ambiguous_with, confidence
+from heli_sim.diagnose.verdict import CONFIDENCE_BESIDE_UNKNOWN, CONFIDENCE_CHANCE, ambiguous_with, confidence
 from heli_sim.identify import check
 from heli_sim.identify.record import AXES
 
@@ -30,12 +30,14 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
         Effect, numbers, confidence, sentence, equation, evidence and rivals of each, strongest first.
     """
     causes: list[dict[str, Any]] = []
+    unexplained = found.verdict.word == "unexplained"
+    beside = CONFIDENCE_BESIDE_UNKNOWN if unexplained else 1.0
     for one in found.verdict.causes:
         causes.append(
             {
                 "effect": one.trial.id,
                 "parameters": _spelled(found.values(one)),
-                "confidence": round(confidence(one, found.search, found.verdict.word == "unexplained"), 3),
+                "confidence": round(confidence(one, found.search, unexplained), 3),
                 "sentence": found.sentence(one),
                 "equation": found.kinds[one.trial.id].equation,
                 "evidence": {
@@ -76,7 +78,7 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
             {
                 "effect": term.id,
                 "parameters": _spelled({name: (term.share, term.std, "1")}),
-                "confidence": round(term.confidence, 3),
+                "confidence": round(term.confidence * beside, 3),
                 "sentence": kind.sentence({name: term.share}, {name: term.std}),
                 "equation": kind.equation,
                 "evidence": {
