@@ -360,7 +360,8 @@ class _Searcher:
         for rounds in (1, MOST_ROUNDS):
             before = self.colour(base, rounds=rounds).likelihood
             gain = self.colour(step.hypothesis, base, rounds).likelihood - before
-            if abs(gain - step.price) > PLAINLY:
+            # A gust that remains pulls the numbers of both models; once is not enough then.
+            if gain < step.price - PLAINLY or (gain > step.price + PLAINLY and step.evidence.drop > PLAIN):
                 break
         return replace(step, coloured=gain)
 
