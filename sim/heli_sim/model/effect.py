@@ -90,8 +90,8 @@ class Effect:
         Those of `states` that are what an encoder shows, by name, with the axis: whoever starts in the middle
         of a flight knows them from it.
     searched : tuple of str
-        Those of `parameters` that a search has to bring near, such as a frequency: beside a size that is still
-        wrong a descent leads away from them.
+        Those of `parameters` that a search has to bring near, such as a frequency: beside a size that is
+        still wrong a descent leads away from them.
     """
 
     name: str
