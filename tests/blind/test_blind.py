@@ -57,3 +57,15 @@ def test_the_hidden_effect_is_named_with_its_size(answers: Answers, name: str) -
 @pytest.mark.parametrize("name", OFF_LIST)
 def test_what_is_on_no_list_is_called_unexplained(answers: Answers, name: str) -> None:
     assert answers[name].result()["verdict"] == "unexplained"
+
+
+def test_causes_given_with_confidence_0_9_are_the_hidden_ones(answers: Answers) -> None:
+    cases = {case.name: {name for name, _ in case.effects} for case in every_case() if case.name in answers}
+    sure = [
+        (name, cause["effect"])
+        for name, answer_of in answers.items()
+        for cause in answer_of.result()["causes"]
+        if cause["confidence"] >= 0.9
+    ]
+    assert {name for name, _ in sure} == set(ONE)
+    assert all(effect in cases[name] for name, effect in sure)
