@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -286,21 +286,3 @@ def _possible(trial: Trial, answer: Answer) -> bool:
         if prior.low >= 0.0 and change + trial.effect.values[name] <= 0.0:
             return False
     return bool(trial.size) or float(answer.size[0]) > 0.0
-
-
-def unlike(found: Sequence[Scored], taken: Collection[str]) -> list[Scored]:
-    """Candidates that are not taken yet.
-
-    Parameters
-    ----------
-    found : sequence of Scored
-        Candidates.
-    taken : collection of str
-        Ids.
-
-    Returns
-    -------
-    list of Scored
-        The rest, in the same order.
-    """
-    return [one for one in found if one.trial.id not in taken]
