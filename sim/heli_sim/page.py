@@ -5,15 +5,37 @@ from __future__ import annotations
 import base64
 import html
 import io
+import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _DPI: Final = 110
+
+
+def folder_with(numbers: Mapping[str, Any], folder: str | Path) -> Path:
+    """Make the folder of a report, and keep its numbers there as result.json.
+
+    Parameters
+    ----------
+    numbers : Mapping
+        What the page is made of, as JSON has it.
+    folder : str or Path
+        Where to; made if it is missing.
+
+    Returns
+    -------
+    Path
+        The folder.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "result.json").write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
+    return folder
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -19,6 +19,7 @@ from scipy.optimize import minimize
 
 from heli_sim.diagnose.hypothesis import Bench, Hypothesis
 from heli_sim.diagnose.tangent import Tangent
+from heli_sim.diagnose.torque import FREE_ANGLE_rad, FREE_RATE_rad_s
 from heli_sim.identify import Fit, Problem
 from heli_sim.identify.functions import Floats
 
@@ -26,8 +27,6 @@ _BLOCK: Final = 4
 """Steps that are taken together: 40 ms, short beside the memory of any gust."""
 _NOISE: Final = 0.3
 """Variance of a block's mean residual that rounding leaves, in units of the rounding's variance."""
-_FREE_ANGLE_rad: Final = 0.02
-_FREE_RATE: Final = 0.3
 _LEAST_Nm: Final = 1e-5
 _MOST_Nm: Final = 1.0
 _LEAST_START_Nm: Final = 1e-4
@@ -145,7 +144,7 @@ class Filter:
         keep = float(np.exp(-self.step_s / memory_s))
         noise = np.zeros((order, order))
         noise[nx:, nx:] = np.diag((1.0 - keep**2) * size_Nm**2)
-        first = np.concatenate((np.full(3, _FREE_ANGLE_rad), np.full(nx - 3, _FREE_RATE), size_Nm))
+        first = np.concatenate((np.full(3, FREE_ANGLE_rad), np.full(nx - 3, FREE_RATE_rad_s), size_Nm))
         spread = np.broadcast_to(np.diag(first**2), (count, order, order)).copy()
         mean = np.zeros((count, order, given.shape[3]))
         out = np.empty_like(given)

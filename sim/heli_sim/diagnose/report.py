@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -19,7 +18,7 @@ from heli_sim.diagnose.figures import (
 from heli_sim.diagnose.result import Diagnosis
 from heli_sim.diagnose.silent import Silence
 from heli_sim.identify.result import rounded
-from heli_sim.page import escaped, image, table
+from heli_sim.page import escaped, folder_with, image, table
 
 _WORDS: Final = {
     "explained": "Nothing is missing",
@@ -58,10 +57,8 @@ def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
     Path
         The page.
     """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     numbers = diagnosis.json()
-    (folder / "result.json").write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
+    folder = folder_with(numbers, folder)
     before, after = diagnosis.search.baseline, diagnosis.extended
     size = figure_of_size(diagnosis)
     judged = "a flight that no fit saw" if after.held_fit else "the flight that was fitted"
@@ -105,10 +102,8 @@ def write_silence(silence: Silence, folder: str | Path) -> Path:
     Path
         The page.
     """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     numbers = silence.json()
-    (folder / "result.json").write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
+    folder = folder_with(numbers, folder)
     title = "These flights show nothing"
     sections = [
         f"<h1>{title}</h1>",

@@ -118,7 +118,7 @@ def diagnose(
         every,
         unseen,
         tuple(str(one) for one in (*lost, *lost_held)),
-        _next(bench, verdict, found, every, unseen, started_s + seconds),
+        _next(bench, verdict, found, extended, every, unseen, started_s + seconds),
         time.perf_counter() - started_s,
     )
 
@@ -134,12 +134,13 @@ def _next(
     bench: Bench,
     verdict: Verdict,
     found: Search,
+    extended: Hypothesis,
     kinds: Mapping[str, EffectKind],
     unseen: Sequence[str],
     until_s: float,
 ) -> NextFlight | None:
     """The flight that would tell more, where these left something open."""
-    pair = _pair(bench, verdict, found) if verdict.word == "ambiguous" else None
+    pair = _pair(bench, verdict, found, extended) if verdict.word == "ambiguous" else None
     if pair is not None:
         # What it may still take is as open as the question: a part of the budget, but not nothing.
         stop_s = max(until_s, time.perf_counter() + _LEAST_FOR_PLANS_s)
@@ -171,7 +172,7 @@ def _next(
     return None
 
 
-def _pair(bench: Bench, verdict: Verdict, found: Search) -> Pair | None:
+def _pair(bench: Bench, verdict: Verdict, found: Search, extended: Hypothesis) -> Pair | None:
     """The cause that is least sure and its closest rival, both fitted in the place of the same effect."""
     unclear = [one for one in verdict.causes if ambiguous_with(one)]
     if not unclear:
@@ -190,12 +191,11 @@ def _pair(bench: Bench, verdict: Verdict, found: Search) -> Pair | None:
     )
     if step is None:
         return None
-    first = _extended(bench, found)
-    rest = [trial for trial in first.trials if trial.id != one.trial.id]
+    rest = [trial for trial in extended.trials if trial.id != one.trial.id]
     second = step.hypothesis
     if rest:
-        second = bench.try_out([*rest, step.trial], {**first.fit.values, **second.fit.values})
-    return Pair(first, second, (one.trial.id, rival.id), rival.behind)
+        second = bench.try_out([*rest, step.trial], {**extended.fit.values, **second.fit.values})
+    return Pair(extended, second, (one.trial.id, rival.id), rival.behind)
 
 
 def _extended(bench: Bench, found: Search) -> Hypothesis:

@@ -27,7 +27,8 @@ MOST_CAUSES: Final = 6
 NOTHING_LEFT: Final = 1.012
 """Normalised error, on all flights, below which nothing is worth a fit."""
 SETTLED: Final = 1.04
-"""Normalised error, on all flights, that settles a round but for close rivals."""
+"""Normalised error, on all flights, up to which nothing is left but rounding: practice flights reach 1.00 to
+1.02. It settles a round but for close rivals."""
 RIVAL: Final = 0.5
 """Share of the best score that makes a rival close."""
 SCREENED: Final = 12
@@ -442,7 +443,7 @@ class _Searcher:
         if final is not reached:
             screening = Screening(final.fit)
         chance = None
-        if max(final.train.normalised, final.held.normalised) > SETTLED:
+        if min(final.train.normalised, final.held.normalised) >= SETTLED:
             self.say("weighing what remains against chance", 0.88)
             self.colour(final, self.baseline, MOST_ROUNDS)
             chance = self.colours[id(final)][1:3]

@@ -21,8 +21,8 @@ _ROUNDS: Final = 5
 _START_Nm: Final = 0.02
 _NOISE: Final = 0.5
 """Variance of a step's mean residual that rounding leaves, in units of the rounding's variance."""
-_FREE_ANGLE_rad: Final = 0.02
-_FREE_RATE_rad_s: Final = 0.3
+FREE_ANGLE_rad: Final = 0.02
+FREE_RATE_rad_s: Final = 0.3
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ def _smooth(tangent: Tangent, size: Floats) -> tuple[Floats, Floats]:
     see = tangent.see / tangent.record.sigma_rad[:, None]
     mean = np.zeros((count, order))
     spread = np.zeros((count, order, order))
-    spread[:, range(3), range(3)] = _FREE_ANGLE_rad**2
-    spread[:, range(3, nx), range(3, nx)] = _FREE_RATE_rad_s**2
+    spread[:, range(3), range(3)] = FREE_ANGLE_rad**2
+    spread[:, range(3, nx), range(3, nx)] = FREE_RATE_rad_s**2
     spread[:, range(nx, order), range(nx, order)] = size
     kept: list[tuple[Floats, Floats, Floats, Floats, Floats]] = []
     for k in range(longest):

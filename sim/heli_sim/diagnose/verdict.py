@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from heli_sim.diagnose.leftover import Leftover
-from heli_sim.diagnose.search import AMBIGUOUS, Found, Search
+from heli_sim.diagnose.search import AMBIGUOUS, SETTLED, Found, Search
 
-EXPLAINED: Final = 1.04
-"""A normalised error up to here is nothing but rounding: practice flights reach 1.00 to 1.02."""
 LEFT_SHARE: Final = 0.01
 """Share of the excess of the mean square that causes may leave: models of large causes are not exact."""
 CHANCE_ELSEWHERE: Final = 0.003
@@ -104,7 +102,7 @@ def remains(search: Search) -> bool:
     """
     train, held = search.final.train.normalised, search.final.held.normalised
     # The held-out flight alone may be worse by what differs from flight to flight.
-    if min(train, held) < EXPLAINED:
+    if min(train, held) < SETTLED:
         return False
     before = search.baseline.train.normalised**2 + search.baseline.held.normalised**2 - 2.0
     return train**2 + held**2 - 2.0 > LEFT_SHARE * before

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Final
 
@@ -11,7 +10,7 @@ from heli_sim.identify.figures import figure_of_correlations, figure_of_flight, 
 from heli_sim.identify.record import AXES
 from heli_sim.identify.result import Identification, rounded
 from heli_sim.identify.uncertainty import Combination
-from heli_sim.page import escaped, image, table
+from heli_sim.page import escaped, folder_with, image, table
 
 _GOOD: Final = 1.05
 """A normalised error up to here is nothing but rounding."""
@@ -41,9 +40,7 @@ def write_report(identification: Identification, folder: str | Path) -> Path:
     Path
         The page.
     """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "result.json").write_text(json.dumps(identification.json(), indent=2) + "\n", encoding="utf-8")
+    folder = folder_with(identification.json(), folder)
     flights = [
         image(figure_of_flight(trace, role), folder / f"{role}-{number}.png", f"{trace.label}, {role}")
         for role, traces in (
