@@ -17,6 +17,7 @@ import numpy as np
 from heli_sim.diagnose.tangent import Tangent
 from heli_sim.identify import Fit
 from heli_sim.identify.functions import Floats
+from heli_sim.identify.noise import balanced
 
 _ROUNDS: Final = 4
 """Updates of the axes' variances in a score."""
@@ -141,12 +142,17 @@ class Ground:
             low += g
         return answers
 
+    def _scale(self, variance: Floats) -> Floats:
+        """Variances that the axes are judged with: as in a fit, none far below the largest that is not rounding."""
+        least: Floats = np.maximum(variance, _LEAST_VARIANCE)
+        return balanced(least, variance, self.tangents[0].record.sigma_rad)
+
     def _solve(self, gram: Floats, column_prior: Floats) -> Answer:
         nx, count = self.fit.problem.state_count, len(self.prior)
         prior = np.concatenate((self.prior, column_prior))
         pull = np.concatenate((-self.prior * self._off, np.zeros(len(column_prior))))
         variance = np.einsum("waii,w->ai", gram[:, :, -1:, -1:], self.weights)[:, 0] / self.rows
-        scale = np.maximum(variance, _LEAST_VARIANCE)
+        scale = self._scale(variance)
         # Columns in units of their own size: frequencies and masses side by side stay well conditioned.
         unit = np.sqrt(np.maximum(np.einsum("waii->i", gram[:, :, nx:-1, nx:-1]) + prior, 1e-30))
         diagonal = np.arange(nx)
@@ -165,9 +171,10 @@ class Ground:
             after = np.matmul(gram, every[:, None, :, None])[..., 0]
             square = np.einsum("wi,wai->wa", every, after)
             variance = np.maximum((self.weights @ square) / self.rows, 0.0)
-            scale = np.maximum(variance, _LEAST_VARIANCE)
+            scale = self._scale(variance)
         off = self._off + theta[:count]
-        cost = 0.5 * (self.rows * float(np.log(scale).sum()) + float(off @ (self.prior * off)))
+        likelihood = float((np.log(scale) + variance / scale).sum())
+        cost = 0.5 * (self.rows * likelihood + float(off @ (self.prior * off)))
         base = self.nothing.gain if hasattr(self, "nothing") else 0.0
         std = np.sqrt(np.maximum(np.diag(inverse)[count:], 0.0))
         return Answer(-cost - base, theta[count:], std, variance, theta[:count])

@@ -37,6 +37,10 @@ SCREENED_PATTERNS: Final = 12
 """The same of patterns."""
 SHORTLIST: Final = 3
 """Effects that are refitted in a round, at most."""
+SECOND_CHANCE: Final = 2
+"""Further effects that are refitted where none of the shortlist is accepted, at most."""
+SECOND_LEAST: Final = 0.3
+"""Share of the best first-order score that they must have."""
 WORTH_A_FIT: Final = 0.25
 """Share of the best score that an effect must reach to be refitted."""
 LEAST_HELD: Final = 3.0
@@ -108,7 +112,7 @@ class Step:
         agreed = self.evidence.held > LEAST_HELD and self.evidence.held_low > 0.0
         # A short flight held out has few windows, and one of them may decide the lower bound.
         plain = self.evidence.held > self.price and self.evidence.train > SURE * self.price
-        plain &= self.evidence.held_low > -0.5 * self.evidence.held
+        plain &= self.evidence.held_low > -0.75 * self.evidence.held
         return self.evidence.train > self.price and (agreed or plain)
 
     @property
@@ -333,13 +337,16 @@ class _Searcher:
                 # No curve is taken in the place of an effect that leaves nothing.
                 if _settled(steps) and (one.trial.is_pattern or score < RIVAL * steps[0].linear):
                     continue
-                self.say(f"trying {one.trial.id}", 0.1 + 0.6 * (1 - 0.6 ** (number + 0.5)))
-                step = self.attempt(hypothesis, hypothesis.trials, one, score)
-                if step is not None:
-                    steps.append(step)
-                if self.out_of_time():
-                    break
-            steps, taken = self.choice(hypothesis, sorted(steps, key=lambda step: -step.worth))
+                self.tried(steps, hypothesis, one, score)
+            steps, taken = self.choice(hypothesis, steps)
+            if taken is None and shortlist:
+                # What is worth most of all may be worth nothing yet, beside something larger.
+                known = {one.trial.id for one, _ in shortlist}
+                others = [one for one in screened if one.trial.id not in known][:SECOND_CHANCE]
+                for one in others:
+                    if one.answer.gain > SECOND_LEAST * screened[0].answer.gain:
+                        self.tried(steps, hypothesis, one, 0.0)
+                steps, taken = self.choice(hypothesis, steps)
             self.rounds.append(
                 Round(tuple(screened), tuple(patterns), tuple(steps), taken.trial.id if taken else "")
             )
@@ -366,11 +373,22 @@ class _Searcher:
                 break
         return replace(step, coloured=gain)
 
+    def tried(self, steps: list[Step], base: Hypothesis, one: Scored, score: float) -> None:
+        """Refit one more candidate, while there is time."""
+        if self.out_of_time() and steps:
+            return
+        number = len(self.rounds)
+        self.say(f"trying {one.trial.id}", 0.1 + 0.6 * (1 - 0.6 ** (number + 0.5)))
+        step = self.attempt(base, base.trials, one, score)
+        if step is not None:
+            steps.append(step)
+
     def choice(self, base: Hypothesis, steps: Sequence[Step]) -> tuple[list[Step], Step | None]:
         """The best effect that chance does not imitate, or a pattern that is clearly ahead of it."""
+        steps = sorted(steps, key=lambda step: -step.worth)
         effects = [step for step in steps if step.accepted and not step.trial.is_pattern]
         if effects and effects[0].settled:
-            return list(steps), effects[0]
+            return steps, effects[0]
         patterns = [step for step in steps if step.accepted and step.trial.is_pattern][:1]
         known = {id(step): self.weighed(base, step) for step in (*effects[:WEIGHED], *patterns)}
         ahead = [known[id(s)] for s in effects[:WEIGHED] if known[id(s)].lead > LEAST_COLOURED]

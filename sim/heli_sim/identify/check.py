@@ -180,6 +180,7 @@ def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str]
         step_s=problem.step_s,
         priors=local,
         values=dict(zip((q.name for q in problem.model.parameters), problem.base, strict=True)) | shared,
+        state_std=problem.tied,
     )
     return solve(held_out, robust=False, scatter=False)
 

@@ -85,20 +85,20 @@ def balanced(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floats
 
     Parameters
     ----------
-    variance : ndarray (3,)
+    variance : ndarray (..., 3)
         As `inflation` returns it.
-    mean_square : ndarray (3,)
+    mean_square : ndarray (..., 3)
         Mean square of the residuals.
     sigma_rad : ndarray (3,)
         Standard deviation of the rounding of each axis.
 
     Returns
     -------
-    ndarray (3,)
+    ndarray (..., 3)
         Variances, none smaller than given; unchanged where nothing but rounding is left.
     """
     wrong = np.maximum(0.0, 1.0 - 2.0 / np.maximum(mean_square, 1e-12))
-    least_rad2 = LEAST_SHARE * float(np.max(variance * wrong * sigma_rad**2))
+    least_rad2 = LEAST_SHARE * np.max(variance * wrong * sigma_rad**2, axis=-1, keepdims=True)
     result: Floats = np.maximum(variance, least_rad2 / sigma_rad**2)
     return result
 

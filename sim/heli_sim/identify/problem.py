@@ -130,7 +130,8 @@ class Problem:
         self.window_s = window_s
         self.step_s = step_s
         self.state_count = len(model.states)
-        self.state_std: Floats = np.array([(state_std or {}).get(s.name, 1.0) for s in model.states[6:]])
+        self.tied = dict(state_std or {})
+        self.state_std: Floats = np.array([self.tied.get(s.name, 1.0) for s in model.states[6:]])
         names = [quantity.name for quantity in model.parameters]
         self.base: Floats = model.parameter_values(rig)
         for name, value in (values or {}).items():
@@ -333,12 +334,7 @@ class Problem:
         states[:, :6] = [_parabola(record, int(row)) for row in rows]
         if self.state_count == 6:
             return states
-        for number, row in enumerate(rows):
-            segment = next(start for start, stop in record.segments if start <= row < stop)
-            back = min(int(row) - segment, round(_LEAD_IN_S / record.step_s))
-            if back > 0:
-                lead = self._lead_in(index, int(row) - back, back, theta)
-                states[number, 6:] = lead[6:]
+        states[:, 6:] = self._led_in(index, rows, states, theta)
         shown = {state: axis for effect in self.model.effects for state, axis in effect.shown.items()}
         for place, state in enumerate(self.model.states):
             if state.name in shown:
@@ -455,13 +451,31 @@ class Problem:
         grid = self.grid(index, False, theta)
         return grid.rows[grid.inputs.first]
 
-    def _lead_in(self, index: int, row: int, rows: int, theta: Floats) -> Floats:
+    def _led_in(
+        self, index: int, rows: npt.NDArray[np.int64], states: Floats, theta: Floats
+    ) -> Floats:
+        """States of effects after a second of free run that ends at each row, shape (w, states - 6).
+
+        Voltages count from before the free segment too: there the arm may stand on its table, but what its
+        rotors do next depends on them all the same. Its run then starts as the segment does.
+        """
         record, parameters = self.records[index], self.parameters(theta, index)
-        grid = make_grid(record, [(row, rows)], 1, delay=self._shape(parameters)[0])
-        start = np.zeros((1, self.state_count))
-        start[0, :6] = _parabola(record, row)
-        end: Floats = self.kernel.end(grid.inputs, start, parameters)[0]
-        return end
+        led = np.zeros((len(rows), self.state_count - 6))
+        gaps = np.flatnonzero(np.diff(record.t_s) > 1.5 * record.step_s) + 1
+        last_gap = np.concatenate(([0], gaps))
+        first = last_gap[np.searchsorted(last_gap, rows, side="right") - 1]
+        back = np.minimum(rows - first, round(_LEAD_IN_S / record.step_s))
+        some = np.flatnonzero(back > 0)
+        if len(some):
+            windows = [(int(rows[i] - back[i]), int(back[i])) for i in some]
+            grid = make_grid(record, windows, 1, delay=self._shape(parameters)[0])
+            start = np.zeros((len(some), self.state_count))
+            for number, i in enumerate(some):
+                begins = next(low for low, high in record.segments if low <= rows[i] < high)
+                begin = windows[number][0]
+                start[number, :6] = _parabola(record, begin) if begin >= begins else states[i, :6]
+            led[some] = self.kernel.end(grid.inputs, start, parameters)[:, 6:]
+        return np.where(np.isfinite(led), led, 0.0)
 
 
 def _parabola(record: Record, row: int, reach_s: float = _STATE_FIT_S) -> Floats:

@@ -23,6 +23,8 @@ _TABLE_MARGIN_DEG: Final = 1.5
 _TAKE_OFF_DEG: Final = 10.0
 """A take-off or landing is over only this far above the table."""
 _SETTLE_S: Final = 1.0
+_ROTOR_m: Final = 0.1
+"""How far a rotor reaches beyond its axle: propellers of rigs of this kind are 0.2 m and more across."""
 _STOP_MARGIN_DEG: Final = 1.0
 _MOST_UNSURE_DEG: Final = 3.0
 """A stop that is less sure than this is taken to be where the rig file has it."""
@@ -264,6 +266,12 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> npt.NDArray[np.bool_
     contact = (
         elevation_deg < table_deg + min(rig["elevation_min"].tolerance, _MOST_UNSURE_DEG) + _TABLE_MARGIN_DEG
     )
+    # An arm that leans far reaches the table with its lower rotor long before it stands on it.
+    share = (rig["L_h"].value + _ROTOR_m) / rig["L_a"].value
+    low = np.sin(flight.elevation_rad) - share * np.abs(np.sin(flight.pitch_rad)) * np.cos(
+        flight.elevation_rad
+    )
+    contact |= low < math.sin(math.radians(table_deg))
     if not contact.any():
         return contact
     clear = elevation_deg > table_deg + _TAKE_OFF_DEG

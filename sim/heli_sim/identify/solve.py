@@ -232,6 +232,11 @@ class _Solver:
         total += float(sum(self.window_cost(point, index).sum() for index in range(len(point.looks))))
         return total if math.isfinite(total) else math.inf
 
+    def tie(self, point: _Point) -> None:
+        """Tie the effects' states to what the voltages before their windows say with the numbers found so far."""
+        if self.problem.state_count > 6:
+            self.reference = self.problem.first_states(point.theta)
+
     def window_cost(self, point: _Point, index: int) -> Floats:
         of_record = self.reference[index], self.variance[index], self.weights[index]
         return window_cost(self.problem, point.looks[index], point.states[index], *of_record)
@@ -425,6 +430,7 @@ def solve(
         )
         converged = finished
         rescued = number in (2, 3) and finished and solver.rescue(point)
+        solver.tie(point)
         change = solver.reweight(point)
         solver.damping = 0.0
         if not finished or (number >= _ROUGH - 1 + bool(searched) and change < _SETTLED and not rescued):
@@ -438,6 +444,7 @@ def solve(
             point, finished = solver.descend(point, "every sample", share, most=10)
             converged = converged and finished
             rescued = number < 2 and finished and solver.rescue(point)
+            solver.tie(point)
             change = solver.reweight(point)
             if not finished or not (rescued or change >= _SETTLED):
                 break
