@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from heli_host.fly.plan import Plan
 from heli_sim.diagnose.ground import Ground
+from heli_sim.diagnose.hypothesis import Errors
 from heli_sim.diagnose.next_flight import next_flight, part_for
 from heli_sim.diagnose.pattern import POINTS, bumps, choices, span_of
 from heli_sim.diagnose.tangent import Tangent
@@ -83,6 +84,19 @@ def test_column_that_is_the_residual_scores_all_of_it(baseline: Fit) -> None:
     answer = ground.score([column])
     assert answer.size[0] == pytest.approx(1.0, abs=0.1)
     assert answer.gain > 100.0
+
+
+def test_the_axis_that_is_far_off_decides_where_a_model_is_wrong() -> None:
+    def surprise(pitch: float, travel: float) -> float:
+        rows = np.array([200.0])
+        squares = np.array([[1.0, pitch**2, travel**2]]) * rows[:, None]
+        made = Errors(squares, rows, np.ones(3), 0.0, 1.0, np.ones(3), np.ones(3))
+        return float(made.surprise.sum())
+
+    # Half of travel's error is nothing beside a tenth of a pitch error ten times as large.
+    assert surprise(pitch=45.0, travel=10.0) < surprise(pitch=50.0, travel=5.0)
+    # Where only rounding is left, each axis counts for itself.
+    assert surprise(pitch=1.2, travel=1.0) - surprise(pitch=1.0, travel=1.0) == pytest.approx(2 * np.log(1.2))
 
 
 @pytest.mark.parametrize("parts", [(), ("motors",), ("fast",), ("travel", "time"), ("elevation",)])

@@ -111,7 +111,12 @@ def told(pair: str, models: Sequence[tuple[str, ...]] = TOLD, back: bool = False
         trials = [Trial(id_, kinds[id_].make(kinds[id_].typical), kinds[id_].size) for id_ in effects]
         starts = [None, found[-1].hypothesis.fit] if found else [None]
         # A valley is chosen by the flight that is fitted; the other one is only looked at.
-        best = min((bench.try_out(trials, start) for start in starts), key=lambda one: one.fit.cost)
+        best = min((bench.try_out(trials, start) for start in starts), key=_unlikely)
         baseline = found[0].hypothesis if found else best
         found.append(Told(effects, best, gain(baseline, best)))
     return found
+
+
+def _unlikely(one: Hypothesis) -> float:
+    """Minus the logarithm of the likelihood; a fit's own cost is in units of its own errors."""
+    return float(0.5 * one.train.rows.sum() * one.train.surprise.sum() + one.train.tension)

@@ -14,7 +14,7 @@ from heli_sim.diagnose.curves import Curve
 from heli_sim.diagnose.hypothesis import Hypothesis
 from heli_sim.diagnose.pattern import named
 from heli_sim.diagnose.result import Diagnosis
-from heli_sim.diagnose.search import Round
+from heli_sim.diagnose.steps import Round
 from heli_sim.diagnose.tangent import Tangent
 from heli_sim.diagnose.torque import Torque, missing_torque
 from heli_sim.identify import Fit, Trace, trace

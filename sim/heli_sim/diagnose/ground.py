@@ -143,7 +143,11 @@ class Ground:
         return answers
 
     def _scale(self, variance: Floats) -> Floats:
-        """Variances that the axes are judged with: as in a fit, none far below the largest that is not rounding."""
+        """Variances to judge the axes with: as in a fit, none far below the largest that is not rounding.
+
+        Where travel was given all the freedom that its fine encoder asks for, pitch stayed wrong, and what a
+        refit finds at once on measured flights came 27th.
+        """
         least: Floats = np.maximum(variance, _LEAST_VARIANCE)
         return balanced(least, variance, self.tangents[0].record.sigma_rad)
 

@@ -24,8 +24,8 @@ _STEP_s: Final = 0.004
 _RESAMPLED: Final = 400
 _STATE_STD: Final[Mapping[str, float]] = {"rad": 0.02, "N m": 0.1}
 _STATE_STD_V: Final = 0.15
-"""What the voltages before a window say of its rotors' thrust is that sure. Where it was left open, each window
-of a measured flight took a thrust that suited it, and a lag of 0.12 s came out as 0.13 to 0.35 s."""
+"""How surely the voltages before a window tell its rotors' thrust. Left open, each window of a measured
+flight took the thrust that suited it, and a lag of 0.12 s came out as 0.13 to 0.35 s."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ class Errors:
     def unlikely(self, squares: Floats, rows: Floats) -> Floats:
         """Twice what each row of an axis takes off the logarithm of the likelihood.
 
-        Axes are judged as in a fit (`noise.balanced`): where a model is wrong, how far is what counts, and not
-        which axis shows it most finely.
+        Axes are judged as in a fit (`noise.balanced`): where a model is wrong, how far off it is counts, and
+        not which axis shows it most finely.
 
         Parameters
         ----------

@@ -16,7 +16,7 @@ from heli_sim.diagnose.leftover import Leftover
 from heli_sim.diagnose.next_flight import NextFlight
 from heli_sim.diagnose.pattern import Pattern
 from heli_sim.diagnose.removed import Removed
-from heli_sim.diagnose.search import Found, Search
+from heli_sim.diagnose.steps import Found, Search
 from heli_sim.diagnose.unseen import unlearned_numbers
 from heli_sim.diagnose.verdict import Verdict
 from heli_sim.identify import Fit

@@ -23,7 +23,8 @@ from heli_sim.diagnose.next_flight import (
 from heli_sim.diagnose.pattern import Pattern
 from heli_sim.diagnose.removed import removed_terms
 from heli_sim.diagnose.result import Diagnosis
-from heli_sim.diagnose.search import AMBIGUOUS, Search, search
+from heli_sim.diagnose.search import AMBIGUOUS, search
+from heli_sim.diagnose.steps import Search
 from heli_sim.diagnose.unseen import unseen_effects
 from heli_sim.diagnose.verdict import Verdict, ambiguous_with, judge, remains
 from heli_sim.errors import IdentifyError, ShowsNothing

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from heli_sim.diagnose.leftover import Leftover
-from heli_sim.diagnose.search import AMBIGUOUS, SETTLED, Found, Search
+from heli_sim.diagnose.search import AMBIGUOUS
+from heli_sim.diagnose.steps import SETTLED, Found, Search
 
 LEFT_SHARE: Final = 0.01
 """Share of the excess of the mean square that causes may leave: models of large causes are not exact."""

@@ -451,9 +451,7 @@ class Problem:
         grid = self.grid(index, False, theta)
         return grid.rows[grid.inputs.first]
 
-    def _led_in(
-        self, index: int, rows: npt.NDArray[np.int64], states: Floats, theta: Floats
-    ) -> Floats:
+    def _led_in(self, index: int, rows: npt.NDArray[np.int64], states: Floats, theta: Floats) -> Floats:
         """States of effects after a second of free run that ends at each row, shape (w, states - 6).
 
         Voltages count from before the free segment too: there the arm may stand on its table, but what its

@@ -233,7 +233,7 @@ class _Solver:
         return total if math.isfinite(total) else math.inf
 
     def tie(self, point: _Point) -> None:
-        """Tie the effects' states to what the voltages before their windows say with the numbers found so far."""
+        """Tie effects' states to what the flight before their windows says, with the numbers found so far."""
         if self.problem.state_count > 6:
             self.reference = self.problem.first_states(point.theta)
 
