@@ -23,7 +23,6 @@ _STARTS = (1.0, 0.3, 0.03)
 _EXPLAINED = 1.03
 _STEP_S = 0.004
 """Coarser steps lose their way in dry friction and backlash."""
-_STATE_STD = {"rad": 0.02, "N": 1.0, "V": 1.0, "N m": 0.1}
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,6 @@ def _fit(
         free=loose(model, rig, None, list(fixed)),
         step_s=_STEP_S,
         values=fixed,
-        state_std={state.name: _STATE_STD.get(state.unit, 1.0) for state in model.states[6:]},
     )
     return solve(problem, start=start)
 

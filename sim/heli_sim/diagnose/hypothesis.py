@@ -22,10 +22,6 @@ _RELIEF: Final = 20.0
 _STEP_s: Final = 0.004
 """Steps of 10 ms lose their way in effects that change within a few milliseconds, such as dry friction."""
 _RESAMPLED: Final = 400
-_STATE_STD: Final[Mapping[str, float]] = {"rad": 0.02, "N m": 0.1}
-_STATE_STD_V: Final = 0.15
-"""How surely the voltages before a window tell its rotors' thrust. Left open, each window of a measured
-flight took the thrust that suited it, and a lag of 0.12 s came out as 0.13 to 0.35 s."""
 
 
 @dataclass(frozen=True)
@@ -207,16 +203,7 @@ class Bench:
         """
         effects: tuple[Effect, ...] = tuple(trial.effect for trial in trials)
         model = type(self.model)((*self.model.effects, *effects))
-        thrust_N = _STATE_STD_V * self.rig["thrust_gain"].value
-        known = {**_STATE_STD, "V": _STATE_STD_V, "N": thrust_N}
-        problem = Problem(
-            model,
-            self.rig,
-            self.train,
-            window_s=self.window_s,
-            step_s=_STEP_s,
-            state_std={state.name: known.get(state.unit, 1.0) for state in model.states[6:]},
-        )
+        problem = Problem(model, self.rig, self.train, window_s=self.window_s, step_s=_STEP_s)
         fit = solve(problem, start=start)
         self.fits += 1
         held_fit = validate(fit, self.held) if self.held else None
