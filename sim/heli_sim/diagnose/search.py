@@ -225,6 +225,7 @@ class _Searcher:
         effects = [step for step in steps if step.accepted and not step.trial.is_pattern]
         if effects and effects[0].settled:
             return steps, effects[0]
+        effects = [step for step in steps if _counts(step, steps)]
         patterns = [step for step in steps if step.accepted and step.trial.is_pattern][:1]
         known = {id(step): self.weighed(base, step) for step in (*effects[:WEIGHED], *patterns)}
         ahead = [known[id(s)] for s in effects[:WEIGHED] if known[id(s)].lead > LEAST_COLOURED]
@@ -245,9 +246,11 @@ class _Searcher:
             rest = [other for other in final.trials if other is not trial]
             less = self.bench.try_out(rest, final.fit.values) if rest else self.baseline
             step = Step(final, self.bench.evidence(final, less), self.price(trial, 60), 0.0)
-            if step.accepted and not step.settled:
+            seen = next((one.steps for one in self.rounds if one.taken == trial.id), ())
+            needed = step.accepted or _counts(step, seen)
+            if needed and not step.settled:
                 step = self.weighed(less, step)
-            if not (step.accepted and step.lead > LEAST_COLOURED) and not self.out_of_time():
+            if not (needed and step.lead > LEAST_COLOURED) and not self.out_of_time():
                 final, number = less, 0
                 without.clear()
                 continue
@@ -302,6 +305,15 @@ class _Searcher:
             self.colour(final, self.baseline, MOST_ROUNDS)
             chance = self.colours[id(final)][1:3]
         return Search(self.baseline, final, tuple(found), tuple(self.rounds), screening, complete, chance)
+
+
+def _counts(step: Step, beside: Sequence[Step]) -> bool:
+    """Whether it is an effect that is accepted, or one that is not told apart from such a one."""
+    if step.trial.is_pattern:
+        return False
+    accepted = [one.evidence.total for one in beside if one.accepted and not one.trial.is_pattern]
+    # No threshold decides between two of these: lag and delay are often such.
+    return step.accepted or (bool(accepted) and step.rivals(max(accepted) - AMBIGUOUS))
 
 
 def _nothing_left(hypothesis: Hypothesis) -> bool:
