@@ -295,14 +295,13 @@ def pooled(bench: Bench, hypothesis: Hypothesis) -> Fit:
     if held is None:
         return fit
     old = fit.problem
-    own = [state.name for state in old.model.states[6:]]
     problem = Problem(
         old.model,
         old.rig,
         (*bench.train, *bench.held),
         window_s=old.window_s,
         step_s=old.step_s,
-        state_std=dict(zip(own, map(float, old.state_std), strict=True)),
+        state_std=old.tied,
     )
     known = {(one.quantity, one.record): v for one, v in zip(old.free, fit.theta, strict=True)}
     for one, value in zip(held.problem.free, held.theta, strict=True):

@@ -17,12 +17,10 @@ import numpy as np
 from heli_sim.diagnose.tangent import Tangent
 from heli_sim.identify import Fit
 from heli_sim.identify.functions import Floats
-from heli_sim.identify.noise import balanced
+from heli_sim.identify.noise import judged
 
 _ROUNDS: Final = 4
 """Updates of the axes' variances in a score."""
-_LEAST_VARIANCE: Final = 0.05
-"""Mean square over a step that rounding alone leaves at least; keeps an axis at rest from weighing all."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +66,7 @@ class Ground:
         self._off: Floats = fit.theta - problem.prior_mean
         self.rows = sum(tangent.rows for tangent in self.tangents)
         self.weights: Floats = np.concatenate(fit.weights)
+        self._sigma_rad = problem.records[0].sigma_rad
         self._tie = np.concatenate((np.zeros(6), problem.state_std**-2.0))
         count = len(problem.free)
         self._known: list[Floats] = []
@@ -142,21 +141,12 @@ class Ground:
             low += g
         return answers
 
-    def _scale(self, variance: Floats) -> Floats:
-        """Variances to judge the axes with: as in a fit, none far below the largest that is not rounding.
-
-        Where travel was given all the freedom that its fine encoder asks for, pitch stayed wrong, and what a
-        refit finds at once on measured flights came 27th.
-        """
-        least: Floats = np.maximum(variance, _LEAST_VARIANCE)
-        return balanced(least, variance, self.tangents[0].record.sigma_rad)
-
     def _solve(self, gram: Floats, column_prior: Floats) -> Answer:
         nx, count = self.fit.problem.state_count, len(self.prior)
         prior = np.concatenate((self.prior, column_prior))
         pull = np.concatenate((-self.prior * self._off, np.zeros(len(column_prior))))
         variance = np.einsum("waii,w->ai", gram[:, :, -1:, -1:], self.weights)[:, 0] / self.rows
-        scale = self._scale(variance)
+        scale = judged(variance, self._sigma_rad)
         # Columns in units of their own size: frequencies and masses side by side stay well conditioned.
         unit = np.sqrt(np.maximum(np.einsum("waii->i", gram[:, :, nx:-1, nx:-1]) + prior, 1e-30))
         diagonal = np.arange(nx)
@@ -175,7 +165,7 @@ class Ground:
             after = np.matmul(gram, every[:, None, :, None])[..., 0]
             square = np.einsum("wi,wai->wa", every, after)
             variance = np.maximum((self.weights @ square) / self.rows, 0.0)
-            scale = self._scale(variance)
+            scale = judged(variance, self._sigma_rad)
         off = self._off + theta[:count]
         likelihood = float((np.log(scale) + variance / scale).sum())
         cost = 0.5 * (self.rows * likelihood + float(off @ (self.prior * off)))

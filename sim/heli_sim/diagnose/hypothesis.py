@@ -11,12 +11,11 @@ import numpy as np
 from heli_sim.diagnose.trial import Trial
 from heli_sim.identify import Fit, Problem, Record, solve, validate
 from heli_sim.identify.functions import Floats
-from heli_sim.identify.noise import autocovariance, balanced
+from heli_sim.identify.noise import LEAST_VARIANCE, autocovariance, judged
 from heli_sim.model.base import Effect, Model
 from heli_sim.rig import Rig
 
 _CORRELATED_s: Final = 0.5
-_LEAST_VARIANCE: Final = 0.05
 _RELIEF: Final = 20.0
 """Relief of the rig's numbers that counts as much as a visible drop of the errors."""
 _STEP_s: Final = 0.004
@@ -58,7 +57,7 @@ class Errors:
     def unlikely(self, squares: Floats, rows: Floats) -> Floats:
         """Twice what each row of an axis takes off the logarithm of the likelihood.
 
-        Axes are judged as in a fit (`noise.balanced`): where a model is wrong, how far off it is counts, and
+        Axes are judged as in a fit (`noise.judged`): where a model is wrong, how far off it is counts, and
         not which axis shows it most finely.
 
         Parameters
@@ -73,8 +72,8 @@ class Errors:
         ndarray (..., 3)
             Logarithm of the variance, and the mean square over it.
         """
-        mean = np.maximum(squares / rows[..., None], _LEAST_VARIANCE)
-        scale = balanced(mean, mean, self.sigma_rad)
+        mean = np.maximum(squares / rows[..., None], LEAST_VARIANCE)
+        scale = judged(mean, self.sigma_rad)
         result: Floats = np.log(scale) + mean / scale
         return result
 
@@ -86,7 +85,7 @@ class Errors:
     @property
     def variance(self) -> Floats:
         """Mean square of each axis, shape (3,)."""
-        result: Floats = np.maximum(self.squares.sum(axis=0) / self.rows.sum(), _LEAST_VARIANCE)
+        result: Floats = np.maximum(self.squares.sum(axis=0) / self.rows.sum(), LEAST_VARIANCE)
         return result
 
 

@@ -309,11 +309,13 @@ class _Searcher:
 
 def _counts(step: Step, beside: Sequence[Step]) -> bool:
     """Whether it is an effect that is accepted, or one that is not told apart from such a one."""
-    if step.trial.is_pattern:
+    if step.trial.is_pattern or step.accepted:
+        return not step.trial.is_pattern
+    if step.evidence.train <= step.price or step.evidence.drop < LEAST_DROP:
         return False
-    accepted = [one.evidence.total for one in beside if one.accepted and not one.trial.is_pattern]
     # No threshold decides between two of these: lag and delay are often such.
-    return step.accepted or (bool(accepted) and step.rivals(max(accepted) - AMBIGUOUS))
+    least = step.evidence.total + AMBIGUOUS
+    return any(least > one.evidence.total for one in beside if one.accepted and not one.trial.is_pattern)
 
 
 def _nothing_left(hypothesis: Hypothesis) -> bool:

@@ -74,22 +74,6 @@ class Step:
         plain &= self.evidence.held_low > -LOW * self.evidence.held
         return self.evidence.train > self.price and (agreed or plain)
 
-    def rivals(self, least: float) -> bool:
-        """Say whether it is an effect that pays its price and has so much evidence.
-
-        Parameters
-        ----------
-        least : float
-            Evidence, on the flights fitted and held out together.
-
-        Returns
-        -------
-        bool
-            True also where it would not be accepted by itself.
-        """
-        enough = self.evidence.total > least and self.evidence.train > self.price
-        return enough and self.evidence.drop >= LEAST_DROP and not self.trial.is_pattern
-
     @property
     def settled(self) -> bool:
         """Whether it leaves nothing but rounding, and took away much."""

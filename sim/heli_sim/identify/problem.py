@@ -466,9 +466,8 @@ class Problem:
         """
         record, parameters = self.records[index], self.parameters(theta, index)
         led = np.zeros((len(rows), self.state_count - 6))
-        gaps = np.flatnonzero(np.diff(record.t_s) > 1.5 * record.step_s) + 1
-        last_gap = np.concatenate(([0], gaps))
-        first = last_gap[np.searchsorted(last_gap, rows, side="right") - 1]
+        begun = np.array([0, *(gap + 1 for gap in record.gaps)])
+        first = begun[np.searchsorted(begun, rows, side="right") - 1]
         back = np.minimum(rows - first, round(_LEAD_IN_S / record.step_s))
         some = np.flatnonzero(back > 0)
         if len(some):

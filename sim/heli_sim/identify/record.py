@@ -78,6 +78,8 @@ class Record:
         What was left out.
     notes : tuple of str
         What else was noticed, a sentence each.
+    gaps : tuple of int
+        Rows after which time is missing.
     """
 
     label: str
@@ -89,6 +91,7 @@ class Record:
     segments: tuple[tuple[int, int], ...]
     cuts: tuple[Cut, ...]
     notes: tuple[str, ...] = ()
+    gaps: tuple[int, ...] = ()
 
     @property
     def sigma_rad(self) -> Floats:
@@ -155,12 +158,15 @@ def prepare(
     for axis, at_stop, note in _stops(angles, rig, step_s):
         reasons.append((at_stop, f"stop of the {axis}"))
         notes += note
+    gaps = flight.gaps
     gap = np.zeros(len(t_s), bool)
-    gap[flight.gaps] = True
+    gap[gaps] = True
 
     segments, cuts = _segments(reasons, gap, t_s, max(2, round(_LEAST_SEGMENT_S / step_s)))
     _refuse_jumps(flight, label, segments)
-    record = Record(label, t_s, angles, volts, step_s, count_rad, segments, cuts, tuple(notes))
+    record = Record(
+        label, t_s, angles, volts, step_s, count_rad, segments, cuts, tuple(notes), tuple(map(int, gaps))
+    )
     if not segments:
         why = ", ".join(dict.fromkeys(cut.why for cut in cuts)) or "it is too short"
         raise ShowsNothing(
