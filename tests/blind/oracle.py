@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from heli_host.flight import Flight
-from heli_sim.identify import Fit, Problem, Record, check, prepare, solve, validate
-from heli_sim.identify.free import loose
+from heli_lab.identify import Fit, Problem, Record, check, prepare, solve, validate
+from heli_lab.identify.free import loose
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Effect
 from heli_sim.model.effects import catalogue

@@ -12,7 +12,7 @@ from typing import Any
 
 import heli_sim
 from heli_host.flight import Flight
-from heli_sim.diagnose import diagnose
+from heli_lab.diagnose import diagnose
 from heli_sim.errors import SimError
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig, load_rig

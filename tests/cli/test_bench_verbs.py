@@ -9,7 +9,7 @@ from pathlib import Path
 import heli_host
 import numpy as np
 import pytest
-from heli_host.cli import motors
+from heli_host.cli.verbs import motors
 from heli_host.heli import Heli
 from heli_host.link.declaration import State
 from heli_host.link.requests import Command

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 import serial
-from heli_host.cli import flash as flash_verb
-from heli_host.cli.flash import ANSWER_TIMEOUT_S
+from heli_host.cli.verbs import flash as flash_verb
+from heli_host.cli.verbs.flash import ANSWER_TIMEOUT_S
 from heli_host.errors import FlashError, ImageError, UploaderError
 from heli_host.flash import bossac as uploading
 from heli_host.flash.bossac import Bossac, find_bossac, write_image

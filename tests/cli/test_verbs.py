@@ -9,7 +9,8 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from heli_host.cli import doctor
+from heli_host.cli.finding import Verdict
+from heli_host.cli.verbs import doctor
 from heli_host.flight import Flight
 from serial.tools import list_ports
 
@@ -110,13 +111,13 @@ def test_doctor_says_what_to_mend(
 
 
 def test_doctor_knows_an_old_python() -> None:
-    assert doctor.check_python((3, 10, 2)).verdict is doctor.Verdict.BAD
-    assert doctor.check_python((3, 11, 0)).verdict is doctor.Verdict.GOOD
+    assert doctor.check_python((3, 10, 2)).verdict is Verdict.BAD
+    assert doctor.check_python((3, 11, 0)).verdict is Verdict.GOOD
 
 
 def test_doctor_names_a_missing_package() -> None:
     finding = doctor.check_packages(lambda name: name != "cobs")
-    assert finding.verdict is doctor.Verdict.BAD
+    assert finding.verdict is Verdict.BAD
     assert "cobs" in finding.what
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_sim.diagnose import Diagnosis, diagnose
-from heli_sim.diagnose.gain import gain
-from heli_sim.diagnose.report import write_report
+from heli_lab.diagnose import Diagnosis, diagnose
+from heli_lab.diagnose.gain import gain
+from heli_lab.diagnose.report import write_report
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import effects_of
 from heli_sim.rig import load_rig, write_rig

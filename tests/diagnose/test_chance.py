@@ -6,11 +6,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_sim.diagnose import Diagnosis, diagnose
-from heli_sim.diagnose.chance import dependences, one_axis
-from heli_sim.diagnose.coloured import Colour, Filter, coloured
-from heli_sim.diagnose.hypothesis import Bench
-from heli_sim.identify import Fit, Problem, prepare, solve
+from heli_lab.diagnose import Diagnosis, diagnose
+from heli_lab.diagnose.chance import dependences, one_axis
+from heli_lab.diagnose.coloured import Colour, Filter, coloured
+from heli_lab.diagnose.hypothesis import Bench
+from heli_lab.identify import Fit, Problem, prepare, solve
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 from scipy.stats import multivariate_normal

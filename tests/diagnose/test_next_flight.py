@@ -6,7 +6,7 @@ from functools import cache
 
 from heli_host.flight import Flight
 from heli_host.fly.plan import Plan
-from heli_sim.diagnose import Diagnosis, diagnose
+from heli_lab.diagnose import Diagnosis, diagnose
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, parse_effects
 from heli_sim.rig import load_rig

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from heli_host.fly.plan import Plan
-from heli_sim.diagnose.ground import Ground
-from heli_sim.diagnose.hypothesis import Errors
-from heli_sim.diagnose.next_flight import next_flight, part_for
-from heli_sim.diagnose.pattern import POINTS, bumps, choices, span_of
-from heli_sim.diagnose.tangent import Tangent
-from heli_sim.diagnose.torque import missing_torque
-from heli_sim.identify import Fit, Problem, prepare, solve
+from heli_lab.diagnose.ground import Ground
+from heli_lab.diagnose.hypothesis import Errors
+from heli_lab.diagnose.next_flight import next_flight, part_for
+from heli_lab.diagnose.pattern import POINTS, bumps, choices, span_of
+from heli_lab.diagnose.tangent import Tangent
+from heli_lab.diagnose.torque import missing_torque
+from heli_lab.identify import Fit, Problem, prepare, solve
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

@@ -5,10 +5,10 @@ from __future__ import annotations
 from functools import cache
 
 import pytest
-from heli_sim.diagnose import Diagnosis, diagnose
-from heli_sim.diagnose.hypothesis import Bench, Hypothesis
-from heli_sim.diagnose.removed import gone, removed_terms, without_terms
-from heli_sim.identify import prepare
+from heli_lab.diagnose import Diagnosis, diagnose
+from heli_lab.diagnose.hypothesis import Bench, Hypothesis
+from heli_lab.diagnose.removed import gone, removed_terms, without_terms
+from heli_lab.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, effects_of
 from heli_sim.rig import load_rig

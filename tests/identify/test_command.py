@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.cli.progress_bar import WorkBar
 from heli_host.cli.variadic import spread
-from heli_host.cli.work import WorkBar
 from heli_host.flight import Flight
 from heli_sim.rig import load_rig, write_rig
 
@@ -133,7 +133,7 @@ def test_long_work_says_what_it_does_and_how_long_still(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s = iter((0.0, 10.0, 20.0))
-    monkeypatch.setattr("heli_host.cli.work.time.monotonic", lambda: next(now_s))
+    monkeypatch.setattr("heli_host.cli.progress_bar.time.monotonic", lambda: next(now_s))
     with WorkBar(is_terminal=False) as bar:
         bar.show("compiling the model", 0.1)
         bar.show("every sample", 0.5)

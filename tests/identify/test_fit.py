@@ -10,10 +10,10 @@ import heli_sim.compiled
 import numpy as np
 import pytest
 from heli_host.flight import Flight
-from heli_sim.identify import Budget, Problem, check, prepare, solve
-from heli_sim.identify.interpreted_kernel import InterpretedKernel
-from heli_sim.identify.result import Identification
-from heli_sim.identify.run import identify
+from heli_lab.identify import Budget, Problem, check, prepare, solve
+from heli_lab.identify.interpreted_kernel import InterpretedKernel
+from heli_lab.identify.result import Identification
+from heli_lab.identify.run import identify
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import Rig, load_rig

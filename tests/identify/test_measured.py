@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from heli_host.flight import Flight
-from heli_sim.identify.run import identify
+from heli_lab.identify.run import identify
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from heli_host.flight import Flight
-from heli_sim.identify import Problem, prepare
+from heli_lab.identify import Problem, prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

@@ -7,9 +7,9 @@ import functools
 import numpy as np
 import pytest
 from heli_host.flight import Flight
-from heli_sim.identify import Problem, check, prepare, solve, validate
-from heli_sim.identify.functions import Floats
-from heli_sim.identify.relax import relax, restart, window_cost
+from heli_lab.identify import Problem, check, prepare, solve, validate
+from heli_lab.identify.functions import Floats
+from heli_lab.identify.relax import relax, restart, window_cost
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

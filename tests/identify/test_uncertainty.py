@@ -7,12 +7,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_sim.identify import Problem, combinations, prepare, solve, untaught
-from heli_sim.identify.functions import Floats
-from heli_sim.identify.noise import balanced, correlation_at, inflation, window_weights
-from heli_sim.identify.result import Identification
-from heli_sim.identify.run import identify
-from heli_sim.identify.uncertainty import timing_variance
+from heli_lab.identify import Problem, combinations, prepare, solve, untaught
+from heli_lab.identify.functions import Floats
+from heli_lab.identify.noise import balanced, correlation_at, inflation, window_weights
+from heli_lab.identify.result import Identification
+from heli_lab.identify.run import identify
+from heli_lab.identify.uncertainty import timing_variance
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import RotorLag
 from heli_sim.rig import load_rig

@@ -7,8 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from heli_sim.diagnose.run import diagnose
-from heli_sim.identify.record import AXES
+from heli_lab.diagnose.run import diagnose
+from heli_lab.identify.record import AXES
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

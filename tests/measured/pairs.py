@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Final
 
 from heli_host.flight import Flight
-from heli_sim.diagnose.gain import AxisGain, gain
-from heli_sim.diagnose.hypothesis import Bench, Hypothesis
-from heli_sim.diagnose.trial import Trial
-from heli_sim.identify import Record, prepare
+from heli_lab.diagnose.gain import AxisGain, gain
+from heli_lab.diagnose.hypothesis import Bench, Hypothesis
+from heli_lab.diagnose.trial import Trial
+from heli_lab.identify import Record, prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

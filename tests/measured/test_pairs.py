@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from heli_sim.diagnose.screening import Screening
+from heli_lab.diagnose.screening import Screening
 from heli_sim.model.effects import catalogue
 
 from tests.measured.pairs import MEASURED, Told, told

@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 import pytest
+from heli_lab.identify.functions import Functions, Inputs
+from heli_lab.identify.interpreted_kernel import InterpretedKernel
+from heli_lab.identify.kernel import kernel
 from heli_sim.errors import PlantError
-from heli_sim.identify.functions import Functions, Inputs
-from heli_sim.identify.interpreted_kernel import InterpretedKernel
-from heli_sim.identify.kernel import kernel
 from heli_sim.model import Effect, Model, MultibodyModel, PaperModel
 from heli_sim.model.effects import EffectKind, RotorLag, catalogue, parse_effects
 from heli_sim.model.linear import derivatives, linearise, trim

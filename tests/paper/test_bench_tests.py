@@ -5,14 +5,14 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from heli_host.cli.paper_desk import read_thrust, run_bench_test
-from heli_sim.errors import IdentifyError
-from heli_sim.identify.record import Record
+from heli_lab.errors import IdentifyError
+from heli_lab.identify.record import Record
+from heli_lab.paper.bench_tests import PITCH_RELEASES, BenchTest, check_rig, record_of
+from heli_lab.paper.experiments import read_thrust, run_bench_test
+from heli_lab.paper.rig_table import fit_rig
+from heli_lab.paper.tables import TESTS_OF_TABLE, Row, Table, fit_table
 from heli_sim.model import Model, MultibodyModel, PaperModel, Situation
 from heli_sim.model.effects import RotorLag
-from heli_sim.paper.bench import PITCH_RELEASES, BenchTest, check_rig, record_of
-from heli_sim.paper.rig_table import fit_rig
-from heli_sim.paper.tables import TESTS_OF_TABLE, Row, Table, fit_table
 from heli_sim.plant import Plant
 from heli_sim.rig import load_rig
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from heli_host.cli import app
-from heli_sim.paper.sensitivity import sensitivities
+from heli_lab.paper.sensitivity import sensitivities
 from heli_sim.rig import load_rig
 from typer.testing import CliRunner
 

@@ -9,11 +9,11 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 import pytest
+from heli_lab.paper.coefficients import analytic
+from heli_lab.paper.lumped import Coefficients, LumpedModel
 from heli_sim.model import Model, MultibodyModel, PaperModel, PaperPrintedModel
 from heli_sim.model.effects import RotorLag
 from heli_sim.model.latex import Equation, equations, symbol
-from heli_sim.paper.coefficients import analytic
-from heli_sim.paper.lumped import Coefficients, LumpedModel
 from heli_sim.rig import load_rig
 
 RIG = load_rig("makki2024").replace(torque_elevation=0.02, torque_pitch=-0.01, torque_travel=0.03)

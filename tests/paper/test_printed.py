@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from heli_lab.paper.coefficients import analytic, printed_inertias_kg_m2
 from heli_sim.model import MultibodyModel, PaperModel, PaperPrintedModel
-from heli_sim.paper.coefficients import analytic, printed_inertias_kg_m2
 from heli_sim.rig import load_rig
 
 from tests.plant.toys import rates

@@ -1,4 +1,4 @@
-"""Every public function, class and argument of both packages is documented, in numpydoc."""
+"""Every public function, class and argument of all packages is documented, in numpydoc."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any, get_type_hints
 
 import pytest
 
-PACKAGES = ("heli_host", "heli_sim")
+PACKAGES = ("heli_host", "heli_sim", "heli_lab")
 GENERATED = {"heli_host.link.declaration"}
 SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 NOT_ARGUMENTS = {"self", "cls"}

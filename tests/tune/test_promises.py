@@ -8,15 +8,15 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 from heli_host.link.declaration import PARAMS, Fault
+from heli_lab.tune import LOOPS, Design, Spread, find_gains, margins
+from heli_lab.tune.loops import open_loops, peak_sensitivity
+from heli_lab.tune.plants import spread_plants
 from heli_sim.errors import PlantError
 from heli_sim.model import MultibodyModel, PaperModel
 from heli_sim.model.base import Model
 from heli_sim.model.effects import RotorLag
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig, load_rig
-from heli_sim.tune import LOOPS, Design, Spread, find_gains, margins
-from heli_sim.tune.loops import open_loops, peak_sensitivity
-from heli_sim.tune.plants import spread_plants
 
 from tests.tune.pilot import END_S, SINE_S, Marks, demanding_path_deg, fly, marks_of, with_numbers
 

@@ -33,7 +33,7 @@ ParamsFileOption = Annotated[
 ]
 
 
-def read_parameters(file: Path | None, gains: str | None) -> Mapping[str, float]:
+def chosen_parameters(file: Path | None, gains: str | None) -> Mapping[str, float]:
     """Read and check a file of parameters.
 
     Parameters
@@ -55,14 +55,14 @@ def read_parameters(file: Path | None, gains: str | None) -> Mapping[str, float]
     ParameterError
         If the file cannot be read, or the board would not take a value.
     """
-    from heli_host.cli.params import read_dump
+    from heli_host.parameter_file import read_parameters
     from heli_host.parameters import checked
 
     if file is None:
         return {}
     if gains is not None:
         raise typer.BadParameter("--gains and --params both set the gains; leave one of them out")
-    values = read_dump(file)
+    values = read_parameters(file)
     for name, value in values.items():
         checked(name, value)
     return values
@@ -106,7 +106,7 @@ def load_gains(heli: Heli, gains: str | None) -> None:
     """
     if gains is None:
         return
-    from heli_sim.tune.gains import paper_gains
+    from heli_host.published_gains import paper_gains
 
     for name, value in paper_gains(SETS[gains]).items():
         heli.params[name] = value

@@ -12,7 +12,7 @@ from heli_sim.sil.faults import FaultPlan, Span
 
 _KEYS: Final = (
     *("board", "elf", "rig", "seed", "speed", "slice_ms", "flash", "reset_on_open"),
-    *("model", "effect", "effects"),
+    *("process", "model", "effect", "effects"),
     *("flip", "drop", "double", "stall", "unplug"),
 )
 
@@ -55,6 +55,8 @@ class SilOptions:
         Effects beyond the model, such as ``rotor_lag=0.1``; they come before those of the rig's file.
     effect_files : tuple of str
         Python files with more effects.
+    process : bool
+        Whether a transport starts the board in a process of its own, behind a pseudo-terminal.
 
     Raises
     ------
@@ -74,6 +76,7 @@ class SilOptions:
     model: str = ""
     effects: tuple[str, ...] = ()
     effect_files: tuple[str, ...] = ()
+    process: bool = False
 
     def __post_init__(self) -> None:
         if self.board not in BOARDS:
@@ -150,6 +153,7 @@ def parse_options(values: dict[str, str]) -> SilOptions:
         reset_on_open=(
             _flag("reset_on_open", values["reset_on_open"]) if "reset_on_open" in values else None
         ),
+        process=_flag("process", values.get("process", "0")),
         model=values.get("model", ""),
         effects=tuple(filter(None, values.get("effect", "").split(";"))),
         effect_files=tuple(filter(None, values.get("effects", "").split(";"))),

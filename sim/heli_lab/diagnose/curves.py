@@ -1,0 +1,93 @@
+"""The curves that stand in the place of a cause that is on no list, as people read them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from heli_lab.diagnose.pattern import POINTS, QUANTITIES, Pattern, bumps
+from heli_lab.identify import Fit
+from heli_lab.identify.functions import Floats
+
+_DRAWN: Final = 200
+_SHOWN: Final = {
+    "rad": (180.0 / np.pi, "deg"),
+    "rad/s": (180.0 / np.pi, "deg/s"),
+    "N m": (1e3, "mN m"),
+    "1": (100.0, "%"),
+}
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A torque, a share of the thrust or an angle as a curve of one quantity.
+
+    Parameters
+    ----------
+    channel : str
+        Where it acts, such as ``torque.pitch``.
+    on : str
+        What it depends on, such as ``elevation``.
+    place, value, std : ndarray (n,)
+        The quantity over what the flights fitted have of it, the curve about its mean, and its standard
+        error.
+    place_unit, value_unit : str
+        Their units: degrees, mN m, per cent.
+    """
+
+    channel: str
+    on: str
+    place: Floats
+    value: Floats
+    std: Floats
+    place_unit: str
+    value_unit: str
+
+    @property
+    def what(self) -> str:
+        """The curve in words with its range and its size."""
+        return (
+            f"{self.channel} on {self.on}, seen from {self.place[0]:.3g} to {self.place[-1]:.3g} "
+            f"{self.place_unit}: {self.value.min():.2g} to {self.value.max():.2g} {self.value_unit}"
+        )
+
+
+def curve_of(effect: Pattern, fit: Fit) -> Curve:
+    """Read a curve off a fit.
+
+    Parameters
+    ----------
+    effect : Pattern
+        The pattern.
+    fit : Fit
+        A fit with it.
+
+    Returns
+    -------
+    Curve
+        The curve with its standard error.
+    """
+    low, step = effect.values[f"{effect.name}_low"], effect.values[f"{effect.name}_step"]
+    place = np.linspace(low, low + step * (POINTS - 3), _DRAWN)
+    weights = bumps(place, low, step)
+    # A constant torque, thrust or angle is a number of the rig: only what varies is the curve's own.
+    weights -= weights.mean(axis=0)
+    names = [one.name for one in fit.problem.free]
+    columns = [names.index(f"{effect.name}_{i}") for i in range(POINTS)]
+    spread = fit.covariance[np.ix_(columns, columns)]
+    variance = np.einsum("ni,ij,nj->n", weights, spread, weights)
+    unit = next(q.unit for q in effect.parameters if q.name == f"{effect.name}_0")
+    on_unit = QUANTITIES[effect.on][1]
+    factor, value_unit = _SHOWN.get(unit, (1.0, unit))
+    on_factor, place_unit = _SHOWN.get(on_unit, (1.0, on_unit))
+    return Curve(
+        effect.channel,
+        effect.on,
+        on_factor * place,
+        factor * (weights @ fit.theta[columns]),
+        factor * np.sqrt(np.maximum(variance, 0.0)),
+        place_unit,
+        value_unit,
+    )

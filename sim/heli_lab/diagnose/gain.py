@@ -1,0 +1,80 @@
+"""What the extended model gains on flights that it never saw, with an interval."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from heli_lab.diagnose.hypothesis import Hypothesis
+from heli_lab.identify import Fit, trace
+from heli_lab.identify.functions import Floats
+from heli_lab.identify.record import AXES
+
+_RESAMPLED: Final = 2000
+
+
+@dataclass(frozen=True)
+class AxisGain:
+    """Free-run error of one axis, before and after.
+
+    Parameters
+    ----------
+    before_deg, after_deg : float
+        Root mean square error of the refitted baseline and of the extended model, degrees.
+    interval95 : (float, float)
+        95 % interval of the ratio after over before, the windows drawn anew.
+    """
+
+    before_deg: float
+    after_deg: float
+    interval95: tuple[float, float]
+
+    @property
+    def ratio(self) -> float:
+        """After over before."""
+        return self.after_deg / self.before_deg
+
+
+def gain(before: Hypothesis, after: Hypothesis, seed: int = 0) -> dict[str, AxisGain]:
+    """Measure the free-run error on the validation flights, or without any on those fitted.
+
+    Parameters
+    ----------
+    before, after : Hypothesis
+        Refitted baseline and extended model.
+    seed : int
+        Seed of the resampling.
+
+    Returns
+    -------
+    dict of AxisGain
+        By axis.
+    """
+    squares_before, rows = _squares(before)
+    squares_after, _ = _squares(after)
+    count = len(rows)
+    random = np.random.default_rng(seed)
+    weights = random.multinomial(count, np.full(count, 1.0 / count), _RESAMPLED)
+    ratios = np.sqrt((weights @ squares_after) / np.maximum(weights @ squares_before, 1e-30))
+    low, high = np.quantile(ratios, [0.025, 0.975], axis=0)
+    rms_before = np.rad2deg(np.sqrt(squares_before.sum(axis=0) / rows.sum()))
+    rms_after = np.rad2deg(np.sqrt(squares_after.sum(axis=0) / rows.sum()))
+    return {
+        axis: AxisGain(float(rms_before[i]), float(rms_after[i]), (float(low[i]), float(high[i])))
+        for i, axis in enumerate(AXES)
+    }
+
+
+def _squares(hypothesis: Hypothesis) -> tuple[Floats, Floats]:
+    """Sum of squared errors in rad^2 and number of samples of each window."""
+    fit: Fit = hypothesis.held_fit or hypothesis.fit
+    squares, rows = [], []
+    for index in range(len(fit.problem.records)):
+        seen = trace(fit, index)
+        error = seen.residual * seen.sigma_rad
+        for window in seen.windows:
+            squares.append((error[window] ** 2).sum(axis=0))
+            rows.append(window.stop - window.start)
+    return np.array(squares), np.array(rows, float)

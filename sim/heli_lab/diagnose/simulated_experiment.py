@@ -1,0 +1,113 @@
+"""A plan flown beforehand: by the flight code on the simulated board, on the rig as a fit has it."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from heli_host.errors import HeliError
+from heli_host.flight import Flight
+from heli_host.fly.plan import Plan
+from heli_host.fly.runner import fly
+from heli_host.heli import Heli
+from heli_host.link.session import Session
+from heli_sim.errors import SimError
+from heli_sim.model.linear import trim
+from heli_sim.plant import Plant
+from heli_sim.sil.inprocess import InProcessTransport
+from heli_sim.sil.options import SilOptions
+from heli_sim.sil.world import SilWorld
+
+from heli_lab.diagnose.hypothesis import Bench, Hypothesis
+from heli_lab.identify import Fit, Record, prepare
+from heli_lab.identify.result import Identification
+
+_EVERY: Final = 2
+"""The board logs each millisecond; fits are as good with every second one."""
+_LOST: Final = 1.1
+"""Normalised error from which on a fit of what is true has lost its way, and tells nothing."""
+
+
+def rehearse(fit: Fit, plan: str, seed: int = 0) -> Record | None:
+    """Fly a plan on the rig as a fit has it.
+
+    Parameters
+    ----------
+    fit : Fit
+        Model, its effects and the rig's numbers.
+    plan : str
+        The plan, TOML.
+    seed : int
+        Seed of where the encoders start.
+
+    Returns
+    -------
+    Record or None
+        The flight, ready for fitting; None when this rig cannot fly the plan.
+    """
+    rig = Identification(fit, (), (), (), ()).rig("rehearsed")
+    values = fit.values
+    model = fit.problem.model
+    effects = tuple(
+        replace(effect, values={name: values.get(name, was) for name, was in effect.values.items()})
+        for effect in model.effects
+    )
+    try:
+        plant = Plant(type(model)(effects), rig, seed)
+        volts_V = trim(type(model)(), rig).volts_V
+        world = SilWorld(SilOptions(seed=seed), plant)
+        session = Session(InProcessTransport(world))
+        session.connect()
+        with tempfile.TemporaryDirectory() as folder, Heli(session) as heli:
+            # What one who flies this rig would have set already: its lift, and how its arm lies at rest.
+            heli.params["hover_V"] = float(sum(volts_V)) - 2.0 * rig["dead_zone"].value
+            heli.params["arm_elevation_tolerance_deg"] = 20.0
+            path = Path(folder) / "flight.mcap"
+            summary = fly(heli, Plan.parse(plan, "next flight"), log_path=path)
+            if not summary.completed and "landing" not in summary.outcome:
+                return None
+            return prepare(_thinned(Flight.read(path)), rig, "rehearsed")
+    except (HeliError, SimError):
+        return None
+
+
+def separation(truth: Hypothesis, rival: Hypothesis, bench: Bench, plan: str, seed: int = 0) -> float | None:
+    """By how much a plan would tell two hypotheses apart, were one of them true.
+
+    Parameters
+    ----------
+    truth, rival : Hypothesis
+        The one that is flown, and the one that is fitted to the flight in its place. All numbers of both are
+        refitted, held by what was known before any flight: this is what the new flight tells by itself.
+    bench : Bench
+        Model and rig.
+    plan : str
+        The plan, TOML.
+    seed : int
+        Seed of where the encoders start.
+
+    Returns
+    -------
+    float or None
+        Logarithm of the likelihood ratio, correlated errors counted once, as a diagnosis weighs it; None when
+        the plan cannot be flown or fitted.
+    """
+    record = rehearse(truth.fit, plan, seed)
+    if record is None:
+        return None
+    new = Bench(bench.model, bench.rig, [record], (), bench.window_s, bench.seed)
+    try:
+        more = new.try_out(truth.trials, truth.fit.values)
+        less = new.try_out(rival.trials, rival.fit.values)
+    except SimError:
+        return None
+    return None if more.train.normalised > _LOST else new.evidence(more, less).train
+
+
+def _thinned(flight: Flight) -> Flight:
+    rows = len(flight) // _EVERY * _EVERY
+    mean_V = flight.voltages_V[:rows].reshape(-1, _EVERY, 2).mean(axis=1)
+    keep = slice(0, rows, _EVERY)
+    return Flight(flight.t_s[keep], mean_V[:, 0], mean_V[:, 1], *flight.angles_rad[keep].T)

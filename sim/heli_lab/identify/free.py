@@ -1,0 +1,161 @@
+"""Which parameters are to be found, and what is known of them beforehand."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from heli_sim.model.base import Model
+from heli_sim.rig import Prior, Rig
+
+from heli_lab.errors import IdentifyError
+
+NOT_FREE: Final = frozenset({"g"})
+"""Numbers with a tolerance that no flight needs to find: gravity is known better than any of the masses."""
+
+PER_FLIGHT: Final = ("offset_elevation", "offset_pitch")
+"""Numbers that are another in each flight, because encoders are zeroed each time the board starts."""
+
+_LEAST_SHARE: Final = 1e-3
+"""Of a number's value beforehand; what is left of a friction there is none."""
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """A parameter to be found.
+
+    Parameters
+    ----------
+    name : str
+        Its name; one that is another in each of several flights has the flight's label in brackets.
+    unit : str
+        Its unit.
+    prior : Prior
+        What is known of it before the flight.
+    quantity : str
+        Its name in the model.
+    record : int or None
+        The flight that it belongs to; None for all.
+    """
+
+    name: str
+    unit: str
+    prior: Prior
+    quantity: str
+    record: int | None = None
+
+
+def free_parameters(
+    model: Model, rig: Rig, free: Sequence[str] | None, priors: Mapping[str, Prior]
+) -> tuple[FreeParameter, ...]:
+    """Choose the free parameters of a model.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    rig : Rig
+        Gives priors.
+    free : sequence of str or None
+        Names; None for every number of the rig that the model uses and that has a tolerance, gravity
+        excepted, and every parameter of the model's effects that has a prior.
+    priors : Mapping[str, Prior]
+        Instead of the rig's and the effects'.
+
+    Returns
+    -------
+    tuple of FreeParameter
+        In the order given, or in the model's.
+
+    Raises
+    ------
+    IdentifyError
+        When a name is unknown, or nothing is known of it beforehand.
+    """
+    known = {quantity.name: quantity for quantity in model.parameters}
+    given = {name: prior for effect in model.effects for name, prior in effect.priors.items()} | dict(priors)
+    if free is None:
+        free = [
+            name
+            for name in known
+            if name in given or (name in rig and rig[name].tolerance > 0 and name not in NOT_FREE)
+        ]
+    parameters = []
+    for name in dict.fromkeys(free):
+        if name not in known:
+            raise IdentifyError(_unknown(model, name))
+        if name not in given and (name not in rig or rig[name].tolerance == 0):
+            raise IdentifyError(
+                f"nothing is known of '{name}' beforehand; give it a tolerance in the rig file, or fix it"
+            )
+        parameters.append(
+            FreeParameter(name, known[name].unit, given.get(name) or rig_prior(rig, name), name)
+        )
+    return tuple(parameters)
+
+
+def loose(model: Model, rig: Rig, free: Sequence[str] | None, fixed: Sequence[str]) -> list[str]:
+    """Take fixed parameters out of the free ones.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    rig : Rig
+        Gives tolerances.
+    free : sequence of str or None
+        As for `free_parameters`.
+    fixed : sequence of str
+        Names of parameters that are not to be found.
+
+    Returns
+    -------
+    list of str
+        Names of what is left.
+
+    Raises
+    ------
+    IdentifyError
+        When a name is unknown, asked for and fixed at once, or nothing is left.
+    """
+    known = [quantity.name for quantity in model.parameters]
+    for name in fixed:
+        if name not in known:
+            raise IdentifyError(_unknown(model, name))
+        if name in (free or ()):
+            raise IdentifyError(f"'{name}' is asked for and fixed at once; leave one of them out")
+    names = [one.quantity for one in free_parameters(model, rig, free, {}) if one.quantity not in fixed]
+    if not names:
+        raise IdentifyError("every number is fixed; free at least one")
+    return names
+
+
+def _unknown(model: Model, name: str) -> str:
+    known = [quantity.name for quantity in model.parameters]
+    close = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean {close[0]}? " if close else ""
+    return f"the model '{model.name}' has no parameter '{name}'; {hint}names: {', '.join(known)}"
+
+
+def rig_prior(rig: Rig, name: str) -> Prior:
+    """Prior of a rig's number.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    name : str
+        Name of the number.
+
+    Returns
+    -------
+    Prior
+        Normal, with half the tolerance as its standard deviation; where the number cannot be negative it is
+        bounded just above 0, because a rig without a length or a gain cannot be.
+    """
+    number = rig[name]
+    low = -np.inf if rig.may_be_negative(name) else _LEAST_SHARE * abs(number.value)
+    return Prior(number.value, 0.5 * number.tolerance, low)

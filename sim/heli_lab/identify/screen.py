@@ -1,0 +1,98 @@
+"""Cheap looks at what a fitted model may lack: one prediction tells about any number of candidates.
+
+Candidates are effects of an extended model, each at a value at which it does nothing or next to nothing. The
+derivatives of the prediction to their parameters, less everything that the baseline can adapt to, say how
+much each would lower the sum of squares and which value it would take: Rao's score statistic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from heli_lab.errors import IdentifyError
+from heli_lab.identify.normal import reduce_looks
+from heli_lab.identify.problem import Problem
+from heli_lab.identify.solve import Fit
+
+
+@dataclass(frozen=True)
+class Score:
+    """What one candidate, or several together, would gain.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Parameters that are freed.
+    gain : float
+        Drop of the weighted sum of squares, to first order; chi-square with one degree of freedom a parameter
+        when the candidate is absent.
+    change : tuple of float
+        Change of each parameter from its present value that gives this gain.
+    std : tuple of float
+        Standard error of each.
+    """
+
+    names: tuple[str, ...]
+    gain: float
+    change: tuple[float, ...]
+    std: tuple[float, ...]
+
+
+def screen(fit: Fit, extended: Problem, groups: Sequence[Sequence[str]]) -> list[Score]:
+    """Score candidates against a fitted baseline.
+
+    Parameters
+    ----------
+    fit : Fit
+        The baseline.
+    extended : Problem
+        The same flights and windows with the baseline's free parameters and those of all candidates; its
+        start values are the ones at which the candidates do nothing.
+    groups : sequence of sequence of str
+        Candidates: the free parameters of each.
+
+    Returns
+    -------
+    list of Score
+        One for each group, in the order given.
+
+    Raises
+    ------
+    IdentifyError
+        When the extended problem lacks a parameter.
+    """
+    known = set(extended.names)
+    missing = sorted({name for group in groups for name in group if name not in known})
+    if missing:
+        raise IdentifyError(f"the extended model does not free {', '.join(missing)}")
+    theta = extended.start
+    for index, name in enumerate(extended.names):
+        theta[index] = fit.values.get(name, theta[index])
+    states = extended.first_states(theta)
+    for own, old in zip(states, fit.states, strict=True):
+        own[:, : old.shape[1]] = old
+    looks = [extended.look(index, theta, start) for index, start in enumerate(states)]
+    information, gradient, _ = reduce_looks(extended, looks, states, states, fit.variance, fit.weights)
+    places = {name: index for index, name in enumerate(extended.names)}
+    base = np.array([places[name] for name in fit.problem.names], int)
+    prior = np.array([extended.free[i].prior.std for i in base]) ** -2.0
+    pull = prior * (np.array([extended.free[i].prior.mean for i in base]) - theta[base])
+    scores = []
+    for group in groups:
+        freed = np.array([places[name] for name in group])
+        inner = information[np.ix_(base, base)] + np.diag(prior)
+        coupling = information[np.ix_(base, freed)]
+        answer = np.linalg.solve(inner, np.column_stack((coupling, gradient[base] + pull)))
+        left = information[np.ix_(freed, freed)] - coupling.T @ answer[:, :-1]
+        right = gradient[freed] - coupling.T @ answer[:, -1]
+        # A candidate that the flight does not excite has no information: it gains nothing.
+        inverse = np.linalg.pinv(left, rcond=1e-10, hermitian=True)
+        change = inverse @ right
+        std = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+        scores.append(
+            Score(tuple(group), float(right @ change), tuple(map(float, change)), tuple(map(float, std)))
+        )
+    return scores

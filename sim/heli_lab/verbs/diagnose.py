@@ -1,0 +1,129 @@
+"""``heli-host diagnose``: what the simulation gets wrong."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from heli_host.cli.simulated import DEFAULT_RIG
+from heli_host.cli.verb import Verb
+
+from heli_lab.verbs.fit_options import (
+    DEFAULT_MODEL,
+    EquationsOption,
+    FlightsArgument,
+    FoundRigOption,
+    FromOption,
+    KnownRigOption,
+    NumbersOption,
+    OwnEffectsOption,
+    ReportOption,
+    ToOption,
+    ValidateOption,
+)
+
+if TYPE_CHECKING:
+    from heli_lab.diagnose import Diagnosis
+    from heli_lab.diagnose.silent import Silence
+
+
+def diagnose(
+    flights: FlightsArgument,
+    validate: ValidateOption = None,
+    rig: KnownRigOption = DEFAULT_RIG,
+    model: EquationsOption = None,
+    effects: OwnEffectsOption = None,
+    start_s: FromOption = None,
+    stop_s: ToOption = None,
+    report: ReportOption = None,
+    json: NumbersOption = None,
+    out: FoundRigOption = None,
+    seed: Annotated[
+        int, typer.Option("--seed", metavar="N", min=0, help="Seed of the resampling behind the intervals.")
+    ] = 0,
+    budget_s: Annotated[
+        float,
+        typer.Option("--budget", metavar="S", min=5.0, help="Most time, nearly; what it cut short is said."),
+    ] = 120.0,
+) -> None:
+    """Show what a model gets wrong in flights, name the cause, extend the model, measure the gain.
+
+    The baseline is refitted first. Every effect of the catalogue is tried, one after the other, paid for and
+    confirmed on the flights given with --validate. What none of them explains is said to be unexplained.
+
+    Example: `heli-host diagnose a.mcap --validate b.mcap --rig makki2024 --report why --out extended.toml`
+    """
+    # Matrices here are small: more threads only wait for each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    import json as text
+
+    from heli_host.cli.outputs import check_result_places
+    from heli_host.cli.progress_bar import WorkBar
+    from heli_host.flight import Flight
+    from heli_sim.model.effects import catalogue, effects_of
+    from heli_sim.model.named import model_named
+    from heli_sim.rig import load_rig, write_rig
+
+    from heli_lab.diagnose import diagnose as find
+    from heli_lab.diagnose.report import write_report, write_silence
+    from heli_lab.diagnose.silent import Silence, silence
+    from heli_lab.errors import ShowsNothing
+    from heli_lab.identify.result import short_names
+
+    others = validate or []
+    check_result_places(out, json, report=report)
+    chosen = load_rig(rig)
+    kinds = catalogue(effects or ())
+    named = model or chosen.model or DEFAULT_MODEL
+    equations = model_named(named, effects_of(chosen, effects or ()))
+    found: Diagnosis | Silence
+    written: list[Path] = []
+    with WorkBar() as bar:
+        bar.show("reading", 0.0)
+        fitted = [Flight.read(path) for path in flights]
+        held_out = [Flight.read(path) for path in others]
+        try:
+            found = find(
+                equations,
+                chosen,
+                fitted,
+                held_out,
+                kinds=kinds,
+                labels=short_names([*flights, *others]),
+                start_s=start_s,
+                stop_s=stop_s,
+                seed=seed,
+                seconds=budget_s,
+                say=bar.show,
+            )
+        except ShowsNothing as nothing:
+            found = silence(str(nothing), equations, chosen, kinds)
+        if out is not None and not isinstance(found, Silence):
+            write_rig(
+                found.rig(out.stem), out, f"Found by heli-host diagnose, model {named}. {found.summary}"
+            )
+            written.append(out)
+        if report is not None:
+            bar.show("drawing", 0.95)
+            if isinstance(found, Silence):
+                written.append(write_silence(found, report))
+            else:
+                written.append(write_report(found, report))
+        if json is not None:
+            json.write_text(text.dumps(found.json(), indent=2) + "\n", encoding="utf-8")
+            written.append(json)
+    _print(found)
+    if written:
+        print(f"files: {', '.join(str(path) for path in written)}")
+
+
+def _print(found: Diagnosis | Silence) -> None:
+    """Print the verdict, the causes and the gain."""
+    print(f"{found.word}: {found.summary}")
+    for line in found.lines:
+        print(f"  {line}")
+
+
+VERB = Verb(diagnose, "Laboratory", variadic=True)
