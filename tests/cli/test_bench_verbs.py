@@ -26,7 +26,7 @@ def test_watch_shows_counts_angles_and_errors_of_each_axis(terminal: Terminal) -
     ended = terminal("watch", *SIL, "--for-s", "1")
     assert ended.code == 0, ended
     first, *lines = ended.out.splitlines()
-    assert "simulated board, firmware 0.1.0" in first
+    assert "native board, firmware 0.1.0" in first
     # On the table, at -25 degrees, 284 counts of 4096 below level.
     assert lines[0].startswith("elevation   -284 ( -24.96 deg, 0 bad)  pitch     +0")
     assert lines[0].endswith("front +0.00 V, back +0.00 V  idle")

@@ -42,7 +42,7 @@ def test_an_effect_changes_the_flight_and_the_seed_its_chance(terminal: Terminal
         (("--sil", "--effect", "rotor_lag=9"), "rotor_lag_s = 9 s is out of range; give 0 to 0.6"),
         (("--sil", "--effects", "nowhere.py"), "cannot be read; give a Python file"),
         (("--sil", "--model", "papr"), "there is no model 'papr'; did you mean paper"),
-        (("--effect", "rotor_lag"), "are for a simulated board; add --sil"),
+        (("--effect", "rotor_lag"), "for a simulated board; add --sil"),
     ],
 )
 def test_what_cannot_be_flown_is_refused_in_one_line(

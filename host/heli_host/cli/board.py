@@ -152,7 +152,7 @@ def board_text(heli: Heli) -> str:
     from heli_host.link.transport import transport_label
 
     info, transport = heli.info, heli.session.transport
-    kind = transport_label(transport) or info.board
+    kind = transport_label(transport) or ("simulated board" if info.board == "native" else info.board)
     return f"{kind}, firmware {info.firmware_version}, on {transport.url}"
 
 

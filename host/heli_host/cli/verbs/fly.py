@@ -117,7 +117,7 @@ def fly(
                 figure_path=figure,
                 on_progress=show,
                 rig_name=rig_name(rig, simulated=sil),
-                board_name=transport_label(transport).partition(",")[0],
+                board_name=transport_label(transport).partition(",")[0].removesuffix(" board"),
             )
     for line in summary_lines(summary):
         print(line)
