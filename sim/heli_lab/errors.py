@@ -4,7 +4,7 @@
 
     SimError
     └── IdentifyError       a flight and a model from which nothing can be identified
-        └── ShowsNothing    a sound flight in which nothing flew, or nothing that could be learned from
+        └── NotExcited    a sound flight in which nothing flew, or nothing that could be learned from
 """
 
 from __future__ import annotations
@@ -16,5 +16,5 @@ class IdentifyError(SimError):
     """A flight and a model from which nothing can be identified."""
 
 
-class ShowsNothing(IdentifyError):
+class NotExcited(IdentifyError):
     """A sound flight in which nothing flew, or nothing that could be learned from."""

@@ -59,7 +59,7 @@ def extras(model: Model, late_s: float = 0.0) -> Extras:
     Extras
         Nothing for a model without effects.
     """
-    timed, random = _depends_on_time(model), model.shaken > 0
+    timed, random = _depends_on_time(model), model.noise_inputs > 0
     states = [Quantity("time_s", "s", "time since the motors first turned")] if timed else []
     states += [Quantity("random", "1", "state of the random generator")] if random else []
     ticks = math.ceil(late_s / STEP_s - 1e-9)
@@ -124,7 +124,7 @@ def step_function(model: Model, late_s: float = 0.0) -> ca.Function:
 
     turning = ca.fmax(t > 0, ca.fmax(ca.fabs(commanded[0]), ca.fabs(commanded[1])) > 0)
     t_after = t + STEP_s * turning
-    normal, chance = _drawn(chance, model.shaken)
+    normal, chance = _drawn(chance, model.noise_inputs)
     after = model.settled(after, u, p_model, t_after)
     after = after + model.pushed(after, u, p_model, t_after, STEP_s, normal)
     measured = model.measurement(after, u, p_model, t_after)

@@ -75,7 +75,7 @@ def tell(rig: Rig, flights: tuple[Flight, Flight], hidden: Sequence[Hidden]) -> 
         kind = kinds[one.id]
         if kind.baseline:
             gone |= kind.held
-        elif not kind.shaken:
+        elif not kind.noise_inputs:
             effects.append(kind.make(one.start))
             # Free beside a torque that starts small, a frequency runs away before the torque has grown.
             gone |= {name: value for name, value in one.start.items() if name.endswith("_Hz")}
@@ -93,7 +93,11 @@ def tell(rig: Rig, flights: tuple[Flight, Flight], hidden: Sequence[Hidden]) -> 
 
 
 def _best(
-    rig: Rig, records: tuple[Record, Record], effects: list[Effect], gone: dict[str, float], nothing: Fit
+    rig: Rig,
+    records: tuple[Record, Record],
+    effects: list[Effect],
+    gone: dict[str, float],
+    nothing: Fit,
 ) -> Fit:
     """Fit from several starts: the truth beside a rig that is still wrong may lie in another valley."""
     sizes = {name: effect.values[name] for effect in effects for name in effect.priors}

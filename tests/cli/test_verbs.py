@@ -124,7 +124,8 @@ def test_doctor_names_a_missing_package() -> None:
 def test_help_imports_nothing_heavy() -> None:
     code = (
         "import sys; from heli_host.cli import run; run(['--help']); "
-        "heavy = {'numpy', 'matplotlib', 'casadi', 'scipy', 'serial', 'heli_sim.rig', 'heli_lab.identify'} & set(sys.modules); "
+        "heavy = {'numpy', 'matplotlib', 'casadi', 'scipy', 'serial', 'heli_sim.rig', 'heli_lab.identify'}; "
+        "heavy &= set(sys.modules); "
         "sys.exit(', '.join(sorted(heavy)) or 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

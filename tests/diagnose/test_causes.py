@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from heli_lab.diagnose import Diagnosis, diagnose
-from heli_lab.diagnose.gain import gain
+from heli_lab.diagnose.error_reduction import gain
 from heli_lab.diagnose.report import write_report
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import effects_of

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from heli_host.fly.plan import Plan
-from heli_lab.diagnose.ground import Ground
-from heli_lab.diagnose.hypothesis import Errors
-from heli_lab.diagnose.next_flight import next_flight, part_for
-from heli_lab.diagnose.pattern import POINTS, bumps, choices, span_of
-from heli_lab.diagnose.tangent import Tangent
-from heli_lab.diagnose.torque import missing_torque
+from heli_lab.diagnose.disturbance_torque import estimate_disturbance
+from heli_lab.diagnose.experiment_design import next_flight, part_for
+from heli_lab.diagnose.linearisation import Linearisation
+from heli_lab.diagnose.model_comparison import Errors
+from heli_lab.diagnose.score_test import ScoreTest
+from heli_lab.diagnose.spline_term import KNOTS, bspline_basis, choices, span_of
 from heli_lab.identify import Fit, Problem, prepare, solve
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
@@ -28,14 +28,14 @@ def baseline() -> Fit:
 
 @pytest.mark.parametrize("name", ["thrust_gain", "L_phi", "friction_travel", "torque_pitch"])
 def test_tangent_answers_as_the_free_run_itself_does(baseline: Fit, name: str) -> None:
-    tangent = Tangent(baseline)
+    tangent = Linearisation(baseline)
     column = tangent.free()[:, :, baseline.problem.names.index(name)]
     step = np.zeros(len(baseline.theta))
     step[baseline.problem.names.index(name)] = (
         1e-4 * baseline.problem.prior_std[baseline.problem.names.index(name)]
     )
     more, less = (
-        baseline.problem.look(
+        baseline.problem.evaluation(
             0, baseline.theta + sign * step, baseline.states[0], fine=True, derivatives=False
         ).residual
         for sign in (1, -1)
@@ -47,8 +47,8 @@ def test_tangent_answers_as_the_free_run_itself_does(baseline: Fit, name: str) -
 def test_curves_have_a_sum_of_one_everywhere() -> None:
     values = np.linspace(-3.0, 5.0, 200)
     low, step = span_of(values)
-    assert bumps(values, low, step).shape == (200, POINTS)
-    assert np.allclose(bumps(values, low, step).sum(axis=1), 1.0)
+    assert bspline_basis(values, low, step).shape == (200, KNOTS)
+    assert np.allclose(bspline_basis(values, low, step).sum(axis=1), 1.0)
 
 
 def test_no_curve_asks_whether_a_measurement_goes_with_thrust() -> None:
@@ -60,8 +60,8 @@ def test_missing_torque_is_the_torque_that_was_hidden() -> None:
     fit_flight, _ = flights(off_list=True)
     rig = load_rig("makki2024").replace(thrust_gain=0.62, friction_travel=0.05)
     fit = solve(Problem(MultibodyModel(), rig, [prepare(fit_flight, rig)], free=("offset_pitch",)))
-    tangent = Tangent(fit)
-    torque = missing_torque(tangent)
+    tangent = Linearisation(fit)
+    torque = estimate_disturbance(tangent)
     truth = 0.05 * tangent.path.state[:, 0]
     found = torque.value_Nm[:, 1]
     assert np.corrcoef(truth, found)[0, 1] > 0.97
@@ -69,7 +69,7 @@ def test_missing_torque_is_the_torque_that_was_hidden() -> None:
 
 
 def test_nothing_scores_as_nothing(baseline: Fit) -> None:
-    ground = Ground(baseline)
+    ground = ScoreTest(baseline)
     random = np.random.default_rng(1)
     signal = random.standard_normal((ground.tangents[0].rows, 6, 3))
     signal[:, :3] = 0.0
@@ -79,7 +79,7 @@ def test_nothing_scores_as_nothing(baseline: Fit) -> None:
 
 
 def test_column_that_is_the_residual_scores_all_of_it(baseline: Fit) -> None:
-    ground = Ground(baseline)
+    ground = ScoreTest(baseline)
     column = ground.tangents[0].residual[:, :, None]
     answer = ground.score([column])
     assert answer.size[0] == pytest.approx(1.0, abs=0.1)
@@ -87,16 +87,18 @@ def test_column_that_is_the_residual_scores_all_of_it(baseline: Fit) -> None:
 
 
 def test_the_axis_that_is_far_off_decides_where_a_model_is_wrong() -> None:
-    def surprise(pitch: float, travel: float) -> float:
+    def neg2_log_likelihood(pitch: float, travel: float) -> float:
         rows = np.array([200.0])
         squares = np.array([[1.0, pitch**2, travel**2]]) * rows[:, None]
         made = Errors(squares, rows, np.ones(3), 0.0, 1.0, np.ones(3), np.ones(3))
-        return float(made.surprise.sum())
+        return float(made.neg2_log_likelihood.sum())
 
     # Half of travel's error is nothing beside a tenth of a pitch error ten times as large.
-    assert surprise(pitch=45.0, travel=10.0) < surprise(pitch=50.0, travel=5.0)
+    assert neg2_log_likelihood(pitch=45.0, travel=10.0) < neg2_log_likelihood(pitch=50.0, travel=5.0)
     # Where only rounding is left, each axis counts for itself.
-    assert surprise(pitch=1.2, travel=1.0) - surprise(pitch=1.0, travel=1.0) == pytest.approx(2 * np.log(1.2))
+    assert neg2_log_likelihood(pitch=1.2, travel=1.0) - neg2_log_likelihood(
+        pitch=1.0, travel=1.0
+    ) == pytest.approx(2 * np.log(1.2))
 
 
 @pytest.mark.parametrize("parts", [(), ("motors",), ("fast",), ("travel", "time"), ("elevation",)])

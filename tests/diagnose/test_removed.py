@@ -6,8 +6,8 @@ from functools import cache
 
 import pytest
 from heli_lab.diagnose import Diagnosis, diagnose
-from heli_lab.diagnose.hypothesis import Bench, Hypothesis
-from heli_lab.diagnose.removed import gone, removed_terms, without_terms
+from heli_lab.diagnose.absent_terms import absence_probability, absent_terms, without_absent_terms
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, effects_of
@@ -19,12 +19,14 @@ KINDS = catalogue()
 
 
 @cache
-def tried(effect: str) -> tuple[Bench, Hypothesis]:
+def tried(effect: str) -> tuple[Comparison, Hypothesis]:
     """Refit the baseline to flights of a rig that lacks a term."""
     rig = load_rig("makki2024")
     fit, held = flights(effect)
-    bench = Bench(MultibodyModel(), rig, [prepare(fit, rig, "fit")], [prepare(held, rig, "held out")])
-    return bench, bench.try_out([])
+    comparison = Comparison(
+        MultibodyModel(), rig, [prepare(fit, rig, "fit")], [prepare(held, rig, "held out")]
+    )
+    return comparison, comparison.refit([])
 
 
 @cache
@@ -39,8 +41,8 @@ def diagnosed(effect: str) -> Diagnosis:
 
 @pytest.mark.parametrize("axis", ["elevation", "pitch", "travel"])
 def test_friction_that_is_not_there_is_named_by_the_fit_itself(axis: str) -> None:
-    bench, baseline = tried(f"removed.friction.{axis}=1")
-    (term,) = removed_terms(baseline.fit, bench.rig, KINDS)
+    comparison, baseline = tried(f"removed.friction.{axis}=1")
+    (term,) = absent_terms(baseline.fit, comparison.rig, KINDS)
     assert term.id == f"removed.friction.{axis}"
     assert abs(term.share - 1.0) < 3.0 * term.std
     assert term.confidence > 0.9
@@ -50,18 +52,18 @@ def test_friction_that_is_not_there_is_named_by_the_fit_itself(axis: str) -> Non
 
 @pytest.mark.parametrize("axis", ["elevation", "pitch"])
 def test_pendulum_that_the_rig_states_closely_is_found_to_be_gone(axis: str) -> None:
-    bench, baseline = tried(f"removed.pendulum.{axis}=1")
+    comparison, baseline = tried(f"removed.pendulum.{axis}=1")
     assert baseline.train.normalised > 5.0
-    less = without_terms(bench, baseline, KINDS.values())
+    less = without_absent_terms(comparison, baseline, KINDS.values())
     assert less.ids == (f"removed.pendulum.{axis}",)
     assert less.held.normalised < 1.05
 
 
 def test_other_causes_take_no_term_away() -> None:
-    bench, baseline = tried("rotor_lag=0.06")
+    comparison, baseline = tried("rotor_lag=0.06")
     assert baseline.train.normalised > 5.0
-    assert without_terms(bench, baseline, KINDS.values()) is baseline
-    assert removed_terms(baseline.fit, bench.rig, KINDS) == ()
+    assert without_absent_terms(comparison, baseline, KINDS.values()) is baseline
+    assert absent_terms(baseline.fit, comparison.rig, KINDS) == ()
 
 
 @pytest.mark.parametrize("term", ["friction.travel", "pendulum.elevation"])
@@ -94,4 +96,4 @@ def test_removed_term_is_the_cause_with_its_share_and_flies_in_the_extended_rig(
 def test_term_is_gone_only_if_its_number_is_nothing_and_known_to_be(
     value: float, std: float, low: float, high: float
 ) -> None:
-    assert low <= gone(value, std) <= high
+    assert low <= absence_probability(value, std) <= high

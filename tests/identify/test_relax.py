@@ -9,7 +9,7 @@ import pytest
 from heli_host.flight import Flight
 from heli_lab.identify import Problem, check, prepare, solve, validate
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.relax import relax, restart, window_cost
+from heli_lab.identify.window_states import relax, restart, window_cost
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig
@@ -51,19 +51,21 @@ def test_a_window_in_a_wrong_state_finds_back_and_leaves_the_others_alone() -> N
     ones: Floats = np.ones(3)
 
     def costs(at: Floats) -> Floats:
-        look = problem.look(0, theta, at)
-        return window_cost(problem, look, at, at, ones, np.ones(len(at)))
+        evaluation = problem.evaluation(0, theta, at)
+        return window_cost(problem, evaluation, at, at, ones, np.ones(len(at)))
 
     every = np.arange(len(states))
-    there, _ = relax(problem, 0, theta, states, problem.look(0, theta, states), states, ones, every, most=20)
+    there, _ = relax(
+        problem, 0, theta, states, problem.evaluation(0, theta, states), states, ones, every, most=20
+    )
     wrong = there.copy()
     wrong[3, 4] += 0.3
     assert costs(wrong)[3] > 100.0 * costs(there)[3]
-    look = problem.look(0, theta, wrong)
-    back, seen = relax(problem, 0, theta, wrong, look, wrong, ones, np.array([3]), most=20)
+    evaluation = problem.evaluation(0, theta, wrong)
+    back, seen = relax(problem, 0, theta, wrong, evaluation, wrong, ones, np.array([3]), most=20)
     assert costs(back)[3] < 1.05 * costs(there)[3]
     np.testing.assert_array_equal(np.delete(back, 3, axis=0), np.delete(wrong, 3, axis=0))
-    np.testing.assert_allclose(seen.residual, problem.look(0, theta, back).residual, atol=1e-9)
+    np.testing.assert_allclose(seen.residual, problem.evaluation(0, theta, back).residual, atol=1e-9)
 
 
 def test_a_lost_window_starts_again_from_elsewhere_as_well_from_either_side_of_a_play() -> None:
@@ -80,17 +82,19 @@ def test_a_lost_window_starts_again_from_elsewhere_as_well_from_either_side_of_a
     (seen,) = problem.first_states(theta)
     every = np.arange(len(seen))
     weights = np.ones(len(seen))
-    there, look = relax(problem, 0, theta, seen, problem.look(0, theta, seen), seen, ones, every, most=20)
-    right = window_cost(problem, look, there, seen, ones, weights)
+    there, evaluation = relax(
+        problem, 0, theta, seen, problem.evaluation(0, theta, seen), seen, ones, every, most=20
+    )
+    right = window_cost(problem, evaluation, there, seen, ones, weights)
     lost = there.copy()
     lost[0, 3:6] += 5.0
     others = problem.other_starts(0, theta, lost)
     # Nothing but the play itself ties the arm's travel to what its encoder shows.
     assert sorted(float(other[0, 2] - seen[0, 2]) for other in others[2:]) == pytest.approx([-0.01, 0.01])
-    states, look = lost, problem.look(0, theta, lost)
+    states, evaluation = lost, problem.evaluation(0, theta, lost)
     for other in others:
-        states, look = restart(problem, 0, theta, states, look, seen, ones, first, other)
-    found = window_cost(problem, look, states, seen, ones, weights)
+        states, evaluation = restart(problem, 0, theta, states, evaluation, seen, ones, first, other)
+    found = window_cost(problem, evaluation, states, seen, ones, weights)
     assert found[0] < 1.05 * right[0]
     np.testing.assert_array_equal(states[1:], lost[1:])
 
@@ -113,7 +117,7 @@ def test_a_better_state_from_before_is_taken() -> None:
     (states,) = problem.first_states(theta)
     lost = states.copy()
     lost[2, 3:] = np.nan
-    look = problem.look(0, theta, lost)
+    evaluation = problem.evaluation(0, theta, lost)
     ones: Floats = np.ones(3)
-    back, _ = relax(problem, 0, theta, lost, look, states, ones, np.array([2]), before=states, most=0)
+    back, _ = relax(problem, 0, theta, lost, evaluation, states, ones, np.array([2]), before=states, most=0)
     np.testing.assert_array_equal(back[2], states[2])

@@ -7,9 +7,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_lab.identify import Problem, combinations, prepare, solve, untaught
+from heli_lab.identify import Problem, combinations, prepare, solve, uninformed_parameters
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.noise import balanced, correlation_at, inflation, window_weights
+from heli_lab.identify.residual_noise import correlation_at, floor_axes, long_run_variance, window_weights
 from heli_lab.identify.result import Identification
 from heli_lab.identify.run import identify
 from heli_lab.identify.uncertainty import timing_variance
@@ -70,9 +70,9 @@ def test_correlations_are_those_of_the_covariance() -> None:
 
 def test_what_a_flight_does_not_teach_is_named() -> None:
     told = found()
-    assert "M_l" in told.untaught and "thrust_gain" not in told.untaught
-    assert untaught(("a", "b"), np.diag([0.99, 0.01]), np.ones(2)) == ["a"]
-    assert told.json()["nothing_learned_of"] == told.untaught
+    assert "M_l" in told.uninformed_parameters and "thrust_gain" not in told.uninformed_parameters
+    assert uninformed_parameters(("a", "b"), np.diag([0.99, 0.01]), np.ones(2)) == ["a"]
+    assert told.json()["nothing_learned_of"] == told.uninformed_parameters
 
 
 def test_no_estimate_is_less_sure_than_before_the_flight() -> None:
@@ -94,7 +94,7 @@ def test_no_time_is_surer_than_the_tick_within_which_a_voltage_begins() -> None:
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
 def test_colour_counts_as_fewer_samples(share: float) -> None:
-    factor = inflation(coloured(share), WINDOWS, STEP_S)
+    factor = long_run_variance(coloured(share), WINDOWS, STEP_S)
     np.testing.assert_allclose(factor, (1.0 + share) / (1.0 - share), rtol=0.35)
 
 
@@ -117,7 +117,7 @@ def test_a_window_out_of_line_loses_weight() -> None:
 
 def test_no_axis_of_a_wrong_model_is_taken_for_exact() -> None:
     sigma = np.array([4e-4, 4e-4, 4e-4])
-    exact = balanced(np.ones(3), np.ones(3), sigma)
+    exact = floor_axes(np.ones(3), np.ones(3), sigma)
     np.testing.assert_array_equal(exact, 1.0)
-    wrong = balanced(np.array([1.0, 1000.0, 1.0]), np.array([1.0, 900.0, 1.0]), sigma)
+    wrong = floor_axes(np.array([1.0, 1000.0, 1.0]), np.array([1.0, 900.0, 1.0]), sigma)
     assert wrong[1] == 1000.0 and np.all(wrong[[0, 2]] > 400.0)

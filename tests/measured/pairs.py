@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Final
 
 from heli_host.flight import Flight
-from heli_lab.diagnose.gain import AxisGain, gain
-from heli_lab.diagnose.hypothesis import Bench, Hypothesis
-from heli_lab.diagnose.trial import Trial
+from heli_lab.diagnose.candidate import Candidate
+from heli_lab.diagnose.error_reduction import ErrorReduction, gain
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.identify import Record, prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
@@ -53,13 +53,13 @@ class Told:
         Their ids.
     hypothesis : Hypothesis
         The fit, and its prediction of the other flight.
-    gain : dict of AxisGain
+    gain : dict of ErrorReduction
         Against the refitted baseline, on the other flight, by axis.
     """
 
     effects: tuple[str, ...]
     hypothesis: Hypothesis
-    gain: dict[str, AxisGain]
+    gain: dict[str, ErrorReduction]
 
 
 def flights(pair: str, back: bool = False) -> tuple[Record, Record]:
@@ -104,14 +104,14 @@ def told(pair: str, models: Sequence[tuple[str, ...]] = TOLD, back: bool = False
         One a model.
     """
     train, held = flights(pair, back)
-    bench = Bench(MultibodyModel(), load_rig(RIG), [train], [held])
+    comparison = Comparison(MultibodyModel(), load_rig(RIG), [train], [held])
     kinds = catalogue()
     found: list[Told] = []
     for effects in models:
-        trials = [Trial(id_, kinds[id_].make(kinds[id_].typical), kinds[id_].size) for id_ in effects]
+        candidates = [Candidate(id_, kinds[id_].make(kinds[id_].typical), kinds[id_].size) for id_ in effects]
         starts = [None, found[-1].hypothesis.fit] if found else [None]
         # A valley is chosen by the flight that is fitted; the other one is only looked at.
-        best = min((bench.try_out(trials, start) for start in starts), key=_unlikely)
+        best = min((comparison.refit(candidates, start) for start in starts), key=_unlikely)
         baseline = found[0].hypothesis if found else best
         found.append(Told(effects, best, gain(baseline, best)))
     return found
@@ -119,4 +119,4 @@ def told(pair: str, models: Sequence[tuple[str, ...]] = TOLD, back: bool = False
 
 def _unlikely(one: Hypothesis) -> float:
     """Minus the logarithm of the likelihood; a fit's own cost is in units of its own errors."""
-    return float(0.5 * one.train.rows.sum() * one.train.surprise.sum() + one.train.tension)
+    return float(0.5 * one.train.rows.sum() * one.train.neg2_log_likelihood.sum() + one.train.tension)

@@ -15,8 +15,8 @@ from heli_sim.model.effects.kind import spell
 from heli_sim.model.effects.table import with_table
 from heli_sim.plant import Plant
 from heli_sim.rig import Number, Rig, load_rig, write_rig
-from heli_sim.sil.flown import plant_of
 from heli_sim.sil.options import SilOptions, parse_url
+from heli_sim.sil.plant_factory import plant_of
 from matplotlib.mathtext import MathTextParser
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "effects.md"

@@ -11,7 +11,7 @@ from heli_lab.paper.bench_tests import PITCH_RELEASES, BenchTest, check_rig, rec
 from heli_lab.paper.experiments import read_thrust, run_bench_test
 from heli_lab.paper.rig_table import fit_rig
 from heli_lab.paper.tables import TESTS_OF_TABLE, Row, Table, fit_table
-from heli_sim.model import Model, MultibodyModel, PaperModel, Situation
+from heli_sim.model import Model, MultibodyModel, Operands, PaperModel
 from heli_sim.model.effects import RotorLag
 from heli_sim.plant import Plant
 from heli_sim.rig import load_rig
@@ -127,7 +127,7 @@ def test_a_rig_that_hovers_at_other_voltages_is_refused_with_its_own(name: str) 
 class WithoutCentrifugalForce(MultibodyModel):
     """Travel's inertia as at 7.5 degrees of pitch, whatever the pitch: nothing drives pitch back to level."""
 
-    def _inertia_kg_m2(self, at: Situation, q: ca.SX) -> ca.SX:
+    def _inertia_kg_m2(self, at: Operands, q: ca.SX) -> ca.SX:
         inertia = super()._inertia_kg_m2(at, q)
         inertia[2, 2] = super()._inertia_kg_m2(at, ca.vertcat(q[0], 0.13, q[2]))[2, 2]
         return inertia
@@ -136,7 +136,7 @@ class WithoutCentrifugalForce(MultibodyModel):
 class WithoutCouplingEither(WithoutCentrifugalForce):
     """Nor do pitch and travel accelerate each other."""
 
-    def _inertia_kg_m2(self, at: Situation, q: ca.SX) -> ca.SX:
+    def _inertia_kg_m2(self, at: Operands, q: ca.SX) -> ca.SX:
         inertia = super()._inertia_kg_m2(at, q)
         inertia[1, 2] = inertia[2, 1] = 0.0
         return inertia

@@ -8,8 +8,8 @@ import select
 import socket
 from collections.abc import Callable
 
+from heli_sim.sil.clock import TimedPace
 from heli_sim.sil.endpoint import Endpoint
-from heli_sim.sil.pace import TimedPace
 from heli_sim.sil.server import SilServer
 from heli_sim.sil.world import SilWorld
 

@@ -18,9 +18,9 @@ from heli_host.link.declaration import State
 from heli_host.link.events import BOARD_RESTARTED
 from heli_host.link.transport import SerialTransport
 from heli_sim.sil.boards import EmulatedDue
+from heli_sim.sil.clock import make_pace
 from heli_sim.sil.endpoint import LineChange
 from heli_sim.sil.options import parse_options
-from heli_sim.sil.pace import make_pace
 from heli_sim.sil.process import SilProcess
 from heli_sim.sil.pty import PtyEndpoint
 from heli_sim.sil.rfc2217 import Lines, Rfc2217Endpoint

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from heli_sim.sil.pace import LockstepPace, Pace, TimedPace, make_pace
+from heli_sim.sil.clock import LockstepPace, Pace, TimedPace, make_pace
 
 
 def run(pace: Pace, until_s: float, tick: int = 0, start_s: float = 0.0, late_s: float = 0.0) -> int:

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from heli_lab.diagnose.curves import Curve
-from heli_lab.diagnose.hypothesis import Hypothesis
-from heli_lab.diagnose.pattern import named
+from heli_lab.diagnose.disturbance_torque import DisturbanceTorque, estimate_disturbance
+from heli_lab.diagnose.linearisation import Linearisation
+from heli_lab.diagnose.model_comparison import Hypothesis
 from heli_lab.diagnose.result import Diagnosis
-from heli_lab.diagnose.steps import Round
-from heli_lab.diagnose.tangent import Tangent
-from heli_lab.diagnose.torque import Torque, missing_torque
+from heli_lab.diagnose.search_record import Round
+from heli_lab.diagnose.spline_curve import SplineCurve
+from heli_lab.diagnose.spline_term import named
 from heli_lab.identify import Fit, Trace, trace
 from heli_lab.identify.functions import Floats
 from heli_lab.identify.record import AXES
@@ -131,8 +131,8 @@ def figure_of_torque(diagnosis: Diagnosis) -> Figure:
     """
     from matplotlib.figure import Figure
 
-    before = missing_torque(Tangent(diagnosis.search.baseline.fit))
-    after = missing_torque(Tangent(diagnosis.extended.fit))
+    before = estimate_disturbance(Linearisation(diagnosis.search.baseline.fit))
+    after = estimate_disturbance(Linearisation(diagnosis.extended.fit))
     figure = Figure(figsize=(11, 6.5))
     panels = figure.subplots(3, 2, width_ratios=[2.4, 1])
     figure.subplots_adjust(0.07, 0.08, 0.98, 0.91, wspace=0.12, hspace=0.35)
@@ -179,16 +179,16 @@ def figure_of_ranking(rounds: tuple[Round, ...]) -> Figure:
 
 
 def _rank(one: Round, number: int, panel: Axes) -> None:
-    tried = {step.trial.id: step for step in one.steps}
-    every = sorted((*one.screened[:7], *one.patterns[:3]), key=lambda scored: scored.answer.gain)
-    names = [named(scored.trial.id) for scored in every]
+    tried = {step.candidate.id: step for step in one.steps}
+    every = sorted((*one.screened[:7], *one.splines[:3]), key=lambda scored: scored.answer.gain)
+    names = [named(scored.candidate.id) for scored in every]
     place = np.arange(len(every))
     gains = [max(scored.answer.gain, 0.1) for scored in every]
     panel.barh(place, gains, color="#dddddd", label="screened, flight fitted")
     for row, scored in enumerate(every):
-        step = tried.get(scored.trial.id)
+        step = tried.get(scored.candidate.id)
         if step is not None:
-            color = _AFTER if scored.trial.id == one.taken else "#8fb3d1"
+            color = _AFTER if scored.candidate.id == one.taken else "#8fb3d1"
             panel.barh(row, max(step.evidence.held, 0.1), height=0.4, color=color)
             text = f"  {step.evidence.held:.0f} held out"
             panel.text(max(scored.answer.gain, step.evidence.held, 1.0), row, text, va="center", fontsize=7)
@@ -215,7 +215,7 @@ def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
     """
     from matplotlib.figure import Figure
 
-    from heli_lab.diagnose.share import accelerations
+    from heli_lab.diagnose.effect_contribution import accelerations
 
     if not diagnosis.verdict.causes:
         return None
@@ -223,11 +223,11 @@ def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
     panels = figure.subplots(3, 1, sharex=True)
     figure.subplots_adjust(0.08, 0.09, 0.98, 0.9, hspace=0.3)
     for number, found in enumerate(diagnosis.verdict.causes):
-        t_s, change = accelerations(diagnosis.extended.fit, found.trial.id)
+        t_s, change = accelerations(diagnosis.extended.fit, found.candidate.id)
         for axis, panel in enumerate(panels):
             degrees = np.rad2deg(change[:, axis])
             size = f"rms {_rms(degrees):.3g} deg/s$^2$" if degrees.any() else "none of its own"
-            text = f"{found.trial.id}: {size}"
+            text = f"{found.candidate.id}: {size}"
             panel.plot(t_s, degrees, lw=0.7, color=f"C{number}", label=text)
     for axis, panel in enumerate(panels):
         panel.set_ylabel(f"{AXES[axis]} [deg/s$^2$]")
@@ -238,12 +238,12 @@ def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
     return figure
 
 
-def figure_of_curves(curves: Sequence[Curve]) -> Figure:
+def figure_of_curves(curves: Sequence[SplineCurve]) -> Figure:
     """Draw the curves that stand for what is on no list.
 
     Parameters
     ----------
-    curves : sequence of Curve
+    curves : sequence of SplineCurve
         At least one.
 
     Returns
@@ -325,7 +325,7 @@ def _broken(one: Trace, axis: int) -> tuple[Floats, Floats]:
     return np.concatenate(t_s), np.concatenate(values)
 
 
-def _spectrum(torque: Torque, axis: int) -> tuple[Floats, Floats]:
+def _spectrum(torque: DisturbanceTorque, axis: int) -> tuple[Floats, Floats]:
     value = 1e3 * torque.value_Nm[:, axis]
     step_s = float(np.median(np.diff(torque.t_s)))
     size = min(len(value), 1 << 10)

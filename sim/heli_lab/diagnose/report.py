@@ -15,8 +15,8 @@ from heli_lab.diagnose.figures import (
     figure_of_torque,
     figure_of_windows,
 )
+from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.result import Diagnosis
-from heli_lab.diagnose.silent import Silence
 from heli_lab.identify.result import rounded
 from heli_lab.page import escaped, folder_with, image, table
 
@@ -87,12 +87,12 @@ def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
     return _page(folder, _WORDS[word], sections)
 
 
-def write_silence(silence: Silence, folder: str | Path) -> Path:
+def write_silence(result: InsufficientExcitation, folder: str | Path) -> Path:
     """Write the page of flights that show nothing, and result.json.
 
     Parameters
     ----------
-    silence : Silence
+    result : InsufficientExcitation
         The answer to them.
     folder : str or Path
         Where to; made if it is missing.
@@ -102,15 +102,15 @@ def write_silence(silence: Silence, folder: str | Path) -> Path:
     Path
         The page.
     """
-    numbers = silence.json()
+    numbers = result.json()
     folder = folder_with(numbers, folder)
     title = "These flights show nothing"
     sections = [
         f"<h1>{title}</h1>",
-        f'<p class="verdict ambiguous">{escaped(silence.summary)}</p>',
+        f'<p class="verdict ambiguous">{escaped(result.summary)}</p>',
         "<h2>What cannot be known from them</h2>",
-        f"<p>Any of these effects, or none, may be there: {escaped(', '.join(silence.unseen))}.</p>",
-        f"<p>Nothing was learned of these numbers of the rig: {escaped(', '.join(silence.unlearned))}.</p>",
+        f"<p>Any of these effects, or none, may be there: {escaped(', '.join(result.unseen))}.</p>",
+        f"<p>Nothing was learned of these numbers of the rig: {escaped(', '.join(result.unlearned))}.</p>",
         *_next(numbers["next_flight"]),
     ]
     return _page(folder, title, sections)
@@ -146,7 +146,7 @@ def _gain(gain: dict[str, Any]) -> str:
 
 def _gained(diagnosis: Diagnosis) -> str:
     """What the extension gains on the axis that gains most, as a sentence."""
-    if not diagnosis.extended.trials:
+    if not diagnosis.extended.candidates:
         return ""
     axis, best = min(diagnosis.gains.items(), key=lambda one: one[1].ratio)
     low, high = best.interval95
@@ -222,7 +222,7 @@ def _residual(residual: dict[str, Any]) -> str:
 
 def _remains(diagnosis: Diagnosis, numbers: dict[str, Any], folder: Path) -> str:
     missing = numbers["unexplained"]
-    left = diagnosis.leftover
+    left = diagnosis.residual_analysis
     curves = diagnosis.curves
     text = ""
     if missing is not None:
@@ -243,7 +243,7 @@ def _remains(diagnosis: Diagnosis, numbers: dict[str, Any], folder: Path) -> str
     after = "Beyond what was found" + (" and that curve" if curves else "")
     return text + (
         f"<p>{after}, the plainest torque that is still missing is about {left.axis}: "
-        f"{1e3 * left.size_Nm:.2g} mN m, {left.over_error:.2g} times what its estimate is unsure by.</p>"
+        f"{1e3 * left.sigma_Nm:.2g} mN m, {left.over_error:.2g} times what its estimate is unsure by.</p>"
     )
 
 

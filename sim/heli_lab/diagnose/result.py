@@ -10,16 +10,16 @@ import numpy as np
 from heli_sim.model.effects import EffectKind, effect_numbers
 from heli_sim.rig import Number, Rig
 
-from heli_lab.diagnose import spelled
-from heli_lab.diagnose.curves import Curve, curve_of
-from heli_lab.diagnose.gain import AxisGain
-from heli_lab.diagnose.hypothesis import Hypothesis
-from heli_lab.diagnose.leftover import Leftover
-from heli_lab.diagnose.next_flight import NextFlight
-from heli_lab.diagnose.pattern import Pattern
-from heli_lab.diagnose.removed import Removed
-from heli_lab.diagnose.steps import Found, Search
-from heli_lab.diagnose.unseen import unlearned_numbers
+from heli_lab.diagnose import serialize
+from heli_lab.diagnose.absent_terms import AbsentTerm
+from heli_lab.diagnose.detectability import unidentifiable_parameters
+from heli_lab.diagnose.error_reduction import ErrorReduction
+from heli_lab.diagnose.experiment_design import ExperimentDesign
+from heli_lab.diagnose.model_comparison import Hypothesis
+from heli_lab.diagnose.residual_analysis import ResidualAnalysis
+from heli_lab.diagnose.search_record import Cause, Search
+from heli_lab.diagnose.spline_curve import SplineCurve, spline_curve_of
+from heli_lab.diagnose.spline_term import SplineTerm
 from heli_lab.diagnose.verdict import Verdict
 from heli_lab.identify import Fit
 from heli_lab.identify.result import Identification
@@ -39,15 +39,15 @@ class Diagnosis:
         What was tried and what was found.
     verdict : Verdict
         What is said.
-    leftover : Leftover
+    residual_analysis : ResidualAnalysis
         What the final model still lacks.
     extended : Hypothesis
         The model with the causes of the catalogue alone, as the extended rig flies it.
-    gains : Mapping[str, AxisGain]
+    gains : Mapping[str, ErrorReduction]
         Free-run errors before and after, by axis.
-    curve_gains : Mapping[str, AxisGain]
+    curve_gains : Mapping[str, ErrorReduction]
         The same with the curves that stand for what is on no list; empty without any.
-    removed : tuple of Removed
+    removed : tuple of AbsentTerm
         Terms of the baseline whose numbers the fit found to be nothing.
     kinds : Mapping[str, EffectKind]
         The catalogue.
@@ -55,7 +55,7 @@ class Diagnosis:
         Effects that would not have been seen in these flights at a typical size.
     skipped : tuple of str
         Why each flight that shows nothing was left out.
-    next_flight : NextFlight or None
+    next_flight : ExperimentDesign or None
         A flight that would tell more.
     seconds : float
         Time taken.
@@ -63,23 +63,23 @@ class Diagnosis:
 
     search: Search
     verdict: Verdict
-    leftover: Leftover
+    residual_analysis: ResidualAnalysis
     extended: Hypothesis
-    gains: Mapping[str, AxisGain]
-    curve_gains: Mapping[str, AxisGain]
-    removed: tuple[Removed, ...]
+    gains: Mapping[str, ErrorReduction]
+    curve_gains: Mapping[str, ErrorReduction]
+    removed: tuple[AbsentTerm, ...]
     kinds: Mapping[str, EffectKind]
     unseen: tuple[str, ...]
     skipped: tuple[str, ...]
-    next_flight: NextFlight | None
+    next_flight: ExperimentDesign | None
     seconds: float
 
-    def values(self, found: Found) -> dict[str, tuple[float, float, str]]:
+    def values(self, found: Cause) -> dict[str, tuple[float, float, str]]:
         """Numbers of a cause.
 
         Parameters
         ----------
-        found : Found
+        found : Cause
             The cause.
 
         Returns
@@ -87,23 +87,23 @@ class Diagnosis:
         dict of (float, float, str)
             Value, standard error and unit by full name.
         """
-        kind, fit = self.kinds[found.trial.id], self.extended.fit
+        kind, fit = self.kinds[found.candidate.id], self.extended.fit
         std = stds(fit)
         return {
             q.name: (
-                fit.values.get(q.name, found.trial.effect.values[q.name]),
+                fit.values.get(q.name, found.candidate.effect.values[q.name]),
                 std.get(q.name, 0.0),
                 q.unit,
             )
             for q in kind.parameters
         }
 
-    def sentence(self, found: Found) -> str:
+    def sentence(self, found: Cause) -> str:
         """Say a cause with its numbers.
 
         Parameters
         ----------
-        found : Found
+        found : Cause
             The cause.
 
         Returns
@@ -112,7 +112,7 @@ class Diagnosis:
             One sentence without its full stop.
         """
         numbers = self.values(found)
-        return self.kinds[found.trial.id].sentence(
+        return self.kinds[found.candidate.id].sentence(
             {name: value for name, (value, _, _) in numbers.items()},
             {name: std for name, (_, std, _) in numbers.items()},
         )
@@ -123,25 +123,25 @@ class Diagnosis:
         return self.verdict.word
 
     @property
-    def curves(self) -> list[Curve]:
+    def curves(self) -> list[SplineCurve]:
         """What stands in the place of what is on no list, the strongest first."""
-        effects = (one.trial.effect for one in self.verdict.off_list)
-        return [curve_of(one, self.search.final.fit) for one in effects if isinstance(one, Pattern)]
+        effects = (one.candidate.effect for one in self.verdict.off_list)
+        return [spline_curve_of(one, self.search.final.fit) for one in effects if isinstance(one, SplineTerm)]
 
     @property
     def random_torque(self) -> dict[str, tuple[float, float, str]]:
         """Numbers of the random torque, value, standard error and unit; empty when there is none."""
         if not self.verdict.chance:
             return {}
-        left = self.leftover
+        left = self.residual_analysis
         fits = (self.search.baseline.fit, self.search.baseline.held_fit)
         seconds = sum(record.used_s for fit in fits if fit is not None for record in fit.problem.records)
-        independent = max(seconds / (2.0 * left.memory_s), 2.0)
+        independent = max(seconds / (2.0 * left.correlation_time_s), 2.0)
         prefix = f"random_torque_{left.axis}"
         relative = 1.0 / np.sqrt(2.0 * independent)
         return {
-            f"{prefix}_Nm": (left.size_Nm, left.size_Nm * float(relative), "N m"),
-            f"{prefix}_s": (left.memory_s, left.memory_s * float(2.0 * relative), "s"),
+            f"{prefix}_Nm": (left.sigma_Nm, left.sigma_Nm * float(relative), "N m"),
+            f"{prefix}_s": (left.correlation_time_s, left.correlation_time_s * float(2.0 * relative), "s"),
         }
 
     @property
@@ -155,7 +155,7 @@ class Diagnosis:
         word = self.verdict.word
         normalised = self.extended.held.normalised
         where = "flights that no fit saw" if self.extended.held_fit else "the flights that were fitted"
-        said = [one["sentence"] for one in spelled.causes(self)]
+        said = [one["sentence"] for one in serialize.causes(self)]
         text = "; ".join(said)
         text = text[:1].upper() + text[1:]
         if word == "explained":
@@ -165,7 +165,7 @@ class Diagnosis:
             )
         if word in ("cause_found", "ambiguous"):
             return f"{text}."
-        missing = spelled.unexplained(self) or {}
+        missing = serialize.unexplained(self) or {}
         depends = ", ".join(missing.get("correlates_with", ())[:1]) or "nothing that was looked at"
         first = f"{text}. Besides, something" if text else "Something"
         share = (
@@ -191,7 +191,7 @@ class Diagnosis:
     def lines(self) -> list[str]:
         """Numbers behind the summary, a line each."""
         lines = []
-        for cause in spelled.causes(self):
+        for cause in serialize.causes(self):
             rivals = cause["ambiguous_with"]
             unclear = f"; could as well be {', '.join(rivals)}" if rivals else ""
             lines.append(f"{cause['effect']} (confidence {cause['confidence']:.2f}{unclear})")
@@ -223,21 +223,21 @@ class Diagnosis:
         """
         return {
             "verdict": self.verdict.word,
-            "causes": spelled.causes(self),
-            "residual": spelled.residual(self),
+            "causes": serialize.causes(self),
+            "residual": serialize.residual(self),
             "gain": {
                 "metric": self.metric,
-                "axis": spelled.gains(self.gains),
+                "axis": serialize.gains(self.gains),
             },
-            "unexplained": spelled.unexplained(self),
+            "unexplained": serialize.unexplained(self),
             "next_flight": {"why": self.next_flight.why, "plan": self.next_flight.plan}
             if self.next_flight
             else None,
             "could_not_be_seen": list(self.unseen),
-            "could_not_be_learned": list(unlearned_numbers(self.search.baseline.fit)),
+            "could_not_be_learned": list(unidentifiable_parameters(self.search.baseline.fit)),
             "cautions": self.cautions,
-            "flights": spelled.flights(self),
-            "ranking": spelled.ranking(self),
+            "flights": serialize.flights(self),
+            "ranking": serialize.ranking(self),
             "seconds_taken": self.seconds,
             "complete": self.search.complete,
         }
@@ -261,15 +261,15 @@ class Diagnosis:
         effects: dict[str, Mapping[str, Number]] = dict(found.effects)
         for one in self.verdict.causes:
             numbers = self.values(one)
-            effects[one.trial.id] = effect_numbers(
-                self.kinds[one.trial.id],
+            effects[one.candidate.id] = effect_numbers(
+                self.kinds[one.candidate.id],
                 {key: value for key, (value, _, _) in numbers.items()},
                 {key: 2.0 * std for key, (_, std, _) in numbers.items()},
                 source,
             )
         if self.verdict.chance:
             numbers = self.random_torque
-            id_ = f"random_torque.{self.leftover.axis}"
+            id_ = f"random_torque.{self.residual_analysis.axis}"
             effects[id_] = effect_numbers(
                 self.kinds[id_],
                 {key: value for key, (value, _, _) in numbers.items()},

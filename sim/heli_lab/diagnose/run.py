@@ -12,25 +12,25 @@ from heli_sim.model.base import Model
 from heli_sim.model.effects import EffectKind, catalogue
 from heli_sim.rig import Rig
 
-from heli_lab.diagnose.curves import curve_of
-from heli_lab.diagnose.gain import gain
-from heli_lab.diagnose.hypothesis import Bench, Hypothesis
-from heli_lab.diagnose.leftover import leftover
-from heli_lab.diagnose.next_flight import (
-    NextFlight,
+from heli_lab.diagnose.absent_terms import absent_terms
+from heli_lab.diagnose.detectability import undetectable_effects
+from heli_lab.diagnose.error_reduction import gain
+from heli_lab.diagnose.experiment_design import (
+    ExperimentDesign,
     Pair,
     flight_that_separates,
     flight_that_shows,
     next_flight,
 )
-from heli_lab.diagnose.pattern import Pattern
-from heli_lab.diagnose.removed import removed_terms
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.residual_analysis import residual_analysis
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.search import AMBIGUOUS, search
-from heli_lab.diagnose.steps import Search
-from heli_lab.diagnose.unseen import unseen_effects
+from heli_lab.diagnose.search_record import Search
+from heli_lab.diagnose.spline_curve import spline_curve_of
+from heli_lab.diagnose.spline_term import SplineTerm
 from heli_lab.diagnose.verdict import Verdict, ambiguous_with, judge, remains
-from heli_lab.errors import IdentifyError, ShowsNothing
+from heli_lab.errors import IdentifyError, NotExcited
 from heli_lab.identify import Record, prepare
 
 _SHORT_s: Final = 15.0
@@ -83,8 +83,8 @@ def diagnose(
 
     Raises
     ------
-    ShowsNothing
-        When nothing flies in the flights to fit; `silence` is the answer to it.
+    NotExcited
+        When nothing flies in the flights to fit; `insufficient_excitation` is the answer to it.
     IdentifyError
         When a flight is not sound, or is to be fitted and judged on at once.
     """
@@ -97,17 +97,17 @@ def diagnose(
         raise lost[0]
     held, lost_held = _ready(validation, names[len(flights) :], rig, None, None)
     _refuse_twins(train, held)
-    bench = Bench(model, rig, train, held, seed=seed)
+    comparison = Comparison(model, rig, train, held, seed=seed)
     known = {effect.name for effect in model.effects}
     tried = {id_: kind for id_, kind in every.items() if _candidate(kind, model, known)}
     left_s = seconds - (time.perf_counter() - started_s)
-    found = search(bench, tried, removable=tuple(every.values()), say=tell, seconds=left_s)
+    found = search(comparison, tried, removable=tuple(every.values()), say=tell, seconds=left_s)
     tell("looking at what remains", 0.9)
-    left = leftover(found.final, found.last, found.chance if remains(found) else None)
-    extended = _extended(bench, found)
-    removed = removed_terms(extended.fit, rig, every)
+    left = residual_analysis(found.final, found.last, found.chance if remains(found) else None)
+    extended = _extended(comparison, found)
+    removed = absent_terms(extended.fit, rig, every)
     verdict = judge(found, left, bool(removed))
-    unseen = unseen_effects(found.rounds[-1].screened, every)
+    unseen = undetectable_effects(found.rounds[-1].screened, every)
     return Diagnosis(
         found,
         verdict,
@@ -119,42 +119,42 @@ def diagnose(
         every,
         unseen,
         tuple(str(one) for one in (*lost, *lost_held)),
-        _next(bench, verdict, found, extended, every, unseen, started_s + seconds),
+        _next(comparison, verdict, found, extended, every, unseen, started_s + seconds),
         time.perf_counter() - started_s,
     )
 
 
 def _candidate(kind: EffectKind, model: Model, known: set[str]) -> bool:
     """Whether an effect is searched for; numbers of the rig that vanish are seen in the fit itself."""
-    if not kind.suits(model) or kind.id in known or kind.shaken:
+    if not kind.suits(model) or kind.id in known or kind.noise_inputs:
         return False
     return not kind.baseline or (not kind.held and model.name != "multibody")
 
 
 def _next(
-    bench: Bench,
+    comparison: Comparison,
     verdict: Verdict,
     found: Search,
     extended: Hypothesis,
     kinds: Mapping[str, EffectKind],
     unseen: Sequence[str],
     until_s: float,
-) -> NextFlight | None:
+) -> ExperimentDesign | None:
     """The flight that would tell more, where these left something open."""
-    pair = _pair(bench, verdict, found, extended) if verdict.word == "ambiguous" else None
+    pair = _pair(comparison, verdict, found, extended) if verdict.word == "ambiguous" else None
     if pair is not None:
         # What it may still take is as open as the question: a part of the budget, but not nothing.
         stop_s = max(until_s, time.perf_counter() + _LEAST_FOR_PLANS_s)
         stop_s = min(stop_s, time.perf_counter() + _MOST_FOR_PLANS_s)
-        return flight_that_separates(pair, bench, kinds, AMBIGUOUS, lambda: time.perf_counter() < stop_s)
+        return flight_that_separates(pair, comparison, kinds, AMBIGUOUS, lambda: time.perf_counter() < stop_s)
     if verdict.word == "unexplained":
-        on = {one.trial.id.rpartition(":")[2] for one in verdict.off_list}
+        on = {one.candidate.id.rpartition(":")[2] for one in verdict.off_list}
         parts = {part for part in ("travel", "elevation", "time") if any(part in name for name in on)}
         parts |= {"motors"} if any("thrust" in name for name in on) or not on else set()
         curves = [
-            curve_of(effect, found.final.fit)
-            for effect in (one.trial.effect for one in verdict.off_list)
-            if isinstance(effect, Pattern)
+            spline_curve_of(effect, found.final.fit)
+            for effect in (one.candidate.effect for one in verdict.off_list)
+            if isinstance(effect, SplineTerm)
         ]
         seen = " and ".join(
             f"{one.on} only from {one.place[0]:.3g} to {one.place[-1]:.3g} {one.place_unit}" for one in curves
@@ -173,7 +173,7 @@ def _next(
     return None
 
 
-def _pair(bench: Bench, verdict: Verdict, found: Search, extended: Hypothesis) -> Pair | None:
+def _pair(comparison: Comparison, verdict: Verdict, found: Search, extended: Hypothesis) -> Pair | None:
     """The cause that is least sure and its closest rival, both fitted in the place of the same effect."""
     unclear = [one for one in verdict.causes if ambiguous_with(one)]
     if not unclear:
@@ -184,29 +184,29 @@ def _pair(bench: Bench, verdict: Verdict, found: Search, extended: Hypothesis) -
         (
             step
             for tried in found.rounds
-            if tried.taken == one.trial.id
+            if tried.taken == one.candidate.id
             for step in tried.steps
-            if step.trial.id == rival.id
+            if step.candidate.id == rival.id
         ),
         None,
     )
     if step is None:
         return None
-    rest = [trial for trial in extended.trials if trial.id != one.trial.id]
+    rest = [candidate for candidate in extended.candidates if candidate.id != one.candidate.id]
     second = step.hypothesis
     if rest:
-        second = bench.try_out([*rest, step.trial], {**extended.fit.values, **second.fit.values})
-    return Pair(extended, second, (one.trial.id, rival.id), rival.behind)
+        second = comparison.refit([*rest, step.candidate], {**extended.fit.values, **second.fit.values})
+    return Pair(extended, second, (one.candidate.id, rival.id), rival.behind)
 
 
-def _extended(bench: Bench, found: Search) -> Hypothesis:
+def _extended(comparison: Comparison, found: Search) -> Hypothesis:
     """The final model without patterns, which no simulator flies."""
-    named = [trial for trial in found.final.trials if not trial.is_pattern]
-    if len(named) == len(found.final.trials):
+    named = [candidate for candidate in found.final.candidates if not candidate.is_spline]
+    if len(named) == len(found.final.candidates):
         return found.final
     if not named:
         return found.baseline
-    return bench.try_out(named, found.final.fit.values)
+    return comparison.refit(named, found.final.fit.values)
 
 
 def _ready(
@@ -215,7 +215,7 @@ def _ready(
     rig: Rig,
     start_s: float | None,
     stop_s: float | None,
-) -> tuple[list[Record], list[ShowsNothing]]:
+) -> tuple[list[Record], list[NotExcited]]:
     """Flights that can be fitted, and what is wrong with those that show nothing."""
     records, lost = [], []
     for flight, label in zip(flights, labels, strict=True):
@@ -224,7 +224,7 @@ def _ready(
             continue
         try:
             records.append(prepare(flight, rig, label, start_s=start_s, stop_s=stop_s))
-        except ShowsNothing as nothing:
+        except NotExcited as nothing:
             lost.append(nothing)
     return records, lost
 

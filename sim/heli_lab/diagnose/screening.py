@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 from heli_sim.model.effects.kind import EffectKind
 
-from heli_lab.diagnose.ground import Answer, Ground
-from heli_lab.diagnose.torque import Torque, missing_torque
-from heli_lab.diagnose.trial import Columns, Trial, effect_trials, pattern_trials
+from heli_lab.diagnose.candidate import Candidate, Regressors, effect_candidates, spline_candidates
+from heli_lab.diagnose.disturbance_torque import DisturbanceTorque, estimate_disturbance
+from heli_lab.diagnose.score_test import ScoreResult, ScoreTest
 from heli_lab.identify import Fit
 from heli_lab.identify.functions import Floats
 
@@ -33,16 +33,16 @@ class Scored:
 
     Parameters
     ----------
-    trial : Trial
+    candidate : Candidate
         The candidate at its best place.
-    answer : Answer
+    answer : ScoreResult
         What it would gain.
     tried : int
         Number of places that were tried.
     """
 
-    trial: Trial
-    answer: Answer
+    candidate: Candidate
+    answer: ScoreResult
     tried: int
 
 
@@ -56,9 +56,11 @@ class Screening:
     """
 
     def __init__(self, fit: Fit) -> None:
-        self.ground = Ground(fit)
-        self.columns = tuple(Columns(tangent) for tangent in self.ground.tangents)
-        self.torques: tuple[Torque, ...] = tuple(missing_torque(t) for t in self.ground.tangents)
+        self.ground = ScoreTest(fit)
+        self.columns = tuple(Regressors(tangent) for tangent in self.ground.tangents)
+        self.torques: tuple[DisturbanceTorque, ...] = tuple(
+            estimate_disturbance(t) for t in self.ground.tangents
+        )
         self.seconds = max(float(t.path.t_s[-1]) for t in self.ground.tangents)
 
     def effects(
@@ -87,7 +89,7 @@ class Screening:
                 found.append(best)
         return sorted(found, key=lambda one: -one.answer.gain)
 
-    def patterns(self, number: int = 0) -> list[Scored]:
+    def splines(self, number: int = 0) -> list[Scored]:
         """Score every pattern.
 
         Parameters
@@ -100,34 +102,34 @@ class Screening:
         list of Scored
             The highest score first.
         """
-        trials = pattern_trials(self.ground.tangents, number)
-        answers = self._answers(trials)
-        found = [Scored(trial, answer, 1) for trial, answer in zip(trials, answers, strict=True)]
+        candidates = spline_candidates(self.ground.tangents, number)
+        answers = self._answers(candidates)
+        found = [Scored(candidate, answer, 1) for candidate, answer in zip(candidates, answers, strict=True)]
         return sorted(found, key=lambda one: -one.answer.gain)
 
     def _effect(self, kind: EffectKind) -> Scored | None:
-        trials = self._places(kind)
-        answers = self._answers(trials)
-        tried = len(trials)
+        candidates = self._places(kind)
+        answers = self._answers(candidates)
+        tried = len(candidates)
         allowed = [
             (answer.gain, number)
-            for number, (trial, answer) in enumerate(zip(trials, answers, strict=True))
-            if _possible(trial, answer)
+            for number, (candidate, answer) in enumerate(zip(candidates, answers, strict=True))
+            if _possible(candidate, answer)
         ]
         if not allowed:
             return None
         best = max(allowed)[1]
-        trial, answer = trials[best], answers[best]
-        if trial.scanned and len(trials) > 1 and answer.gain > 0.0:
-            trial, answer, more = self._refined(kind, trials, best, trial, answer)
+        candidate, answer = candidates[best], answers[best]
+        if candidate.scanned and len(candidates) > 1 and answer.gain > 0.0:
+            candidate, answer, more = self._refined(kind, candidates, best, candidate, answer)
             tried += more
-        return Scored(trial, answer, tried)
+        return Scored(candidate, answer, tried)
 
-    def _places(self, kind: EffectKind) -> list[Trial]:
+    def _places(self, kind: EffectKind) -> list[Candidate]:
         frequency = next((q.name for q in kind.parameters if q.unit == "Hz" and q.name in kind.scan), None)
         if frequency is not None:
             axis = kind.acts_on.rpartition(".")[2]
-            trials = effect_trials(
+            candidates = effect_candidates(
                 replace(
                     kind,
                     numbers=tuple(
@@ -138,45 +140,50 @@ class Screening:
                 self.seconds,
             )
         else:
-            trials = effect_trials(_thinned(kind, self.seconds), self.seconds)
+            candidates = effect_candidates(_thinned(kind, self.seconds), self.seconds)
         if kind.states or kind.delay:
-            trials = [
-                Trial(trial.id, kind.make(_scaled(kind, trial, share)), (), trial.scanned)
-                for trial in trials
+            candidates = [
+                Candidate(candidate.id, kind.make(_scaled(kind, candidate, share)), (), candidate.scanned)
+                for candidate in candidates
                 for share in _SIZES
             ]
-        return trials
+        return candidates
 
     def _refined(
-        self, kind: EffectKind, trials: Sequence[Trial], best: int, trial: Trial, answer: Answer
-    ) -> tuple[Trial, Answer, int]:
+        self,
+        kind: EffectKind,
+        candidates: Sequence[Candidate],
+        best: int,
+        candidate: Candidate,
+        answer: ScoreResult,
+    ) -> tuple[Candidate, ScoreResult, int]:
         """Halve the distance of searched values about the best, where they are many."""
         tried = 0
-        for name in trial.scanned:
-            values = sorted({one.scanned[name] for one in trials})
+        for name in candidate.scanned:
+            values = sorted({one.scanned[name] for one in candidates})
             if len(values) < 3:
                 continue
             prior = kind.priors.get(name)
             if prior is None:
                 continue
             gaps = np.diff(values)
-            place = int(np.argmin(np.abs(np.array(values) - trial.scanned[name])))
+            place = int(np.argmin(np.abs(np.array(values) - candidate.scanned[name])))
             step = float(gaps[min(place, len(gaps) - 1)])
             if name.endswith("Hz"):
                 step = 0.25 / self.seconds
             for _ in range(_REFINED):
                 step *= 0.5
                 near = []
-                for value in (trial.scanned[name] - step, trial.scanned[name] + step):
+                for value in (candidate.scanned[name] - step, candidate.scanned[name] + step):
                     if prior.low <= value <= prior.high:
-                        scanned = {**trial.scanned, name: value}
-                        values_now = {**trial.effect.values, name: value}
-                        near.append(Trial(trial.id, kind.make(values_now), trial.size, scanned))
+                        scanned = {**candidate.scanned, name: value}
+                        values_now = {**candidate.effect.values, name: value}
+                        near.append(Candidate(candidate.id, kind.make(values_now), candidate.size, scanned))
                 tried += len(near)
                 for other, result in zip(near, self._answers(near), strict=True):
                     if result.gain > answer.gain and _possible(other, result):
-                        trial, answer = other, result
-        return trial, answer, tried
+                        candidate, answer = other, result
+        return candidate, answer, tried
 
     def _peaks(self, axis: str) -> tuple[float, ...]:
         """Frequencies of the highest peaks of the missing torque of an axis."""
@@ -191,44 +198,44 @@ class Screening:
         top.sort(key=lambda i: -power[i])
         return tuple(float(frequency_Hz[i]) for i in top[:_PEAKS]) or (0.5,)
 
-    def _answers(self, trials: Sequence[Trial]) -> list[Answer]:
-        answers: list[Answer] = []
-        group: list[Trial] = []
+    def _answers(self, candidates: Sequence[Candidate]) -> list[ScoreResult]:
+        answers: list[ScoreResult] = []
+        group: list[Candidate] = []
         width = 0
-        for trial in [*trials, None]:
-            size = 0 if trial is None else max(1, len(trial.size))
-            if group and (trial is None or width + size > _BATCH):
+        for candidate in [*candidates, None]:
+            size = 0 if candidate is None else max(1, len(candidate.size))
+            if group and (candidate is None or width + size > _BATCH):
                 answers += self._group(group)
                 group, width = [], 0
-            if trial is not None:
-                group.append(trial)
+            if candidate is not None:
+                group.append(candidate)
                 width += size
         return answers
 
-    def _group(self, trials: Sequence[Trial]) -> list[Answer]:
-        every = answers(self.columns, trials)
-        sizes = [max(1, len(trial.size)) for trial in trials]
-        return self.ground.score_each(every, sizes, [spread(trial) for trial in trials])
+    def _group(self, candidates: Sequence[Candidate]) -> list[ScoreResult]:
+        every = answers(self.columns, candidates)
+        sizes = [max(1, len(candidate.size)) for candidate in candidates]
+        return self.ground.score_each(every, sizes, [spread(candidate) for candidate in candidates])
 
 
-def answers(makers: Sequence[Columns], trials: Sequence[Trial]) -> list[Floats]:
+def answers(makers: Sequence[Regressors], candidates: Sequence[Candidate]) -> list[Floats]:
     """Predict what candidates change in the angles, side by side.
 
     Parameters
     ----------
-    makers : sequence of Columns
+    makers : sequence of Regressors
         One for each flight.
-    trials : sequence of Trial
+    candidates : sequence of Candidate
         The candidates.
 
     Returns
     -------
     list of ndarray (n, 3, s)
-        One for each flight, as `Tangent.answer` gives them.
+        One for each flight, as `Linearisation.answer` gives them.
     """
     every: list[Floats] = []
     for columns in makers:
-        pairs = [columns.signals(trial) for trial in trials]
+        pairs = [columns.signals(candidate) for candidate in candidates]
         signals = np.concatenate([rates for rates, _ in pairs], axis=2)
         seen = None
         if any(one is not None for _, one in pairs):
@@ -240,12 +247,12 @@ def answers(makers: Sequence[Columns], trials: Sequence[Trial]) -> list[Floats]:
     return every
 
 
-def spread(trial: Trial) -> Floats:
+def spread(candidate: Candidate) -> Floats:
     """Say what is known of a candidate's coefficients before any flight.
 
     Parameters
     ----------
-    trial : Trial
+    candidate : Candidate
         The candidate.
 
     Returns
@@ -253,9 +260,9 @@ def spread(trial: Trial) -> Floats:
     ndarray (g,)
         Their standard deviations about 0.
     """
-    if not trial.size:
+    if not candidate.size:
         return np.array([0.5])
-    return np.array([trial.effect.priors[name].std for name in trial.size])
+    return np.array([candidate.effect.priors[name].std for name in candidate.size])
 
 
 def _thinned(kind: EffectKind, seconds: float) -> EffectKind:
@@ -272,17 +279,17 @@ def _thinned(kind: EffectKind, seconds: float) -> EffectKind:
     return replace(kind, numbers=numbers)
 
 
-def _scaled(kind: EffectKind, trial: Trial, share: float) -> Mapping[str, float]:
+def _scaled(kind: EffectKind, candidate: Candidate, share: float) -> Mapping[str, float]:
     return {
-        **trial.effect.values,
+        **candidate.effect.values,
         **{name: share * kind.typical[name] for name in kind.size},
     }
 
 
-def _possible(trial: Trial, answer: Answer) -> bool:
+def _possible(candidate: Candidate, answer: ScoreResult) -> bool:
     """Whether the size that a score asks for has a sign that it may have."""
-    for name, change in zip(trial.size, answer.size, strict=False):
-        prior = trial.effect.priors[name]
-        if prior.low >= 0.0 and change + trial.effect.values[name] <= 0.0:
+    for name, change in zip(candidate.size, answer.size, strict=False):
+        prior = candidate.effect.priors[name]
+        if prior.low >= 0.0 and change + candidate.effect.values[name] <= 0.0:
             return False
-    return bool(trial.size) or float(answer.size[0]) > 0.0
+    return bool(candidate.size) or float(answer.size[0]) > 0.0

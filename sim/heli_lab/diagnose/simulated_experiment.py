@@ -20,7 +20,7 @@ from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
-from heli_lab.diagnose.hypothesis import Bench, Hypothesis
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.identify import Fit, Record, prepare
 from heli_lab.identify.result import Identification
 
@@ -30,7 +30,7 @@ _LOST: Final = 1.1
 """Normalised error from which on a fit of what is true has lost its way, and tells nothing."""
 
 
-def rehearse(fit: Fit, plan: str, seed: int = 0) -> Record | None:
+def simulate_experiment(fit: Fit, plan: str, seed: int = 0) -> Record | None:
     """Fly a plan on the rig as a fit has it.
 
     Parameters
@@ -73,7 +73,9 @@ def rehearse(fit: Fit, plan: str, seed: int = 0) -> Record | None:
         return None
 
 
-def separation(truth: Hypothesis, rival: Hypothesis, bench: Bench, plan: str, seed: int = 0) -> float | None:
+def separation(
+    truth: Hypothesis, rival: Hypothesis, comparison: Comparison, plan: str, seed: int = 0
+) -> float | None:
     """By how much a plan would tell two hypotheses apart, were one of them true.
 
     Parameters
@@ -81,7 +83,7 @@ def separation(truth: Hypothesis, rival: Hypothesis, bench: Bench, plan: str, se
     truth, rival : Hypothesis
         The one that is flown, and the one that is fitted to the flight in its place. All numbers of both are
         refitted, held by what was known before any flight: this is what the new flight tells by itself.
-    bench : Bench
+    comparison : Comparison
         Model and rig.
     plan : str
         The plan, TOML.
@@ -94,13 +96,13 @@ def separation(truth: Hypothesis, rival: Hypothesis, bench: Bench, plan: str, se
         Logarithm of the likelihood ratio, correlated errors counted once, as a diagnosis weighs it; None when
         the plan cannot be flown or fitted.
     """
-    record = rehearse(truth.fit, plan, seed)
+    record = simulate_experiment(truth.fit, plan, seed)
     if record is None:
         return None
-    new = Bench(bench.model, bench.rig, [record], (), bench.window_s, bench.seed)
+    new = Comparison(comparison.model, comparison.rig, [record], (), comparison.window_s, comparison.seed)
     try:
-        more = new.try_out(truth.trials, truth.fit.values)
-        less = new.try_out(rival.trials, rival.fit.values)
+        more = new.refit(truth.candidates, truth.fit.values)
+        less = new.refit(rival.candidates, rival.fit.values)
     except SimError:
         return None
     return None if more.train.normalised > _LOST else new.evidence(more, less).train

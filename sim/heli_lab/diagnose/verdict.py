@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from heli_lab.diagnose.leftover import Leftover
+from heli_lab.diagnose.residual_analysis import ResidualAnalysis
 from heli_lab.diagnose.search import AMBIGUOUS
-from heli_lab.diagnose.steps import SETTLED, Found, Search
+from heli_lab.diagnose.search_record import SETTLED, Cause, Search
 
 LEFT_SHARE: Final = 0.01
 """Share of the excess of the mean square that causes may leave: models of large causes are not exact."""
@@ -36,28 +36,28 @@ class Verdict:
     ----------
     word : str
         ``explained``, ``cause_found``, ``ambiguous`` or ``unexplained``.
-    causes : tuple of Found
+    causes : tuple of Cause
         Effects of the catalogue, strongest first.
-    off_list : tuple of Found
+    off_list : tuple of Cause
         Patterns in their place.
     chance : bool
         Whether a random torque was found.
     """
 
     word: str
-    causes: tuple[Found, ...]
-    off_list: tuple[Found, ...]
+    causes: tuple[Cause, ...]
+    off_list: tuple[Cause, ...]
     chance: bool
 
 
-def judge(search: Search, left: Leftover, removed: bool = False) -> Verdict:
+def judge(search: Search, left: ResidualAnalysis, removed: bool = False) -> Verdict:
     """Decide what to say.
 
     Parameters
     ----------
     search : Search
         What was found.
-    left : Leftover
+    left : ResidualAnalysis
         What remains.
     removed : bool
         Whether the fit itself found a term of the baseline to be gone: a cause like any other.
@@ -67,8 +67,8 @@ def judge(search: Search, left: Leftover, removed: bool = False) -> Verdict:
     Verdict
         The decision.
     """
-    causes = tuple(one for one in search.found if not one.trial.is_pattern)
-    off_list = tuple(one for one in search.found if one.trial.is_pattern)
+    causes = tuple(one for one in search.found if not one.candidate.is_spline)
+    off_list = tuple(one for one in search.found if one.candidate.is_spline)
     chance = (
         remains(search)
         and not off_list
@@ -77,8 +77,8 @@ def judge(search: Search, left: Leftover, removed: bool = False) -> Verdict:
         and left.lost < max(CHANCE_LOSES, CHANCE_ELSEWHERE * left.gained)
     )
     if off_list:
-        pattern, effect = (sum(one.evidence.raw for one in group) for group in (off_list, causes))
-        if not causes or pattern > OFF_LIST_SHARE * (pattern + effect):
+        spline_term, effect = (sum(one.evidence.raw for one in group) for group in (off_list, causes))
+        if not causes or spline_term > OFF_LIST_SHARE * (spline_term + effect):
             return Verdict("unexplained", causes, off_list, False)
     if remains(search) and not chance:
         return Verdict("unexplained", causes, off_list, False)
@@ -109,12 +109,12 @@ def remains(search: Search) -> bool:
     return train**2 + held**2 - 2.0 > LEFT_SHARE * before
 
 
-def ambiguous_with(found: Found) -> list[str]:
+def ambiguous_with(found: Cause) -> list[str]:
     """Other effects that would do as well.
 
     Parameters
     ----------
-    found : Found
+    found : Cause
         An effect that was found.
 
     Returns
@@ -125,12 +125,12 @@ def ambiguous_with(found: Found) -> list[str]:
     return [rival.id for rival in found.rivals if rival.behind < AMBIGUOUS]
 
 
-def confidence(found: Found, search: Search, unexplained: bool = False) -> float:
+def confidence(found: Cause, search: Search, unexplained: bool = False) -> float:
     """How sure a cause is.
 
     Parameters
     ----------
-    found : Found
+    found : Cause
         The cause.
     search : Search
         Everything that was found.
@@ -142,8 +142,8 @@ def confidence(found: Found, search: Search, unexplained: bool = False) -> float
     float
         Between 0 and 1.
     """
-    lead = min([found.evidence.total - found.price, *(rival.behind for rival in found.rivals)])
-    sure = 1.0 - 0.5 * math.exp(-max(lead, 0.0) / CONFIDENCE_NATS)
+    margin = min([found.evidence.total - found.penalty, *(rival.behind for rival in found.rivals)])
+    sure = 1.0 - 0.5 * math.exp(-max(margin, 0.0) / CONFIDENCE_NATS)
     before = max(search.baseline.held.normalised**2 - 1.0, 1e-9)
     after = max(search.final.held.normalised**2 - 1.0, 0.0)
     open_share = min(1.0, after / before)

@@ -7,7 +7,7 @@ from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import Record, prepare
 from heli_lab.identify.screen import Score, screen
 from heli_lab.identify.solve import Budget, Fit, Progress, solve
-from heli_lab.identify.uncertainty import Combination, combinations, untaught
+from heli_lab.identify.uncertainty import Combination, combinations, uninformed_parameters
 
 __all__ = [
     "Budget",
@@ -25,6 +25,6 @@ __all__ = [
     "screen",
     "solve",
     "trace",
-    "untaught",
+    "uninformed_parameters",
     "validate",
 ]

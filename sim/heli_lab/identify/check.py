@@ -11,9 +11,9 @@ from heli_host.flight import Flight
 
 from heli_lab.identify.free import PER_FLIGHT
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.noise import correlation_at, normalised
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import AXES, Record
+from heli_lab.identify.residual_noise import correlation_at, normalised
 from heli_lab.identify.solve import Fit, solve
 
 _WHITE_LAG_S: Final = 0.1
@@ -97,7 +97,7 @@ def trace(fit: Fit, index: int = 0) -> Trace:
     Trace
         Measured against predicted.
     """
-    look = fit.problem.look(index, fit.theta, fit.states[index], fine=True, derivatives=False)
+    evaluation = fit.problem.evaluation(index, fit.theta, fit.states[index], fine=True, derivatives=False)
     grid = fit.problem.grid(index, True, fit.theta)
     record = grid.record
     measured = grid.measured_rad
@@ -105,8 +105,8 @@ def trace(fit: Fit, index: int = 0) -> Trace:
         record.label,
         record.t_s[grid.rows],
         measured,
-        measured - look.residual * record.sigma_rad,
-        look.residual,
+        measured - evaluation.residual * record.sigma_rad,
+        evaluation.residual,
         tuple(grid.slices),
         record.sigma_rad,
     )

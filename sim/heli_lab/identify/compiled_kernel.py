@@ -280,9 +280,9 @@ class CompiledKernel(Kernel):
         self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
     ) -> tuple[Floats, Floats]:
         size = self._sizes[1] + 1
-        gram = np.zeros((len(inputs.steps), 3, size, size))
-        angles, _ = self._call(inputs, start, parameters, None, (measured_rad, sigma_rad, gram))
-        return angles, gram
+        normal_matrix = np.zeros((len(inputs.steps), 3, size, size))
+        angles, _ = self._call(inputs, start, parameters, None, (measured_rad, sigma_rad, normal_matrix))
+        return angles, normal_matrix
 
     def _end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
         return self._call(inputs, start, parameters, None, None)[1]
@@ -299,7 +299,7 @@ class CompiledKernel(Kernel):
         windows = len(inputs.steps)
         angles = np.empty((inputs.rows, 3))
         end = np.empty((windows, states))
-        measured, sigma, gram = (None, None, None) if products is None else products
+        measured, sigma, normal_matrix = (None, None, None) if products is None else products
         if measured is not None and sigma is not None:
             measured, sigma = np.ascontiguousarray(measured, float), np.ascontiguousarray(sigma, float)
         mean, change = np.ascontiguousarray(inputs.mean_V), np.ascontiguousarray(inputs.change_V)
@@ -330,7 +330,7 @@ class CompiledKernel(Kernel):
                 ctypes.c_void_p(end[low:].ctypes.data),
                 None if measured is None else ctypes.c_void_p(measured.ctypes.data),
                 None if sigma is None else ctypes.c_void_p(sigma.ctypes.data),
-                None if gram is None else ctypes.c_void_p(gram[low:].ctypes.data),
+                None if normal_matrix is None else ctypes.c_void_p(normal_matrix[low:].ctypes.data),
             )
 
         # The call releases Python's lock. Threads pay from a few hundred steps on.

@@ -73,9 +73,9 @@ class InterpretedKernel(Kernel):
                 }
                 return self._evaluate(which, y, u, time_s + c * inputs.step_s, parameters, ys, du)
 
-            angles[rows], look = evaluate("angles", 0.0, x[here], s[here])
+            angles[rows], evaluation = evaluate("angles", 0.0, x[here], s[here])
             if jacobian is not None:
-                jacobian[rows] = look
+                jacobian[rows] = evaluation
             for m in range(inputs.substeps):
                 y, ys = x[here], s[here]
                 k1, s1 = evaluate("rates", m * share, y, ys)

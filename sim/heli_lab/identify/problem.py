@@ -33,20 +33,20 @@ BLOCK_S: Final = 0.01
 
 
 @dataclass(frozen=True)
-class Look:
+class Evaluation:
     """Residuals of one record at one guess, with their derivatives.
 
     Parameters
     ----------
     residual : ndarray (m, 3)
         Measured minus predicted angle, in standard deviations of the rounding to counts.
-    gram : ndarray (w, 3, z + 1, z + 1) or None
+    normal_matrix : ndarray (w, 3, z + 1, z + 1) or None
         For each window and axis, products of the columns of [Jacobian | residual], z being the number of
         states and of the free parameters that the record depends on.
     """
 
     residual: Floats
-    gram: Floats | None
+    normal_matrix: Floats | None
 
 
 class Problem:
@@ -387,9 +387,9 @@ class Problem:
             sides.append(shifted)
         return [before, near, *sides]
 
-    def look(
+    def evaluation(
         self, index: int, theta: Floats, states: Floats, *, fine: bool = False, derivatives: bool = True
-    ) -> Look:
+    ) -> Evaluation:
         """Predict a record and compare.
 
         Parameters
@@ -407,17 +407,19 @@ class Problem:
 
         Returns
         -------
-        Look
+        Evaluation
             Residuals, and what a Gauss-Newton step needs.
         """
         grid = self.grid(index, fine, theta)
         sigma, parameters = grid.record.sigma_rad, self.parameters(theta, index)
-        gram: Floats | None = None
+        normal_matrix: Floats | None = None
         if derivatives:
-            angles, gram = self.kernel.products(grid.inputs, states, parameters, grid.measured_rad, sigma)
+            angles, normal_matrix = self.kernel.products(
+                grid.inputs, states, parameters, grid.measured_rad, sigma
+            )
         else:
             angles, _ = self.kernel.run(grid.inputs, states, parameters, False)
-        return Look((grid.measured_rad - angles) / sigma, gram)
+        return Evaluation((grid.measured_rad - angles) / sigma, normal_matrix)
 
     def jacobian(
         self, index: int, theta: Floats, states: Floats, *, fine: bool = False
@@ -438,7 +440,7 @@ class Problem:
         Returns
         -------
         residual : ndarray (m, 3)
-            As in `Look`.
+            As in `Evaluation`.
         jacobian : ndarray (m, 3, states + f)
             Derivatives of the predicted angles, in the same unit, to the window's initial state and to the
             free parameters.

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from heli_host.flight import Flight
 from heli_sim.rig import Rig
 
-from heli_lab.errors import IdentifyError, ShowsNothing
+from heli_lab.errors import IdentifyError, NotExcited
 from heli_lab.identify.functions import Floats
 
 AXES: Final = ("elevation", "pitch", "travel")
@@ -135,7 +135,7 @@ def prepare(
 
     Raises
     ------
-    ShowsNothing
+    NotExcited
         When nothing flies in it: it never moves, or no second of it is free.
     IdentifyError
         When it is not sound: it has no voltages, or duties in their place, its rows are not evenly spaced, or
@@ -169,7 +169,7 @@ def prepare(
     )
     if not segments:
         why = ", ".join(dict.fromkeys(cut.why for cut in cuts)) or "it is too short"
-        raise ShowsNothing(
+        raise NotExcited(
             f"{label}: no second of free flight in t_s {t_s[0]:g} to {t_s[-1]:g}, data row 1 to {len(t_s)} "
             f"({why}); give a longer flight"
         )
@@ -241,7 +241,7 @@ def _refuse_dead_columns(flight: Flight, label: str, count_rad: Floats) -> None:
     moved = np.ptp(flight.angles_rad, axis=0) / count_rad
     if np.all(moved < _LEAST_COUNTS):
         most = int(np.argmax(moved))
-        raise ShowsNothing(
+        raise NotExcited(
             f"{label}: the rig never moves: {AXES[most]}_rad varies by {moved[most]:.0f} counts "
             f"from data row 1 to {rows}; fly it, for example with heli-host fly identify"
         )
@@ -284,12 +284,12 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> npt.NDArray[np.bool_
     typical_deg = float(np.median(elevation_deg[clear])) if clear.any() else 0.0
     up = elevation_deg > max(table_deg + _TAKE_OFF_DEG, typical_deg - 5.0)
     cut = contact.copy()
-    settle = round(_SETTLE_S / step_s)
+    reoptimise_states = round(_SETTLE_S / step_s)
     edges = np.flatnonzero(np.diff(contact.astype(int)))
     for edge in edges:
         if contact[edge]:
             above = np.flatnonzero(up[edge:])
-            cut[edge : edge + (int(above[0]) + settle if above.size else len(cut))] = True
+            cut[edge : edge + (int(above[0]) + reoptimise_states if above.size else len(cut))] = True
         else:
             before = np.flatnonzero(up[: edge + 1])
             cut[int(before[-1]) if before.size else 0 : edge + 1] = True

@@ -131,7 +131,9 @@ def _parameters(identification: Identification) -> str:
     rows = []
     for one, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True):
         remark = "on its bound" if one.name in fit.at_bound else ""
-        remark = remark or ("as before the flight" if one.name in identification.untaught else "")
+        remark = remark or (
+            "as before the flight" if one.name in identification.uninformed_parameters else ""
+        )
         prior = f"{one.prior.mean:g} ± {2 * one.prior.std:g}"
         found = f"{rounded(value, std)} ± {rounded(2 * std, std)}"
         rows.append([one.name, found, one.unit, prior, f"{std / one.prior.std:.2g}", remark])

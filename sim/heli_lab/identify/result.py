@@ -13,7 +13,7 @@ from heli_sim.rig import Number, Rig
 from heli_lab.identify.check import Check, Trace
 from heli_lab.identify.record import AXES
 from heli_lab.identify.solve import Fit
-from heli_lab.identify.uncertainty import Combination, combinations, untaught
+from heli_lab.identify.uncertainty import Combination, combinations, uninformed_parameters
 
 _STRONG = 0.9
 
@@ -47,9 +47,9 @@ class Identification:
         return combinations(problem.names, self.fit.information, problem.prior_std)
 
     @property
-    def untaught(self) -> list[str]:
+    def uninformed_parameters(self) -> list[str]:
         """Parameters about which the flights say nothing of their own."""
-        return untaught(self.fit.problem.names, self.fit.covariance, self.fit.problem.prior_std)
+        return uninformed_parameters(self.fit.problem.names, self.fit.covariance, self.fit.problem.prior_std)
 
     @property
     def strong_correlations(self) -> list[tuple[str, str, float]]:
@@ -156,7 +156,7 @@ class Identification:
             "cannot_tell_apart": [
                 {"change": combination.change, "kept": combination.kept} for combination in self.combinations
             ],
-            "nothing_learned_of": self.untaught,
+            "nothing_learned_of": self.uninformed_parameters,
             "flights": [self._flight(check, "train") for check in self.training]
             + [self._flight(check, "validation") for check in self.validation],
             "seconds_used": sum(check.seconds_used for check in self.training),

@@ -108,11 +108,11 @@ def identify(
 
 def _nearer(problem: Problem) -> dict[str, float] | None:
     """Start values from short windows, where those of the rig file are so far off that long ones diverge."""
-    looks = zip(problem.records, problem.first_states(problem.start), strict=True)
-    for index, (record, states) in enumerate(looks):
-        look = problem.look(index, problem.start, states, derivatives=False)
+    evaluations = zip(problem.records, problem.first_states(problem.start), strict=True)
+    for index, (record, states) in enumerate(evaluations):
+        evaluation = problem.evaluation(index, problem.start, states, derivatives=False)
         with np.errstate(all="ignore"):
-            off_rad = np.sqrt(np.mean(look.residual**2, axis=0)) * record.sigma_rad
+            off_rad = np.sqrt(np.mean(evaluation.residual**2, axis=0)) * record.sigma_rad
         if not np.all(off_rad < _FAR_RAD):
             short = problem.with_windows(_SHORT_WINDOW_S)
             return solve(short, budget=Budget(evaluations=30), fine=False).values

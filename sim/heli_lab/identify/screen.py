@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from heli_lab.errors import IdentifyError
-from heli_lab.identify.normal import reduce_looks
 from heli_lab.identify.problem import Problem
+from heli_lab.identify.schur import eliminate_states
 from heli_lab.identify.solve import Fit
 
 
@@ -74,8 +74,10 @@ def screen(fit: Fit, extended: Problem, groups: Sequence[Sequence[str]]) -> list
     states = extended.first_states(theta)
     for own, old in zip(states, fit.states, strict=True):
         own[:, : old.shape[1]] = old
-    looks = [extended.look(index, theta, start) for index, start in enumerate(states)]
-    information, gradient, _ = reduce_looks(extended, looks, states, states, fit.variance, fit.weights)
+    evaluations = [extended.evaluation(index, theta, start) for index, start in enumerate(states)]
+    information, gradient, _ = eliminate_states(
+        extended, evaluations, states, states, fit.variance, fit.weights
+    )
     places = {name: index for index, name in enumerate(extended.names)}
     base = np.array([places[name] for name in fit.problem.names], int)
     prior = np.array([extended.free[i].prior.std for i in base]) ** -2.0

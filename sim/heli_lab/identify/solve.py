@@ -17,11 +17,11 @@ import numpy as np
 from heli_lab.errors import IdentifyError
 from heli_lab.identify.functions import Floats, Integers
 from heli_lab.identify.grid import Grid
-from heli_lab.identify.noise import balanced, inflation, window_weights
-from heli_lab.identify.normal import bounded_solve, reduce_looks
-from heli_lab.identify.problem import Look, Problem
-from heli_lab.identify.relax import relax, restart, window_cost
-from heli_lab.identify.uncertainty import rounding_scatter, timing_variance
+from heli_lab.identify.problem import Evaluation, Problem
+from heli_lab.identify.residual_noise import floor_axes, long_run_variance, window_weights
+from heli_lab.identify.schur import bounded_solve, eliminate_states
+from heli_lab.identify.uncertainty import quantisation_scatter, timing_variance
+from heli_lab.identify.window_states import relax, restart, window_cost
 
 _ROUGH: Final = 3
 """First rounds, in which the weights and much else is far off."""
@@ -158,7 +158,7 @@ class _Point:
 
     theta: Floats
     states: list[Floats]
-    looks: list[Look]
+    evaluations: list[Evaluation]
     cost: float = math.inf
 
 
@@ -184,18 +184,20 @@ class _Solver:
         return self.evaluations >= self.budget.evaluations or seconds >= self.budget.seconds
 
     def evaluate(self, theta: Floats, states: list[Floats]) -> _Point:
-        looks = [self.problem.look(index, theta, start, fine=self.fine) for index, start in enumerate(states)]
+        evaluations = [
+            self.problem.evaluation(index, theta, start, fine=self.fine) for index, start in enumerate(states)
+        ]
         self.evaluations += 1
-        point = _Point(theta, states, looks)
+        point = _Point(theta, states, evaluations)
         point.cost = self.cost(point) if self.variance else math.inf
         return point
 
     def reweight(self, point: _Point) -> float:
         """Update variances and weights; return the largest relative change of a variance."""
         variance, weights = [], []
-        for index, look in enumerate(point.looks):
+        for index, evaluation in enumerate(point.evaluations):
             grid = self.problem.grid(index, self.fine, point.theta)
-            found, weight = self.spread(look, grid)
+            found, weight = self.spread(evaluation, grid)
             variance.append(found)
             weights.append(weight)
         change = (
@@ -209,18 +211,18 @@ class _Solver:
         point.cost = self.cost(point)
         return change
 
-    def spread(self, look: Look, grid: Grid) -> tuple[Floats, Floats]:
+    def spread(self, evaluation: Evaluation, grid: Grid) -> tuple[Floats, Floats]:
         """Variance of a record's axes, and weights of its windows, neither of them deciding about itself."""
         weight = np.ones(len(grid.slices))
         for _ in range(_SPREADS if self.robust else 1):
             rows = np.repeat(weight, grid.inputs.steps)[:, None]
             share = float(np.mean(rows))
-            kept = look.residual * np.sqrt(rows)
-            found = np.maximum(1.0, inflation(kept, grid.slices, grid.inputs.step_s) / share)
-            found = balanced(found, np.mean(kept**2, axis=0) / share, grid.record.sigma_rad)
+            kept = evaluation.residual * np.sqrt(rows)
+            found = np.maximum(1.0, long_run_variance(kept, grid.slices, grid.inputs.step_s) / share)
+            found = floor_axes(found, np.mean(kept**2, axis=0) / share, grid.record.sigma_rad)
             before = weight
             if self.robust:
-                weight = window_weights(look.residual, grid.slices, found)
+                weight = window_weights(evaluation.residual, grid.slices, found)
             if np.array_equal(weight, before):
                 break
         return found, weight
@@ -229,27 +231,27 @@ class _Solver:
         problem = self.problem
         prior = (point.theta - problem.prior_mean) / problem.prior_std
         total = float(prior @ prior)
-        total += float(sum(self.window_cost(point, index).sum() for index in range(len(point.looks))))
+        total += float(sum(self.window_cost(point, index).sum() for index in range(len(point.evaluations))))
         return total if math.isfinite(total) else math.inf
 
-    def tie(self, point: _Point) -> None:
+    def state_prior(self, point: _Point) -> None:
         """Tie effects' states to what the flight before their windows says, with the numbers found so far."""
         if self.problem.state_count > 6:
             self.reference = self.problem.first_states(point.theta)
 
     def window_cost(self, point: _Point, index: int) -> Floats:
         of_record = self.reference[index], self.variance[index], self.weights[index]
-        return window_cost(self.problem, point.looks[index], point.states[index], *of_record)
+        return window_cost(self.problem, point.evaluations[index], point.states[index], *of_record)
 
     def relax(self, point: _Point, index: int, which: Integers, before: Floats | None, most: int) -> None:
         """Let some windows of a point find their own way."""
         of_record = self.reference[index], self.variance[index], which
-        point.states[index], point.looks[index] = relax(
+        point.states[index], point.evaluations[index] = relax(
             self.problem,
             index,
             point.theta,
             point.states[index],
-            point.looks[index],
+            point.evaluations[index],
             *of_record,
             before=before,
             fine=self.fine,
@@ -259,16 +261,16 @@ class _Solver:
 
     def gather(self, point: _Point, before: _Point) -> None:
         """Help windows that did not follow a step."""
-        for index in range(len(point.looks)):
+        for index in range(len(point.evaluations)):
             old, new = self.window_cost(before, index), self.window_cost(point, index)
             with np.errstate(invalid="ignore"):
                 astray = (new > _ASTRAY * old) & (new - old > _ASTRAY_SHARE * before.cost)
             if astray.any():
                 self.relax(point, index, np.flatnonzero(astray), before.states[index], 4)
 
-    def settle(self, point: _Point) -> _Point | None:
+    def reoptimise_states(self, point: _Point) -> _Point | None:
         """Let all windows find their own way; None where they are there."""
-        other = _Point(point.theta, list(point.states), list(point.looks), point.cost)
+        other = _Point(point.theta, list(point.states), list(point.evaluations), point.cost)
         for index, states in enumerate(point.states):
             self.relax(other, index, np.arange(len(states)), None, 6)
         return other if other.cost < _RELAXED * point.cost else None
@@ -276,26 +278,26 @@ class _Solver:
     def rescue(self, point: _Point) -> bool:
         """Start windows that are out of line again from elsewhere; say whether that found a better valley."""
         before = point.cost
-        for index in range(len(point.looks)):
+        for index in range(len(point.evaluations)):
             of_record = self.reference[index], self.variance[index]
             # The second time the window before may have found its own valley.
             for turn in range(_RESTARTS):
-                gram = point.looks[index].gram
-                assert gram is not None
+                normal_matrix = point.evaluations[index].normal_matrix
+                assert normal_matrix is not None
                 steps = self.problem.grid(index, self.fine, point.theta).inputs.steps
-                squares = gram[:, :, -1, -1].sum(axis=1) / (3 * steps)
+                squares = normal_matrix[:, :, -1, -1].sum(axis=1) / (3 * steps)
                 usual = float(np.median(squares))
                 lost = np.flatnonzero(squares > _OUT_OF_LINE * usual)
                 if not len(lost) or usual > _TOO_WRONG:
                     break
                 others = self.problem.other_starts(index, point.theta, point.states[index])
                 for other in others if turn == 0 else others[:1]:
-                    point.states[index], point.looks[index] = restart(
+                    point.states[index], point.evaluations[index] = restart(
                         self.problem,
                         index,
                         point.theta,
                         point.states[index],
-                        point.looks[index],
+                        point.evaluations[index],
                         *of_record,
                         lost,
                         other,
@@ -307,8 +309,8 @@ class _Solver:
     def reduce(
         self, point: _Point, damping: float = 0.0
     ) -> tuple[Floats, Floats, list[tuple[Floats, Floats]]]:
-        of_records = point.looks, point.states, self.reference, self.variance, self.weights
-        return reduce_looks(self.problem, *of_records, damping=damping)
+        of_records = point.evaluations, point.states, self.reference, self.variance, self.weights
+        return eliminate_states(self.problem, *of_records, damping=damping)
 
     def step(self, point: _Point) -> tuple[Floats, list[Floats], Floats]:
         """A damped Gauss-Newton step, and the standard errors."""
@@ -344,7 +346,7 @@ class _Solver:
             small = not len(move) or bool(np.all(np.abs(move) < _SMALL_STEP * std))
             if not other.cost < point.cost * (1 + 1e-12):
                 if not settled:
-                    settled, nearer = True, self.settle(point)
+                    settled, nearer = True, self.reoptimise_states(point)
                     if nearer is not None:
                         point = nearer
                         continue
@@ -430,7 +432,7 @@ def solve(
         )
         converged = finished
         rescued = number in (2, 3) and finished and solver.rescue(point)
-        solver.tie(point)
+        solver.state_prior(point)
         change = solver.reweight(point)
         solver.damping = 0.0
         if not finished or (number >= _ROUGH - 1 + bool(searched) and change < _SETTLED and not rescued):
@@ -444,7 +446,7 @@ def solve(
             point, finished = solver.descend(point, "every sample", share, most=10)
             converged = converged and finished
             rescued = number < 2 and finished and solver.rescue(point)
-            solver.tie(point)
+            solver.state_prior(point)
             change = solver.reweight(point)
             if not finished or not (rescued or change >= _SETTLED):
                 break
@@ -477,7 +479,7 @@ def _result(solver: _Solver, point: _Point, converged: bool, scatter: bool) -> F
     weight = np.diag(1.0 / problem.prior_std**2)
     covariance: Floats = np.linalg.inv(information + weight).astype(np.float64)
     if scatter and solver.fine and len(problem.free):
-        rounded = rounding_scatter(
+        rounded = quantisation_scatter(
             problem, point.theta, point.states, solver.variance, solver.weights, covariance
         )
         wider = np.maximum(1.0, rounded / np.sqrt(np.diag(covariance)))

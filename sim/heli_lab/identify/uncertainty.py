@@ -19,7 +19,7 @@ _WEIGHT: Final = 0.25
 """Smallest part that a parameter takes in a combination, of the largest."""
 
 
-def rounding_scatter(
+def quantisation_scatter(
     problem: Problem,
     theta: Floats,
     states: Sequence[Floats],
@@ -149,7 +149,7 @@ def combinations(names: Sequence[str], information: Floats, prior_std: Floats) -
     return found
 
 
-def untaught(names: Sequence[str], covariance: Floats, prior_std: Floats) -> list[str]:
+def uninformed_parameters(names: Sequence[str], covariance: Floats, prior_std: Floats) -> list[str]:
     """Parameters about which the flights said nothing of their own.
 
     Parameters

@@ -57,7 +57,7 @@ class Kernel(ABC):
         -------
         angles_rad : ndarray (n, 3)
             Measured angles at the beginning of each step.
-        gram : ndarray (w, 3, states + free + 1, states + free + 1)
+        normal_matrix : ndarray (w, 3, states + free + 1, states + free + 1)
             For each window and axis, products of the columns of [Jacobian | residual], both over sigma.
         """
         return self._products(inputs, start, parameters, measured_rad, sigma_rad)

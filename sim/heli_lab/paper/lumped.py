@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Final
 
 import casadi as ca
-from heli_sim.model.base import Effect, Model, Situation
+from heli_sim.model.base import Effect, Model, Operands
 from heli_sim.rig.quantity import Prior, Quantity
 
 from heli_lab.paper.coefficients import PRINTED
@@ -64,12 +64,12 @@ class LumpedModel(Model):
     def __init__(self, coefficients: Coefficients) -> None:
         super().__init__((coefficients,))
 
-    def acceleration(self, at: Situation, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
+    def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
         """Right-hand sides of (30).
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and coefficients.
         thrust_N, torque_Nm : casadi.SX
             Not used: the coefficients hold thrust and friction.

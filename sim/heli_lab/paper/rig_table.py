@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from heli_sim.model import MultibodyModel
-from heli_sim.model.pinned import Pinned
+from heli_sim.model.locked import Locked
 from heli_sim.rig import Rig
 
 from heli_lab.identify.free import NOT_FREE
@@ -125,7 +125,7 @@ def fit_rig(
     for done, (number, tests) in enumerate(TESTS_OF_TABLE.items()):
         if on_progress is not None:
             on_progress(done / len(TESTS_OF_TABLE))
-        model = Pinned(MultibodyModel(), tests[0].pinned)
+        model = Locked(MultibodyModel(), tests[0].pinned)
         free = [
             q.name
             for q in model.parameters

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_sim.model.pinned import Pinned
+from heli_sim.model.locked import Locked
 from heli_sim.rig import Rig
 
 from heli_lab.identify.check import check
@@ -159,7 +159,7 @@ def fit_table(
     pinned = TESTS_OF_TABLE[number][0].pinned
     prior_std = {name: _PRIOR_STD[name] for name in plan.free}
     problem = Problem(
-        Pinned(LumpedModel(Coefficients(start, prior_std)), pinned),
+        Locked(LumpedModel(Coefficients(start, prior_std)), pinned),
         rig,
         records,
         free=[*plan.free, plan.offset],

@@ -24,9 +24,9 @@ from heli_sim.rig.inertia import inertias_kg_m2
 
 from heli_lab.tune import loops
 from heli_lab.tune.loops import Law, Pid
-from heli_lab.tune.march import STEP_s, led_to, march
 from heli_lab.tune.plants import Known, LinearPlant, Spread, spread_plants
 from heli_lab.tune.shaping import shaped_step
+from heli_lab.tune.simulate import STEP_s, march, zero_state_step_response
 
 Floats = npt.NDArray[np.float64]
 
@@ -255,7 +255,7 @@ def _design_tilt(
         for state, (load_deg_s2, weight) in loads_deg_s2.items():
             torque = np.zeros((len(corners), 11, 1))
             torque[:, state] = load_deg_s2
-            trimmed = led_to(corners, torque, _HOVER_s)
+            trimmed = zero_state_step_response(corners, torque, _HOVER_s)
             left = march(corners, torque, np.ones((len(path) // 2, 1)), trimmed)[:, :, 1]
             step[own_count:] += weight * np.mean(left**2, axis=0)
         return np.asarray(step), largest_V

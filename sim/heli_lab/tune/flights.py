@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from heli_host.flight import Flight
     from heli_sim.plant import Plant
 
-    from heli_lab.tune.marks import Marks
+    from heli_lab.tune.step_metrics import Marks
 
 PLAN: Final = """
 title = "Take-off, a step of travel and back, sines"
@@ -102,7 +102,7 @@ def try_gains(
     from heli_sim.sil.options import SilOptions
     from heli_sim.sil.world import SilWorld
 
-    from heli_lab.tune.marks import Phases, marks_of
+    from heli_lab.tune.step_metrics import Phases, marks_of
 
     plan = Plan.parse(PLAN, "plan of the trial", "trial")
     length_s = plan.duration_s + plan.start.settle_s

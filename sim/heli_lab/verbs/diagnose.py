@@ -26,7 +26,7 @@ from heli_lab.verbs.fit_options import (
 
 if TYPE_CHECKING:
     from heli_lab.diagnose import Diagnosis
-    from heli_lab.diagnose.silent import Silence
+    from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 
 
 def diagnose(
@@ -67,9 +67,9 @@ def diagnose(
     from heli_sim.rig import load_rig, write_rig
 
     from heli_lab.diagnose import diagnose as find
+    from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation, insufficient_excitation
     from heli_lab.diagnose.report import write_report, write_silence
-    from heli_lab.diagnose.silent import Silence, silence
-    from heli_lab.errors import ShowsNothing
+    from heli_lab.errors import NotExcited
     from heli_lab.identify.result import short_names
 
     others = validate or []
@@ -78,7 +78,7 @@ def diagnose(
     kinds = catalogue(effects or ())
     named = model or chosen.model or DEFAULT_MODEL
     equations = model_named(named, effects_of(chosen, effects or ()))
-    found: Diagnosis | Silence
+    found: Diagnosis | InsufficientExcitation
     written: list[Path] = []
     with WorkBar() as bar:
         bar.show("reading", 0.0)
@@ -98,16 +98,16 @@ def diagnose(
                 seconds=budget_s,
                 say=bar.show,
             )
-        except ShowsNothing as nothing:
-            found = silence(str(nothing), equations, chosen, kinds)
-        if out is not None and not isinstance(found, Silence):
+        except NotExcited as nothing:
+            found = insufficient_excitation(str(nothing), equations, chosen, kinds)
+        if out is not None and not isinstance(found, InsufficientExcitation):
             write_rig(
                 found.rig(out.stem), out, f"Found by heli-host diagnose, model {named}. {found.summary}"
             )
             written.append(out)
         if report is not None:
             bar.show("drawing", 0.95)
-            if isinstance(found, Silence):
+            if isinstance(found, InsufficientExcitation):
                 written.append(write_silence(found, report))
             else:
                 written.append(write_report(found, report))
@@ -119,7 +119,7 @@ def diagnose(
         print(f"files: {', '.join(str(path) for path in written)}")
 
 
-def _print(found: Diagnosis | Silence) -> None:
+def _print(found: Diagnosis | InsufficientExcitation) -> None:
     """Print the verdict, the causes and the gain."""
     print(f"{found.word}: {found.summary}")
     for line in found.lines:

@@ -126,7 +126,7 @@ def _print(found: Identification) -> None:
     fit = found.fit
     rows = [("number", "found", "+- 2 std", "before", "+- 2 std", "unit", "")]
     for one, value, std in zip(fit.problem.free, fit.theta, fit.std.values(), strict=True):
-        remark = "nothing learned" if one.name in found.untaught else ""
+        remark = "nothing learned" if one.name in found.uninformed_parameters else ""
         remark = "on its bound" if one.name in fit.at_bound else remark
         known = f"{one.prior.mean:g}", f"{2 * one.prior.std:g}"
         rows.append((one.name, rounded(value, std), rounded(2 * std, std), *known, one.unit, remark))

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heli_sim.errors import PlantError
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.parts import friction_torque_Nm, thrust_N
 from heli_sim.rig import RIG_QUANTITIES, Rig
 from heli_sim.rig.quantity import Quantity
@@ -33,7 +33,7 @@ INPUTS: Final[tuple[Quantity, ...]] = (
     Quantity("front_V", "V", "voltage that acts on the front motor"),
     Quantity("back_V", "V", "voltage that acts on the back motor"),
 )
-__all__ = ["INPUTS", "STATES", "Effect", "Model", "Situation", "Stage"]
+__all__ = ["INPUTS", "STATES", "Effect", "Model", "Operands", "Stage"]
 
 _AXES: Final = ("elevation", "pitch", "travel")
 _SHARED: Final = (
@@ -84,15 +84,15 @@ class Model(ABC):
         """Name of the parameter by which the voltages act late, or empty."""
 
     @abstractmethod
-    def acceleration(self, at: Situation, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
+    def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
         """Angular acceleration under given thrust and torque.
 
-        A pinned axis (`Situation.pinned`) has none, and its pin gives whatever torque that takes: where axes
+        A pinned axis (`Operands.pinned`) has none, and its pin gives whatever torque that takes: where axes
         are coupled, the others accelerate otherwise than they would with that axis free.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
         thrust_N : casadi.SX
             Thrust of the front and the back rotor, shape (2, 1).
@@ -108,7 +108,7 @@ class Model(ABC):
 
     def situation(
         self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None, pinned: ca.SX | None = None
-    ) -> Situation:
+    ) -> Operands:
         """Name the entries of the three vectors.
 
         Parameters
@@ -126,10 +126,10 @@ class Model(ABC):
 
         Returns
         -------
-        Situation
+        Operands
             The same expressions by name.
         """
-        return Situation(
+        return Operands(
             {state.name: x[i] for i, state in enumerate(self.states)},
             u,
             {parameter.name: p[i] for i, parameter in enumerate(self.parameters)},
@@ -178,7 +178,7 @@ class Model(ABC):
         acceleration = self._with_friction(at, thrust, self.acceleration(at, thrust, torque))
         return ca.vertcat(x[3:6], (1 - at.pinned) * acceleration, *rates)
 
-    def _with_friction(self, at: Situation, thrust: ca.SX, acceleration: ca.SX) -> ca.SX:
+    def _with_friction(self, at: Operands, thrust: ca.SX, acceleration: ca.SX) -> ca.SX:
         """Acceleration under the torques that answer it; every model's is linear in the torque."""
         rubbing = [effect for effect in self.effects if effect.rubs]
         if not rubbing:
@@ -238,16 +238,16 @@ class Model(ABC):
         pushes, used = [ca.SX.zeros(6)], 0
         for effect in self.effects:
             if effect.states:
-                pushes.append(effect.pushed(at, step_s, normal[used : used + effect.shaken]))
-                used += effect.shaken
+                pushes.append(effect.pushed(at, step_s, normal[used : used + effect.noise_inputs]))
+                used += effect.noise_inputs
         return ca.vertcat(*pushes)
 
     @property
-    def shaken(self) -> int:
+    def noise_inputs(self) -> int:
         """Number of random pushes that its effects take each step of a simulation."""
-        return sum(effect.shaken for effect in self.effects)
+        return sum(effect.noise_inputs for effect in self.effects)
 
-    def _as_changed(self, at: Situation) -> Situation:
+    def _as_changed(self, at: Operands) -> Operands:
         for effect in self.effects:
             at = replace(at, parameter={**at.parameter, **effect.changed(at)})
         return at

@@ -12,7 +12,7 @@ from heli_sim.rig.quantity import Prior, Quantity
 
 
 @dataclass(frozen=True)
-class Situation:
+class Operands:
     """What an equation may look at, by name.
 
     Parameters
@@ -84,7 +84,7 @@ class Effect:
         integrates the model hands it voltages that are late by this much.
     stage : Stage
         Where it acts.
-    shaken : int
+    noise_inputs : int
         Number of independent random pushes that it takes each millisecond of a simulation.
     shown : Mapping[str, str]
         Those of `states` that are what an encoder shows, by name, with the axis: whoever starts in the middle
@@ -101,7 +101,7 @@ class Effect:
     priors: Mapping[str, Prior] = field(default_factory=dict)
     delay: str = ""
     stage: Stage = Stage.GAIN
-    shaken: int = 0
+    noise_inputs: int = 0
     shown: Mapping[str, str] = field(default_factory=dict)
     searched: tuple[str, ...] = ()
 
@@ -115,12 +115,12 @@ class Effect:
         """Axis or rotor: what its name has after the last dot."""
         return self.name.rpartition(".")[2]
 
-    def own(self, at: Situation, what: str) -> ca.SX:
+    def own(self, at: Operands, what: str) -> ca.SX:
         """Look up a parameter or a state of the effect.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
         what : str
             Its name after the prefix, such as ``share`` of ``thrust_step_front_share``.
@@ -133,12 +133,12 @@ class Effect:
         name = f"{self.prefix}_{what}"
         return at.parameter[name] if name in at.parameter else at.state[name]
 
-    def changed(self, at: Situation) -> Mapping[str, ca.SX]:
+    def changed(self, at: Operands) -> Mapping[str, ca.SX]:
         """Change numbers of the rig, before anything is computed with them.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
 
         Returns
@@ -148,12 +148,12 @@ class Effect:
         """
         return {}
 
-    def voltage_V(self, at: Situation, volts_V: ca.SX) -> ca.SX:
+    def voltage_V(self, at: Operands, volts_V: ca.SX) -> ca.SX:
         """Change the voltages before the thrust curve.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
         volts_V : casadi.SX
             Voltages of the front and the back motor before this effect, shape (2, 1).
@@ -165,12 +165,12 @@ class Effect:
         """
         return volts_V
 
-    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         """Change the thrust.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
         thrust_N : casadi.SX
             Thrust of the front and the back rotor before this effect, shape (2, 1).
@@ -182,12 +182,12 @@ class Effect:
         """
         return thrust_N
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
+    def torque_Nm(self, at: Operands) -> ca.SX:
         """Add a torque.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters, and the final thrust.
 
         Returns
@@ -197,12 +197,12 @@ class Effect:
         """
         return ca.SX.zeros(3)
 
-    def friction_Nm(self, at: Situation, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
+    def friction_Nm(self, at: Operands, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
         """Add a torque that goes by what the axes would do without it: dry friction holds against any other.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters, and the final thrust.
         acceleration_rad_s2 : casadi.SX
             Acceleration of elevation, pitch and travel without any such torque, shape (3, 1).
@@ -221,12 +221,12 @@ class Effect:
         """Whether it has a `friction_Nm` of its own."""
         return type(self).friction_Nm is not Effect.friction_Nm
 
-    def energy_J(self, at: Situation) -> ca.SX:
+    def energy_J(self, at: Operands) -> ca.SX:
         """Potential energy of a torque that has one, such as a spring's.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
 
         Returns
@@ -236,12 +236,12 @@ class Effect:
         """
         return ca.SX(0)
 
-    def measured_rad(self, at: Situation, angles_rad: ca.SX) -> ca.SX:
+    def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
         """Change what the encoders see.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
         angles_rad : casadi.SX
             Elevation, pitch and travel before this effect, shape (3, 1).
@@ -253,12 +253,12 @@ class Effect:
         """
         return angles_rad
 
-    def state_rates(self, at: Situation) -> ca.SX:
+    def state_rates(self, at: Operands) -> ca.SX:
         """Time derivatives of the effect's own states.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
 
         Returns
@@ -283,12 +283,12 @@ class Effect:
         """
         return ()
 
-    def settled(self, at: Situation) -> ca.SX:
+    def settled(self, at: Operands) -> ca.SX:
         """Set own states anew after a step of whatever length, for what a rate cannot say, such as play.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             State after the step, voltages and parameters.
 
         Returns
@@ -298,12 +298,12 @@ class Effect:
         """
         return ca.vertcat(*(at.state[state.name] for state in self.states))
 
-    def pushed(self, at: Situation, step_s: float, normal: ca.SX) -> ca.SX:
+    def pushed(self, at: Operands, step_s: float, normal: ca.SX) -> ca.SX:
         """Change of own states by chance in one step of a simulation; identification leaves it out.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             State after the step, voltages and parameters.
         step_s : float
             Length of the step.

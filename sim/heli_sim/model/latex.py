@@ -14,7 +14,7 @@ from typing import Final
 import casadi as ca
 
 from heli_sim.errors import PlantError
-from heli_sim.model.base import Model, Situation
+from heli_sim.model.base import Model, Operands
 from heli_sim.model.multibody import MultibodyModel
 from heli_sim.model.parts import friction_torque_Nm
 
@@ -126,10 +126,10 @@ def equations(model: Model) -> list[Equation]:
     return out
 
 
-def _situation(model: Model) -> Situation:
+def _situation(model: Model) -> Operands:
     names = {q.name: ca.SX.sym(symbol(q.name)) for q in (*model.states, *model.parameters)}
     volts = ca.vertcat(ca.SX.sym("V_{f}"), ca.SX.sym("V_{b}"))
-    return Situation(
+    return Operands(
         {state.name: names[state.name] for state in model.states},
         volts,
         {parameter.name: names[parameter.name] for parameter in model.parameters},
@@ -137,7 +137,7 @@ def _situation(model: Model) -> Situation:
     )
 
 
-def _thrust(at: Situation) -> list[Equation]:
+def _thrust(at: Operands) -> list[Equation]:
     p = at.parameter
     volts = ca.SX.sym("V_{i}")
     straight = p["thrust_gain"] * ca.fmax(volts - p["dead_zone"], 0.0)
@@ -145,7 +145,7 @@ def _thrust(at: Situation) -> list[Equation]:
 
 
 def _multibody(
-    model: MultibodyModel, at: Situation, F: ca.SX, torque: ca.SX, rates: ca.SX, writer: _Writer
+    model: MultibodyModel, at: Operands, F: ca.SX, torque: ca.SX, rates: ca.SX, writer: _Writer
 ) -> list[Equation]:
     inertia = model.inertia_kg_m2(at)
     potential = ca.substitute(model.energy_J(at), rates, ca.SX.zeros(3))

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from heli_sim.model.base import Model, Situation
+from heli_sim.model.base import Model, Operands
 
 
 class PaperPrintedModel(Model):
@@ -42,12 +42,12 @@ class PaperPrintedModel(Model):
         *("air_density", "drag_area_arm", "drag_area_body"),
     )
 
-    def inertia_kg_m2(self, at: Situation) -> ca.SX:
+    def inertia_kg_m2(self, at: Operands) -> ca.SX:
         """J_theta (27), J_phi (28) and J_psi (29) at the present angles.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Gives angles and the rig's numbers.
 
         Returns
@@ -73,12 +73,12 @@ class PaperPrintedModel(Model):
         )
         return ca.vertcat(about_elevation, about_pitch, about_travel)
 
-    def acceleration(self, at: Situation, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
+    def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
         """Right-hand sides of (14), (19) and (25), divided by the inertias.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
         thrust_N : casadi.SX
             Thrust of the front and the back rotor, shape (2, 1); none below the dead zone, which is undone.

@@ -20,9 +20,9 @@ from typing import Any
 from urllib.parse import parse_qsl
 
 from heli_sim.errors import OptionError, SimError
+from heli_sim.sil.clock import Pace, make_pace
 from heli_sim.sil.endpoint import Endpoint
 from heli_sim.sil.options import DUE, SilOptions, parse_options
-from heli_sim.sil.pace import Pace, make_pace
 from heli_sim.sil.pty import PtyEndpoint
 from heli_sim.sil.rfc2217 import Rfc2217Endpoint
 from heli_sim.sil.tcp import TcpEndpoint

@@ -12,11 +12,11 @@ from heli_sim import _native
 from heli_sim.due.errors import BoardStopped
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig
+from heli_sim.sil.arm_support import Hand
 from heli_sim.sil.boards import make_board, settled
 from heli_sim.sil.faults import FaultyStream
-from heli_sim.sil.flown import plant_of
-from heli_sim.sil.hand import Hand
 from heli_sim.sil.options import SilOptions
+from heli_sim.sil.plant_factory import plant_of
 
 # Counters of the encoders stand anywhere at power-up.
 _OFFSET_COUNTS: Final = 50_000.0

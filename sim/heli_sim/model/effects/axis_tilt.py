@@ -7,7 +7,7 @@ from typing import Final
 
 import casadi as ca
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import AXES
 from heli_sim.rig.quantity import Prior
@@ -20,12 +20,12 @@ class AxisTilt(Effect):
     0, by `y_rad` a quarter of a turn in positive travel from there.
     """
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
+    def torque_Nm(self, at: Operands) -> ca.SX:
         """Minus the gradient of the potential that the tilt adds.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state and parameters.
 
         Returns
@@ -37,12 +37,12 @@ class AxisTilt(Effect):
         torque = -ca.gradient(self._potential_J(at, q), q)
         return ca.substitute(torque, q, ca.vertcat(*(at.state[f"{axis}_rad"] for axis in AXES)))
 
-    def energy_J(self, at: Situation) -> ca.SX:
+    def energy_J(self, at: Operands) -> ca.SX:
         """Potential energy, less that about a plumb axis.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state and parameters.
 
         Returns
@@ -52,7 +52,7 @@ class AxisTilt(Effect):
         """
         return self._potential_J(at, ca.vertcat(*(at.state[f"{axis}_rad"] for axis in AXES)))
 
-    def _potential_J(self, at: Situation, q: ca.SX) -> ca.SX:
+    def _potential_J(self, at: Operands, q: ca.SX) -> ca.SX:
         x, y = self.own(at, "x_rad"), self.own(at, "y_rad")
         size2 = x**2 + y**2
         # The unit vector (sin, cos) of small angles, finite at 0: sin|a|/|a| to 4th order is enough to 1 rad.

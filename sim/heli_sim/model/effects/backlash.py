@@ -7,7 +7,7 @@ from typing import Final
 
 import casadi as ca
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import AXES
 from heli_sim.rig.quantity import Prior, Quantity
@@ -20,12 +20,12 @@ class Backlash(Effect):
     axis and encoder, and moves nothing but what is measured.
     """
 
-    def settled(self, at: Situation) -> ca.SX:
+    def settled(self, at: Operands) -> ca.SX:
         """Where the shaft is after a step: taken along by whichever side of the play touches it.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             State after the step and parameters.
 
         Returns
@@ -52,12 +52,12 @@ class Backlash(Effect):
         half_rad = 0.5 * parameters[f"{self.prefix}_rad"]
         return ({f"{self.place}_rad": half_rad}, {f"{self.place}_rad": -half_rad})
 
-    def measured_rad(self, at: Situation, angles_rad: ca.SX) -> ca.SX:
+    def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
         """Put the shaft's angle in place of the axis'.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state and parameters.
         angles_rad : casadi.SX
             Angles without play, shape (3, 1).

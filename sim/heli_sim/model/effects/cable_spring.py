@@ -6,7 +6,7 @@ from typing import Final
 
 import casadi as ca
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import on_axis
 from heli_sim.rig.quantity import Prior
@@ -15,12 +15,12 @@ from heli_sim.rig.quantity import Prior
 class CableSpring(Effect):
     """Torque towards the angle at which the cable is at rest."""
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
+    def torque_Nm(self, at: Operands) -> ca.SX:
         """Torque towards the rest angle.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state and parameters.
 
         Returns
@@ -30,12 +30,12 @@ class CableSpring(Effect):
         """
         return on_axis(self.place, -self.own(at, "Nm_per_rad") * self._bent_rad(at))
 
-    def energy_J(self, at: Situation) -> ca.SX:
+    def energy_J(self, at: Operands) -> ca.SX:
         """Energy in the bent cable.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state and parameters.
 
         Returns
@@ -45,7 +45,7 @@ class CableSpring(Effect):
         """
         return 0.5 * self.own(at, "Nm_per_rad") * self._bent_rad(at) ** 2
 
-    def _bent_rad(self, at: Situation) -> ca.SX:
+    def _bent_rad(self, at: Operands) -> ca.SX:
         return at.state[f"{self.place}_rad"] - self.own(at, "rest_rad")
 
 

@@ -17,6 +17,7 @@ from heli_sim.errors import EffectError
 from heli_sim.model.base import Model
 from heli_sim.model.effect import Effect
 from heli_sim.model.effects import (
+    absent_terms,
     axis_tilt,
     backlash,
     cable_spring,
@@ -30,7 +31,6 @@ from heli_sim.model.effects import (
     input_delay,
     periodic_torque,
     random_torque,
-    removed,
     rotor_lag,
     rotor_reaction_torque,
     supply_sag,
@@ -69,7 +69,7 @@ _BUILT_IN: Final[tuple[EffectKind, ...]] = (
     *random_torque.KINDS,
     edgewise_flow.KIND,
     gyroscopic_torque.KIND,
-    *removed.KINDS,
+    *absent_terms.KINDS,
 )
 
 
@@ -164,7 +164,7 @@ def _not_finite(model: Model) -> str:
         "the rate of a state": model.dynamics(x, u, p, t),
         "a measured angle": model.measurement(x, u, p, t),
         "a state after a step": model.settled(x, u, p, t),
-        "a random push": model.pushed(x, u, p, t, 1e-3, ca.SX.ones(model.shaken)),
+        "a random push": model.pushed(x, u, p, t, 1e-3, ca.SX.ones(model.noise_inputs)),
     }
     values = ca.Function(
         "values", [x, u, p, t], [ca.vertcat(r, ca.vec(ca.jacobian(r, p))) for r in results.values()]

@@ -6,7 +6,7 @@ from typing import Final
 
 import casadi as ca
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
@@ -20,12 +20,12 @@ class CoulombFriction(Effect):
     heavy and a light axis.
     """
 
-    def friction_Nm(self, at: Situation, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
+    def friction_Nm(self, at: Operands, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
         """Torque against the motion.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state and parameters.
         acceleration_rad_s2 : casadi.SX
             Acceleration of the axes without dry friction, shape (3, 1).

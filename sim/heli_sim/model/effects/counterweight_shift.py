@@ -7,7 +7,7 @@ from typing import Final
 
 import casadi as ca
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.effects.thrust_step import moments_s
 from heli_sim.model.parts import since
@@ -17,12 +17,12 @@ from heli_sim.rig.quantity import Prior
 class CounterweightShift(Effect):
     """From an unknown moment on the counterweight is elsewhere on the arm."""
 
-    def changed(self, at: Situation) -> Mapping[str, ca.SX]:
+    def changed(self, at: Operands) -> Mapping[str, ca.SX]:
         """Move the counterweight.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Parameters and time.
 
         Returns

@@ -6,7 +6,7 @@ from typing import Final
 
 import casadi as ca
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.rig.quantity import Prior
 
@@ -18,12 +18,12 @@ class EdgewiseFlow(Effect):
     about pitch raises the side that leads, against the lean that drives travel: speed steadies the rig.
     """
 
-    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         """Give to one rotor what the other loses.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
         thrust_N : casadi.SX
             Thrust of rotors that do not move edgewise, shape (2, 1).

@@ -6,7 +6,7 @@ from typing import Final
 
 import casadi as ca
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import rotor_height_m
 from heli_sim.rig.quantity import Prior
@@ -19,12 +19,12 @@ class GroundEffect(Effect):
     air, both feel the height of the arm's end (`own` = 0).
     """
 
-    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         """Add what the table gives.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
         thrust_N : casadi.SX
             Thrust far from the table, shape (2, 1).

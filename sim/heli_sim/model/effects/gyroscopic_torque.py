@@ -6,7 +6,7 @@ from typing import Final
 
 import casadi as ca
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.rig.quantity import Prior
 
@@ -18,12 +18,12 @@ class GyroscopicTorque(Effect):
     on a rig with 0.2 m propellers. It does no work: what it takes from one axis it gives to another.
     """
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
+    def torque_Nm(self, at: Operands) -> ca.SX:
         """Torque of the angular momentum being turned, n x omega H, as the three axes feel it.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, parameters and final thrust.
 
         Returns

@@ -94,7 +94,7 @@ class EffectKind:
         Where the equation comes from.
     delay : str
         Which of its numbers delays the voltages; empty for none.
-    shaken : int
+    noise_inputs : int
         Random pushes a millisecond in a simulation.
     shown : Mapping[str, str]
         States that are what an encoder shows, and the axis of each.
@@ -118,7 +118,7 @@ class EffectKind:
     states: tuple[Quantity, ...] = ()
     source: str = ""
     delay: str = ""
-    shaken: int = 0
+    noise_inputs: int = 0
     shown: Mapping[str, str] = field(default_factory=dict)
     needs: tuple[str, ...] = ()
     models: tuple[str, ...] = ()
@@ -221,7 +221,7 @@ class EffectKind:
             priors=self.priors,
             delay=self.full(self.delay) if self.delay else "",
             stage=self.stage,
-            shaken=self.shaken,
+            noise_inputs=self.noise_inputs,
             shown={self.full(state): axis for state, axis in self.shown.items()},
             searched=tuple(name for name in self.scan if name in self.priors),
         )

@@ -7,7 +7,7 @@ from typing import Final
 import casadi as ca
 import numpy as np
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
@@ -19,12 +19,12 @@ _HIGHEST_Hz: Final = 5.0
 class PeriodicTorque(Effect):
     """Sine and cosine of time."""
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
+    def torque_Nm(self, at: Operands) -> ca.SX:
         """Torque now.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Parameters and time.
 
         Returns

@@ -6,7 +6,7 @@ from typing import Final
 
 import casadi as ca
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior, Quantity
@@ -19,12 +19,12 @@ class RandomTorque(Effect):
     was at a window's beginning dies out.
     """
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
+    def torque_Nm(self, at: Operands) -> ca.SX:
         """Torque now.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state.
 
         Returns
@@ -34,12 +34,12 @@ class RandomTorque(Effect):
         """
         return on_axis(self.place, self.own(at, "now_Nm"))
 
-    def state_rates(self, at: Situation) -> ca.SX:
+    def state_rates(self, at: Operands) -> ca.SX:
         """Forget.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state and parameters.
 
         Returns
@@ -49,12 +49,12 @@ class RandomTorque(Effect):
         """
         return -self.own(at, "now_Nm") / self.own(at, "s")
 
-    def pushed(self, at: Situation, step_s: float, normal: ca.SX) -> ca.SX:
+    def pushed(self, at: Operands, step_s: float, normal: ca.SX) -> ca.SX:
         """Push it by what keeps its standard deviation.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Parameters.
         step_s : float
             Length of the step.
@@ -89,7 +89,7 @@ def _kind(axis: str, typical_Nm: float) -> EffectKind:
             Parameter("s", "s", "time T over which it forgets", 0.5, Prior(0.5, 0.5, low=0.02, high=20.0)),
         ),
         states=(Quantity("now_Nm", "N m", f"random torque d on the {axis} axis"),),
-        shaken=1,
+        noise_inputs=1,
         source="the simplest coloured noise; Dryden's gusts are of this kind",
     )
 

@@ -7,7 +7,7 @@ from typing import Final
 import casadi as ca
 
 from heli_sim.errors import PlantError
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.rig.quantity import Prior, Quantity
 
@@ -43,12 +43,12 @@ class RotorLag(Effect):
             fields = {name: getattr(made, name) for name in Effect.__dataclass_fields__}
         super().__init__(**fields)  # type: ignore[arg-type]
 
-    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         """Thrust that the rotors have reached.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
         thrust_N : casadi.SX
             Thrust that the voltages ask for, shape (2, 1).
@@ -61,12 +61,12 @@ class RotorLag(Effect):
         share = ca.fmin(self.own(at, "s") / _LEAST_s, 1.0)
         return share * self._reached_N(at) + (1 - share) * thrust_N
 
-    def state_rates(self, at: Situation) -> ca.SX:
+    def state_rates(self, at: Operands) -> ca.SX:
         """Pull each thrust towards what its voltage asks for.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
 
         Returns
@@ -76,7 +76,7 @@ class RotorLag(Effect):
         """
         return (at.thrust_N - self._reached_N(at)) / ca.fmax(self.own(at, "s"), _LEAST_s)
 
-    def _reached_N(self, at: Situation) -> ca.SX:
+    def _reached_N(self, at: Operands) -> ca.SX:
         return ca.vertcat(self.own(at, "front_N"), self.own(at, "back_N"))
 
 

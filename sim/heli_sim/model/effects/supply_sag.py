@@ -6,7 +6,7 @@ from typing import Final
 
 import casadi as ca
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.rig.quantity import Prior
 
@@ -18,12 +18,12 @@ class SupplySag(Effect):
     line that both share takes the same voltage from each.
     """
 
-    def voltage_V(self, at: Situation, volts_V: ca.SX) -> ca.SX:
+    def voltage_V(self, at: Operands, volts_V: ca.SX) -> ca.SX:
         """Lower both voltages.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
         volts_V : casadi.SX
             Voltages from a stiff supply, shape (2, 1).

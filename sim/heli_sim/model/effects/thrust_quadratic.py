@@ -6,7 +6,7 @@ from typing import Final
 
 import casadi as ca
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.rig.quantity import Prior
 
@@ -14,12 +14,12 @@ from heli_sim.rig.quantity import Prior
 class ThrustQuadratic(Effect):
     """A share of the thrust goes with the square of the voltage above the dead zone."""
 
-    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         """Bend the straight line about one point, which leaves the gain near what it was.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
         thrust_N : casadi.SX
             Thrust of the straight line, shape (2, 1).

@@ -6,7 +6,7 @@ from typing import Final
 
 import casadi as ca
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import since
 from heli_sim.rig.quantity import Prior
@@ -15,12 +15,12 @@ from heli_sim.rig.quantity import Prior
 class ThrustStep(Effect):
     """From an unknown moment on one rotor pushes less."""
 
-    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         """Scale one thrust from the moment on.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages, parameters and time.
         thrust_N : casadi.SX
             Thrust of whole rotors, shape (2, 1).

@@ -6,7 +6,7 @@ from typing import Final
 
 import casadi as ca
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import on_axis
 from heli_sim.rig.quantity import Prior
@@ -15,12 +15,12 @@ from heli_sim.rig.quantity import Prior
 class TravelDragQuadratic(Effect):
     """Torque against travel in proportion to the square of its rate."""
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
+    def torque_Nm(self, at: Operands) -> ca.SX:
         """Torque against the rate.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state and parameters.
 
         Returns

@@ -6,7 +6,7 @@ from typing import Final
 
 import casadi as ca
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
@@ -15,12 +15,12 @@ from heli_sim.rig.quantity import Prior
 class ZeroOffset(Effect):
     """Constant error of one encoder, larger than the count or two that every flight's zeroing has."""
 
-    def measured_rad(self, at: Situation, angles_rad: ca.SX) -> ca.SX:
+    def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
         """Add the offset.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Parameters.
         angles_rad : casadi.SX
             True angles, shape (3, 1).

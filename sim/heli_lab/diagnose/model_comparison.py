@@ -10,10 +10,10 @@ import numpy as np
 from heli_sim.model.base import Effect, Model
 from heli_sim.rig import Rig
 
-from heli_lab.diagnose.trial import Trial
+from heli_lab.diagnose.candidate import Candidate
 from heli_lab.identify import Fit, Problem, Record, solve, validate
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.noise import LEAST_VARIANCE, autocovariance, judged
+from heli_lab.identify.residual_noise import LEAST_VARIANCE, autocovariance, floored_mean_square
 
 _CORRELATED_s: Final = 0.5
 _RELIEF: Final = 20.0
@@ -54,7 +54,7 @@ class Errors:
     axis_normalised: Floats
     sigma_rad: Floats
 
-    def unlikely(self, squares: Floats, rows: Floats) -> Floats:
+    def neg2_log_likelihood_rows(self, squares: Floats, rows: Floats) -> Floats:
         """Twice what each row of an axis takes off the logarithm of the likelihood.
 
         Axes are judged as in a fit (`noise.judged`): where a model is wrong, how far off it is counts, and
@@ -73,14 +73,14 @@ class Errors:
             Logarithm of the variance, and the mean square over it.
         """
         mean = np.maximum(squares / rows[..., None], LEAST_VARIANCE)
-        scale = judged(mean, self.sigma_rad)
+        scale = floored_mean_square(mean, self.sigma_rad)
         result: Floats = np.log(scale) + mean / scale
         return result
 
     @property
-    def surprise(self) -> Floats:
+    def neg2_log_likelihood(self) -> Floats:
         """The same of all windows together, shape (3,)."""
-        return self.unlikely(self.squares.sum(axis=0), self.rows.sum())
+        return self.neg2_log_likelihood_rows(self.squares.sum(axis=0), self.rows.sum())
 
     @property
     def variance(self) -> Floats:
@@ -95,7 +95,7 @@ class Hypothesis:
 
     Parameters
     ----------
-    trials : tuple of Trial
+    candidates : tuple of Candidate
         Where each effect came from, in the order in which they were found.
     fit : Fit
         The refitted model.
@@ -105,7 +105,7 @@ class Hypothesis:
         Errors on the flights fitted and on the others; without validation flights both are the same.
     """
 
-    trials: tuple[Trial, ...]
+    candidates: tuple[Candidate, ...]
     fit: Fit
     held_fit: Fit | None
     train: Errors
@@ -114,12 +114,12 @@ class Hypothesis:
     @property
     def ids(self) -> tuple[str, ...]:
         """Ids of its effects."""
-        return tuple(trial.id for trial in self.trials)
+        return tuple(candidate.id for candidate in self.candidates)
 
     @property
     def parameters(self) -> int:
         """Number of free parameters of its effects."""
-        return sum(len(trial.effect.priors) for trial in self.trials)
+        return sum(len(candidate.effect.priors) for candidate in self.candidates)
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class Evidence:
         The latter's lower bound: 5 % of resamplings of the windows lie below it.
     raw : float
         Sum of both as if all errors were independent: to rank models that leave errors of different colour.
-    drop : float
+    variance_reduction : float
         Largest share by which it lowers the mean square of an axis on the flights fitted, held out or both.
     """
 
@@ -142,7 +142,7 @@ class Evidence:
     held: float
     held_low: float
     raw: float
-    drop: float
+    variance_reduction: float
 
     @property
     def total(self) -> float:
@@ -150,7 +150,7 @@ class Evidence:
         return self.train + self.held
 
 
-class Bench:
+class Comparison:
     """Flights, rig and model on which hypotheses are tried.
 
     Parameters
@@ -181,16 +181,16 @@ class Bench:
         self.window_s = window_s
         self.fits = 0
 
-    def try_out(
+    def refit(
         self,
-        trials: Sequence[Trial],
+        candidates: Sequence[Candidate],
         start: Mapping[str, float] | Fit | None = None,
     ) -> Hypothesis:
         """Refit the model with some effects and measure its errors.
 
         Parameters
         ----------
-        trials : sequence of Trial
+        candidates : sequence of Candidate
             The effects.
         start : Mapping[str, float] or Fit, optional
             Values to start from.
@@ -200,14 +200,14 @@ class Bench:
         Hypothesis
             The result.
         """
-        effects: tuple[Effect, ...] = tuple(trial.effect for trial in trials)
+        effects: tuple[Effect, ...] = tuple(candidate.effect for candidate in candidates)
         model = type(self.model)((*self.model.effects, *effects))
         problem = Problem(model, self.rig, self.train, window_s=self.window_s, step_s=_STEP_s)
         fit = solve(problem, start=start)
         self.fits += 1
         held_fit = validate(fit, self.held) if self.held else None
         train = errors(fit)
-        return Hypothesis(tuple(trials), fit, held_fit, train, errors(held_fit) if held_fit else train)
+        return Hypothesis(tuple(candidates), fit, held_fit, train, errors(held_fit) if held_fit else train)
 
     def evidence(self, more: Hypothesis, less: Hypothesis) -> Evidence:
         """Compare two hypotheses.
@@ -224,14 +224,16 @@ class Bench:
         """
         train = _ratio(more.train, less.train)
         if not self.held:
-            return Evidence(train, 0.0, 0.0, _raw(more.train, less.train), _drop(more.train, less.train))
+            return Evidence(
+                train, 0.0, 0.0, _raw(more.train, less.train), _variance_reduction(more.train, less.train)
+            )
         random = np.random.default_rng(self.seed)
         windows = len(more.held.rows)
         counts = random.multinomial(windows, np.full(windows, 1.0 / windows), _RESAMPLED)
         rows = counts @ more.held.rows
-        logs = less.held.unlikely(counts @ less.held.squares, rows) - more.held.unlikely(
-            counts @ more.held.squares, rows
-        )
+        logs = less.held.neg2_log_likelihood_rows(
+            counts @ less.held.squares, rows
+        ) - more.held.neg2_log_likelihood_rows(counts @ more.held.squares, rows)
         resampled = 0.5 * rows * (logs @ _shares(more.held, less.held))
         resampled += less.held.tension - more.held.tension
         return Evidence(
@@ -239,7 +241,7 @@ class Bench:
             _ratio(more.held, less.held),
             float(np.quantile(resampled, 0.05)),
             _raw(more.train, less.train) + _raw(more.held, less.held),
-            min(_drop(more.train, less.train), _drop(more.held, less.held)),
+            min(_variance_reduction(more.train, less.train), _variance_reduction(more.held, less.held)),
         )
 
 
@@ -260,10 +262,10 @@ def errors(fit: Fit) -> Errors:
     squares, rows, means, slices, every = [], [], [], [], []
     place = 0
     for index, states in enumerate(fit.states):
-        look = problem.look(index, fit.theta, states, fine=True, derivatives=False)
+        evaluation = problem.evaluation(index, fit.theta, states, fine=True, derivatives=False)
         grid = problem.block_grid(index, fit.theta)
-        mean = look.residual.reshape(grid.inputs.rows, grid.every, 3).mean(axis=1)
-        every.append(look.residual)
+        mean = evaluation.residual.reshape(grid.inputs.rows, grid.every, 3).mean(axis=1)
+        every.append(evaluation.residual)
         means.append(mean)
         for window in grid.slices:
             squares.append((mean[window] ** 2).sum(axis=0))
@@ -281,7 +283,7 @@ def errors(fit: Fit) -> Errors:
         np.array(squares),
         np.array(rows, float),
         np.where(long_run > 0.0, independent, 1.0),
-        _tension(fit),
+        _prior_penalty(fit),
         float(np.sqrt(np.mean(samples**2))),
         np.sqrt(np.mean(samples**2, axis=0)),
         problem.records[0].sigma_rad,
@@ -295,7 +297,7 @@ def _shares(more: Errors, less: Errors) -> Floats:
     return result
 
 
-def _tension(fit: Fit) -> float:
+def _prior_penalty(fit: Fit) -> float:
     problem = fit.problem
     own = {name for effect in problem.model.effects for name in effect.priors}
     rig = np.array([one.quantity not in own for one in problem.free], bool)
@@ -304,15 +306,15 @@ def _tension(fit: Fit) -> float:
 
 
 def _raw(more: Errors, less: Errors) -> float:
-    logs = (less.surprise - more.surprise).sum()
+    logs = (less.neg2_log_likelihood - more.neg2_log_likelihood).sum()
     return float(0.5 * more.rows.sum() * logs + less.tension - more.tension)
 
 
-def _drop(more: Errors, less: Errors) -> float:
+def _variance_reduction(more: Errors, less: Errors) -> float:
     relieved = 1.0 if less.tension - more.tension > _RELIEF else 0.0
     return max(relieved, float(np.max(1.0 - more.variance / less.variance)))
 
 
 def _ratio(more: Errors, less: Errors) -> float:
-    logs = less.surprise - more.surprise
+    logs = less.neg2_log_likelihood - more.neg2_log_likelihood
     return float(0.5 * more.rows.sum() * (_shares(more, less) @ logs) + less.tension - more.tension)

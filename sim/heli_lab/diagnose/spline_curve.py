@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from heli_lab.diagnose.pattern import POINTS, QUANTITIES, Pattern, bumps
+from heli_lab.diagnose.spline_term import KNOTS, QUANTITIES, SplineTerm, bspline_basis
 from heli_lab.identify import Fit
 from heli_lab.identify.functions import Floats
 
@@ -21,7 +21,7 @@ _SHOWN: Final = {
 
 
 @dataclass(frozen=True)
-class Curve:
+class SplineCurve:
     """A torque, a share of the thrust or an angle as a curve of one quantity.
 
     Parameters
@@ -54,35 +54,35 @@ class Curve:
         )
 
 
-def curve_of(effect: Pattern, fit: Fit) -> Curve:
+def spline_curve_of(effect: SplineTerm, fit: Fit) -> SplineCurve:
     """Read a curve off a fit.
 
     Parameters
     ----------
-    effect : Pattern
+    effect : SplineTerm
         The pattern.
     fit : Fit
         A fit with it.
 
     Returns
     -------
-    Curve
+    SplineCurve
         The curve with its standard error.
     """
     low, step = effect.values[f"{effect.name}_low"], effect.values[f"{effect.name}_step"]
-    place = np.linspace(low, low + step * (POINTS - 3), _DRAWN)
-    weights = bumps(place, low, step)
+    place = np.linspace(low, low + step * (KNOTS - 3), _DRAWN)
+    weights = bspline_basis(place, low, step)
     # A constant torque, thrust or angle is a number of the rig: only what varies is the curve's own.
     weights -= weights.mean(axis=0)
     names = [one.name for one in fit.problem.free]
-    columns = [names.index(f"{effect.name}_{i}") for i in range(POINTS)]
+    columns = [names.index(f"{effect.name}_{i}") for i in range(KNOTS)]
     spread = fit.covariance[np.ix_(columns, columns)]
     variance = np.einsum("ni,ij,nj->n", weights, spread, weights)
     unit = next(q.unit for q in effect.parameters if q.name == f"{effect.name}_0")
     on_unit = QUANTITIES[effect.on][1]
     factor, value_unit = _SHOWN.get(unit, (1.0, unit))
     on_factor, place_unit = _SHOWN.get(on_unit, (1.0, on_unit))
-    return Curve(
+    return SplineCurve(
         effect.channel,
         effect.on,
         on_factor * place,

@@ -14,15 +14,15 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
-from heli_sim.model.base import Effect, Model, Situation
+from heli_sim.model.base import Effect, Model, Operands
 from heli_sim.model.parts import thrust_N as static_thrust_N
 from heli_sim.rig.quantity import Prior, Quantity
 
-from heli_lab.diagnose.tangent import Along, Path
+from heli_lab.diagnose.linearisation import MapEvaluator, Path
 from heli_lab.identify.functions import Floats
 
 AXES: Final = ("elevation", "pitch", "travel")
-POINTS: Final = 8
+KNOTS: Final = 8
 """Points of a curve: enough for a bump or a kink, few enough to be paid for."""
 _EDGE: Final = 0.005
 """Share of the flight that may lie beyond each end of the curve."""
@@ -36,14 +36,14 @@ _UNITS: Final = {
     "measurement": ("rad", _ANGLE_rad),
 }
 
-_Look = Callable[[Situation], ca.SX]
+_Look = Callable[[Operands], ca.SX]
 
 
 def _state(name: str) -> _Look:
     return lambda at: at.state[name]
 
 
-def _static(at: Situation) -> ca.SX:
+def _static(at: Operands) -> ca.SX:
     p = at.parameter
     return static_thrust_N(at.volts_V, p["thrust_gain"], p["dead_zone"], p["reverse_thrust"])
 
@@ -72,13 +72,13 @@ CHANNELS: Final = (
 
 
 @dataclass(frozen=True)
-class Pattern(Effect):
+class SplineTerm(Effect):
     """A smooth dependence of one channel on one quantity.
 
     Parameters
     ----------
     name, parameters, values, states, priors, delay, stage, shaken, shown, searched
-        As of `Effect`; `pattern` makes them.
+        As of `Effect`; `spline_term` makes them.
     channel : str
         One of `CHANNELS`; ``torque`` in N m, ``thrust`` as a share of itself, ``measurement`` in rad.
     on : str
@@ -88,18 +88,18 @@ class Pattern(Effect):
     channel: str = ""
     on: str = ""
 
-    def _curve(self, at: Situation) -> ca.SX:
+    def _curve(self, at: Operands) -> ca.SX:
         p = at.parameter
         place = 1.0 + (QUANTITIES[self.on][0](at) - p[f"{self.name}_low"]) / p[f"{self.name}_step"]
-        place = ca.fmin(ca.fmax(place, 1.0), POINTS - 2.0)
-        return sum((p[f"{self.name}_{i}"] * bump(place - i) for i in range(POINTS)), ca.SX(0))
+        place = ca.fmin(ca.fmax(place, 1.0), KNOTS - 2.0)
+        return sum((p[f"{self.name}_{i}"] * bspline(place - i) for i in range(KNOTS)), ca.SX(0))
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
+    def torque_Nm(self, at: Operands) -> ca.SX:
         """Add the curve to its axis; see `Effect.torque_Nm`.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
 
         Returns
@@ -110,12 +110,12 @@ class Pattern(Effect):
         kind, where = self.channel.split(".")
         return ca.vertcat(*(self._curve(at) if kind == "torque" and where == axis else 0 for axis in AXES))
 
-    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         """Change the thrust by the curve's share; see `Effect.thrust_N`.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
         thrust_N : casadi.SX
             Thrust before, shape (2, 1).
@@ -131,12 +131,12 @@ class Pattern(Effect):
         share = self._curve(at)
         return thrust_N * ca.vertcat(1 + share, 1 + share if where == "both" else 1 - share)
 
-    def measured_rad(self, at: Situation, angles_rad: ca.SX) -> ca.SX:
+    def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
         """Add the curve to what its encoder shows; see `Effect.measured_rad`.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
         angles_rad : casadi.SX
             Angles before, shape (3, 1).
@@ -152,7 +152,7 @@ class Pattern(Effect):
         return angles_rad + ca.vertcat(*(self._curve(at) if where == axis else 0 for axis in AXES))
 
 
-def bump(distance: ca.SX) -> ca.SX:
+def bspline(distance: ca.SX) -> ca.SX:
     """Cubic B-spline over points at distance 1.
 
     Parameters
@@ -170,7 +170,7 @@ def bump(distance: ca.SX) -> ca.SX:
     return (far**3 - 4.0 * near**3) / 6.0
 
 
-def pattern(channel: str, on: str, low: float, step: float, number: int = 0) -> Pattern:
+def spline_term(channel: str, on: str, low: float, step: float, number: int = 0) -> SplineTerm:
     """Make a pattern that does nothing yet.
 
     Parameters
@@ -186,17 +186,17 @@ def pattern(channel: str, on: str, low: float, step: float, number: int = 0) -> 
 
     Returns
     -------
-    Pattern
+    SplineTerm
         With all points at 0, and priors that let them be found.
     """
     name = f"pattern{number}"
     unit, std = _UNITS[channel.partition(".")[0]]
-    points = [Quantity(f"{name}_{i}", unit, f"point {i} of the curve") for i in range(POINTS)]
+    points = [Quantity(f"{name}_{i}", unit, f"point {i} of the curve") for i in range(KNOTS)]
     span = [
         Quantity(f"{name}_low", QUANTITIES[on][1], "second point of the curve, where it begins"),
         Quantity(f"{name}_step", QUANTITIES[on][1], "distance of its points"),
     ]
-    return Pattern(
+    return SplineTerm(
         name,
         parameters=(*points, *span),
         values={q.name: 0.0 for q in points} | {f"{name}_low": low, f"{name}_step": step},
@@ -220,11 +220,11 @@ def span_of(values: Floats) -> tuple[float, float]:
         Second point, and distance of the points.
     """
     low, high = np.quantile(values, [_EDGE, 1.0 - _EDGE])
-    step = max(float(high - low), 1e-9) / (POINTS - 3)
+    step = max(float(high - low), 1e-9) / (KNOTS - 3)
     return float(low), step
 
 
-def bumps(values: Floats, low: float, step: float) -> Floats:
+def bspline_basis(values: Floats, low: float, step: float) -> Floats:
     """How much each point of a curve counts at each value.
 
     Parameters
@@ -236,11 +236,11 @@ def bumps(values: Floats, low: float, step: float) -> Floats:
 
     Returns
     -------
-    ndarray (n, POINTS)
+    ndarray (n, KNOTS)
         They sum to 1.
     """
-    place = np.clip(1.0 + (values - low) / step, 1.0, POINTS - 2.0)
-    distance = np.abs(place[:, None] - np.arange(POINTS))
+    place = np.clip(1.0 + (values - low) / step, 1.0, KNOTS - 2.0)
+    distance = np.abs(place[:, None] - np.arange(KNOTS))
     result: Floats = (np.maximum(2.0 - distance, 0.0) ** 3 - 4.0 * np.maximum(1.0 - distance, 0.0) ** 3) / 6.0
     return result
 
@@ -263,8 +263,10 @@ def quantity_values(model: Model, path: Path) -> dict[str, Floats]:
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
     at = model.situation(x, u, p, t)
-    values = ca.vertcat(*(look(at) for look, _ in QUANTITIES.values()))
-    (result,) = Along(ca.Function("quantities", [x, u, t, p], [ca.densify(values)]), len(path.t_s))(path)
+    values = ca.vertcat(*(evaluation(at) for evaluation, _ in QUANTITIES.values()))
+    (result,) = MapEvaluator(ca.Function("quantities", [x, u, t, p], [ca.densify(values)]), len(path.t_s))(
+        path
+    )
     return dict(zip(QUANTITIES, result[:, :, 0].T, strict=True))
 
 
@@ -285,12 +287,12 @@ def choices() -> list[tuple[str, str]]:
     ]
 
 
-def named(trial: str) -> str:
+def named(candidate: str) -> str:
     """Name a trial for people.
 
     Parameters
     ----------
-    trial : str
+    candidate : str
         Id of a trial.
 
     Returns
@@ -298,5 +300,5 @@ def named(trial: str) -> str:
     str
         ``a curve: CHANNEL on QUANTITY`` for a pattern; an effect's id as it is.
     """
-    kind, _, rest = trial.partition(":")
-    return f"a curve: {rest.replace(':', ' on ')}" if kind == "pattern" else trial
+    kind, _, rest = candidate.partition(":")
+    return f"a curve: {rest.replace(':', ' on ')}" if kind == "pattern" else candidate

@@ -2,7 +2,7 @@
 
 Errors of a free run are all of one piece: what pushes the arm shows for seconds. Taken as independent they
 make a gust look like whatever cause imitates its course. Here each axis gets a random torque that forgets
-within `Colour.memory_s`; a Kalman filter over each window turns the errors into innovations, which are
+within `correlation_time_s`; a Kalman filter over each window turns the errors into innovations, which are
 independent where the model is right but for such torques, and stay so in a closed loop, where the voltages
 answer to the torques. Sizes and memory are those that make the flights likeliest. A cause is believed when it
 makes the flights likelier than chance does. After Kristensen, Madsen and Jorgensen (2004).
@@ -17,9 +17,9 @@ from typing import Final
 import numpy as np
 from scipy.optimize import minimize
 
-from heli_lab.diagnose.hypothesis import Bench, Hypothesis
-from heli_lab.diagnose.tangent import Tangent
-from heli_lab.diagnose.torque import FREE_ANGLE_rad, FREE_RATE_rad_s
+from heli_lab.diagnose.disturbance_torque import FREE_ANGLE_rad, FREE_RATE_rad_s
+from heli_lab.diagnose.linearisation import Linearisation
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.identify import Fit, Problem
 from heli_lab.identify.functions import Floats
 
@@ -43,25 +43,25 @@ _SMALL_MOVE: Final = 0.7
 
 
 @dataclass(frozen=True)
-class Colour:
+class DisturbanceModel:
     """Random torques that make a fit's flights likeliest.
 
     Parameters
     ----------
     likelihood : float
         Logarithm of the likelihood, up to what all fits of these flights share, priors included.
-    size_Nm : ndarray (3,)
+    sigma_Nm : ndarray (3,)
         Standard deviation of the torque about each axis.
-    memory_s : float
+    correlation_time_s : float
         Time over which it falls to 1/e.
     """
 
     likelihood: float
-    size_Nm: Floats
-    memory_s: float
+    sigma_Nm: Floats
+    correlation_time_s: float
 
 
-class Filter:
+class InnovationsFilter:
     """Turns errors into innovations, for all flights of a fit.
 
     Parameters
@@ -73,7 +73,7 @@ class Filter:
     def __init__(self, fit: Fit) -> None:
         self.fit = fit
         problem = fit.problem
-        self.tangents = tuple(Tangent(fit, index) for index in range(len(problem.records)))
+        self.tangents = tuple(Linearisation(fit, index) for index in range(len(problem.records)))
         steps = np.concatenate([t.steps for t in self.tangents]) // _BLOCK
         self.alive = np.arange(steps.max())[:, None] < steps[None, :]
         self.step_s = _BLOCK * self.tangents[0].path.step_s
@@ -117,18 +117,18 @@ class Filter:
         return reached, seen
 
     def innovations(
-        self, size_Nm: Floats, memory_s: float, columns: Sequence[Floats] = ()
+        self, sigma_Nm: Floats, correlation_time_s: float, columns: Sequence[Floats] = ()
     ) -> tuple[Floats, float]:
         """Filter the errors, what free parameters change in them, and more columns.
 
         Parameters
         ----------
-        size_Nm : ndarray (3,)
+        sigma_Nm : ndarray (3,)
             Standard deviation of the random torque about each axis.
-        memory_s : float
+        correlation_time_s : float
             Its memory.
         columns : sequence of ndarray (n, 3, s), optional
-            For each flight, as `Tangent.answer` gives them.
+            For each flight, as `Linearisation.answer` gives them.
 
         Returns
         -------
@@ -141,10 +141,10 @@ class Filter:
         if columns:
             given = np.concatenate((given, self._blocks(columns).mean(axis=2)), axis=3)
         longest, count, nx, order = self.over.shape
-        keep = float(np.exp(-self.step_s / memory_s))
+        keep = float(np.exp(-self.step_s / correlation_time_s))
         noise = np.zeros((order, order))
-        noise[nx:, nx:] = np.diag((1.0 - keep**2) * size_Nm**2)
-        first = np.concatenate((np.full(3, FREE_ANGLE_rad), np.full(nx - 3, FREE_RATE_rad_s), size_Nm))
+        noise[nx:, nx:] = np.diag((1.0 - keep**2) * sigma_Nm**2)
+        first = np.concatenate((np.full(3, FREE_ANGLE_rad), np.full(nx - 3, FREE_RATE_rad_s), sigma_Nm))
         spread = np.broadcast_to(np.diag(first**2), (count, order, order)).copy()
         mean = np.zeros((count, order, given.shape[3]))
         out = np.empty_like(given)
@@ -167,14 +167,14 @@ class Filter:
             spread = over @ spread @ over.transpose(0, 2, 1) + noise
         return out[self.alive].reshape(-1, given.shape[3]), logarithm
 
-    def likelihood(self, size_Nm: Floats, memory_s: float) -> tuple[float, Floats, Floats]:
+    def likelihood(self, sigma_Nm: Floats, correlation_time_s: float) -> tuple[float, Floats, Floats]:
         """Logarithm of the likelihood, the free parameters moved to where it is largest, to first order.
 
         Parameters
         ----------
-        size_Nm : ndarray (3,)
+        sigma_Nm : ndarray (3,)
             Standard deviation of the random torque about each axis.
-        memory_s : float
+        correlation_time_s : float
             Its memory.
 
         Returns
@@ -184,7 +184,7 @@ class Filter:
         move, std : ndarray (f,)
             Change of the free parameters, and their standard errors.
         """
-        filtered, logarithm = self.innovations(size_Nm, memory_s)
+        filtered, logarithm = self.innovations(sigma_Nm, correlation_time_s)
         left, right = filtered[:, :-1], filtered[:, -1]
         matrix = left.T @ left + np.diag(self._weight)
         inverse = np.linalg.inv(matrix)
@@ -199,7 +199,7 @@ class Filter:
 
     def gains(
         self,
-        colour: Colour,
+        disturbance: DisturbanceModel,
         columns: Sequence[Floats],
         sizes: Sequence[int],
         priors: Sequence[Floats] | None = None,
@@ -208,10 +208,10 @@ class Filter:
 
         Parameters
         ----------
-        colour : Colour
+        disturbance : DisturbanceModel
             The random torques.
         columns : sequence of ndarray (n, 3, s)
-            For each flight the columns of all candidates side by side, as `Tangent.answer` gives them.
+            For each flight the columns of all candidates side by side, as `Linearisation.answer` gives them.
         sizes : sequence of int
             Number of columns of each candidate.
         priors : sequence of ndarray, optional
@@ -223,7 +223,7 @@ class Filter:
         list of float
             Logarithm of the likelihood ratio that each adds.
         """
-        filtered, _ = self.innovations(colour.size_Nm, colour.memory_s, columns)
+        filtered, _ = self.innovations(disturbance.sigma_Nm, disturbance.correlation_time_s, columns)
         free = len(self._weight)
         left, error, rest = filtered[:, :free], filtered[:, free], filtered[:, free + 1 :]
         inverse = np.linalg.inv(left.T @ left + np.diag(self._weight))
@@ -234,27 +234,27 @@ class Filter:
         for number, size in enumerate(sizes):
             own = rest[:, low : low + size]
             low += size
-            gram, cross = own.T @ own, own.T @ error
-            known = _RIDGE * np.diag(gram).mean() if priors is None else priors[number] ** -2.0
-            gram[range(size), range(size)] += known
-            found.append(float(0.5 * cross @ np.linalg.pinv(gram, hermitian=True) @ cross))
+            normal_matrix, cross = own.T @ own, own.T @ error
+            known = _RIDGE * np.diag(normal_matrix).mean() if priors is None else priors[number] ** -2.0
+            normal_matrix[range(size), range(size)] += known
+            found.append(float(0.5 * cross @ np.linalg.pinv(normal_matrix, hermitian=True) @ cross))
         return found
 
-    def likeliest(self, start: Colour | None = None) -> Colour:
+    def likeliest(self, start: DisturbanceModel | None = None) -> DisturbanceModel:
         """Find the random torques that make the flights likeliest.
 
         Parameters
         ----------
-        start : Colour, optional
+        start : DisturbanceModel, optional
             Where to start.
 
         Returns
         -------
-        Colour
+        DisturbanceModel
             The torques.
         """
-        size_Nm = np.array([3e-3, 1e-3, 3e-3]) if start is None else start.size_Nm
-        memory_s = _START_s if start is None else start.memory_s
+        sigma_Nm = np.array([3e-3, 1e-3, 3e-3]) if start is None else start.sigma_Nm
+        correlation_time_s = _START_s if start is None else start.correlation_time_s
 
         low = np.log([_LEAST_Nm, _LEAST_Nm, _LEAST_Nm, self.step_s])
         high = np.log([_MOST_Nm, _MOST_Nm, _MOST_Nm, _LONGEST_s])
@@ -262,7 +262,7 @@ class Filter:
         def cost(point: Floats) -> float:
             return -self.likelihood(np.exp(point[:3]), float(np.exp(point[3])))[0]
 
-        first = np.log([*np.maximum(size_Nm, _LEAST_START_Nm), memory_s])
+        first = np.log([*np.maximum(sigma_Nm, _LEAST_START_Nm), correlation_time_s])
         spread = _FIRST_STEP if start is None else _NEXT_STEP
         options = {
             "maxfev": _EVALUATIONS if start is None else _EVALUATIONS // 3,
@@ -273,15 +273,15 @@ class Filter:
         bounds = list(zip(low, high, strict=True))
         found = minimize(cost, first, method="Nelder-Mead", bounds=bounds, options=options)
         best = np.exp(found.x)
-        return Colour(-float(found.fun), best[:3], float(best[3]))
+        return DisturbanceModel(-float(found.fun), best[:3], float(best[3]))
 
 
-def pooled(bench: Bench, hypothesis: Hypothesis) -> Fit:
+def pooled(comparison: Comparison, hypothesis: Hypothesis) -> Fit:
     """See all flights as one fit, those held out too.
 
     Parameters
     ----------
-    bench : Bench
+    comparison : Comparison
         The flights.
     hypothesis : Hypothesis
         Its fits.
@@ -298,14 +298,14 @@ def pooled(bench: Bench, hypothesis: Hypothesis) -> Fit:
     problem = Problem(
         old.model,
         old.rig,
-        (*bench.train, *bench.held),
+        (*comparison.train, *comparison.held),
         window_s=old.window_s,
         step_s=old.step_s,
         state_std=old.tied,
     )
     known = {(one.quantity, one.record): v for one, v in zip(old.free, fit.theta, strict=True)}
     for one, value in zip(held.problem.free, held.theta, strict=True):
-        known[one.quantity, None if one.record is None else one.record + len(bench.train)] = value
+        known[one.quantity, None if one.record is None else one.record + len(comparison.train)] = value
     theta = [
         known.get((one.quantity, one.record), v) for one, v in zip(problem.free, problem.start, strict=True)
     ]
@@ -313,39 +313,42 @@ def pooled(bench: Bench, hypothesis: Hypothesis) -> Fit:
     return replace(fit, problem=problem, theta=np.array(theta), states=states)
 
 
-def coloured(
-    bench: Bench, hypothesis: Hypothesis, start: Colour | None = None, rounds: int = MOST_ROUNDS
-) -> tuple[Colour, Filter]:
+def fit_disturbance(
+    comparison: Comparison,
+    hypothesis: Hypothesis,
+    start: DisturbanceModel | None = None,
+    rounds: int = MOST_ROUNDS,
+) -> tuple[DisturbanceModel, InnovationsFilter]:
     """Find how likely a hypothesis makes all flights.
 
     Parameters
     ----------
-    bench : Bench
+    comparison : Comparison
         The flights.
     hypothesis : Hypothesis
         The model with its numbers, which are moved to where the flights are likeliest.
-    start : Colour, optional
+    start : DisturbanceModel, optional
         Where to start.
     rounds : int
         How often the numbers may be moved, at most.
 
     Returns
     -------
-    colour : Colour
+    disturbance : DisturbanceModel
         Its random torques, and the likelihood.
-    filter : Filter
+    filter : InnovationsFilter
         The filter around the numbers that were reached.
     """
-    reached = Filter(pooled(bench, hypothesis))
-    colour = reached.likeliest(start)
-    best = colour, reached
+    reached = InnovationsFilter(pooled(comparison, hypothesis))
+    disturbance = reached.likeliest(start)
+    best = disturbance, reached
     # A free run that misses a torque pulls the numbers along: again around where the filter says they are.
     for _ in range(rounds):
-        _, move, std = reached.likelihood(colour.size_Nm, colour.memory_s)
+        _, move, std = reached.likelihood(disturbance.sigma_Nm, disturbance.correlation_time_s)
         if np.all(np.abs(move) < _SMALL_MOVE * std):
             break
         theta = np.clip(reached.fit.theta + move, *reached.fit.problem.bounds)
-        reached = Filter(replace(reached.fit, theta=theta))
-        colour = reached.likeliest(colour)
-        best = max(best, (colour, reached), key=lambda one: one[0].likelihood)
+        reached = InnovationsFilter(replace(reached.fit, theta=theta))
+        disturbance = reached.likeliest(disturbance)
+        best = max(best, (disturbance, reached), key=lambda one: one[0].likelihood)
     return best

@@ -7,7 +7,7 @@ from typing import Final
 
 import casadi as ca
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
@@ -16,12 +16,12 @@ from heli_sim.rig.quantity import Prior
 class RemovedTerm(Effect):
     """A share of some numbers of the rig is taken away."""
 
-    def changed(self, at: Situation) -> Mapping[str, ca.SX]:
+    def changed(self, at: Operands) -> Mapping[str, ca.SX]:
         """Scale the numbers that make the term.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Parameters.
 
         Returns
@@ -36,12 +36,12 @@ class RemovedTerm(Effect):
 class RemovedDifferentialTravel(Effect):
     """P_18 is taken away: (F_f - F_b) L_h sin(pitch), which has no origin in a multibody rig."""
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
+    def torque_Nm(self, at: Operands) -> ca.SX:
         """Take the term's torque off travel.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, parameters and final thrust.
 
         Returns

@@ -47,7 +47,7 @@ class Path:
     parameters: Floats
 
 
-class Tangent:
+class Linearisation:
     """The linear system around a fit's prediction of one flight.
 
     Parameters
@@ -74,8 +74,8 @@ class Tangent:
         self.rows = grid.inputs.rows
         self.flight_rows: Integers = grid.rows
         parameters = problem.parameters(fit.theta, index)
-        look = problem.look(index, fit.theta, fit.states[index], fine=True, derivatives=False)
-        self.residual: Floats = look.residual.reshape(self.rows, grid.every, 3).mean(axis=1)
+        evaluation = problem.evaluation(index, fit.theta, fit.states[index], fine=True, derivatives=False)
+        self.residual: Floats = evaluation.residual.reshape(self.rows, grid.every, 3).mean(axis=1)
         """Measured minus predicted, in standard deviations of the rounding, mean of each step; (n, 3)."""
 
         before, after = self._states(fit.states[index], parameters)
@@ -129,7 +129,7 @@ class Tangent:
             ca.jacobian(angles, ca.vertcat(*(p[i] for i in free))) if free else ca.SX(3, 0),
         ]
         function = ca.Function("tangent", [x, u, t, p], ca.cse([ca.densify(w) for w in wanted]))
-        a, by_free, by_torque, by_volts, c, c_by_free = Along(function, self.rows)(path)
+        a, by_free, by_torque, by_volts, c, c_by_free = MapEvaluator(function, self.rows)(path)
         shaping = {name: mean for name, mean, _ in self.inputs.shaped_by}
         for column, i in enumerate(free):
             if names[i] == model.delay and names[i] in shaping:
@@ -219,7 +219,7 @@ class Tangent:
         return out
 
 
-class Along:
+class MapEvaluator:
     """Evaluates a function of (x, u, t, p) in every step of a path.
 
     Parameters

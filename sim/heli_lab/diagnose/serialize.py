@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from heli_lab.diagnose.gain import AxisGain
-from heli_lab.diagnose.hypothesis import Errors
-from heli_lab.diagnose.leftover import correlates
+from heli_lab.diagnose.error_reduction import ErrorReduction
+from heli_lab.diagnose.model_comparison import Errors
+from heli_lab.diagnose.residual_analysis import correlates
 from heli_lab.diagnose.verdict import CONFIDENCE_BESIDE_UNKNOWN, CONFIDENCE_CHANCE, ambiguous_with, confidence
 from heli_lab.identify import check
 from heli_lab.identify.record import AXES
@@ -35,24 +35,24 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
     for one in found.verdict.causes:
         causes.append(
             {
-                "effect": one.trial.id,
+                "effect": one.candidate.id,
                 "parameters": _spelled(found.values(one)),
                 "confidence": round(confidence(one, found.search, unexplained), 3),
                 "sentence": found.sentence(one),
-                "equation": found.kinds[one.trial.id].equation,
+                "equation": found.kinds[one.candidate.id].equation,
                 "evidence": {
                     "log_likelihood_ratio_train": one.evidence.train,
                     "log_likelihood_ratio_held_out": one.evidence.held,
                     "held_out_5_percent": one.evidence.held_low,
-                    "price": one.price,
-                    "variance_drop": one.evidence.drop,
+                    "price": one.penalty,
+                    "variance_drop": one.evidence.variance_reduction,
                     "rivals": {rival.id: rival.behind for rival in one.rivals},
                 },
                 "ambiguous_with": ambiguous_with(one),
             }
         )
     if found.verdict.chance:
-        id_ = f"random_torque.{found.leftover.axis}"
+        id_ = f"random_torque.{found.residual_analysis.axis}"
         causes.append(
             {
                 "effect": id_,
@@ -64,9 +64,9 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
                 ),
                 "equation": found.kinds[id_].equation,
                 "evidence": {
-                    "over_error": found.leftover.over_error,
-                    "log_likelihood_ratio": found.leftover.gained,
-                    "lost_against_all_axes": found.leftover.lost,
+                    "over_error": found.residual_analysis.over_error,
+                    "log_likelihood_ratio": found.residual_analysis.gained,
+                    "lost_against_all_axes": found.residual_analysis.lost,
                 },
                 "ambiguous_with": [],
             }
@@ -151,17 +151,19 @@ def unexplained(found: Diagnosis) -> dict[str, Any] | None:
     if not found.verdict.off_list:
         if found.verdict.word in ("explained",) or excess < 0.1 or found.verdict.chance:
             return None
-        named = [one.what for one in found.leftover.depends] or correlates(found.search.last.patterns())
+        named = [one.what for one in found.residual_analysis.depends] or correlates(
+            found.search.last.splines()
+        )
         return {
-            "axis": found.leftover.axis,
+            "axis": found.residual_analysis.axis,
             "correlates_with": named,
             "share_of_variance": round(excess, 4),
-            "size_Nm": found.leftover.size_Nm,
+            "size_Nm": found.residual_analysis.sigma_Nm,
         }
     strongest = found.verdict.off_list[0]
-    _, channel, on = strongest.trial.id.split(":")
-    first = next(r for r in found.search.rounds if r.taken == strongest.trial.id)
-    others = [name for name in correlates(first.patterns) if name != f"{channel} on {on}"]
+    _, channel, on = strongest.candidate.id.split(":")
+    first = next(r for r in found.search.rounds if r.taken == strongest.candidate.id)
+    others = [name for name in correlates(first.splines) if name != f"{channel} on {on}"]
     where = channel.rpartition(".")[2]
     axis = where if where in AXES else ("pitch" if where == "difference" else "elevation")
     base, final = found.search.baseline.train, found.search.final.train
@@ -170,7 +172,7 @@ def unexplained(found: Diagnosis) -> dict[str, Any] | None:
         "channel": channel,
         "correlates_with": [f"{channel} on {on}", *others],
         "share_of_variance": round(_share(base, final, axis), 4),
-        "all": [one.trial.id.removeprefix("pattern:") for one in found.verdict.off_list],
+        "all": [one.candidate.id.removeprefix("pattern:") for one in found.verdict.off_list],
         "gain_with_curves": gains(found.curve_gains),
     }
 
@@ -220,18 +222,18 @@ def ranking(found: Diagnosis) -> list[dict[str, Any]]:
     """
     rows = []
     for number, one in enumerate(found.search.rounds, 1):
-        tried = {step.trial.id: step for step in one.steps}
-        for scored in (*one.screened[:8], *one.patterns[:3]):
-            step = tried.get(scored.trial.id)
+        tried = {step.candidate.id: step for step in one.steps}
+        for scored in (*one.screened[:8], *one.splines[:3]):
+            step = tried.get(scored.candidate.id)
             rows.append(
                 {
                     "round": number,
-                    "candidate": scored.trial.id,
+                    "candidate": scored.candidate.id,
                     "score": scored.answer.gain,
                     "train": step.evidence.train if step else None,
                     "held_out": step.evidence.held if step else None,
-                    "price": step.price if step else None,
-                    "taken": scored.trial.id == one.taken,
+                    "price": step.penalty if step else None,
+                    "taken": scored.candidate.id == one.taken,
                 }
             )
     return rows
@@ -241,12 +243,12 @@ def _spelled(values: Mapping[str, tuple[float, float, str]]) -> dict[str, dict[s
     return {name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in values.items()}
 
 
-def gains(measured: Mapping[str, AxisGain]) -> dict[str, dict[str, Any]]:
+def gains(measured: Mapping[str, ErrorReduction]) -> dict[str, dict[str, Any]]:
     """Spell free-run errors before and after.
 
     Parameters
     ----------
-    measured : Mapping[str, AxisGain]
+    measured : Mapping[str, ErrorReduction]
         By axis.
 
     Returns

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from heli_lab.diagnose.coloured import Colour, Filter
-from heli_lab.diagnose.hypothesis import Evidence, Hypothesis
+from heli_lab.diagnose.candidate import Candidate
+from heli_lab.diagnose.model_comparison import Evidence, Hypothesis
+from heli_lab.diagnose.noise_model import DisturbanceModel, InnovationsFilter
 from heli_lab.diagnose.screening import Scored, Screening
-from heli_lab.diagnose.trial import Trial
 
 SETTLED: Final = 1.04
 """Normalised error, on all flights, up to which nothing is left but rounding: practice flights reach 1.00 to
@@ -19,16 +19,16 @@ SURE: Final = 4.0
 """Times its price that an effect must gain on the flights fitted where those held out do not settle it."""
 LOW: Final = 0.75
 """Share of its gain on held-out flights by which its lower bound may be below nothing then."""
-LEAST_DROP: Final = 0.015
+MIN_REDUCTION: Final = 0.015
 """Share by which an effect must lower the mean square of at least one axis, in each flight."""
-LEAST_DROP_PATTERN: Final = 0.08
+MIN_REDUCTION_SPLINE: Final = 0.08
 """The same for a pattern, which could be made of what integrators and rounding do."""
 PLAIN: Final = 0.5
 """An effect that lowers an axis' mean square by this share and leaves rounding only is no chance."""
 
 
 @dataclass(frozen=True)
-class Step:
+class Refit:
     """A candidate that was refitted.
 
     Parameters
@@ -37,47 +37,49 @@ class Step:
         The model with it.
     evidence : Evidence
         What it has over the model before.
-    price : float
+    penalty : float
         What its parameters and the number of candidates tried cost.
     linear : float
         Its score before it was refitted, to first order and beside chance.
-    coloured : float or None
+    fit_disturbance : float or None
         What it has over the model before when torques may also wander by chance; None where that was plain.
     """
 
     hypothesis: Hypothesis
     evidence: Evidence
-    price: float
+    penalty: float
     linear: float
-    coloured: float | None = None
+    fit_disturbance: float | None = None
 
     @property
-    def trial(self) -> Trial:
+    def candidate(self) -> Candidate:
         """The candidate."""
-        return self.hypothesis.trials[-1]
+        return self.hypothesis.candidates[-1]
 
     @property
-    def worth(self) -> float:
+    def net_evidence(self) -> float:
         """Evidence less its price, all errors taken as independent."""
-        return self.evidence.raw - self.price
+        return self.evidence.raw - self.penalty
 
     @property
     def accepted(self) -> bool:
         """Whether the flights fitted pay for it and those held out agree."""
-        if self.evidence.drop < (LEAST_DROP_PATTERN if self.trial.is_pattern else LEAST_DROP):
+        if self.evidence.variance_reduction < (
+            MIN_REDUCTION_SPLINE if self.candidate.is_spline else MIN_REDUCTION
+        ):
             return False
         if self.hypothesis.held_fit is None:
-            return self.evidence.train > 2.0 * self.price
+            return self.evidence.train > 2.0 * self.penalty
         agreed = self.evidence.held > LEAST_HELD and self.evidence.held_low > 0.0
         # A short flight held out has few windows, and one of them may decide the lower bound.
-        plain = self.evidence.held > self.price and self.evidence.train > SURE * self.price
+        plain = self.evidence.held > self.penalty and self.evidence.train > SURE * self.penalty
         plain &= self.evidence.held_low > -LOW * self.evidence.held
-        return self.evidence.train > self.price and (agreed or plain)
+        return self.evidence.train > self.penalty and (agreed or plain)
 
     @property
     def settled(self) -> bool:
         """Whether it leaves nothing but rounding, and took away much."""
-        return self.leaves < SETTLED and self.evidence.drop > PLAIN
+        return self.leaves < SETTLED and self.evidence.variance_reduction > PLAIN
 
     @property
     def leaves(self) -> float:
@@ -85,9 +87,9 @@ class Step:
         return max(self.hypothesis.train.normalised, self.hypothesis.held.normalised)
 
     @property
-    def lead(self) -> float:
+    def margin(self) -> float:
         """What it has over chance, its price paid."""
-        return self.worth if self.coloured is None else self.coloured - self.price
+        return self.net_evidence if self.fit_disturbance is None else self.fit_disturbance - self.penalty
 
 
 @dataclass(frozen=True)
@@ -98,17 +100,17 @@ class Round:
     ----------
     screened : tuple of Scored
         Every effect with its score, best first.
-    patterns : tuple of Scored
+    splines : tuple of Scored
         Every pattern with its score, best first.
-    steps : tuple of Step
+    steps : tuple of Refit
         Those that were refitted, the most worth first.
     taken : str
         Id of the one that was taken; empty when none was.
     """
 
     screened: tuple[Scored, ...]
-    patterns: tuple[Scored, ...]
-    steps: tuple[Step, ...]
+    splines: tuple[Scored, ...]
+    steps: tuple[Refit, ...]
     taken: str
 
 
@@ -129,24 +131,24 @@ class Rival:
 
 
 @dataclass(frozen=True)
-class Found:
+class Cause:
     """An effect that was found.
 
     Parameters
     ----------
-    trial : Trial
+    candidate : Candidate
         The effect.
     evidence : Evidence
         What the final model has over the same without it.
-    price : float
+    penalty : float
         What it had to pay.
     rivals : tuple of Rival
         Other effects tried in its place, closest first.
     """
 
-    trial: Trial
+    candidate: Candidate
     evidence: Evidence
-    price: float
+    penalty: float
     rivals: tuple[Rival, ...]
 
 
@@ -158,7 +160,7 @@ class Search:
     ----------
     baseline, final : Hypothesis
         The model without and with what was found.
-    found : tuple of Found
+    found : tuple of Cause
         Effects and patterns in the final model, strongest first.
     rounds : tuple of Round
         What was tried.
@@ -166,14 +168,14 @@ class Search:
         Screening around the final model.
     complete : bool
         False when time ran out.
-    chance : tuple of (Colour, Filter) or None
+    chance : tuple of (DisturbanceModel, Filter) or None
         Random torques beside the final model, where something is missing.
     """
 
     baseline: Hypothesis
     final: Hypothesis
-    found: tuple[Found, ...]
+    found: tuple[Cause, ...]
     rounds: tuple[Round, ...]
     last: Screening
     complete: bool
-    chance: tuple[Colour, Filter] | None = None
+    chance: tuple[DisturbanceModel, InnovationsFilter] | None = None

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.problem import Look, Problem
+from heli_lab.identify.problem import Evaluation, Problem
 
 
-def reduce_looks(
+def eliminate_states(
     problem: Problem,
-    looks: Sequence[Look],
+    evaluations: Sequence[Evaluation],
     states: Sequence[Floats],
     reference: Sequence[Floats],
     variance: Sequence[Floats],
@@ -26,7 +26,7 @@ def reduce_looks(
     ----------
     problem : Problem
         What is fitted.
-    looks : sequence of Look
+    evaluations : sequence of Evaluation
         Predictions of all records with their derivatives.
     states : sequence of ndarray (w, states)
         Initial states.
@@ -50,17 +50,17 @@ def reduce_looks(
     nx, count = problem.state_count, len(problem.free)
     information, gradient = np.zeros((count, count)), np.zeros(count)
     follow = []
-    for index, look in enumerate(looks):
-        assert look.gram is not None
+    for index, evaluation in enumerate(evaluations):
+        assert evaluation.normal_matrix is not None
         scale = weights[index][:, None] / variance[index]
-        normal = np.einsum("wa,waij->wij", scale, look.gram)
+        normal = np.einsum("wa,waij->wij", scale, evaluation.normal_matrix)
         diagonal = np.arange(nx)
         own = normal[:, :nx, :nx].copy()
         coupling = normal[:, :nx, nx:].copy()  # to the parameters, and the gradient as last column
         if nx > 6:
-            tie = 1.0 / problem.state_std**2
-            own[:, diagonal[6:], diagonal[6:]] += tie
-            coupling[:, 6:, -1] += tie * (reference[index] - states[index])[:, 6:]
+            state_prior = 1.0 / problem.state_std**2
+            own[:, diagonal[6:], diagonal[6:]] += state_prior
+            coupling[:, 6:, -1] += state_prior * (reference[index] - states[index])[:, 6:]
         # A state that a window does not show at all must not make its block singular.
         own[:, diagonal, diagonal] *= 1.0 + damping
         own[:, diagonal, diagonal] += 1e-12 * own[:, diagonal, diagonal].max(axis=1, keepdims=True)

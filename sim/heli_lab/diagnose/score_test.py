@@ -14,17 +14,17 @@ from typing import Final
 
 import numpy as np
 
-from heli_lab.diagnose.tangent import Tangent
+from heli_lab.diagnose.linearisation import Linearisation
 from heli_lab.identify import Fit
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.noise import judged
+from heli_lab.identify.residual_noise import floored_mean_square
 
 _ROUNDS: Final = 4
 """Updates of the axes' variances in a score."""
 
 
 @dataclass(frozen=True)
-class Answer:
+class ScoreResult:
     """What columns would change, to first order.
 
     Parameters
@@ -49,7 +49,7 @@ class Answer:
     free: Floats
 
 
-class Ground:
+class ScoreTest:
     """A fit's residuals on its flights, with all that the model can adapt taken out.
 
     Parameters
@@ -61,7 +61,7 @@ class Ground:
     def __init__(self, fit: Fit) -> None:
         self.fit = fit
         problem = fit.problem
-        self.tangents = tuple(Tangent(fit, index) for index in range(len(problem.records)))
+        self.tangents = tuple(Linearisation(fit, index) for index in range(len(problem.records)))
         self.prior: Floats = problem.prior_std**-2.0
         self._off: Floats = fit.theta - problem.prior_mean
         self.rows = sum(tangent.rows for tangent in self.tangents)
@@ -81,26 +81,26 @@ class Ground:
         self._gram = np.concatenate(blocks)
         self.nothing = self._solve(self._gram, np.zeros(0))
 
-    def score(self, columns: Sequence[Floats], prior_std: Floats | None = None) -> Answer:
+    def score(self, columns: Sequence[Floats], prior_std: Floats | None = None) -> ScoreResult:
         """Score columns beside everything that adapts.
 
         Parameters
         ----------
         columns : sequence of ndarray (n, 3, g)
-            For each flight, as `Tangent.answer` gives them.
+            For each flight, as `Linearisation.answer` gives them.
         prior_std : ndarray (g,), optional
             Standard deviation of each coefficient about 0; none known where not given.
 
         Returns
         -------
-        Answer
+        ScoreResult
             What they would gain.
         """
         return self.score_each(columns, [columns[0].shape[2]], None if prior_std is None else [prior_std])[0]
 
     def score_each(
         self, columns: Sequence[Floats], sizes: Sequence[int], priors: Sequence[Floats] | None = None
-    ) -> list[Answer]:
+    ) -> list[ScoreResult]:
         """Score several candidates, each for itself.
 
         Parameters
@@ -125,33 +125,35 @@ class Ground:
         for number, g in enumerate(sizes):
             part = slice(low, low + g)
             own = np.concatenate([c[..., part].transpose(0, 1, 3, 2) @ c[..., part] for c in padded])
-            gram = np.empty((len(self._gram), 3, order + g, order + g))
-            gram[:, :, : order - 1, : order - 1] = self._gram[:, :, :-1, :-1]
+            normal_matrix = np.empty((len(self._gram), 3, order + g, order + g))
+            normal_matrix[:, :, : order - 1, : order - 1] = self._gram[:, :, :-1, :-1]
             # Order: initial states, free parameters, columns, residual.
             cross = beside[..., part]
-            gram[:, :, : order - 1, order - 1 : -1] = cross[:, :, :-1]
-            gram[:, :, order - 1 : -1, : order - 1] = cross[:, :, :-1].transpose(0, 1, 3, 2)
-            gram[:, :, order - 1 : -1, order - 1 : -1] = own
-            gram[:, :, -1, order - 1 : -1] = cross[:, :, -1]
-            gram[:, :, order - 1 : -1, -1] = cross[:, :, -1]
-            gram[:, :, -1, : order - 1] = self._gram[:, :, -1, :-1]
-            gram[:, :, : order - 1, -1] = self._gram[:, :, :-1, -1]
-            gram[:, :, -1, -1] = self._gram[:, :, -1, -1]
-            answers.append(self._solve(gram, np.zeros(g) if priors is None else priors[number] ** -2.0))
+            normal_matrix[:, :, : order - 1, order - 1 : -1] = cross[:, :, :-1]
+            normal_matrix[:, :, order - 1 : -1, : order - 1] = cross[:, :, :-1].transpose(0, 1, 3, 2)
+            normal_matrix[:, :, order - 1 : -1, order - 1 : -1] = own
+            normal_matrix[:, :, -1, order - 1 : -1] = cross[:, :, -1]
+            normal_matrix[:, :, order - 1 : -1, -1] = cross[:, :, -1]
+            normal_matrix[:, :, -1, : order - 1] = self._gram[:, :, -1, :-1]
+            normal_matrix[:, :, : order - 1, -1] = self._gram[:, :, :-1, -1]
+            normal_matrix[:, :, -1, -1] = self._gram[:, :, -1, -1]
+            answers.append(
+                self._solve(normal_matrix, np.zeros(g) if priors is None else priors[number] ** -2.0)
+            )
             low += g
         return answers
 
-    def _solve(self, gram: Floats, column_prior: Floats) -> Answer:
+    def _solve(self, normal_matrix: Floats, column_prior: Floats) -> ScoreResult:
         nx, count = self.fit.problem.state_count, len(self.prior)
         prior = np.concatenate((self.prior, column_prior))
         pull = np.concatenate((-self.prior * self._off, np.zeros(len(column_prior))))
-        variance = np.einsum("waii,w->ai", gram[:, :, -1:, -1:], self.weights)[:, 0] / self.rows
-        scale = judged(variance, self._sigma_rad)
+        variance = np.einsum("waii,w->ai", normal_matrix[:, :, -1:, -1:], self.weights)[:, 0] / self.rows
+        scale = floored_mean_square(variance, self._sigma_rad)
         # Columns in units of their own size: frequencies and masses side by side stay well conditioned.
-        unit = np.sqrt(np.maximum(np.einsum("waii->i", gram[:, :, nx:-1, nx:-1]) + prior, 1e-30))
+        unit = np.sqrt(np.maximum(np.einsum("waii->i", normal_matrix[:, :, nx:-1, nx:-1]) + prior, 1e-30))
         diagonal = np.arange(nx)
         for _ in range(_ROUNDS):
-            normal = np.einsum("wa,waij->wij", self.weights[:, None] / scale, gram)
+            normal = np.einsum("wa,waij->wij", self.weights[:, None] / scale, normal_matrix)
             state = normal[:, :nx, :nx] + np.diag(self._tie)
             state[:, diagonal, diagonal] += 1e-12 * state[:, diagonal, diagonal].max(axis=1, keepdims=True)
             follow = np.linalg.solve(state, normal[:, :nx, nx:])
@@ -162,13 +164,13 @@ class Ground:
             states = follow[:, :, -1] - follow[:, :, :-1] @ theta
             moved = np.broadcast_to(-theta, (len(states), len(theta)))
             every = np.concatenate((-states, moved, np.ones((len(states), 1))), axis=1)
-            after = np.matmul(gram, every[:, None, :, None])[..., 0]
+            after = np.matmul(normal_matrix, every[:, None, :, None])[..., 0]
             square = np.einsum("wi,wai->wa", every, after)
             variance = np.maximum((self.weights @ square) / self.rows, 0.0)
-            scale = judged(variance, self._sigma_rad)
+            scale = floored_mean_square(variance, self._sigma_rad)
         off = self._off + theta[:count]
         likelihood = float((np.log(scale) + variance / scale).sum())
         cost = 0.5 * (self.rows * likelihood + float(off @ (self.prior * off)))
         base = self.nothing.gain if hasattr(self, "nothing") else 0.0
         std = np.sqrt(np.maximum(np.diag(inverse)[count:], 0.0))
-        return Answer(-cost - base, theta[count:], std, variance, theta[:count])
+        return ScoreResult(-cost - base, theta[count:], std, variance, theta[:count])

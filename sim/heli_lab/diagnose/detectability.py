@@ -9,13 +9,13 @@ from heli_sim.model.effects import EffectKind
 
 from heli_lab.diagnose.screening import Scored
 from heli_lab.identify import Fit
-from heli_lab.identify.uncertainty import untaught
+from heli_lab.identify.uncertainty import uninformed_parameters
 
 _STANDS_OUT: Final = 5.0
 """Standard errors that an effect must measure to be seen among all that are tried."""
 
 
-def unseen_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectKind]) -> tuple[str, ...]:
+def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectKind]) -> tuple[str, ...]:
     """Find the effects that would not stand out of their standard error at a typical size.
 
     Parameters
@@ -32,16 +32,16 @@ def unseen_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectKind]) 
     """
     unseen = []
     for one in screened:
-        kind = kinds[one.trial.id]
+        kind = kinds[one.candidate.id]
         # Without columns for each size, the unit of the only coefficient is the size tried.
         name = kind.size[0]
-        unit = 1.0 if one.trial.size else one.trial.effect.values[name]
+        unit = 1.0 if one.candidate.size else one.candidate.effect.values[name]
         if one.answer.std[0] * abs(unit) * _STANDS_OUT > abs(kind.typical[name]):
             unseen.append(kind.id)
     return tuple(sorted(unseen))
 
 
-def unlearned_numbers(fit: Fit) -> tuple[str, ...]:
+def unidentifiable_parameters(fit: Fit) -> tuple[str, ...]:
     """Find the numbers of the rig of which the flights said nothing that was not known.
 
     Parameters
@@ -54,4 +54,4 @@ def unlearned_numbers(fit: Fit) -> tuple[str, ...]:
     tuple of str
         Their names.
     """
-    return tuple(untaught(fit.problem.names, fit.covariance, fit.problem.prior_std))
+    return tuple(uninformed_parameters(fit.problem.names, fit.covariance, fit.problem.prior_std))

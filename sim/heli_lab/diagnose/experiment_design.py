@@ -13,10 +13,10 @@ from typing import Final
 from heli_sim.errors import SimError
 from heli_sim.model.effects import EffectKind
 
-from heli_lab.diagnose.hypothesis import Bench, Hypothesis
+from heli_lab.diagnose.detectability import undetectable_effects
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.diagnose.screening import Screening
-from heli_lab.diagnose.simulated_experiment import rehearse, separation
-from heli_lab.diagnose.unseen import unseen_effects
+from heli_lab.diagnose.simulated_experiment import separation, simulate_experiment
 
 _PARTS: Final[Mapping[str, tuple[str, str]]] = {
     "motors": (
@@ -115,7 +115,7 @@ rate_deg_s = 8
 
 
 @dataclass(frozen=True)
-class NextFlight:
+class ExperimentDesign:
     """A flight that would tell more.
 
     Parameters
@@ -151,7 +151,7 @@ def part_for(kind: EffectKind) -> str:
     return "elevation" if kind.id == "ground_effect" else "motors"
 
 
-def next_flight(reason: str, parts: Iterable[str]) -> NextFlight:
+def next_flight(reason: str, parts: Iterable[str]) -> ExperimentDesign:
     """Put a plan together.
 
     Parameters
@@ -163,11 +163,11 @@ def next_flight(reason: str, parts: Iterable[str]) -> NextFlight:
 
     Returns
     -------
-    NextFlight
+    ExperimentDesign
         The flight.
     """
     chosen = [key for key in _PARTS if key in set(parts)] or list(_USUAL)
-    return NextFlight(f"{reason} Fly {_shows(chosen)}.", _plan(chosen))
+    return ExperimentDesign(f"{reason} Fly {_shows(chosen)}.", _plan(chosen))
 
 
 @dataclass(frozen=True)
@@ -191,15 +191,19 @@ class Pair:
 
 
 def flight_that_separates(
-    pair: Pair, bench: Bench, kinds: Mapping[str, EffectKind], enough: float, in_time: Callable[[], bool]
-) -> NextFlight:
+    pair: Pair,
+    comparison: Comparison,
+    kinds: Mapping[str, EffectKind],
+    enough: float,
+    in_time: Callable[[], bool],
+) -> ExperimentDesign:
     """Choose the plan that would tell two hypotheses apart best.
 
     Parameters
     ----------
     pair : Pair
         The hypotheses.
-    bench : Bench
+    comparison : Comparison
         Model and rig.
     kinds : Mapping[str, EffectKind]
         The catalogue.
@@ -210,7 +214,7 @@ def flight_that_separates(
 
     Returns
     -------
-    NextFlight
+    ExperimentDesign
         The plan with the largest expected separation, none being tried after one that is plenty; where there
         was no time for any, the one that shows the two effects best by what they act on.
     """
@@ -223,17 +227,17 @@ def flight_that_separates(
     for key in dict.fromkeys((*parts, *_TRIED)):
         if not in_time() or max(found.values(), default=0.0) > _CLEARLY * enough:
             break
-        expected_apart = separation(pair.first, pair.second, bench, _plan([key]))
+        expected_apart = separation(pair.first, pair.second, comparison, _plan([key]))
         if expected_apart is not None:
             found[key] = expected_apart
     if not found:
         return next_flight(apart, parts)
     best = max(found, key=lambda key: found[key])
-    other = separation(pair.second, pair.first, bench, _plan([best])) if in_time() else None
+    other = separation(pair.second, pair.first, comparison, _plan([best])) if in_time() else None
     expected = f"{found[best]:.0f} if it is {pair.names[0]}"
     if other is not None:
         expected += f" and {other:.0f} if it is {pair.names[1]}"
-    return NextFlight(
+    return ExperimentDesign(
         f"{apart} Fly {_shows([best])}. Rehearsed on the simulated rig, this plan alone sets them apart by "
         f"{expected}; it does best of {len(found)} plans tried.",
         _plan([best]),
@@ -242,7 +246,7 @@ def flight_that_separates(
 
 def flight_that_shows(
     reason: str, unseen: Iterable[str], baseline: Hypothesis, kinds: Mapping[str, EffectKind]
-) -> NextFlight:
+) -> ExperimentDesign:
     """Choose the plan that shows effects which the flights given could not show, and say which it would.
 
     Parameters
@@ -258,22 +262,22 @@ def flight_that_shows(
 
     Returns
     -------
-    NextFlight
+    ExperimentDesign
         The plan, and how many of the effects it would show at a typical size.
     """
     asked = [kinds[id_] for id_ in unseen]
     flight = next_flight(reason, {part_for(kind) for kind in asked})
-    record = rehearse(baseline.fit, flight.plan)
+    record = simulate_experiment(baseline.fit, flight.plan)
     if record is None:
         return flight
     problem = baseline.fit.problem
     try:
-        new = Bench(problem.model, problem.rig, [record], ()).try_out([], baseline.fit.values)
-        still = unseen_effects(Screening(new.fit).effects(asked), kinds)
+        new = Comparison(problem.model, problem.rig, [record], ()).refit([], baseline.fit.values)
+        still = undetectable_effects(Screening(new.fit).effects(asked), kinds)
     except SimError:
         return flight
     but = f", not {', '.join(still)}" if still else ""
-    return NextFlight(
+    return ExperimentDesign(
         f"{flight.why} Rehearsed on the simulated rig, it shows {len(asked) - len(still)} of these "
         f"{len(asked)} at a typical size{but}.",
         flight.plan,

@@ -1,8 +1,8 @@
 """Terms of the baseline that the flights reject.
 
 A number that the rig file leaves open, such as a friction, is found to be nothing by the fit itself
-(`removed_terms`). One that it states closely, such as the length of a pendulum, holds the fit back: there the
-model is fitted without the term, before anything is looked for in its place (`without_terms`).
+(`absent_terms`). One that it states closely, such as the length of a pendulum, holds the fit back: there the
+model is fitted without the term, before anything is looked for in its place (`without_absent_terms`).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 from heli_sim.model.effects import EffectKind
 from heli_sim.rig import Prior, Rig
 
-from heli_lab.diagnose.hypothesis import Bench, Hypothesis, errors
-from heli_lab.diagnose.trial import Trial
+from heli_lab.diagnose.candidate import Candidate
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis, errors
 from heli_lab.errors import IdentifyError
 from heli_lab.identify import Fit, Problem, solve
 
@@ -39,7 +39,7 @@ _WHOLE: Final = Prior(1.0, 0.03, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
-class Removed:
+class AbsentTerm:
     """A term of the baseline that is not there.
 
     Parameters
@@ -49,7 +49,7 @@ class Removed:
     share, std : float
         Share of the term that is gone, at most 1, and its standard error.
     confidence : float
-        Probability that it is gone, see `gone`.
+        Probability that it is gone, see `absence_probability`.
     from_nothing : float
         Standard errors by which its number differs from 0; of several numbers, the most.
     from_rig : float
@@ -64,7 +64,7 @@ class Removed:
     from_rig: float
 
 
-def removed_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[Removed, ...]:
+def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[AbsentTerm, ...]:
     """Find the terms whose numbers are nothing.
 
     Parameters
@@ -91,12 +91,12 @@ def removed_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[
             (0.0 if name in fit.at_bound else values[name] / rig[name].value, stds[name] / rig[name].value)
             for name in names
         ]
-        confidence = math.prod(gone(value, std) for value, std in numbers)
+        confidence = math.prod(absence_probability(value, std) for value, std in numbers)
         if confidence < _LEAST_CONFIDENCE:
             continue
         share, std = 1.0 - numbers[0][0], max(numbers[0][1], _FINEST)
         found.append(
-            Removed(
+            AbsentTerm(
                 id_,
                 min(max(share, 0.0), 1.0),
                 std,
@@ -108,7 +108,7 @@ def removed_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[
     return tuple(sorted(found, key=lambda one: -one.confidence))
 
 
-def gone(value: float, std: float) -> float:
+def absence_probability(value: float, std: float) -> float:
     """How likely a number is nothing, by Bayes' rule, rather than twice or half of what the rig has.
 
     Parameters
@@ -151,12 +151,14 @@ def closely_stated(kind: EffectKind, rig: Rig) -> bool:
     )
 
 
-def without_terms(bench: Bench, baseline: Hypothesis, kinds: Iterable[EffectKind]) -> Hypothesis:
+def without_absent_terms(
+    comparison: Comparison, baseline: Hypothesis, kinds: Iterable[EffectKind]
+) -> Hypothesis:
     """Take away the one closely stated term without which the model predicts far better, if there is one.
 
     Parameters
     ----------
-    bench : Bench
+    comparison : Comparison
         Flights, rig and model.
     baseline : Hypothesis
         The model with all its terms.
@@ -173,15 +175,15 @@ def without_terms(bench: Bench, baseline: Hypothesis, kinds: Iterable[EffectKind
         return baseline
     best: tuple[float, EffectKind, Fit] | None = None
     for kind in kinds:
-        if not (kind.baseline and kind.suits(bench.model) and closely_stated(kind, bench.rig)):
+        if not (kind.baseline and kind.suits(comparison.model) and closely_stated(kind, comparison.rig)):
             continue
         names = [one.quantity for one in baseline.fit.problem.free if one.quantity not in kind.held]
         problem = Problem(
-            bench.model,
-            bench.rig,
-            bench.train,
+            comparison.model,
+            comparison.rig,
+            comparison.train,
             free=tuple(dict.fromkeys(names)),
-            window_s=bench.window_s,
+            window_s=comparison.window_s,
             step_s=baseline.fit.problem.step_s,
             values=kind.held,
         )
@@ -197,6 +199,6 @@ def without_terms(bench: Bench, baseline: Hypothesis, kinds: Iterable[EffectKind
     _, kind, fit = best
     (name,) = kind.size
     effect = replace(kind.make({name: 1.0}), priors={name: _WHOLE})
-    start = {**fit.values, **{number: bench.rig[number].value for number in kind.held}, name: 0.99}
-    less = bench.try_out([Trial(kind.id, effect, (name,))], start)
-    return less if bench.evidence(less, baseline).raw > 0.0 else baseline
+    start = {**fit.values, **{number: comparison.rig[number].value for number in kind.held}, name: 0.99}
+    less = comparison.refit([Candidate(kind.id, effect, (name,))], start)
+    return less if comparison.evidence(less, baseline).raw > 0.0 else baseline

@@ -48,7 +48,7 @@ def autocovariance(residual: Floats, windows: Sequence[slice], lags: int) -> Flo
     return result
 
 
-def inflation(residual: Floats, windows: Sequence[slice], step_s: float) -> Floats:
+def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float) -> Floats:
     """Variance that a sum over many neighbouring residuals has, for each residual in it.
 
     Parameters of the rig move the prediction slowly, so what counts for their standard errors is not the
@@ -77,7 +77,7 @@ def inflation(residual: Floats, windows: Sequence[slice], step_s: float) -> Floa
     return result
 
 
-def balanced(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floats:
+def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floats:
     """Keep a wrong model from being bent to the axis that it fits best.
 
     Where a model is wrong, dividing each axis by its own error rewards the axis that the free initial states
@@ -88,7 +88,7 @@ def balanced(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floats
     Parameters
     ----------
     variance : ndarray (..., 3)
-        As `inflation` returns it.
+        As `long_run_variance` returns it.
     mean_square : ndarray (..., 3)
         Mean square of the residuals.
     sigma_rad : ndarray (3,)
@@ -105,8 +105,8 @@ def balanced(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floats
     return result
 
 
-def judged(mean_square: Floats, sigma_rad: Floats) -> Floats:
-    """Variances to judge a model's axes with, as `balanced` as a fit weighs them.
+def floored_mean_square(mean_square: Floats, sigma_rad: Floats) -> Floats:
+    """Variances to judge a model's axes with, as `floor_axes` as a fit weighs them.
 
     Where travel was given all the freedom that its fine encoder asks for, pitch stayed wrong, and what a
     refit finds at once on measured flights came 27th of all candidates.
@@ -123,7 +123,7 @@ def judged(mean_square: Floats, sigma_rad: Floats) -> Floats:
     ndarray (..., 3)
         Variances, in the same unit.
     """
-    return balanced(np.maximum(mean_square, LEAST_VARIANCE), mean_square, sigma_rad)
+    return floor_axes(np.maximum(mean_square, LEAST_VARIANCE), mean_square, sigma_rad)
 
 
 def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats) -> Floats:

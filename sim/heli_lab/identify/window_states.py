@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heli_lab.identify.functions import Floats, Integers
-from heli_lab.identify.problem import Look, Problem
+from heli_lab.identify.problem import Evaluation, Problem
 
 _FIRST_DAMPING: Final = 1e-3
 _WORTH: Final = 0.01
@@ -25,7 +25,12 @@ _PATIENCE: Final = 5
 
 
 def window_cost(
-    problem: Problem, look: Look, states: Floats, reference: Floats, variance: Floats, weights: Floats
+    problem: Problem,
+    evaluation: Evaluation,
+    states: Floats,
+    reference: Floats,
+    variance: Floats,
+    weights: Floats,
 ) -> Floats:
     """Cost of each window of a record.
 
@@ -33,7 +38,7 @@ def window_cost(
     ----------
     problem : Problem
         What is fitted.
-    look : Look
+    evaluation : Evaluation
         Predictions with their derivatives.
     states : ndarray (w, states)
         Initial states.
@@ -49,8 +54,8 @@ def window_cost(
     ndarray (w,)
         Weighted sums of squares, with what ties the states of effects; infinite where a prediction diverges.
     """
-    assert look.gram is not None
-    cost = weights * (look.gram[:, :, -1, -1] / variance).sum(axis=1)
+    assert evaluation.normal_matrix is not None
+    cost = weights * (evaluation.normal_matrix[:, :, -1, -1] / variance).sum(axis=1)
     if problem.state_count > 6:
         cost = cost + (((states - reference)[:, 6:] / problem.state_std) ** 2).sum(axis=1)
     result: Floats = np.where(np.isfinite(cost), cost, np.inf)
@@ -62,7 +67,7 @@ def relax(
     index: int,
     theta: Floats,
     states: Floats,
-    look: Look,
+    evaluation: Evaluation,
     reference: Floats,
     variance: Floats,
     which: Integers,
@@ -70,7 +75,7 @@ def relax(
     before: Floats | None = None,
     fine: bool = False,
     most: int = 4,
-) -> tuple[Floats, Look]:
+) -> tuple[Floats, Evaluation]:
     """Improve the initial states of some windows, each by Levenberg and Marquardt's rule for itself.
 
     Parameters
@@ -83,7 +88,7 @@ def relax(
         Free parameters, which stay.
     states : ndarray (w, states)
         Initial states of all windows of the record.
-    look : Look
+    evaluation : Evaluation
         Predictions from them with their derivatives.
     reference : ndarray (w, states)
         What the initial states of effects are tied to.
@@ -94,7 +99,7 @@ def relax(
     before : ndarray (w, states), optional
         Other states to start from, for windows in which they are better.
     fine : bool
-        Compare every sample, as `look` does.
+        Compare every sample, as `evaluation` does.
     most : int
         Most steps.
 
@@ -102,14 +107,14 @@ def relax(
     -------
     states : ndarray (w, states)
         Initial states of all windows.
-    look : Look
+    evaluation : Evaluation
         Predictions from them.
     """
-    some = _Windows(problem, index, theta, states, look, reference, variance, which, fine)
+    some = _Windows(problem, index, theta, states, evaluation, reference, variance, which, fine)
     if before is not None:
         some.offer(before[which])
     some.descend(most, _IDLE)
-    return some.among(states, look)
+    return some.among(states, evaluation)
 
 
 def restart(
@@ -117,7 +122,7 @@ def restart(
     index: int,
     theta: Floats,
     states: Floats,
-    look: Look,
+    evaluation: Evaluation,
     reference: Floats,
     variance: Floats,
     which: Integers,
@@ -125,7 +130,7 @@ def restart(
     *,
     fine: bool = False,
     most: int = 12,
-) -> tuple[Floats, Look]:
+) -> tuple[Floats, Evaluation]:
     """Start some windows from elsewhere, and keep what they come to where it is better.
 
     Parameters
@@ -139,16 +144,16 @@ def restart(
     -------
     states : ndarray (w, states)
         Initial states of all windows.
-    look : Look
+    evaluation : Evaluation
         Predictions from them.
     """
-    some = _Windows(problem, index, theta, states, look, reference, variance, which, fine)
-    again = _Windows(problem, index, theta, states, look, reference, variance, which, fine)
+    some = _Windows(problem, index, theta, states, evaluation, reference, variance, which, fine)
+    again = _Windows(problem, index, theta, states, evaluation, reference, variance, which, fine)
     again.cost[:] = np.inf
     again.offer(other[which])
     again.descend(most, _PATIENCE)
     some.take(again)
-    return some.among(states, look)
+    return some.among(states, evaluation)
 
 
 class _Windows:
@@ -160,30 +165,34 @@ class _Windows:
         index: int,
         theta: Floats,
         states: Floats,
-        look: Look,
+        evaluation: Evaluation,
         reference: Floats,
         variance: Floats,
         which: Integers,
         fine: bool,
     ) -> None:
-        assert look.gram is not None
+        assert evaluation.normal_matrix is not None
         whole = problem.grid(index, fine, theta)
         self.problem, self.which, self.variance = problem, which, variance
         self.grid = whole.only(which)
         self.rows = np.concatenate([np.arange(whole.slices[i].start, whole.slices[i].stop) for i in which])
         self.parameters, self.reference = problem.parameters(theta, index), reference[which]
-        self.states, self.gram = states[which].copy(), look.gram[which].copy()
-        self.residual = look.residual[self.rows].copy()
-        self.cost = self._cost(self.states, self.gram)
+        self.states, self.normal_matrix = states[which].copy(), evaluation.normal_matrix[which].copy()
+        self.residual = evaluation.residual[self.rows].copy()
+        self.cost = self._cost(self.states, self.normal_matrix)
 
     def offer(self, states: Floats) -> npt.NDArray[np.bool_]:
         """Take other states where they are better; say where."""
         measured, sigma = self.grid.measured_rad, self.grid.record.sigma_rad
         kernel = self.problem.kernel
-        angles, gram = kernel.products(self.grid.inputs, states, self.parameters, measured, sigma)
-        cost = self._cost(states, gram)
+        angles, normal_matrix = kernel.products(self.grid.inputs, states, self.parameters, measured, sigma)
+        cost = self._cost(states, normal_matrix)
         better: npt.NDArray[np.bool_] = cost < self.cost
-        self.states[better], self.gram[better], self.cost[better] = states[better], gram[better], cost[better]
+        self.states[better], self.normal_matrix[better], self.cost[better] = (
+            states[better],
+            normal_matrix[better],
+            cost[better],
+        )
         rows = np.repeat(better, self.grid.inputs.steps)
         self.residual[rows] = ((measured - angles) / sigma)[rows]
         return better
@@ -191,7 +200,7 @@ class _Windows:
     def take(self, other: _Windows) -> None:
         """Take what other states of the same windows came to, where that is better."""
         better = other.cost < self.cost
-        self.states[better], self.gram[better] = other.states[better], other.gram[better]
+        self.states[better], self.normal_matrix[better] = other.states[better], other.normal_matrix[better]
         self.cost[better] = other.cost[better]
         rows = np.repeat(better, self.grid.inputs.steps)
         self.residual[rows] = other.residual[rows]
@@ -211,10 +220,10 @@ class _Windows:
         """States after a damped Gauss-Newton step, each window's damping in units of its own diagonal."""
         nx = self.problem.state_count
         diagonal = np.arange(nx)
-        tie = np.concatenate((np.zeros(6), 1.0 / self.problem.state_std**2))
-        normal = np.einsum("a,waij->wij", 1.0 / self.variance, self.gram)
-        own = normal[:, :nx, :nx] + np.diag(tie)
-        pull = normal[:, :nx, -1] + tie * (self.reference - self.states)
+        state_prior = np.concatenate((np.zeros(6), 1.0 / self.problem.state_std**2))
+        normal = np.einsum("a,waij->wij", 1.0 / self.variance, self.normal_matrix)
+        own = normal[:, :nx, :nx] + np.diag(state_prior)
+        pull = normal[:, :nx, -1] + state_prior * (self.reference - self.states)
         own_diagonal = own[:, diagonal, diagonal]
         own[:, diagonal, diagonal] += damping[:, None] * own_diagonal
         # A state that a window does not show at all must not make its block singular.
@@ -222,15 +231,23 @@ class _Windows:
         result: Floats = self.states + np.linalg.solve(own, pull[:, :, None])[:, :, 0]
         return result
 
-    def among(self, states: Floats, look: Look) -> tuple[Floats, Look]:
+    def among(self, states: Floats, evaluation: Evaluation) -> tuple[Floats, Evaluation]:
         """Put them back among all windows."""
-        assert look.gram is not None
-        all_states, gram, residual = states.copy(), look.gram.copy(), look.residual.copy()
-        all_states[self.which], gram[self.which], residual[self.rows] = self.states, self.gram, self.residual
-        return all_states, Look(residual, gram)
+        assert evaluation.normal_matrix is not None
+        all_states, normal_matrix, residual = (
+            states.copy(),
+            evaluation.normal_matrix.copy(),
+            evaluation.residual.copy(),
+        )
+        all_states[self.which], normal_matrix[self.which], residual[self.rows] = (
+            self.states,
+            self.normal_matrix,
+            self.residual,
+        )
+        return all_states, Evaluation(residual, normal_matrix)
 
-    def _cost(self, states: Floats, gram: Floats) -> Floats:
-        look = Look(self.residual, gram)
+    def _cost(self, states: Floats, normal_matrix: Floats) -> Floats:
+        evaluation = Evaluation(self.residual, normal_matrix)
         return window_cost(
-            self.problem, look, states, self.reference, self.variance, np.ones(len(self.which))
+            self.problem, evaluation, states, self.reference, self.variance, np.ones(len(self.which))
         )

@@ -8,13 +8,13 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from heli_sim.model.base import Model, Situation
+from heli_sim.model.base import Model, Operands
 from heli_sim.rig import Rig
 
 _AXES: Final = ("elevation", "pitch", "travel")
 
 
-class Pinned(Model):
+class Locked(Model):
     """A model with pinned axes: they do not accelerate, and the others feel the pins' reactions.
 
     Parameters
@@ -34,12 +34,12 @@ class Pinned(Model):
         self.states, self.inputs, self.parameters = model.states, model.inputs, model.parameters
         self.delay = model.delay
 
-    def acceleration(self, at: Situation, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
+    def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
         """As of the model inside.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters.
         thrust_N : casadi.SX
             Thrust of the front and the back rotor, shape (2, 1).

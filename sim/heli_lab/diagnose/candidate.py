@@ -12,15 +12,23 @@ import numpy as np
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.effects.kind import EffectKind
 
-from heli_lab.diagnose.pattern import POINTS, Pattern, bumps, choices, pattern, quantity_values, span_of
-from heli_lab.diagnose.tangent import Along, Path, Tangent
+from heli_lab.diagnose.linearisation import Linearisation, MapEvaluator, Path
+from heli_lab.diagnose.spline_term import (
+    KNOTS,
+    SplineTerm,
+    bspline_basis,
+    choices,
+    quantity_values,
+    span_of,
+    spline_term,
+)
 from heli_lab.identify.functions import Floats
 
 _LEAST_SPAN: Final = 1e-6
 
 
 @dataclass(frozen=True)
-class Trial:
+class Candidate:
     """One candidate at one place of what must be searched.
 
     Parameters
@@ -42,9 +50,9 @@ class Trial:
     scanned: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def is_pattern(self) -> bool:
+    def is_spline(self) -> bool:
         """Whether it is a pattern, not an effect of the catalogue."""
-        return isinstance(self.effect, Pattern)
+        return isinstance(self.effect, SplineTerm)
 
     def started(self, coefficients: Floats) -> dict[str, float]:
         """Values to start a fit from.
@@ -69,85 +77,85 @@ class Trial:
         return values
 
 
-class Columns:
+class Regressors:
     """Makes the columns of trials around a fit.
 
     Parameters
     ----------
-    tangent : Tangent
+    tangent : Linearisation
         The fit's prediction of one flight.
     """
 
-    def __init__(self, tangent: Tangent) -> None:
+    def __init__(self, tangent: Linearisation) -> None:
         self.tangent = tangent
         self.model = tangent.fit.problem.model
         self._functions: dict[str, _Extended] = {}
         self._channels: dict[str, tuple[Floats, Floats]] = {}
         self._quantities: dict[str, Floats] = {}
-        self._rates: Along | None = None
+        self._rates: MapEvaluator | None = None
 
-    def pattern_signals(self, trial: Trial) -> tuple[Floats, Floats | None]:
+    def spline_signals(self, candidate: Candidate) -> tuple[Floats, Floats | None]:
         """The same as `signals` for a pattern: its channel's influence times the bumps of its curve.
 
         Parameters
         ----------
-        trial : Trial
+        candidate : Candidate
             The pattern.
 
         Returns
         -------
         rates : ndarray (n, states, g)
-            As `Tangent.answer` takes them.
+            As `Linearisation.answer` takes them.
         seen_rad : ndarray (n, 3, g) or None
             The same of the measured angles, None where they do not change.
         """
-        effect = trial.effect
-        assert isinstance(effect, Pattern)
+        effect = candidate.effect
+        assert isinstance(effect, SplineTerm)
         if effect.channel not in self._channels:
-            values = {**effect.values, **dict.fromkeys(trial.size, 1.0)}
+            values = {**effect.values, **dict.fromkeys(candidate.size, 1.0)}
             self._channels[effect.channel] = _Extended(self.model, effect, ()).run(self.tangent.path, values)
         rates, seen = self._channels[effect.channel]
         if not self._quantities:
             self._quantities = quantity_values(self.model, self.tangent.path)
         low, step = effect.values[f"{effect.name}_low"], effect.values[f"{effect.name}_step"]
-        weights = bumps(self._quantities[effect.on], low, step)[:, None, :]
+        weights = bspline_basis(self._quantities[effect.on], low, step)[:, None, :]
         return rates * weights, seen * weights if np.any(seen) else None
 
-    def signals(self, trial: Trial) -> tuple[Floats, Floats | None]:
+    def signals(self, candidate: Candidate) -> tuple[Floats, Floats | None]:
         """Changes of the rates and of the measured angles for one unit of each size.
 
         Parameters
         ----------
-        trial : Trial
+        candidate : Candidate
             The candidate.
 
         Returns
         -------
         rates : ndarray (n, states, g)
-            As `Tangent.answer` takes them.
+            As `Linearisation.answer` takes them.
         seen_rad : ndarray (n, 3, g) or None
             The same of the measured angles, None where they do not change.
         """
-        if trial.is_pattern:
-            return self.pattern_signals(trial)
-        if trial.id not in self._functions and not trial.effect.delay:
-            self._functions[trial.id] = _Extended(self.model, trial.effect, trial.size)
+        if candidate.is_spline:
+            return self.spline_signals(candidate)
+        if candidate.id not in self._functions and not candidate.effect.delay:
+            self._functions[candidate.id] = _Extended(self.model, candidate.effect, candidate.size)
         path = self.tangent.path
-        if trial.effect.delay:
-            return self._delayed(trial), None
-        rates, seen = self._functions[trial.id].run(path, trial.effect.values)
+        if candidate.effect.delay:
+            return self._delayed(candidate), None
+        rates, seen = self._functions[candidate.id].run(path, candidate.effect.values)
         return rates, seen if np.any(seen) else None
 
-    def _delayed(self, trial: Trial) -> Floats:
+    def _delayed(self, candidate: Candidate) -> Floats:
         """What later voltages change: the model itself is the same."""
         if self._rates is None:
             model = self.model
             x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
             t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
             function = ca.Function("rates", [x, u, t, p], [ca.densify(model.dynamics(x, u, p, t))])
-            self._rates = Along(function, self.tangent.rows)
+            self._rates = MapEvaluator(function, self.tangent.rows)
         path, record = self.tangent.path, self.tangent.record
-        delay_s = trial.effect.values[trial.effect.delay]
+        delay_s = candidate.effect.values[candidate.effect.delay]
         middle_s = record.t_s - record.t_s[0] + 0.5 * record.step_s
         kernel = np.ones(max(1, round(path.step_s / record.step_s)))
         smooth = [np.convolve(v, kernel / len(kernel), mode="same") for v in record.voltages_V.T]
@@ -192,7 +200,7 @@ class _Extended:
                 angles - model.measurement(x, u, p_base, t),
             ]
         self.state_count = len(own)
-        self._along: tuple[int, Along] | None = None
+        self._along: tuple[int, MapEvaluator] | None = None
         self._course: tuple[int, ca.Function] | None = None
         inputs = [ca.vertcat(x, z), u, t, p]
         self.function = ca.Function("change", inputs, ca.cse([ca.densify(o) for o in outputs]))
@@ -216,7 +224,7 @@ class _Extended:
         if self.state_count:
             state = np.column_stack((state, self._own_states(path, parameters)))
         if self._along is None or self._along[0] != len(state):
-            self._along = len(state), Along(self.function, len(state))
+            self._along = len(state), MapEvaluator(self.function, len(state))
         rates, seen = self._along[1](Path(path.t_s, state, path.volts_V, path.step_s, parameters))
         return rates, seen
 
@@ -240,7 +248,7 @@ class _Extended:
         return found
 
 
-def effect_trials(kind: EffectKind, seconds: float) -> list[Trial]:
+def effect_candidates(kind: EffectKind, seconds: float) -> list[Candidate]:
     """Lay out what must be searched of an effect.
 
     Parameters
@@ -252,31 +260,31 @@ def effect_trials(kind: EffectKind, seconds: float) -> list[Trial]:
 
     Returns
     -------
-    list of Trial
+    list of Candidate
         One for each combination of the searched numbers.
     """
     scan = kind.scanned(seconds)
-    trials = []
+    candidates = []
     for point in itertools.product(*scan.values()):
         scanned = dict(zip(scan, point, strict=True))
         values = kind.neutral if kind.size else kind.typical
-        trials.append(Trial(kind.id, kind.make({**values, **scanned}), kind.size, scanned))
-    return trials
+        candidates.append(Candidate(kind.id, kind.make({**values, **scanned}), kind.size, scanned))
+    return candidates
 
 
-def pattern_trials(tangents: Sequence[Tangent], number: int = 0) -> list[Trial]:
+def spline_candidates(tangents: Sequence[Linearisation], number: int = 0) -> list[Candidate]:
     """Every pattern over what the flights have.
 
     Parameters
     ----------
-    tangents : sequence of Tangent
+    tangents : sequence of Linearisation
         Predictions of the flights.
     number : int
         Tells patterns of one model apart.
 
     Returns
     -------
-    list of Trial
+    list of Candidate
         One for each channel and quantity.
     """
     model = tangents[0].fit.problem.model
@@ -284,12 +292,12 @@ def pattern_trials(tangents: Sequence[Tangent], number: int = 0) -> list[Trial]:
     for tangent in tangents:
         for name, values in quantity_values(model, tangent.path).items():
             together.setdefault(name, []).append(values)
-    trials = []
+    candidates = []
     for channel, on in choices():
         low, step = span_of(np.concatenate(together[on]))
-        if step * (POINTS - 1) < _LEAST_SPAN:
+        if step * (KNOTS - 1) < _LEAST_SPAN:
             continue
-        made = pattern(channel, on, low, step, number)
+        made = spline_term(channel, on, low, step, number)
         size = tuple(made.priors)
-        trials.append(Trial(f"pattern:{channel}:{on}", made, size))
-    return trials
+        candidates.append(Candidate(f"pattern:{channel}:{on}", made, size))
+    return candidates

@@ -1,6 +1,6 @@
 """Tells a torque that wanders by chance from something that is missing: chance depends on nothing before it.
 
-Innovations of the filter of `coloured.py` are what could not be foreseen. Where only chance is missing, no
+Innovations of the filter of `noise_model.py` are what could not be foreseen. Where only chance is missing, no
 signal made of states, voltages and their past foretells them, also in a closed loop; where something is
 missing that is on no list, one of many simple dependences does. A gust also pushes about one axis alone.
 """
@@ -15,10 +15,10 @@ from typing import Final
 import numpy as np
 from scipy.signal import lfilter
 
-from heli_lab.diagnose.coloured import Colour, Filter
-from heli_lab.diagnose.pattern import quantity_values
-from heli_lab.diagnose.tangent import Tangent
-from heli_lab.diagnose.trial import Columns, pattern_trials
+from heli_lab.diagnose.candidate import Regressors, spline_candidates
+from heli_lab.diagnose.linearisation import Linearisation
+from heli_lab.diagnose.noise_model import DisturbanceModel, InnovationsFilter
+from heli_lab.diagnose.spline_term import quantity_values
 from heli_lab.identify.functions import Floats
 from heli_lab.identify.record import AXES
 
@@ -58,17 +58,17 @@ class Dependence:
         Logarithm of the likelihood ratio that it adds to a random torque's.
     numbers : int
         How many it takes.
-    price : float
+    penalty : float
         What it has to gain to be more than chance.
     """
 
     what: str
     gain: float
     numbers: int
-    price: float
+    penalty: float
 
 
-def price(numbers: int) -> float:
+def penalty(numbers: int) -> float:
     """Set the gain that the best of all dependences rarely reaches where nothing but chance is missing.
 
     Parameters
@@ -84,14 +84,16 @@ def price(numbers: int) -> float:
     return _PRICE + _PRICE_EACH * numbers
 
 
-def one_axis(filter_: Filter, colour: Colour) -> tuple[str, float, float]:
+def one_axis(
+    innovations_filter: InnovationsFilter, disturbance: DisturbanceModel
+) -> tuple[str, float, float]:
     """Ask whether a random torque about one axis does as well as about all three.
 
     Parameters
     ----------
-    filter_ : Filter
+    innovations_filter : InnovationsFilter
         The filter.
-    colour : Colour
+    disturbance : DisturbanceModel
         Random torques about all axes.
 
     Returns
@@ -103,23 +105,25 @@ def one_axis(filter_: Filter, colour: Colour) -> tuple[str, float, float]:
     gained : float
         The same that it has over none.
     """
-    none = filter_.likelihood(np.full(3, _NONE_Nm), colour.memory_s)[0]
+    none = innovations_filter.likelihood(np.full(3, _NONE_Nm), disturbance.correlation_time_s)[0]
     alone = [
-        filter_.likelihood(np.where(np.arange(3) == axis, colour.size_Nm, _NONE_Nm), colour.memory_s)[0]
+        innovations_filter.likelihood(
+            np.where(np.arange(3) == axis, disturbance.sigma_Nm, _NONE_Nm), disturbance.correlation_time_s
+        )[0]
         for axis in range(3)
     ]
     best = int(np.argmax(alone))
-    return AXES[best], colour.likelihood - alone[best], alone[best] - none
+    return AXES[best], disturbance.likelihood - alone[best], alone[best] - none
 
 
-def dependences(filter_: Filter, colour: Colour) -> list[Dependence]:
+def dependences(innovations_filter: InnovationsFilter, disturbance: DisturbanceModel) -> list[Dependence]:
     """Score simple dependences beside the random torques.
 
     Parameters
     ----------
-    filter_ : Filter
+    innovations_filter : InnovationsFilter
         The filter.
-    colour : Colour
+    disturbance : DisturbanceModel
         Random torques.
 
     Returns
@@ -127,16 +131,16 @@ def dependences(filter_: Filter, colour: Colour) -> list[Dependence]:
     list of Dependence
         The largest gain first.
     """
-    tangents = filter_.tangents
+    tangents = innovations_filter.tangents
     names: list[tuple[str, int]] = []
     signals: list[list[Floats]] = [[] for _ in tangents]
-    makers = [Columns(tangent) for tangent in tangents]
-    for trial in pattern_trials(tangents, _OTHER):
-        if trial.id.startswith("pattern:measurement"):
+    makers = [Regressors(tangent) for tangent in tangents]
+    for candidate in spline_candidates(tangents, _OTHER):
+        if candidate.id.startswith("pattern:measurement"):
             continue
-        names.append((" on ".join(trial.id.split(":")[1:]), len(trial.size)))
+        names.append((" on ".join(candidate.id.split(":")[1:]), len(candidate.size)))
         for place, maker in zip(signals, makers, strict=True):
-            place.append(maker.signals(trial)[0])
+            place.append(maker.signals(candidate)[0])
     for what, curves in _simple(tangents).items():
         for axis, name in enumerate(AXES):
             names.append((f"torque.{name} on {what}", curves[0].shape[1]))
@@ -144,14 +148,14 @@ def dependences(filter_: Filter, colour: Colour) -> list[Dependence]:
                 place.append(tangent.by_torque[:, :, axis : axis + 1] * curve[:, None, :])
     columns = [t.answer(np.concatenate(place, axis=2)) for t, place in zip(tangents, signals, strict=True)]
     sizes = [size for _, size in names]
-    gains = filter_.gains(colour, columns, sizes)
+    gains = innovations_filter.gains(disturbance, columns, sizes)
     found = [
-        Dependence(what, gain, size, price(size)) for (what, size), gain in zip(names, gains, strict=True)
+        Dependence(what, gain, size, penalty(size)) for (what, size), gain in zip(names, gains, strict=True)
     ]
     return sorted(found, key=lambda one: -one.gain)
 
 
-def _simple(tangents: Sequence[Tangent]) -> dict[str, list[Floats]]:
+def _simple(tangents: Sequence[Linearisation]) -> dict[str, list[Floats]]:
     """Products of two quantities, past thrusts, and rates near rest: (n, s) for each flight."""
     model = tangents[0].fit.problem.model
     quantities = [quantity_values(model, tangent.path) for tangent in tangents]

@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from heli_lab.diagnose.chance import Dependence, dependences, one_axis
-from heli_lab.diagnose.coloured import Colour, Filter
-from heli_lab.diagnose.hypothesis import Hypothesis
+from heli_lab.diagnose.model_comparison import Hypothesis
+from heli_lab.diagnose.noise_model import DisturbanceModel, InnovationsFilter
 from heli_lab.diagnose.screening import Scored, Screening
+from heli_lab.diagnose.whiteness import Dependence, dependences, one_axis
 from heli_lab.identify.functions import Floats
 from heli_lab.identify.record import AXES
 
@@ -21,18 +21,18 @@ _MOST_CORRELATES: Final = 4
 
 
 @dataclass(frozen=True)
-class Leftover:
+class ResidualAnalysis:
     """Torque that the final model lacks about one axis.
 
     Parameters
     ----------
     axis : str
         The axis on which it is plainest.
-    size_Nm : float
+    sigma_Nm : float
         Its standard deviation.
     over_error : float
         The same over what the estimate is unsure by.
-    memory_s : float
+    correlation_time_s : float
         Time over which its autocorrelation falls to 1/e.
     gained : float
         Logarithm of the likelihood ratio of a random torque about this axis alone over none.
@@ -43,17 +43,17 @@ class Leftover:
     """
 
     axis: str
-    size_Nm: float
+    sigma_Nm: float
     over_error: float
-    memory_s: float
+    correlation_time_s: float
     gained: float
     lost: float
     depends: tuple[Dependence, ...]
 
 
-def leftover(
-    final: Hypothesis, screening: Screening, chance: tuple[Colour, Filter] | None = None
-) -> Leftover:
+def residual_analysis(
+    final: Hypothesis, screening: Screening, chance: tuple[DisturbanceModel, InnovationsFilter] | None = None
+) -> ResidualAnalysis:
     """Describe the torque that the final model lacks.
 
     Parameters
@@ -62,12 +62,12 @@ def leftover(
         The final model.
     screening : Screening
         Screening around it.
-    chance : tuple of (Colour, Filter), optional
+    chance : tuple of (DisturbanceModel, Filter), optional
         Random torques in its place; without them nothing is said about what it depends on.
 
     Returns
     -------
-    Leftover
+    ResidualAnalysis
         On the axis where it is largest against its error.
     """
     value = np.concatenate([torque.value_Nm for torque in screening.torques])
@@ -76,17 +76,25 @@ def leftover(
     over = value.std(axis=0) / np.maximum(std.mean(axis=0), 1e-12)
     if chance is None:
         index = int(np.argmax(over))
-        size_Nm = float(np.sqrt(np.mean(value[:, index] ** 2 + std[:, index] ** 2)))
-        memory_s = _memory_s(
+        sigma_Nm = float(np.sqrt(np.mean(value[:, index] ** 2 + std[:, index] ** 2)))
+        correlation_time_s = _memory_s(
             screening.torques[0].value_Nm[:, index], screening.ground.tangents[0].path.step_s
         )
-        return Leftover(AXES[index], size_Nm, float(over[index]), memory_s, 0.0, 0.0, ())
-    colour, filter_ = chance
-    axis, lost, gained = one_axis(filter_, colour)
+        return ResidualAnalysis(AXES[index], sigma_Nm, float(over[index]), correlation_time_s, 0.0, 0.0, ())
+    disturbance, innovations_filter = chance
+    axis, lost, gained = one_axis(innovations_filter, disturbance)
     index = AXES.index(axis)
-    depends = tuple(one for one in dependences(filter_, colour) if one.gain > one.price)[:_MOST_CORRELATES]
-    return Leftover(
-        axis, float(colour.size_Nm[index]), float(over[index]), colour.memory_s, gained, lost, depends
+    depends = tuple(one for one in dependences(innovations_filter, disturbance) if one.gain > one.penalty)[
+        :_MOST_CORRELATES
+    ]
+    return ResidualAnalysis(
+        axis,
+        float(disturbance.sigma_Nm[index]),
+        float(over[index]),
+        disturbance.correlation_time_s,
+        gained,
+        lost,
+        depends,
     )
 
 
@@ -98,12 +106,12 @@ def _memory_s(value: Floats, step_s: float) -> float:
     return float(below[0] * step_s) if len(below) else float(len(value) * step_s)
 
 
-def correlates(patterns: Sequence[Scored]) -> list[str]:
+def correlates(splines: Sequence[Scored]) -> list[str]:
     """Name what the missing part depends on.
 
     Parameters
     ----------
-    patterns : sequence of Scored
+    splines : sequence of Scored
         Scores of the patterns, best first.
 
     Returns
@@ -111,9 +119,9 @@ def correlates(patterns: Sequence[Scored]) -> list[str]:
     list of str
         ``CHANNEL on QUANTITY``, strongest first.
     """
-    best = patterns[0].answer.gain if patterns else 0.0
+    best = splines[0].answer.gain if splines else 0.0
     return [
-        " on ".join(one.trial.id.split(":")[1:])
-        for one in patterns[:_MOST_CORRELATES]
+        " on ".join(one.candidate.id.split(":")[1:])
+        for one in splines[:_MOST_CORRELATES]
         if one.answer.gain > max(_CORRELATE_SHARE * best, 5.0)
     ]

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from heli_lab.diagnose.hypothesis import Hypothesis
+from heli_lab.diagnose.model_comparison import Hypothesis
 from heli_lab.identify import Fit, trace
 from heli_lab.identify.functions import Floats
 from heli_lab.identify.record import AXES
@@ -16,7 +16,7 @@ _RESAMPLED: Final = 2000
 
 
 @dataclass(frozen=True)
-class AxisGain:
+class ErrorReduction:
     """Free-run error of one axis, before and after.
 
     Parameters
@@ -37,7 +37,7 @@ class AxisGain:
         return self.after_deg / self.before_deg
 
 
-def gain(before: Hypothesis, after: Hypothesis, seed: int = 0) -> dict[str, AxisGain]:
+def gain(before: Hypothesis, after: Hypothesis, seed: int = 0) -> dict[str, ErrorReduction]:
     """Measure the free-run error on the validation flights, or without any on those fitted.
 
     Parameters
@@ -49,7 +49,7 @@ def gain(before: Hypothesis, after: Hypothesis, seed: int = 0) -> dict[str, Axis
 
     Returns
     -------
-    dict of AxisGain
+    dict of ErrorReduction
         By axis.
     """
     squares_before, rows = _squares(before)
@@ -62,7 +62,7 @@ def gain(before: Hypothesis, after: Hypothesis, seed: int = 0) -> dict[str, Axis
     rms_before = np.rad2deg(np.sqrt(squares_before.sum(axis=0) / rows.sum()))
     rms_after = np.rad2deg(np.sqrt(squares_after.sum(axis=0) / rows.sum()))
     return {
-        axis: AxisGain(float(rms_before[i]), float(rms_after[i]), (float(low[i]), float(high[i])))
+        axis: ErrorReduction(float(rms_before[i]), float(rms_after[i]), (float(low[i]), float(high[i])))
         for i, axis in enumerate(AXES)
     }
 

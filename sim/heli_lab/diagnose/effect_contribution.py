@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from heli_lab.diagnose.tangent import Along, Tangent
+from heli_lab.diagnose.linearisation import Linearisation, MapEvaluator
 from heli_lab.identify import Fit
 from heli_lab.identify.functions import Floats
 
@@ -30,7 +30,7 @@ def accelerations(fit: Fit, name: str, index: int = 0) -> tuple[Floats, Floats]:
         Acceleration of elevation, pitch and travel with the effect less that without it. An effect with a
         delay or a measurement has none of its own.
     """
-    model, tangent = fit.problem.model, Tangent(fit, index)
+    model, tangent = fit.problem.model, Linearisation(fit, index)
     less = type(model)(tuple(effect for effect in model.effects if effect.name != name))
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
@@ -40,5 +40,5 @@ def accelerations(fit: Fit, name: str, index: int = 0) -> tuple[Floats, Floats]:
     p_less = ca.vertcat(*(p[names.index(q.name)] for q in less.parameters))
     change = model.dynamics(x, u, p, t)[3:6] - less.dynamics(x_less, u, p_less, t)[3:6]
     function = ca.Function("change", [x, u, t, p], [ca.densify(change)])
-    (result,) = Along(function, tangent.rows)(tangent.path)
+    (result,) = MapEvaluator(function, tangent.rows)(tangent.path)
     return tangent.path.t_s, np.ascontiguousarray(result[:, :, 0])

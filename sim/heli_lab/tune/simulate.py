@@ -41,7 +41,7 @@ def march(closed: Floats, given: Floats, inputs: Floats, start: Floats | None = 
     return states
 
 
-def led_to(closed: Floats, given: Floats, duration_s: float) -> Floats:
+def zero_state_step_response(closed: Floats, given: Floats, duration_s: float) -> Floats:
     """State that a unit input leads to.
 
     Parameters

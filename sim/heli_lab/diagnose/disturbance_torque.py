@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from heli_lab.diagnose.tangent import Tangent
+from heli_lab.diagnose.linearisation import Linearisation
 from heli_lab.identify.functions import Floats
 
 MEMORY_s: Final = 0.5
@@ -26,7 +26,7 @@ FREE_RATE_rad_s: Final = 0.3
 
 
 @dataclass(frozen=True)
-class Torque:
+class DisturbanceTorque:
     """Torque that a fit's prediction of a flight lacks.
 
     Parameters
@@ -37,27 +37,27 @@ class Torque:
         Estimate about elevation, pitch and travel.
     std_Nm : ndarray (n, 3)
         Its standard error.
-    size_Nm : ndarray (3,)
+    sigma_Nm : ndarray (3,)
         Root mean square of the torque itself, the estimate's error taken out.
     """
 
     t_s: Floats
     value_Nm: Floats
     std_Nm: Floats
-    size_Nm: Floats
+    sigma_Nm: Floats
 
 
-def missing_torque(tangent: Tangent) -> Torque:
+def estimate_disturbance(tangent: Linearisation) -> DisturbanceTorque:
     """Estimate the torque that a prediction lacks.
 
     Parameters
     ----------
-    tangent : Tangent
+    tangent : Linearisation
         The prediction with its linear system.
 
     Returns
     -------
-    Torque
+    DisturbanceTorque
         Estimate in the middle of each step.
     """
     size = np.full(3, _START_Nm**2)
@@ -65,10 +65,10 @@ def missing_torque(tangent: Tangent) -> Torque:
     for _ in range(_ROUNDS):
         value, variance = _smooth(tangent, size)
         size = np.maximum((value**2 + variance).mean(axis=0), 1e-12)
-    return Torque(tangent.path.t_s, value, np.sqrt(variance), np.sqrt(size))
+    return DisturbanceTorque(tangent.path.t_s, value, np.sqrt(variance), np.sqrt(size))
 
 
-def _smooth(tangent: Tangent, size: Floats) -> tuple[Floats, Floats]:
+def _smooth(tangent: Linearisation, size: Floats) -> tuple[Floats, Floats]:
     nx = tangent.by_torque.shape[1]
     count, longest = len(tangent.steps), int(tangent.steps.max())
     keep = float(np.exp(-tangent.path.step_s / MEMORY_s))
@@ -85,13 +85,13 @@ def _smooth(tangent: Tangent, size: Floats) -> tuple[Floats, Floats]:
     for k in range(longest):
         alive = tangent.steps > k
         rows = np.where(alive, tangent.first + k, 0)
-        look = np.zeros((count, 3, order))
-        look[:, :, :nx] = see[rows]
-        cross = spread @ look.transpose(0, 2, 1)
-        inner = look @ cross + _NOISE * np.eye(3)
+        evaluation = np.zeros((count, 3, order))
+        evaluation[:, :, :nx] = see[rows]
+        cross = spread @ evaluation.transpose(0, 2, 1)
+        inner = evaluation @ cross + _NOISE * np.eye(3)
         gain = np.linalg.solve(inner, cross.transpose(0, 2, 1)).transpose(0, 2, 1)
         gain *= alive[:, None, None]
-        error = tangent.residual[rows] - np.einsum("wij,wj->wi", look, mean)
+        error = tangent.residual[rows] - np.einsum("wij,wj->wi", evaluation, mean)
         mean = mean + np.einsum("wij,wj->wi", gain, error)
         spread = spread - gain @ cross.transpose(0, 2, 1)
         over = np.zeros((count, order, order))

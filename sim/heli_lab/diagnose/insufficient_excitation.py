@@ -10,7 +10,7 @@ from heli_sim.model.base import Model
 from heli_sim.model.effects import EffectKind
 from heli_sim.rig import Rig
 
-from heli_lab.diagnose.next_flight import NextFlight, next_flight
+from heli_lab.diagnose.experiment_design import ExperimentDesign, next_flight
 from heli_lab.identify.free import free_parameters
 from heli_lab.identify.record import AXES
 
@@ -19,7 +19,7 @@ _WORD: Final = "ambiguous"
 
 
 @dataclass(frozen=True)
-class Silence:
+class InsufficientExcitation:
     """A diagnosis of flights that show nothing.
 
     Parameters
@@ -30,14 +30,14 @@ class Silence:
         Effects of which nothing is known: all that the model could have.
     unlearned : tuple of str
         Numbers of the rig of which nothing was learned: all that are open.
-    next_flight : NextFlight
+    next_flight : ExperimentDesign
         The flight that would tell.
     """
 
     why: str
     unseen: tuple[str, ...]
     unlearned: tuple[str, ...]
-    next_flight: NextFlight
+    next_flight: ExperimentDesign
 
     @property
     def word(self) -> str:
@@ -87,13 +87,15 @@ class Silence:
         }
 
 
-def silence(why: str, model: Model, rig: Rig, kinds: Mapping[str, EffectKind]) -> Silence:
+def insufficient_excitation(
+    why: str, model: Model, rig: Rig, kinds: Mapping[str, EffectKind]
+) -> InsufficientExcitation:
     """Answer flights that show nothing.
 
     Parameters
     ----------
     why : str
-        What `ShowsNothing` said of them.
+        What `NotExcited` said of them.
     model : Model
         The model.
     rig : Rig
@@ -103,11 +105,11 @@ def silence(why: str, model: Model, rig: Rig, kinds: Mapping[str, EffectKind]) -
 
     Returns
     -------
-    Silence
+    InsufficientExcitation
         The answer.
     """
     open_numbers = tuple(one.quantity for one in free_parameters(model, rig, None, {}))
-    return Silence(
+    return InsufficientExcitation(
         why,
         tuple(sorted(id_ for id_, kind in kinds.items() if kind.suits(model))),
         open_numbers,
