@@ -105,12 +105,15 @@ class Auditor {
 
   void telemetry(const std::uint8_t* payload, std::size_t size) {
     constexpr std::uint32_t kBits[] = {0, 2, 4, 8, 16, 32};
-    require(size > 11 && size <= heli::link::kMaxTelemetryPayload, "a batch has a frame's length");
+    constexpr std::size_t kWidths = heli::link::TelemetryMessage::kSize;
+    constexpr std::size_t kBases = kWidths + (heli::link::kChannelCount + 1) / 2;
+    require(size > kBases && size <= heli::link::kMaxTelemetryPayload,
+            "a batch has a frame's length");
     const auto head = heli::link::TelemetryMessage::read(payload);
     require(head.count >= 1, "a batch has at least one tick");
-    std::size_t expected = heli::link::TelemetryMessage::kSize + 6;
+    std::size_t expected = kBases;
     for (std::size_t channel = 0; channel < heli::link::kChannelCount; ++channel) {
-      const unsigned code = (payload[5 + channel / 2] >> (4 * (channel % 2))) & 15U;
+      const unsigned code = (payload[kWidths + channel / 2] >> (4 * (channel % 2))) & 15U;
       require(code < 6, "a width code is declared");
       expected += heli::link::kChannelBytes[channel] + ((head.count - 1U) * kBits[code] + 7) / 8;
     }

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import or_
+
 from heli_host.errors import ParameterError, SetpointError
 from heli_host.link.declaration import (
     Axes,
@@ -16,7 +19,7 @@ from heli_host.link.declaration import (
 )
 from heli_host.view import BoardView
 
-ALL_AXES = Axes.ELEVATION | Axes.PITCH | Axes.TRAVEL
+ALL_AXES = reduce(or_, Axes)
 
 _STATE_TIMEOUT_S = 1.0
 

@@ -17,8 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from heli_host.errors import ControllerError, FlightAborted, HeliError, fault_text
+from heli_host.link.channels import physical
 from heli_host.link.clock import TICK_S
-from heli_host.link.declaration import CHANNELS, PARAMS, Param, State
+from heli_host.link.declaration import PARAMS, Channel, Param, State
 from heli_host.link.telemetry import Ticks
 from heli_host.samples import Sample
 
@@ -32,8 +33,6 @@ _READ_INTERVAL_S = 0.001
 _LEAST_PERIOD_TICKS = int(PARAMS[Param.TELEMETRY_BATCH_TICKS].min)
 _MOST_BATCH_TICKS = int(PARAMS[Param.TELEMETRY_BATCH_TICKS].max)
 _MOST_TAKEOVERS = 5
-_NAMES = [channel.name for channel in CHANNELS]
-_FRONT, _BACK = _NAMES.index("front"), _NAMES.index("back")
 # A duty of 1/2100 of a supply of at most 24 V, and the rounding of telemetry.
 _SAME_V = 0.02
 _DIFFERENT_V = 0.05
@@ -237,7 +236,8 @@ def _report(
     count = 0
     if acted and run.tick:
         tick = np.concatenate([counted_on(ticks) for ticks in acted])
-        volts = np.concatenate([ticks.raw[:, (_FRONT, _BACK)] for ticks in acted]) * CHANNELS[_FRONT].scale
+        raw = np.concatenate([ticks.raw for ticks in acted])
+        volts = np.column_stack([physical(raw, motor) for motor in (Channel.FRONT, Channel.BACK)])
         found = _latencies_ticks(run, tick, volts)
         count = len(found)
         if count:

@@ -20,15 +20,19 @@ from numpy.typing import NDArray
 
 from heli_host.errors import FlightDataError
 from heli_host.flight_check import MIN_ROWS, check, find_gaps
+from heli_host.link.declaration import AXES
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
-REQUIRED_COLUMNS = ("t_s", "front_V", "back_V", "elevation_rad", "pitch_rad", "travel_rad")
+ANGLE_COLUMNS = tuple(f"{axis}_rad" for axis in AXES)
+REQUIRED_COLUMNS = ("t_s", "front_V", "back_V", *ANGLE_COLUMNS)
 """Columns that a flight cannot do without, in the order in which they are written."""
 
-SETPOINT_COLUMNS = ("elevation_setpoint_rad", "pitch_setpoint_rad", "travel_setpoint_rad")
+SETPOINT_COLUMNS = tuple(f"{axis}_setpoint_rad" for axis in AXES)
 STATUS_COLUMNS = ("state", "fault", "flags")
+OWN_COLUMNS = (*REQUIRED_COLUMNS, *SETPOINT_COLUMNS, *STATUS_COLUMNS)
+"""Columns that are attributes of a flight; all others are in its ``extra``."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,7 @@ class Flight:
     plan : str
         Text of the flight plans that were flown; empty when unknown.
     extra : Mapping[str, ndarray (n,)]
-        Further columns of a table, by name.
+        Further columns of a table, or channels of a log, by name.
     meta : Mapping[str, str]
         Where the flight comes from: rig, versions, counters, and the notes of its file.
 
@@ -129,13 +133,13 @@ class Flight:
 
     @property
     def angles_rad(self) -> Floats:
-        """Elevation, pitch and travel side by side, shape (n, 3)."""
-        return np.column_stack((self.elevation_rad, self.pitch_rad, self.travel_rad))
+        """Elevation, pitch and travel side by side, shape (n, axes)."""
+        return np.column_stack([getattr(self, name) for name in ANGLE_COLUMNS])
 
     @property
     def setpoints_rad(self) -> Floats | None:
-        """Setpoints of elevation, pitch and travel side by side, shape (n, 3); None when there are none."""
-        columns = (self.elevation_setpoint_rad, self.pitch_setpoint_rad, self.travel_setpoint_rad)
+        """Setpoints side by side as in `angles_rad`, shape (n, axes); None when there are none."""
+        columns = [getattr(self, name) for name in SETPOINT_COLUMNS]
         known = [column for column in columns if column is not None]
         return np.column_stack(known) if len(known) == len(columns) else None
 
@@ -186,8 +190,8 @@ class Flight:
                 if len(self)
                 else "the flight is empty",
             )
-        own = set(REQUIRED_COLUMNS + SETPOINT_COLUMNS + STATUS_COLUMNS)
-        cut: dict[str, Any] = {name: column[keep] for name, column in self.columns().items() if name in own}
+        named = self.columns().items()
+        cut: dict[str, Any] = {name: column[keep] for name, column in named if name in OWN_COLUMNS}
         return replace(
             self,
             **cut,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heli_host.errors import FlightDataError
+from heli_host.link.declaration import AXES
 
 if TYPE_CHECKING:
     from heli_host.flight import Flight
@@ -145,7 +146,7 @@ def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> No
                 f"{source}: {name} moves by {rate_rad_s:.3g} a second in {where(row)}, which {degrees[0]}",
                 degrees[1],
             )
-    for name in ("elevation_rad", "pitch_rad", "travel_rad"):
+    for name in (f"{axis}_rad" for axis in AXES):
         moves = np.abs(np.diff(getattr(flight, name)))
         rows = np.flatnonzero(moves > 0.0)
         if rows.size >= _LEAST_MOVES and float(moves[rows].min()) > _MAX_COUNT_RAD:

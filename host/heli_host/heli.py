@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
@@ -25,8 +26,8 @@ from heli_host.link.declaration import (
 )
 from heli_host.link.session import HANDSHAKE_TIMEOUT_S, RECONNECT_TIMEOUT_S, Session
 from heli_host.link.transport import open_transport
-from heli_host.parameters import ELEVATION_MARGIN_DEG, TRAVEL_MARGIN_DEG
 from heli_host.samples import Sample
+from heli_host.setpoints import check_setpoint, setpoint_bounds
 from heli_host.view import HISTORY_S
 
 if TYPE_CHECKING:
@@ -110,11 +111,6 @@ class Heli(BenchCommands):
                     self.stop()
         finally:
             self.session.close()
-
-    @property
-    def motors_may_run(self) -> bool:
-        """Whether the motors are on, or may be, for all that is known."""
-        return self.session.state not in (State.IDLE, State.FAULT)
 
     @property
     def keep_alive(self) -> bool:
@@ -206,25 +202,13 @@ class Heli(BenchCommands):
         """
         before = self._target if self._target is not None else self._target_here()
         given = {"elevation": elevation_deg, "pitch": pitch_deg, "travel": travel_deg}
-        limits = self.setpoint_limits_deg()
-        for axis, value_deg in given.items():
-            if value_deg is None:
-                continue
-            least_deg, most_deg = limits[axis]
-            if not least_deg <= value_deg <= most_deg:
-                raise SetpointError(
-                    f"{axis} setpoint of {value_deg:g} degrees is outside the board's limits",
-                    f"give {least_deg:g} to {most_deg:g} degrees",
-                )
+        targets_deg = {axis: value for axis, value in given.items() if value is not None}
+        check_setpoint(targets_deg, self.params)
         if not 0.0 <= lead_s <= MOST_LEAD_S:
             raise SetpointError(f"a lead of {lead_s:g} s is too long", f"give 0 to {MOST_LEAD_S:g} s")
         apply_tick = self.session.device_tick() + round(lead_s / TICK_S)
-        self._target = SetpointMessage(
-            apply_tick & 0xFFFFFFFF,
-            before.elevation_rad if elevation_deg is None else float(np.radians(elevation_deg)),
-            before.pitch_rad if pitch_deg is None else float(np.radians(pitch_deg)),
-            before.travel_rad if travel_deg is None else float(np.radians(travel_deg)),
-        )
+        targets_rad = {f"{axis}_rad": float(np.radians(value)) for axis, value in targets_deg.items()}
+        self._target = replace(before, apply_tick=apply_tick & 0xFFFFFFFF, **targets_rad)
         self._send_target()
 
     def setpoint_limits_deg(self) -> dict[str, tuple[float, float]]:
@@ -235,14 +219,8 @@ class Heli(BenchCommands):
         dict of str to (float, float)
             Least and most of ``elevation``, ``pitch`` and ``travel`` [deg].
         """
-        params = self.params
-        pitch_deg = params["pitch_setpoint_max_deg"]
-        travel_deg = params["travel_max_deg"] - TRAVEL_MARGIN_DEG
-        return {
-            "elevation": (params["elevation_rest_deg"], params["elevation_max_deg"] - ELEVATION_MARGIN_DEG),
-            "pitch": (-pitch_deg, pitch_deg),
-            "travel": (-travel_deg, travel_deg),
-        }
+        bounds = setpoint_bounds(self.params)
+        return {axis: (bound.least_deg, bound.most_deg) for axis, bound in bounds.items()}
 
     def take_off(
         self, elevation_deg: float = 0.0, *, axes: Axes = ALL_AXES, timeout_s: float = 20.0

@@ -24,10 +24,6 @@ from heli_host.link.session import Session
 
 _INDEX = {spec.name: spec.index for spec in PARAMS}
 
-# The board keeps these distances between setpoints and the limits that cut the motors.
-ELEVATION_MARGIN_DEG = 2.0
-TRAVEL_MARGIN_DEG = 5.0
-
 
 class Parameters(Mapping[str, float]):
     """The parameters in force on the board, read once and then kept in step.

@@ -210,7 +210,7 @@ void bind_codec(nb::module_& m) {
   m.def("cobs_decode", &cobs_decode, "encoded"_a,
         "Without the delimiter; ValueError if cut short.");
   m.def("pack_telemetry", &pack_telemetry, "first_tick"_a, "raw"_a,
-        "Payloads of the batches that carry the ticks, an int32 array of shape (n, 11).");
+        "Payloads of the batches that carry the ticks, an int32 array of shape (n, channels).");
   nb::class_<Parser>(m, "Parser")
       .def(nb::init<>())
       .def("feed", &feed, "data"_a, "Frames completed by these bytes, as (id, sequence, payload).")

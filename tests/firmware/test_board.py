@@ -21,6 +21,7 @@ from heli_host.link.declaration import (
 from heli_host.link.session import Session
 
 from firmware.due.report import Image
+from tests.channels import COUNTS
 from tests.firmware.desk import TICK_INTERRUPT, TRAVEL_INTERRUPT, Board, flying
 from tests.firmware.measures import boot_to_first_frame_ms, rx_lost_bytes, travel_counts_lost
 
@@ -35,7 +36,7 @@ def counted(heli: Heli) -> npt.NDArray[np.int32]:
     """Counts of elevation, pitch and travel in the newest tick."""
     latest = heli.session.latest
     assert latest is not None
-    return latest[1][:3]
+    return latest[1][COUNTS]
 
 
 def open_loop(heli: Heli, front_V: float, back_V: float) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from heli_host.link import declaration as d
+from heli_host.link.channels import physical
 from heli_host.link.declaration import Event, Fault, Result, State, Trigger
 from heli_host.link.telemetry import TelemetryDecoder
 from heli_sim._native import control
@@ -432,7 +433,7 @@ def test_gain_changes_act_in_the_next_tick() -> None:
 def elevation_setpoints(desk: Desk) -> tuple[np.ndarray, np.ndarray]:
     """Ticks and elevation setpoints in degrees, each (n,)."""
     ticks = TelemetryDecoder().decode([f.payload for f in desk.frames if f.id == d.MessageId.TELEMETRY])
-    return ticks.tick, np.degrees(ticks.raw[:, 3] * 1e-5)
+    return ticks.tick, np.degrees(physical(ticks.raw, d.Channel.ELEVATION_SETPOINT))
 
 
 def test_a_smooth_path_is_followed_on_its_device_ticks() -> None:

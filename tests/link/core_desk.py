@@ -10,6 +10,7 @@ from heli_host.link import declaration
 from heli_host.link.declaration import (
     LINK_HASH,
     AckMessage,
+    Channel,
     HelloMessage,
     MessageId,
     Result,
@@ -123,7 +124,5 @@ def acks_in(frames: list[Frame]) -> list[AckMessage]:
 
 
 def ramp(count: int) -> np.ndarray:
-    """Samples whose channels all move a little, shape (count, 11)."""
-    raw = np.zeros((count, 11), dtype=np.int32)
-    raw[:, :] = np.arange(count)[:, None] % 7
-    return raw
+    """Samples whose channels all move a little, shape (count, channels)."""
+    return np.repeat(np.arange(count, dtype=np.int32)[:, None] % 7, len(Channel), axis=1)

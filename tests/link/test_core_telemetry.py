@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from heli_host.link.declaration import PARAMS, MessageId, ParamSetMessage, PingMessage, Result
+from heli_host.link.declaration import PARAMS, Channel, MessageId, ParamSetMessage, PingMessage, Result
 from heli_host.link.frames import Frame
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.channels import UNSIGNED
 from tests.link import host_reference as reference
 from tests.link.core_desk import Desk, of_kind, open_desk, ramp
 
@@ -17,7 +18,7 @@ RING_TICKS = 64
 
 def turn_with_sample(desk: Desk, row: np.ndarray, received: bytes = b"") -> list[Frame]:
     """One millisecond in which the tick logs one sample."""
-    desk.bench.push_samples(desk.tick, row.reshape(1, 11))
+    desk.bench.push_samples(desk.tick, row.reshape(1, -1))
     return desk.turn(received)
 
 
@@ -32,8 +33,8 @@ def ticks_of(frames: list[Frame]) -> list[int]:
 def test_every_tick_of_a_session_arrives_once_and_in_order() -> None:
     desk = open_desk()
     start = desk.tick
-    raw = np.random.default_rng(1).integers(-100, 100, (400, 11)).astype(np.int32)
-    raw[:, 8:] &= 7
+    raw = np.random.default_rng(1).integers(-100, 100, (400, len(Channel))).astype(np.int32)
+    raw[:, UNSIGNED] &= 7
     frames: list[Frame] = []
     for row in raw:
         frames += turn_with_sample(desk, row)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from heli_host.errors import LogWriteError
 from heli_host.flight import Flight
+from heli_host.link.declaration import Axis, Channel, State
 from heli_host.log.export import export_csv, export_mat, export_parquet
 from heli_host.log.figure import draw, write_figure
 from heli_host.log.reader import read_log
@@ -86,7 +87,7 @@ def test_a_summary_says_what_the_log_says(tmp_path: Path, flight: Flight) -> Non
     assert content["ticks_logged"] == 3000 and content["ticks_lost"] == 0
     assert content["duration_s"] == pytest.approx(2.999)
     assert content["rms_error_deg"]["travel"] == pytest.approx(
-        np.sqrt(np.mean(errors_deg[:, 2] ** 2)), abs=1e-4
+        np.sqrt(np.mean(errors_deg[:, Axis.TRAVEL] ** 2)), abs=1e-4
     )
     assert content["link"] == {"frames_ok": 150, "frames_bad": 0, "retries": 0, "reconnects": 0}
     assert content["plans"] == ["sine"] and content["rig"] == "makki2024"
@@ -104,7 +105,7 @@ def test_a_log_that_was_not_closed_says_so_in_its_summary(tmp_path: Path) -> Non
 
 def test_an_axis_that_was_never_closed_has_no_error(tmp_path: Path) -> None:
     tick, raw = make_samples(1500)
-    raw[:, 8] = 3
+    raw[:, Channel.STATE] = State.OPEN_LOOP
     writer = open_writer(tmp_path / "open.mcap")
     writer.write_ticks(tick, raw)
     writer.close()
@@ -129,13 +130,13 @@ def test_a_figure_shows_angles_setpoints_voltages_and_states(tmp_path: Path, fli
 
 def test_a_long_flight_is_thinned_without_losing_a_peak(tmp_path: Path) -> None:
     tick, raw = make_samples(60_000)
-    raw[31_234, 1] = 4000
+    raw[31_234, Channel.PITCH_COUNT] = 4000
     writer = open_writer(tmp_path / "long.mcap")
     writer.write_ticks(tick, raw)
     writer.close()
     log = read_log(tmp_path / "long.mcap")
     figure = draw(log.flight(), summarise(log))
-    line = next(line for line in figure.axes[2].lines if line.get_label() == "measured")
+    line = next(line for line in figure.axes[1 + Axis.PITCH].lines if line.get_label() == "measured")
     points_deg = np.asarray(line.get_ydata())
     assert len(points_deg) < 10_000
     assert points_deg.max() == pytest.approx(4000 * 360 / 4096)

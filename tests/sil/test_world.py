@@ -24,6 +24,7 @@ from heli_sim.rig import load_rig
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
+from tests.channels import COUNTS
 from tests.sil.desk import Host, world
 
 
@@ -133,7 +134,7 @@ def test_what_the_board_reports_are_the_true_angles_to_one_count() -> None:
     host.frames.clear()
     host.wait(100)
     batches = [frame.payload for frame in host.frames if frame.id == MessageId.TELEMETRY]
-    raw = TelemetryDecoder().decode(batches).raw[:, :3]
+    raw = TelemetryDecoder().decode(batches).raw[:, COUNTS]
     assert np.abs(raw - angles_rad * 4096 / (2 * np.pi)).max() <= 1.0
 
 

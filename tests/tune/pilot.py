@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from heli_host.fly import route
 from heli_host.link import declaration as d
+from heli_host.link.channels import physical
 from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.telemetry import TelemetryDecoder
 from heli_sim.plant import Plant
@@ -22,12 +23,13 @@ from heli_sim.rig import Rig
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
+from tests.channels import COUNTS, SETPOINTS, STATUS, VOLTAGES
+
 Floats = npt.NDArray[np.float64]
 
 INTERVAL_TICKS = 20
 LEAD_TICKS = 100
 _BEFORE_TICKS = 400
-_SCALES = np.array([channel.scale for channel in d.CHANNELS])
 
 
 @dataclass(frozen=True)
@@ -159,14 +161,18 @@ def _decoded(
     telemetry = TelemetryDecoder().decode([f.payload for f in frames if f.id == d.MessageId.TELEMETRY])
     tick = telemetry.tick.astype(np.int64) - start_tick
     keep = (tick >= 0) & (tick < round(1e3 * duration_s))
-    t_s, values = tick[keep].astype(np.float64) * 1e-3, telemetry.raw[keep] * _SCALES
+    t_s, raw = tick[keep].astype(np.float64) * 1e-3, telemetry.raw[keep]
+
+    def columns(group: list[d.Channel]) -> Floats:
+        return np.column_stack([physical(raw, channel) for channel in group])
+
     return Flown(
         t_s.astype(np.float64),
-        np.asarray(values[:, 0:3] * 360.0 / counts, np.float64),
-        np.degrees(values[:, 3:6]),
+        np.asarray(columns(COUNTS) * 360.0 / counts, np.float64),
+        np.degrees(columns(SETPOINTS)),
         path_deg(t_s.astype(np.float64)),
-        np.asarray(values[:, 6:8], np.float64),
-        *(telemetry.raw[keep, column] for column in (8, 9, 10)),
+        columns(VOLTAGES),
+        *(raw[:, channel] for channel in STATUS),
     )
 
 

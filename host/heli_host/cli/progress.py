@@ -147,12 +147,13 @@ def angles_text(sample: Sample) -> str:
     """
     from math import degrees
 
-    pairs = (
-        ("elevation", sample.elevation_deg, sample.elevation_setpoint_rad),
-        ("pitch", sample.pitch_deg, sample.pitch_setpoint_rad),
-        ("travel", sample.travel_deg, sample.travel_setpoint_rad),
+    from heli_host.link.declaration import AXES
+
+    pairs = [(getattr(sample, f"{axis}_rad"), getattr(sample, f"{axis}_setpoint_rad")) for axis in AXES]
+    angles = "  ".join(
+        f"{axis} {degrees(angle_rad):+6.1f} ({degrees(goal_rad):+6.1f})"
+        for axis, (angle_rad, goal_rad) in zip(AXES, pairs, strict=True)
     )
-    angles = "  ".join(f"{name} {angle:+6.1f} ({degrees(goal):+6.1f})" for name, angle, goal in pairs)
     return f"{angles} deg"
 
 

@@ -9,9 +9,7 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from heli_host.errors import PlanError
-
-AXES = ("elevation", "pitch", "travel")
-"""Axes in the order used everywhere."""
+from heli_host.link.declaration import AXES
 
 MAX_SEGMENT_S = 3600.0
 

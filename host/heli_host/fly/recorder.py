@@ -11,9 +11,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from heli_host.errors import HeliError, LogError
+from heli_host.link.channels import rad_per_count
 from heli_host.link.declaration import LINK_HASH, LINK_VERSION, StatusMessage
 from heli_host.link.events import BOARD_RESTARTED, LINK_LOST, LINK_SILENT, LinkEvent
 from heli_host.log.schema import LEVEL_ERROR, LEVEL_INFO, LEVEL_WARNING
@@ -35,7 +34,6 @@ _LEVELS = {
     "setpoint_rejected": LEVEL_WARNING,
 }
 _URGENT = frozenset((LINK_LOST, LINK_SILENT, BOARD_RESTARTED, "fault"))
-_AXES = ("elevation", "pitch", "travel")
 
 
 class Recorder:
@@ -86,9 +84,7 @@ class Recorder:
                 "parameters": {name: repr(value) for name, value in parameters.items()},
                 "plan": _texts(plans),
             },
-            rad_per_count=np.array(
-                [2.0 * np.pi / abs(parameters[f"{axis}_counts_per_rev"]) for axis in _AXES]
-            ),
+            rad_per_count=rad_per_count(parameters),
         )
         self._last_wall_ns = 0
         self._unsubscribe = (

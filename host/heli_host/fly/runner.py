@@ -15,6 +15,7 @@ from heli_host.errors import PlanError
 from heli_host.fly.pilot import Pilot, Progress
 from heli_host.fly.plan import Plan, load_plan, take_off
 from heli_host.fly.recorder import Recorder
+from heli_host.link.declaration import AXES
 from heli_host.log.figure import write_figure
 from heli_host.log.reader import Log, read_log
 from heli_host.log.summary import FlightSummary, summarise
@@ -73,7 +74,7 @@ def fly(
     """
     loaded = _loaded(plans)
     sample = heli.latest
-    start_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
+    start_deg = np.degrees([getattr(sample, f"{axis}_rad") for axis in AXES])
     route = take_off(loaded, dict(heli.params), start_deg)
     with _place(log_path) as path:
         recorder = Recorder(heli, path, rig_name=rig_name, plans=loaded, board_name=board_name)

@@ -8,7 +8,11 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 LINK_HASH = 0xAB677F82
 LINK_VERSION = "1.0"
@@ -257,6 +261,25 @@ class Param(IntEnum):
         return self.name.lower()
 
 
+class Channel(IntEnum):
+    """Position of each telemetry channel."""
+
+    ELEVATION_COUNT = 0  # count: elevation encoder, level = 0, up positive
+    PITCH_COUNT = 1  # count: pitch encoder, level = 0, front rotor up positive
+    TRAVEL_COUNT = 2  # count: travel encoder, 0 where the zero was taken
+    ELEVATION_SETPOINT = 3  # rad: slew-limited elevation setpoint that the control law used
+    PITCH_SETPOINT = 4  # rad: pitch setpoint that the control law used: the travel loop's output, or the host's
+    TRAVEL_SETPOINT = 5  # rad: slew-limited travel setpoint that the control law used
+    FRONT = 6  # V: voltage that acted on the front motor during this tick: duty times supply, after every limit
+    BACK = 7  # V: voltage that acted on the back motor during this tick
+    STATE = 8  # enum state: supervisor state
+    FAULT = 9  # enum fault: fault code, 0 while none
+    FLAGS = 10  # bits flags: flag bits
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
 class MessageId(IntEnum):
     """Second byte of a frame."""
 
@@ -290,6 +313,10 @@ class MessageId(IntEnum):
         return self.name.lower()
 
 
+AXES: tuple[str, ...] = ("elevation", "pitch", "travel",)
+"""Names of the axes in the order of `Axis`."""
+
+
 @dataclass(frozen=True, slots=True)
 class ParamSpec:
     """One row of the parameter table; ``min``, ``max`` and ``default`` are in ``unit``."""
@@ -320,12 +347,38 @@ class FaultSpec:
 
 @dataclass(frozen=True, slots=True)
 class ChannelSpec:
-    """One telemetry channel: value = raw * scale, in ``unit``."""
+    """One telemetry channel: value = raw * scale, in ``unit``.
+
+    Parameters
+    ----------
+    name : str
+        As in `Channel`, in small letters.
+    code : str
+        Its type on the wire, as `struct` spells it.
+    unit : str
+        Unit of its values.
+    scale : float
+        Value of a raw 1 [unit].
+    column : str
+        Its name in samples, flights and tables; an encoder's is its axis' angle in rad.
+    field : str
+        Its name in a log.
+    axis : Axis or None
+        Axis whose encoder it counts.
+    kind : type or None
+        Enumeration or set of bits that its numbers are of.
+    meaning : str
+        What it is.
+    """
 
     name: str
     code: str
     unit: str
     scale: float
+    column: str
+    field: str
+    axis: Axis | None
+    kind: type[IntEnum] | type[IntFlag] | None
     meaning: str
 
 
@@ -415,18 +468,110 @@ FAULTS: tuple[FaultSpec, ...] = (
 )
 
 CHANNELS: tuple[ChannelSpec, ...] = (
-    ChannelSpec("elevation_count", "<i", "count", 1.0, "elevation encoder, level = 0, up positive"),
-    ChannelSpec("pitch_count", "<i", "count", 1.0, "pitch encoder, level = 0, front rotor up positive"),
-    ChannelSpec("travel_count", "<i", "count", 1.0, "travel encoder, 0 where the zero was taken"),
-    ChannelSpec("elevation_setpoint", "<i", "rad", 1e-05, "slew-limited elevation setpoint that the control law used"),
-    ChannelSpec("pitch_setpoint", "<i", "rad", 1e-05, "pitch setpoint that the control law used: the travel loop's output, or the host's"),
-    ChannelSpec("travel_setpoint", "<i", "rad", 1e-05, "slew-limited travel setpoint that the control law used"),
-    ChannelSpec("front", "<h", "V", 0.001, "voltage that acted on the front motor during this tick: duty times supply, after every limit"),
-    ChannelSpec("back", "<h", "V", 0.001, "voltage that acted on the back motor during this tick"),
-    ChannelSpec("state", "<B", "enum state", 1.0, "supervisor state"),
-    ChannelSpec("fault", "<B", "enum fault", 1.0, "fault code, 0 while none"),
-    ChannelSpec("flags", "<B", "bits flags", 1.0, "flag bits"),
+    ChannelSpec("elevation_count", "<i", "count", 1.0, "elevation_rad", "elevation_count", Axis.ELEVATION, None, "elevation encoder, level = 0, up positive"),
+    ChannelSpec("pitch_count", "<i", "count", 1.0, "pitch_rad", "pitch_count", Axis.PITCH, None, "pitch encoder, level = 0, front rotor up positive"),
+    ChannelSpec("travel_count", "<i", "count", 1.0, "travel_rad", "travel_count", Axis.TRAVEL, None, "travel encoder, 0 where the zero was taken"),
+    ChannelSpec("elevation_setpoint", "<i", "rad", 1e-05, "elevation_setpoint_rad", "elevation_setpoint_rad", None, None, "slew-limited elevation setpoint that the control law used"),
+    ChannelSpec("pitch_setpoint", "<i", "rad", 1e-05, "pitch_setpoint_rad", "pitch_setpoint_rad", None, None, "pitch setpoint that the control law used: the travel loop's output, or the host's"),
+    ChannelSpec("travel_setpoint", "<i", "rad", 1e-05, "travel_setpoint_rad", "travel_setpoint_rad", None, None, "slew-limited travel setpoint that the control law used"),
+    ChannelSpec("front", "<h", "V", 0.001, "front_V", "front_volt", None, None, "voltage that acted on the front motor during this tick: duty times supply, after every limit"),
+    ChannelSpec("back", "<h", "V", 0.001, "back_V", "back_volt", None, None, "voltage that acted on the back motor during this tick"),
+    ChannelSpec("state", "<B", "enum state", 1.0, "state", "state", None, State, "supervisor state"),
+    ChannelSpec("fault", "<B", "enum fault", 1.0, "fault", "fault", None, Fault, "fault code, 0 while none"),
+    ChannelSpec("flags", "<B", "bits flags", 1.0, "flags", "flags", None, Flags, "flag bits"),
 )
+
+
+@dataclass(frozen=True)
+class ChannelValues:
+    """Every channel of one tick, in its unit.
+
+    Parameters
+    ----------
+    tick : int
+        Device time [tick], counted on over 2^32.
+    elevation_rad : float
+        elevation encoder, level = 0, up positive [rad]
+    pitch_rad : float
+        pitch encoder, level = 0, front rotor up positive [rad]
+    travel_rad : float
+        travel encoder, 0 where the zero was taken [rad]
+    elevation_setpoint_rad : float
+        slew-limited elevation setpoint that the control law used [rad]
+    pitch_setpoint_rad : float
+        pitch setpoint that the control law used: the travel loop's output, or the host's [rad]
+    travel_setpoint_rad : float
+        slew-limited travel setpoint that the control law used [rad]
+    front_V : float
+        voltage that acted on the front motor during this tick: duty times supply, after every limit [V]
+    back_V : float
+        voltage that acted on the back motor during this tick [V]
+    state : State
+        supervisor state
+    fault : Fault
+        fault code, 0 while none
+    flags : Flags
+        flag bits
+    """
+
+    tick: int
+    elevation_rad: float
+    pitch_rad: float
+    travel_rad: float
+    elevation_setpoint_rad: float
+    pitch_setpoint_rad: float
+    travel_setpoint_rad: float
+    front_V: float
+    back_V: float
+    state: State
+    fault: Fault
+    flags: Flags
+
+
+@dataclass(frozen=True)
+class ChannelArrays:
+    """Every channel of many ticks, in its unit: one array a channel, one entry a tick.
+
+    Parameters
+    ----------
+    tick : ndarray of int64, shape (n,)
+        Device time [tick], counted on over 2^32; a gap is a loss.
+    elevation_rad : ndarray of float64, shape (n,)
+        elevation encoder, level = 0, up positive [rad]
+    pitch_rad : ndarray of float64, shape (n,)
+        pitch encoder, level = 0, front rotor up positive [rad]
+    travel_rad : ndarray of float64, shape (n,)
+        travel encoder, 0 where the zero was taken [rad]
+    elevation_setpoint_rad : ndarray of float64, shape (n,)
+        slew-limited elevation setpoint that the control law used [rad]
+    pitch_setpoint_rad : ndarray of float64, shape (n,)
+        pitch setpoint that the control law used: the travel loop's output, or the host's [rad]
+    travel_setpoint_rad : ndarray of float64, shape (n,)
+        slew-limited travel setpoint that the control law used [rad]
+    front_V : ndarray of float64, shape (n,)
+        voltage that acted on the front motor during this tick: duty times supply, after every limit [V]
+    back_V : ndarray of float64, shape (n,)
+        voltage that acted on the back motor during this tick [V]
+    state : ndarray of uint8, shape (n,)
+        supervisor state
+    fault : ndarray of uint8, shape (n,)
+        fault code, 0 while none
+    flags : ndarray of uint8, shape (n,)
+        flag bits
+    """
+
+    tick: NDArray[np.int64]
+    elevation_rad: NDArray[np.float64]
+    pitch_rad: NDArray[np.float64]
+    travel_rad: NDArray[np.float64]
+    elevation_setpoint_rad: NDArray[np.float64]
+    pitch_setpoint_rad: NDArray[np.float64]
+    travel_setpoint_rad: NDArray[np.float64]
+    front_V: NDArray[np.float64]
+    back_V: NDArray[np.float64]
+    state: NDArray[np.uint8]
+    fault: NDArray[np.uint8]
+    flags: NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)

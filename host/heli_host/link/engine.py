@@ -22,6 +22,7 @@ from heli_host.link.declaration import (
     LINK_HASH,
     LINK_VERSION,
     AckMessage,
+    Channel,
     Event,
     EventMessage,
     HelloMessage,
@@ -58,7 +59,6 @@ KEEP_ALIVE_S = 0.099
 CLOCK_PING_S = 1.0
 SILENCE_S = 1.0
 
-_STATE_CHANNEL = 8
 _HELD_BATCHES = 500
 _TICK_MASK = 0xFFFFFFFF
 
@@ -111,7 +111,7 @@ class Engine:
         The board's newest welcome.
     mismatch : LinkVersionMismatch or None
         Set when the board speaks another declaration.
-    latest_raw : ndarray of int32, shape (11,), or None
+    latest_raw : ndarray of int32, shape (channels,), or None
         Newest sample, channels in the declaration's order.
     unreachable_since_s : float or None
         Host time since when the board does not answer [s].
@@ -157,7 +157,7 @@ class Engine:
         """Supervisor state in the newest sample; None before the first, and for one unknown to this host."""
         if self.latest_raw is None:
             return None
-        number = int(self.latest_raw[_STATE_CHANNEL])
+        number = int(self.latest_raw[Channel.STATE])
         return State(number) if number in State._value2member_map_ else None
 
     @property

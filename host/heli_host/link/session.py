@@ -138,7 +138,7 @@ class Session:
 
     @property
     def latest(self) -> tuple[int, npt.NDArray[np.int32]] | None:
-        """Newest tick, counted on over 2^32, and its sample (11,) in raw units; None before the first."""
+        """Newest tick, counted on over 2^32, and its raw numbers (channels,); None before the first."""
         with self._driver.lock:
             tick, raw = self._engine.account.last, self._engine.latest_raw
             return None if tick is None or raw is None else (tick, raw)

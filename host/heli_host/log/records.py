@@ -87,7 +87,7 @@ class TickBatch:
         Time of each since the log's first tick, in microseconds.
     tick : ndarray of uint32 (n,)
         The board's tick numbers.
-    raw : ndarray of int32 (n, 11)
+    raw : ndarray of int32 (n, channels)
         Telemetry channels in the declared order.
     """
 
@@ -144,8 +144,8 @@ class McapBytes:
     ----------
     start_wall_ns : int
         Unix time of the log's time zero, in nanoseconds.
-    rad_per_count : ndarray (3,)
-        Size of an encoder count of elevation, pitch and travel.
+    rad_per_count : ndarray (axes,)
+        Size of a count of each axis' encoder, in the order of `Axis`.
     level : int
         zstd's compression level.
     """

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from heli_host.errors import LogWriteError
 from heli_host.flight import Flight
+from heli_host.link.declaration import AXES
 from heli_host.log.reader import Log
 
-AXES = ("elevation", "pitch", "travel")
 PHASE_EVENT = "phase"
 """Name of the events with which a flight marks its phases."""
 TAKE_OFF, LANDING = "take-off", "landing"
@@ -202,12 +202,12 @@ def tracking_errors_deg(flight: Flight) -> NDArray[np.float64]:
 
     Returns
     -------
-    ndarray (m, 3)
+    ndarray (m, axes)
         Errors of elevation, pitch and travel in degrees; m is 0 when nothing was flown in closed loop.
     """
     setpoints_rad = flight.setpoints_rad
     if setpoints_rad is None:
-        return np.zeros((0, 3))
+        return np.zeros((0, len(AXES)))
     rows = flown_rows(flight)
     errors_deg: NDArray[np.float64] = np.rad2deg(flight.angles_rad[rows] - setpoints_rad[rows])
     return errors_deg

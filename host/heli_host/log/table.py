@@ -16,15 +16,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heli_host.errors import FlightDataError, LogWriteError
-from heli_host.flight import REQUIRED_COLUMNS, SETPOINT_COLUMNS, STATUS_COLUMNS, Flight, FlightEvent
+from heli_host.flight import (
+    OWN_COLUMNS,
+    REQUIRED_COLUMNS,
+    SETPOINT_COLUMNS,
+    STATUS_COLUMNS,
+    Flight,
+    FlightEvent,
+)
 from heli_host.flight_check import check
+from heli_host.link.declaration import CHANNELS
 
 _FORMATS = {"t_s": "%.6f", "front_V": "%.6f", "back_V": "%.6f"} | dict.fromkeys(STATUS_COLUMNS, "%d")
+# Ten digits tell all numbers of 32 bits apart, whatever their scale.
+_FORMATS |= {spec.column: "%.10g" for spec in CHANNELS if spec.column not in OWN_COLUMNS}
 _NUMBER_FORMAT = "%.9f"
 _NOTE = re.compile(r"([\w .-]{1,40}):\s?(.*)")
 _PLAN_MARK = "plan|"
 _ROWS_A_BLOCK = 20_000
-_OWN_COLUMNS = frozenset(REQUIRED_COLUMNS + SETPOINT_COLUMNS + STATUS_COLUMNS)
 
 
 @dataclass(frozen=True)
@@ -229,7 +238,7 @@ def _read_numbers(lines: _Lines, path: Path) -> tuple[NDArray[np.float64], tuple
             row, column, text = _find_bad_cell(lines, keep)
             if row < 0:
                 raise FlightDataError(f"{path}: {error}", "correct the table") from error
-            if column >= 0 and lines.names[column] not in _OWN_COLUMNS:
+            if column >= 0 and lines.names[column] not in OWN_COLUMNS:
                 keep.remove(column)
                 continue
             if column < 0:

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from heli_host.link.declaration import AXES
+
 if TYPE_CHECKING:
     from heli_sim.plant import Plant
 
@@ -82,10 +84,10 @@ def model_lines(found: Sequence[Distance]) -> list[str]:
     """
     out = [
         "Free runs of 2 s over a multibody rig's sines, rig file's numbers, rms error",
-        f"  {'model':14} {'elevation':>10} {'pitch':>10} {'travel':>10}      over the encoder's rounding",
+        f"  {'model':14} {' '.join(f'{axis:>10}' for axis in AXES)}      over the encoder's rounding",
     ]
     for one in found:
-        errors = " ".join(f"{one.rms_deg[axis]:>10.3f}" for axis in ("elevation", "pitch", "travel"))
+        errors = " ".join(f"{one.rms_deg[axis]:>10.3f}" for axis in AXES)
         out.append(f"  {one.model:14} {errors} deg  {one.normalised:.2f}")
     return out
 

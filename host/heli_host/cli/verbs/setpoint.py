@@ -56,11 +56,12 @@ def setpoint(
     from heli_host.cli.board import clear_latched_fault, open_board
     from heli_host.fly.recorder import Recorder
     from heli_host.link.declaration import Axes
+    from heli_host.setpoints import check_setpoint
 
     axes = Axes.ELEVATION | Axes.PITCH if "pitch" in targets_deg else ALL_AXES
     with contextlib.ExitStack() as stack:
         heli = stack.enter_context(open_board(port, sil_address(rig=rig, speed=speed) if sil else None))
-        _check(heli, targets_deg)
+        check_setpoint(targets_deg, heli.params)
         if clear_fault:
             clear_latched_fault(heli)
         if log is not None:
@@ -84,19 +85,6 @@ def setpoint(
         else:
             heli.land()
             print("landed")
-
-
-def _check(heli: Heli, targets_deg: Mapping[str, float]) -> None:
-    """Refuse a target before anything moves."""
-    from heli_host.errors import SetpointError
-
-    for axis, value_deg in targets_deg.items():
-        least_deg, most_deg = heli.setpoint_limits_deg()[axis]
-        if not least_deg <= value_deg <= most_deg:
-            raise SetpointError(
-                f"{axis} setpoint of {value_deg:g} degrees is outside the board's limits",
-                f"give {least_deg:g} to {most_deg:g} degrees",
-            )
 
 
 def _start(heli: Heli, axes: Axes, take_off: bool) -> None:

@@ -84,13 +84,12 @@ def line(heli: Heli) -> str:
     """
     from math import tau
 
+    from heli_host.link.declaration import AXES
+
     sample, status = heli.latest, heli.session.status()
     axes = []
-    for axis, angle_rad, illegal in (
-        ("elevation", sample.elevation_rad, status.illegal_elevation),
-        ("pitch", sample.pitch_rad, status.illegal_pitch),
-        ("travel", sample.travel_rad, status.illegal_travel),
-    ):
+    for axis in AXES:
+        angle_rad, illegal = getattr(sample, f"{axis}_rad"), getattr(status, f"illegal_{axis}")
         counts = round(angle_rad / tau * abs(heli.params[f"{axis}_counts_per_rev"]))
         axes.append(f"{axis} {counts:+6d} ({angle_rad * 360.0 / tau:+7.2f} deg, {illegal} bad)")
     fault = f", fault {sample.fault.name.lower()}" if sample.fault else ""
