@@ -31,7 +31,13 @@ def calls(tmp_path_factory: pytest.TempPathFactory) -> Image:
     subprocess.run(
         ["arm-none-eabi-g++", *flags, "-c", here / "calls.cpp", "-o", folder / "calls.o"], check=True
     )
-    assembler = ["arm-none-eabi-as", "-mcpu=cortex-m3", here / "calls.s", "-o", folder / "deceptive.o"]
+    assembler: list[str | Path] = [
+        "arm-none-eabi-as",
+        "-mcpu=cortex-m3",
+        here / "calls.s",
+        "-o",
+        folder / "deceptive.o",
+    ]
     subprocess.run(assembler, check=True)
     subprocess.run(
         [
