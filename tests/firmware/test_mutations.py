@@ -66,7 +66,7 @@ def workshop(elf: Path, tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     # Names that a mutation leaves unused are not the mistake that is looked for.
     flags = folder / "due" / "compile.flags"
     flags.write_text(flags.read_text().replace("-Werror", "-w"))
-    # What is compiled already is taken over, as if from the copied files: a rule names both an object and its sources.
+    # What is compiled already is taken over, as if from the copied files; a rule names object and sources.
     build = shutil.copytree(elf.parent, folder / "build")
     for dependencies in build.rglob("*.d"):
         rules = dependencies.read_text().replace(str(elf.parent), str(build))
