@@ -18,7 +18,7 @@ from heli_sim.diagnose.coloured import MOST_ROUNDS, Colour, Filter, coloured
 from heli_sim.diagnose.hypothesis import Bench, Hypothesis
 from heli_sim.diagnose.removed import without_terms
 from heli_sim.diagnose.screening import Scored, Screening, answers, spread
-from heli_sim.diagnose.steps import PLAIN, SETTLED, Found, Rival, Round, Search, Step
+from heli_sim.diagnose.steps import LEAST_DROP, PLAIN, SETTLED, Found, Rival, Round, Search, Step
 from heli_sim.diagnose.trial import Columns, Trial
 from heli_sim.errors import IdentifyError
 from heli_sim.identify import Fit

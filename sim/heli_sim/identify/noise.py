@@ -108,8 +108,8 @@ def balanced(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floats
 def judged(mean_square: Floats, sigma_rad: Floats) -> Floats:
     """Variances to judge a model's axes with, as `balanced` as a fit weighs them.
 
-    Where travel was given all the freedom that its fine encoder asks for, pitch stayed wrong, and what a refit
-    finds at once on measured flights came 27th of all candidates.
+    Where travel was given all the freedom that its fine encoder asks for, pitch stayed wrong, and what a
+    refit finds at once on measured flights came 27th of all candidates.
 
     Parameters
     ----------
