@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import signal
 
 from hypothesis import settings
+
+pytest_plugins = ["tests.running.cost", "tests.running.order"]
+
+# One worker a core is what shares the work out: a pool within a test would take a core from another.
+for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_threads] = "1"
 
 # The same examples in every run: a failure seen once is seen again.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
