@@ -150,7 +150,7 @@ class Account:
         self._workers_s += getattr(node, "workeroutput", {}).get("cpu_s", 0.0)
 
     def pytest_sessionfinish(self) -> None:
-        cache = self._config.cache
+        cache = getattr(self._config, "cache", None)
         if cache is not None and self._cost_s:
             known = {**cache.get(COSTS_KEY, {}), **{name: round(s, 3) for name, s in self._cost_s.items()}}
             cache.set(COSTS_KEY, known)

@@ -35,7 +35,8 @@ def cost_s(item: pytest.Item, known_s: dict[str, float]) -> float:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if not hasattr(config, "workerinput"):
         return
-    known_s = config.cache.get(COSTS_KEY, {}) if config.cache is not None else {}
+    cache = getattr(config, "cache", None)
+    known_s = cache.get(COSTS_KEY, {}) if cache is not None else {}
     groups = {item: group_of(item) for item in items}
     total_s: dict[str, float] = defaultdict(float)
     for item, group in groups.items():
