@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from heli_host.link.declaration import PARAMS
+from heli_host.declaration import PARAMS
 from heli_sim._native import control
 
 INDEX = {p.name: p.index for p in PARAMS}

@@ -7,7 +7,7 @@ import zlib
 import numpy as np
 import pytest
 from cobs import cobs
-from heli_host.link.declaration import MAX_TELEMETRY_PAYLOAD, PROTOCOL, Channel, TelemetryMessage
+from heli_host.declaration import MAX_TELEMETRY_PAYLOAD, PROTOCOL, Channel, TelemetryMessage
 from heli_sim._native import link as core_link
 from hypothesis import example, given
 from hypothesis import strategies as st

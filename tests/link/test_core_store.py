@@ -6,7 +6,7 @@ import zlib
 from typing import Protocol
 
 import pytest
-from heli_host.link.declaration import LINK_HASH, PARAMS, ParamsSource
+from heli_host.declaration import LINK_HASH, PARAMS, ParamsSource
 from heli_sim._native import link as core_link
 from hypothesis import given
 from hypothesis import strategies as st

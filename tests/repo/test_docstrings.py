@@ -14,7 +14,7 @@ from typing import Any, get_type_hints
 import pytest
 
 PACKAGES = ("heli_host", "heli_sim", "heli_lab")
-GENERATED = {"heli_host.link.declaration"}
+GENERATED = {"heli_host.declaration"}
 SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 NOT_ARGUMENTS = {"self", "cls"}
 
