@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCE = "firmware/link.toml"
 WRITERS = {
     "firmware/core/link/declaration.hpp": generate_cpp,
-    "host/heli_host/link/declaration.py": generate_python,
+    "host/heli_host/declaration.py": generate_python,
     "docs/link.md": generate_doc,
 }
 

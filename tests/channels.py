@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from heli_host.declaration import AXES, CHANNELS, Channel
 from heli_host.link.channels import ENCODERS
-from heli_host.link.declaration import AXES, CHANNELS, Channel
 
 COUNTS: list[Channel] = list(ENCODERS)
 """Encoders, in the order of the axes."""

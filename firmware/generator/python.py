@@ -84,7 +84,7 @@ def arrays_class(declared: list[Table]) -> list[str]:
 
 
 def generate_python(d: Table) -> str:
-    """Text of host/heli_host/link/declaration.py."""
+    """Text of host/heli_host/declaration.py."""
     link = d["link"]
     out = [
         '"""Messages, channels, parameters and faults of the link.',

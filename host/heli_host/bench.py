@@ -5,8 +5,7 @@ from __future__ import annotations
 from functools import reduce
 from operator import or_
 
-from heli_host.errors import ParameterError, SetpointError
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     Axes,
     ClearFaultMessage,
     Excitation,
@@ -17,6 +16,7 @@ from heli_host.link.declaration import (
     VoltagesMessage,
     ZeroMessage,
 )
+from heli_host.errors import ParameterError, SetpointError
 from heli_host.view import BoardView
 
 ALL_AXES = reduce(or_, Axes)

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import numpy.typing as npt
 
+from heli_host.declaration import PARAMS, Channel, Param, State
 from heli_host.errors import ControllerError, FlightAborted, HeliError, fault_text
 from heli_host.link.channels import physical
 from heli_host.link.clock import TICK_S
-from heli_host.link.declaration import PARAMS, Channel, Param, State
 from heli_host.link.telemetry import Ticks
 from heli_host.samples import Sample
 

@@ -33,7 +33,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from heli_host.link.declaration import FAULTS, PARAMS, Fault, FaultSpec, MessageId, Param, Result, State
+from heli_host.declaration import FAULTS, PARAMS, Fault, FaultSpec, MessageId, Param, Result, State
 
 
 class HeliError(Exception):

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.declaration import AXES
 from heli_host.errors import FlightDataError
 from heli_host.flight_check import MIN_ROWS, check, find_gaps
-from heli_host.link.declaration import AXES
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.declaration import AXES
 from heli_host.errors import FlightDataError
-from heli_host.link.declaration import AXES
 
 if TYPE_CHECKING:
     from heli_host.flight import Flight

@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from heli_host.bench import ALL_AXES, BenchCommands
-from heli_host.errors import FlightAborted, HeliError, SetpointError, fault_text
-from heli_host.link.clock import TICK_S
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     BAUD,
     ArmMessage,
     Axes,
@@ -24,6 +22,8 @@ from heli_host.link.declaration import (
     State,
     StopMessage,
 )
+from heli_host.errors import FlightAborted, HeliError, SetpointError, fault_text
+from heli_host.link.clock import TICK_S
 from heli_host.link.session import HANDSHAKE_TIMEOUT_S, RECONNECT_TIMEOUT_S, Session
 from heli_host.link.transport import open_transport
 from heli_host.samples import Sample

@@ -9,8 +9,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from heli_host.errors import CommandRefused, HeliError, LinkError, ParameterError, range_text
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     PARAMS,
     Param,
     ParamsDefaultMessage,
@@ -19,6 +18,7 @@ from heli_host.link.declaration import (
     ParamsSaveMessage,
     Result,
 )
+from heli_host.errors import CommandRefused, HeliError, LinkError, ParameterError, range_text
 from heli_host.link.events import BOARD_RESTARTED, LinkEvent
 from heli_host.link.session import Session
 

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from heli_host.declaration import CHANNELS, Channel, ChannelArrays, ChannelValues
 from heli_host.link.channels import Floats, is_whole, numbers, rad_per_count
 from heli_host.link.clock import TICK_S
-from heli_host.link.declaration import CHANNELS, Channel, ChannelArrays, ChannelValues
 from heli_host.link.telemetry import CHANNEL_COUNT, Ticks
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from heli_host.declaration import Fault, ParamsSource, Reset, State
 from heli_host.errors import LinkError, WaitTimeout, fault_text
 from heli_host.link.accounting import LinkCounters
 from heli_host.link.clock import TICK_S, ClockEstimate
-from heli_host.link.declaration import Fault, ParamsSource, Reset, State
 from heli_host.link.events import BOARD_RESTARTED, LinkEvent
 from heli_host.link.session import Session
 from heli_host.link.subscribers import EventCallback, Unsubscribe

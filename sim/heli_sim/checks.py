@@ -87,7 +87,7 @@ def check_pseudo_terminal() -> Finding:
     Finding
         Bad when the simulated board could not be reached; a note on systems without pseudo-terminals.
     """
-    from heli_host.link.declaration import BAUD
+    from heli_host.declaration import BAUD
 
     if not hasattr(os, "openpty"):
         return Finding(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 
-from heli_host.link.declaration import MessageId
+from heli_host.declaration import MessageId
 from heli_host.link.frames import FrameParser
 from heli_host.link.telemetry import TelemetryDecoder
 

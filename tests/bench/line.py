@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from heli_host.declaration import BAUD, CHANNELS, Channel, MessageId
 from heli_host.fly.runner import fly
-from heli_host.link.declaration import BAUD, CHANNELS, Channel, MessageId
 from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.telemetry import TelemetryDecoder, Ticks
 from heli_test_native import link as core_link

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from heli_host.declaration import Fault
 from heli_host.errors import FlightAborted
 from heli_host.flight import Flight
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import fly
 from heli_host.heli import Heli
-from heli_host.link.declaration import Fault
 from heli_host.link.session import Session
 from heli_sim.rig import Rig
 from heli_sim.sil.inprocess import InProcessTransport

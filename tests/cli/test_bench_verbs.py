@@ -10,8 +10,8 @@ import heli_host
 import numpy as np
 import pytest
 from heli_host.cli.verbs import motors
+from heli_host.declaration import State
 from heli_host.heli import Heli
-from heli_host.link.declaration import State
 from heli_host.link.requests import Command
 from heli_host.link.session import Session
 from heli_sim.sil.process import SilProcess

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     LINK_HASH,
     Axis,
     Channel,

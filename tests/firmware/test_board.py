@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from heli_host.heli import Heli
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     Axes,
     Fault,
     Param,
@@ -18,6 +17,7 @@ from heli_host.link.declaration import (
     ParamsSource,
     Reset,
 )
+from heli_host.heli import Heli
 from heli_host.link.session import Session
 
 from firmware.due.report import Image

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.heli import Heli
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     MessageId,
     Param,
     ParamSetMessage,
     ParamsSaveMessage,
     ParamsSource,
 )
+from heli_host.heli import Heli
 from heli_host.link.frames import encode_frame
 from heli_host.link.session import Session
 

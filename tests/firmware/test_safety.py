@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from heli_host.declaration import Fault, Reset, State
 from heli_host.heli import Heli
-from heli_host.link.declaration import Fault, Reset, State
 from heli_host.link.events import BOARD_RESTARTED
 
 from firmware.due.report import Image

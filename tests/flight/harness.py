@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from heli_host.link import declaration as d
+from heli_host import declaration as d
 from heli_host.link.frames import Frame, FrameParser, encode_frame
 from heli_test_native import flight
 

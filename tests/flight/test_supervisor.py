@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from heli_host.link import declaration as d
+from heli_host import declaration as d
+from heli_host.declaration import Event, Fault, Result, State, Trigger
 from heli_host.link.channels import physical
-from heli_host.link.declaration import Event, Fault, Result, State, Trigger
 from heli_host.link.telemetry import TelemetryDecoder
 from heli_test_native import flight
 

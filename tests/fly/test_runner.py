@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.declaration import Flags, State
 from heli_host.errors import LogWriteError, PlanError
 from heli_host.flight import Flight
 from heli_host.fly.pilot import Pilot
@@ -21,7 +22,6 @@ from heli_host.fly.plan import Plan, load_plan
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import Progress, fly
 from heli_host.heli import Heli, connect
-from heli_host.link.declaration import Flags, State
 from heli_host.link.telemetry import Ticks
 from heli_host.log.reader import Log, read_log
 from heli_host.log.summary import FlightSummary

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
-from heli_host.link import declaration
-from heli_host.link.declaration import (
+from heli_host import declaration
+from heli_host.declaration import (
     LINK_HASH,
     AckMessage,
     Channel,

@@ -15,9 +15,9 @@ import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from heli_host import declaration as link
+from heli_host.declaration import Channel, Flags, MessageId, Result, State
 from heli_host.errors import LinkLost, PortError
-from heli_host.link import declaration as link
-from heli_host.link.declaration import Channel, Flags, MessageId, Result, State
 from heli_host.link.frames import Frame, FrameParser
 
 from tests.channels import COUNTS, SETPOINTS, VOLTAGES, row_of

@@ -7,7 +7,7 @@ import struct
 from typing import Any
 
 import pytest
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     MAX_COMMAND_PAYLOAD,
     PARAMS,
     AckMessage,

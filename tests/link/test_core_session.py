@@ -6,7 +6,7 @@ import struct
 from typing import Any
 
 import pytest
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     LINK_HASH,
     ArmMessage,
     HelloMessage,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from heli_host.link.declaration import PARAMS, Channel, MessageId, ParamSetMessage, PingMessage, Result
+from heli_host.declaration import PARAMS, Channel, MessageId, ParamSetMessage, PingMessage, Result
 from heli_host.link.frames import Frame
 from hypothesis import given
 from hypothesis import strategies as st

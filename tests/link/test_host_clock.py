@@ -6,9 +6,9 @@ import random
 
 import numpy as np
 import pytest
+from heli_host.declaration import Channel
 from heli_host.link.accounting import TickAccount
 from heli_host.link.clock import ClockEstimate, ClockFit
-from heli_host.link.declaration import Channel
 from heli_host.link.telemetry import Ticks
 
 

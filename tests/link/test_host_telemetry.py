@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from heli_host.link.declaration import CHANNELS, ChannelSpec
+from heli_host.declaration import CHANNELS, ChannelSpec
 from heli_host.link.telemetry import EMPTY_TICKS, TelemetryDecoder
 from hypothesis import given, settings
 from hypothesis import strategies as st

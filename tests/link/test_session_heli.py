@@ -8,9 +8,7 @@ from collections.abc import Callable
 import heli_host
 import numpy as np
 import pytest
-from heli_host.errors import CommandRefused, ControllerError, ParameterError, SetpointError, WaitTimeout
-from heli_host.heli import Heli
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     PARAMS,
     Channel,
     Excitation,
@@ -22,6 +20,8 @@ from heli_host.link.declaration import (
     State,
     VoltagesMessage,
 )
+from heli_host.errors import CommandRefused, ControllerError, ParameterError, SetpointError, WaitTimeout
+from heli_host.heli import Heli
 from heli_host.link.session import Session
 from heli_host.link.telemetry import Ticks
 from heli_host.samples import Sample, SampleRing, Samples

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from heli_host.declaration import ArmMessage, Param, ParamSetMessage, Result
 from heli_host.errors import HeliError, LinkError, LinkLost
-from heli_host.link.declaration import ArmMessage, Param, ParamSetMessage, Result
 from heli_host.link.events import BOARD_RESTARTED, LINK_LOST, LINK_RESTORED, LINK_SILENT
 from heli_host.link.session import Session
 from heli_host.link.telemetry import Ticks

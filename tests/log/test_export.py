@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.declaration import Axis, Channel, State
 from heli_host.errors import LogWriteError
 from heli_host.flight import Flight
-from heli_host.link.declaration import Axis, Channel, State
 from heli_host.log.export import export_csv, export_mat, export_parquet
 from heli_host.log.figure import draw, write_figure
 from heli_host.log.reader import read_log

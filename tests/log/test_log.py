@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.declaration import Channel
 from heli_host.errors import HeliError, LogError, LogWriteError, TruncatedLog
 from heli_host.flight import Flight
-from heli_host.link.declaration import Channel
 from heli_host.log.clock import TickClock
 from heli_host.log.reader import read_log
 from heli_host.log.schema import TICK_LAYOUT, TICK_SCHEMA, TICK_TOPIC, parse_layout

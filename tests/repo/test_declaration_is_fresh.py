@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = "firmware/link.toml"
-GENERATED = ("firmware/core/link/declaration.hpp", "host/heli_host/link/declaration.py", "docs/link.md")
+GENERATED = ("firmware/core/link/declaration.hpp", "host/heli_host/declaration.py", "docs/link.md")
 
 
 def check(root: Path) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     LINK_HASH,
     AckMessage,
     ArmMessage,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
-from heli_host.link.declaration import MessageId, StatusMessage
+from heli_host.declaration import MessageId, StatusMessage
 from heli_sim.errors import OptionError
 from heli_sim.sil.faults import FaultPlan, FaultyStream, Span
 from heli_sim.sil.options import parse_options, parse_url

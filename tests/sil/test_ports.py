@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from heli_host.link.declaration import MessageId
+from heli_host.declaration import MessageId
 from heli_host.link.frames import Frame, FrameParser
 from heli_sim.errors import EndpointError, OptionError
 from heli_sim.sil.endpoint import Endpoint

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from heli_host.link.declaration import MessageId
+from heli_host.declaration import MessageId
 from heli_host.link.frames import FrameParser
 from heli_host.link.transport import open_transport
 from heli_sim.errors import EndpointError

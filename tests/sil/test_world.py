@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     MessageId,
     Param,
     ParamSetMessage,

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from heli_host import declaration as d
 from heli_host.fly import route
-from heli_host.link import declaration as d
 from heli_host.link.channels import physical
 from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.telemetry import TelemetryDecoder

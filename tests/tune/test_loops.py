@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from heli_host.declaration import PARAMS
 from heli_host.errors import ParameterError
-from heli_host.link.declaration import PARAMS
 from heli_host.published_gains import paper_gains
 from heli_lab.tune import (
     Known,

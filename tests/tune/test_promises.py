@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
-from heli_host.link.declaration import PARAMS, Fault
+from heli_host.declaration import PARAMS, Fault
 from heli_lab.tune import LOOPS, Design, Spread, find_gains, margins
 from heli_lab.tune.loops import open_loops, peak_sensitivity
 from heli_lab.tune.plants import spread_plants

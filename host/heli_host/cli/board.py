@@ -128,8 +128,8 @@ def clear_latched_fault(heli: Heli) -> None:
     CommandRefused
         The cause is still there.
     """
+    from heli_host.declaration import State
     from heli_host.errors import fault_text
-    from heli_host.link.declaration import State
 
     if heli.state is State.FAULT:
         print(f"cleared: {fault_text(heli.fault)}")

@@ -147,7 +147,7 @@ def angles_text(sample: Sample) -> str:
     """
     from math import degrees
 
-    from heli_host.link.declaration import AXES
+    from heli_host.declaration import AXES
 
     pairs = [(getattr(sample, f"{axis}_rad"), getattr(sample, f"{axis}_setpoint_rad")) for axis in AXES]
     angles = "  ".join(

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
+from heli_host.declaration import AXES
 from heli_host.errors import PlanError
-from heli_host.link.declaration import AXES
 
 MAX_SEGMENT_S = 3600.0
 

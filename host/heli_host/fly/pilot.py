@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from heli_host.declaration import AXES, TICK_US, Axes, Channel, Fault, SetpointMessage, State
 from heli_host.errors import FlightAborted, HeliError, LinkLost, fault_text
 from heli_host.fly.route import Piece, Route
-from heli_host.link.declaration import AXES, TICK_US, Axes, Channel, Fault, SetpointMessage, State
 from heli_host.log.summary import LANDING
 
 if TYPE_CHECKING:

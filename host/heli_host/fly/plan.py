@@ -34,13 +34,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.declaration import AXES, Axis
 from heli_host.errors import PlanError
 from heli_host.fly import route as shapes
 from heli_host.fly.keys import ANGLE, PAUSE, RATE, Table
 from heli_host.fly.limits import Limits, check_motion
 from heli_host.fly.route import Floats, Route
 from heli_host.fly.segments import Segment, read_segment
-from heli_host.link.declaration import AXES, Axis
 
 TAKE_OFF = "take-off"
 """Phase before the first plan."""

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from heli_host.declaration import AXES
 from heli_host.errors import PlanError
 from heli_host.fly.pilot import Pilot, Progress
 from heli_host.fly.plan import Plan, load_plan, take_off
 from heli_host.fly.recorder import Recorder
-from heli_host.link.declaration import AXES
 from heli_host.log.figure import write_figure
 from heli_host.log.reader import Log, read_log
 from heli_host.log.summary import FlightSummary, summarise

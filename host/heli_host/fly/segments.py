@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from heli_host.declaration import AXES
+from heli_host.declaration import Excitation as Signal
 from heli_host.fly import route
 from heli_host.fly.keys import (
     ANGLE,
@@ -23,8 +25,6 @@ from heli_host.fly.keys import (
     Table,
 )
 from heli_host.fly.route import Excitation, Floats, Shape
-from heli_host.link.declaration import AXES
-from heli_host.link.declaration import Excitation as Signal
 
 SIGNALS = tuple(signal.name.lower() for signal in Signal if signal is not Signal.NONE)
 _SHAPES_OF_PATH = ("smooth", "straight")

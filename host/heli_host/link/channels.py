@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from heli_host.link.declaration import AXES, CHANNELS, Axis, Channel, ChannelSpec
+from heli_host.declaration import AXES, CHANNELS, Axis, Channel, ChannelSpec
 
 Floats = npt.NDArray[np.float64]
 

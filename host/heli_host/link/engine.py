@@ -15,10 +15,7 @@ from enum import Enum, auto
 import numpy as np
 import numpy.typing as npt
 
-from heli_host.errors import LinkLost, LinkVersionMismatch, fault_text
-from heli_host.link.accounting import LinkCounters, TickAccount
-from heli_host.link.clock import ClockFit
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     LINK_HASH,
     LINK_VERSION,
     AckMessage,
@@ -37,6 +34,9 @@ from heli_host.link.declaration import (
     VoltagesMessage,
     WelcomeMessage,
 )
+from heli_host.errors import LinkLost, LinkVersionMismatch, fault_text
+from heli_host.link.accounting import LinkCounters, TickAccount
+from heli_host.link.clock import ClockFit
 from heli_host.link.events import (
     BOARD_RESTARTED,
     LINK_LOST,

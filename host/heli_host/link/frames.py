@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from cobs import cobs
 
-from heli_host.link.declaration import MAX_COMMAND_PAYLOAD, MAX_TELEMETRY_PAYLOAD, PROTOCOL
+from heli_host.declaration import MAX_COMMAND_PAYLOAD, MAX_TELEMETRY_PAYLOAD, PROTOCOL
 
 _HEADER_BYTES = 3
 _CRC_BYTES = 4

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
+from heli_host.declaration import AckMessage, MessageId, Result
 from heli_host.errors import CommandRefused, CommandTimeout, HeliError
-from heli_host.link.declaration import AckMessage, MessageId, Result
 from heli_host.link.frames import Frame
 
 # A reply takes 20 ms at most over a busy Due line. Tries grow apart, so that a slow simulation is not

@@ -16,10 +16,7 @@ from types import TracebackType
 import numpy as np
 import numpy.typing as npt
 
-from heli_host.errors import HandshakeTimeout, LinkError, LinkLost, WaitTimeout, WrongDevice
-from heli_host.link.accounting import LinkCounters
-from heli_host.link.clock import TICK_S, ClockEstimate
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     PARAMS,
     AckMessage,
     ParamsMessage,
@@ -31,6 +28,9 @@ from heli_host.link.declaration import (
     VoltagesMessage,
     WelcomeMessage,
 )
+from heli_host.errors import HandshakeTimeout, LinkError, LinkLost, WaitTimeout, WrongDevice
+from heli_host.link.accounting import LinkCounters
+from heli_host.link.clock import TICK_S, ClockEstimate
 from heli_host.link.driver import READ_TIMEOUT_S, Driver
 from heli_host.link.engine import Engine, Phase
 from heli_host.link.events import LinkEvent

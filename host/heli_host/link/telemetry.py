@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from heli_host.link.declaration import CHANNELS, ChannelSpec, TelemetryMessage
+from heli_host.declaration import CHANNELS, ChannelSpec, TelemetryMessage
 
 CHANNEL_COUNT = len(CHANNELS)
 

@@ -21,8 +21,8 @@ from typing import Any, Protocol, cast, runtime_checkable
 import serial
 from serial.tools import list_ports
 
+from heli_host.declaration import BAUD
 from heli_host.errors import BadBaud, LinkError, LinkLost, PortError
-from heli_host.link.declaration import BAUD
 
 ENTRY_POINT_GROUP = "heli_host.transports"
 

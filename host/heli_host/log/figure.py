@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.declaration import AXES
 from heli_host.errors import LogWriteError
 from heli_host.flight import Flight, FlightEvent
-from heli_host.link.declaration import AXES
 from heli_host.log.summary import LANDING, PHASE_EVENT, TAKE_OFF, FlightSummary
 
 if TYPE_CHECKING:

@@ -25,10 +25,10 @@ from mcap.records import Channel, Chunk, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
+from heli_host.declaration import CHANNELS, ChannelSpec
 from heli_host.errors import LogError, TruncatedLog
 from heli_host.flight import OWN_COLUMNS, Flight, FlightEvent
 from heli_host.link.channels import is_whole, rad_per_count
-from heli_host.link.declaration import CHANNELS, ChannelSpec
 from heli_host.log.schema import (
     CDR_LITTLE_ENDIAN,
     EVENT_TOPIC,

@@ -33,7 +33,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from heli_host.link.declaration import LINK_VERSION
+from heli_host.declaration import LINK_VERSION
 from heli_host.log.schema import (
     CDR_LITTLE_ENDIAN,
     EVENT_SCHEMA,

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.declaration import CHANNELS, Axis, Channel, ChannelSpec
 from heli_host.errors import LogError
 from heli_host.link.channels import ENCODERS, is_whole, numbers, physical, raw_numbers
-from heli_host.link.declaration import CHANNELS, Axis, Channel, ChannelSpec
 
 TICK_TOPIC = "/heli/tick"
 EVENT_TOPIC = "/heli/event"

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.declaration import AXES
 from heli_host.errors import LogWriteError
 from heli_host.flight import Flight
-from heli_host.link.declaration import AXES
 from heli_host.log.reader import Log
 
 PHASE_EVENT = "phase"

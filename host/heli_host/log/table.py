@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.declaration import CHANNELS
 from heli_host.errors import FlightDataError, LogWriteError
 from heli_host.flight import (
     OWN_COLUMNS,
@@ -25,7 +26,6 @@ from heli_host.flight import (
     FlightEvent,
 )
 from heli_host.flight_check import check
-from heli_host.link.declaration import CHANNELS
 
 _FORMATS = {"t_s": "%.6f", "front_V": "%.6f", "back_V": "%.6f"} | dict.fromkeys(STATUS_COLUMNS, "%d")
 # Ten digits tell all numbers of 32 bits apart, whatever their scale.

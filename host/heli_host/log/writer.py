@@ -22,8 +22,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.declaration import TICK_US
 from heli_host.errors import LogWriteError
-from heli_host.link.declaration import TICK_US
 from heli_host.log.clock import TickClock
 from heli_host.log.records import EVENT_CHANNEL, LINK_CHANNEL, JsonMessage, McapBytes, TickBatch, json_bytes
 from heli_host.log.schema import LEVEL_INFO

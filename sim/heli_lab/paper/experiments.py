@@ -128,8 +128,8 @@ def run_bench_test(test: BenchTest, plant: Plant, seed: int = 1) -> Flight:
     Flight
         Every tick from the release on, time 0 at the release.
     """
+    from heli_host.declaration import Axes
     from heli_host.fly.recorder import Recorder
-    from heli_host.link.declaration import Axes
     from heli_host.log.reader import read_log
 
     powered = test.front_V > 0.0 or test.back_V > 0.0
@@ -175,7 +175,7 @@ def read_thrust(plant: Plant, seed: int = 1) -> ThrustCurve:
     ThrustCurve
         One point for each of the voltages of Fig. 15.
     """
-    from heli_host.link.declaration import Axes
+    from heli_host.declaration import Axes
 
     from heli_lab.paper.bench_tests import THRUST_V
     from heli_lab.paper.thrust import Scale, ThrustCurve
@@ -225,9 +225,9 @@ def fly_plan(
         The flight beside what the plan asked for; also when a fault ended it.
     """
     from heli_host.cli.gains import load_gains
+    from heli_host.declaration import State
     from heli_host.fly.plan import Plan, take_off
     from heli_host.fly.runner import Progress, fly
-    from heli_host.link.declaration import State
     from heli_host.log.reader import read_log
 
     from heli_lab.paper.figures_flight import flown

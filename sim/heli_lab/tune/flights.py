@@ -92,10 +92,10 @@ def try_gains(
     ParameterError
         When the board does not take one of the parameters.
     """
+    from heli_host.declaration import State
     from heli_host.fly.plan import Plan, take_off
     from heli_host.fly.runner import Progress, fly
     from heli_host.heli import Heli
-    from heli_host.link.declaration import State
     from heli_host.link.session import Session
     from heli_host.log.reader import read_log
     from heli_sim.sil.inprocess import InProcessTransport

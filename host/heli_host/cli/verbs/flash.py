@@ -40,8 +40,8 @@ def flash(
     from heli_host.cli.board import find_board
     from heli_host.cli.finding import Verdict
     from heli_host.cli.modem_manager import check_modem_manager
+    from heli_host.declaration import LINK_HASH
     from heli_host.flash import erase_chip, find_bossac, read_image, restart_chip, write_image
-    from heli_host.link.declaration import LINK_HASH
 
     image = read_image(file)
     print(f"{file}: {len(image.content)} bytes, firmware for the Due, link {LINK_HASH:08x}")

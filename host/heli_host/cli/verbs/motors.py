@@ -66,8 +66,8 @@ def _check(heli: Heli, front_V: float, back_V: float) -> None:
 
 
 def _drive(heli: Heli, front_V: float, back_V: float, for_s: float) -> None:
+    from heli_host.declaration import Axes, State
     from heli_host.errors import CommandRefused, FlightAborted, fault_text
-    from heli_host.link.declaration import Axes, State
 
     start_s = heli.latest.t_s
     while (passed_s := heli.latest.t_s - start_s) < for_s:

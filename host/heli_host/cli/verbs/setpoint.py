@@ -14,8 +14,8 @@ from heli_host.cli.simulated import RigOption, SilOption, SpeedOption, rig_name,
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
+    from heli_host.declaration import Axes
     from heli_host.heli import Heli
-    from heli_host.link.declaration import Axes
 
 STEP_S = 0.1
 """Device time between two looks at the clock."""
@@ -54,8 +54,8 @@ def setpoint(
         raise typer.BadParameter("give --travel-deg or --pitch-deg: flying to a travel needs the pitch")
     from heli_host.bench import ALL_AXES
     from heli_host.cli.board import clear_latched_fault, open_board
+    from heli_host.declaration import Axes
     from heli_host.fly.recorder import Recorder
-    from heli_host.link.declaration import Axes
     from heli_host.setpoints import check_setpoint
 
     axes = Axes.ELEVATION | Axes.PITCH if "pitch" in targets_deg else ALL_AXES
@@ -88,8 +88,8 @@ def setpoint(
 
 
 def _start(heli: Heli, axes: Axes, take_off: bool) -> None:
+    from heli_host.declaration import State
     from heli_host.errors import SetpointError
-    from heli_host.link.declaration import State
 
     if heli.state in (State.IDLE, State.ARMED):
         if not take_off:
@@ -103,8 +103,8 @@ def _start(heli: Heli, axes: Axes, take_off: bool) -> None:
 
 def _hold(heli: Heli, targets_deg: Mapping[str, float], for_s: float) -> None:
     from heli_host.cli.progress import LiveLine
+    from heli_host.declaration import State
     from heli_host.errors import FlightAborted, fault_text
-    from heli_host.link.declaration import State
 
     heli.setpoint(**{f"{axis}_deg": value_deg for axis, value_deg in targets_deg.items()})
     start_s = heli.latest.t_s

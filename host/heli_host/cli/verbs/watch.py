@@ -84,7 +84,7 @@ def line(heli: Heli) -> str:
     """
     from math import tau
 
-    from heli_host.link.declaration import AXES
+    from heli_host.declaration import AXES
 
     sample, status = heli.latest, heli.session.status()
     axes = []
