@@ -8,13 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-<<<<<<< HEAD
-from heli_host.link.declaration import PARAMS
-from heli_test_native import flight
-=======
 from heli_host.declaration import PARAMS
-from heli_sim._native import control
->>>>>>> layers
+from heli_test_native import flight
 
 INDEX = {p.name: p.index for p in PARAMS}
 DEFAULTS = {p.name: p.default for p in PARAMS}

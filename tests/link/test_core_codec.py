@@ -7,13 +7,8 @@ import zlib
 import numpy as np
 import pytest
 from cobs import cobs
-<<<<<<< HEAD
-from heli_host.link.declaration import MAX_TELEMETRY_PAYLOAD, PROTOCOL, Channel, TelemetryMessage
-from heli_test_native import link as core_link
-=======
 from heli_host.declaration import MAX_TELEMETRY_PAYLOAD, PROTOCOL, Channel, TelemetryMessage
-from heli_sim._native import link as core_link
->>>>>>> layers
+from heli_test_native import link as core_link
 from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst

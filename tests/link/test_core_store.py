@@ -5,13 +5,8 @@ from __future__ import annotations
 import zlib
 
 import pytest
-<<<<<<< HEAD
-from heli_host.link.declaration import LINK_HASH, PARAMS, ParamsSource
-from heli_test_native import link as core_link
-=======
 from heli_host.declaration import LINK_HASH, PARAMS, ParamsSource
-from heli_sim._native import link as core_link
->>>>>>> layers
+from heli_test_native import link as core_link
 from hypothesis import given
 from hypothesis import strategies as st
 

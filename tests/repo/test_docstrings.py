@@ -1,8 +1,8 @@
-"""Every public function, class and argument of all packages is documented, in numpydoc, and no entry is empty.
+"""Every public function, class and argument of all packages is documented, in numpydoc.
 
-An argument is documented by an entry of its own, by that of the method which is overridden, or by its type: a
-class of these packages says itself what it is. An entry must tell more than the name and the type beside it: a
-unit, a shape, a range or a meaning.
+An argument is documented by an entry of its own, by that of the method which is overridden, or by its type:
+a class of these packages says itself what it is. An entry must tell more than the name and the type beside
+it: a unit, a shape, a range or a meaning.
 """
 
 from __future__ import annotations
@@ -184,7 +184,7 @@ def test_public_thing_is_documented(where: str) -> None:
 
 
 def test_an_entry_that_repeats_its_name_is_noticed() -> None:
-    doc = "Do.\n\nParameters\n----------\nfit : Fit\n    The fit.\nwindow_s : float\n    Length of a free run.\n"
+    doc = "Do.\n\nParameters\n----------\nfit : Fit\n    The fit.\nwindow_s : float\n    Length of a run.\n"
     assert [tells_something(*entry) for entry in entries(doc)] == [False, True]
 
 
