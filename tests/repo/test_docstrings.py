@@ -138,7 +138,7 @@ def tells_something(name: str, kind: str, text: str) -> bool:
 
 
 CONTAINERS = {"Sequence", "list", "tuple", "Iterable", "Iterator", "Mapping", "dict", "str"}
-SMALL_WORDS = set(
+SMALL_WORDS = frozenset(
     [
         "the",
         "a",
