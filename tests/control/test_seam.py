@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable
 
 import pytest
+from heli_host import declaration as d
 from heli_host.declaration import Result, State
-from heli_host.link import declaration as d
 from heli_test_native.flight import ToldLaw
 
 from tests.flight.harness import REST_DEG, Harness

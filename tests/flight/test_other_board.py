@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from heli_host import declaration as d
 from heli_host.declaration import ParamsSource, Result
-from heli_host.link import declaration as d
 from heli_host.link.telemetry import TelemetryDecoder
 from heli_test_native import link
 
