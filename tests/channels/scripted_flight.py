@@ -19,6 +19,7 @@ from heli_host.link.declaration import (
     LINK_HASH,
     PARAMS,
     ArmMessage,
+    Axis,
     Channel,
     ControlMessage,
     Excitation,
@@ -46,7 +47,10 @@ SCRIPT: dict[int, Any] = {
     6: ControlMessage(3, int(ALL_AXES), 0.0, 0.0),
     90: ExciteMessage(4, int(Excitation.PRBS), 0.3, 0.2, 0.0, 8.0, 3.0, 5),
     140: LandMessage(5),
+    188: ArmMessage(6),
 }
+TILT_STEP, TILT_DEG = 192, 60.0
+"""When the arm, armed again on the table, is tilted so far that the board trips a fault."""
 
 
 def message_of(step: int) -> Any:
@@ -65,6 +69,10 @@ def fly() -> Ticks:
     world, parser, decoder = SilWorld(SilOptions()), FrameParser(), TelemetryDecoder()
     payloads: list[bytes] = []
     for step in range(STEPS):
+        if step == TILT_STEP:
+            tilted = world.state
+            tilted[Axis.PITCH] = np.radians(TILT_DEG)
+            world.state = tilted
         message = message_of(step)
         data = world.advance(STEP_TICKS, encode_frame(message.ID, step % 256, message.pack()))
         payloads += [frame.payload for frame in parser.feed(data) if frame.id == MessageId.TELEMETRY]

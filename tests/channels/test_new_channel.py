@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from heli_host.flight import OWN_COLUMNS, Flight
-from heli_host.link.declaration import CHANNELS, Channel, State
+from heli_host.link.declaration import CHANNELS, Channel, Fault, State
 from heli_host.log.reader import read_log
 
 from tests.channels import scripted_flight
@@ -75,15 +75,18 @@ def test_old_channels_are_the_same_in_telemetry_tick_by_tick(flown: Flown) -> No
     assert len(before["board tick"]) > 19_000
     for name in ("board tick", *map(str, Channel)):
         np.testing.assert_array_equal(before[name], after[name], name)
-    assert set(before["state"]) == {State.IDLE, State.ARMED, State.CLOSED_LOOP, State.LANDING}, "it was flown"
+    flown_states = {State.IDLE, State.ARMED, State.CLOSED_LOOP, State.LANDING, State.FAULT}
+    assert set(before["state"]) == flown_states, "it was flown"
+    assert set(before["fault"]) == {Fault.NONE, Fault.PITCH_LIMIT}
     assert np.ptp(before["travel_count"]) > 100
 
 
 def test_new_channels_say_what_the_board_put_there(flown: Flown) -> None:
     ticks = np.load(flown.after / "ticks.npz")
     np.testing.assert_array_equal(ticks["tick_echo"], echo_of(ticks["board tick"]))
-    turned_rad = np.cumsum(ticks["pitch_rate"]) * 1e-3 * 1e-3
-    counted_rad = ticks["pitch_count"] * 2.0 * np.pi / 4096.0
+    flying = ticks["fault"] == Fault.NONE
+    turned_rad = np.cumsum(ticks["pitch_rate"][flying]) * 1e-3 * 1e-3
+    counted_rad = ticks["pitch_count"][flying] * 2.0 * np.pi / 4096.0
     assert np.ptp(counted_rad) > 0.05
     # The rate is filtered, and therefore late.
     np.testing.assert_allclose(turned_rad, counted_rad, atol=0.02)
@@ -130,6 +133,24 @@ def test_a_plan_flies_to_its_end_and_its_log_knows_state_and_fault(flown: Flown)
     assert abs(np.degrees(flight.elevation_rad[20_000])) < 1.0
     for name, column in flight.columns().items():
         np.testing.assert_allclose(table.columns()[name], column, atol=1e-9)
+
+
+def test_a_fault_in_flight_is_told_by_its_name(flown: Flown) -> None:
+    program = """
+import numpy as np
+import heli_host
+from heli_host.fly.runner import fly
+from heli_host.link.declaration import Axis
+with heli_host.connect("sil://?speed=max") as heli:
+    world = heli.session.transport.world
+    def tilt(progress):
+        if progress.t_s > 3.0:
+            tilted = world.state
+            tilted[Axis.PITCH] = np.radians(60.0)
+            world.state = tilted
+    print(fly(heli, "hover", on_progress=tilt).outcome)
+"""
+    assert "fault pitch_limit" in flown.copy.run("-c", program)
 
 
 @pytest.mark.parametrize("how", [(), ("raise",)], ids=["by its end", "by an exception"])
