@@ -13,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from tests.channels import SIGNED, UNSIGNED
+from tests.channels.groups import SIGNED, UNSIGNED
 from tests.link import host_reference as reference
 
 # Runs without a zero around the 254 bytes that a COBS block may hold.

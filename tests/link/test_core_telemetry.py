@@ -8,7 +8,7 @@ from heli_host.link.frames import Frame
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.channels import UNSIGNED
+from tests.channels.groups import UNSIGNED
 from tests.link import host_reference as reference
 from tests.link.core_harness import Harness, of_kind, open_harness, ramp
 

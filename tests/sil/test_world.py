@@ -24,7 +24,7 @@ from heli_sim.rig import load_rig
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
-from tests.channels import COUNTS
+from tests.channels.groups import COUNTS
 from tests.sil.desk import Host, world
 
 
