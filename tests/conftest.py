@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
 
-from hypothesis import settings
+pytest_plugins = ["tests.running.cost", "tests.running.order"]
 
-# The same examples in every run: a failure seen once is seen again.
-settings.register_profile("repeatable", derandomize=True, deadline=None)
-settings.load_profile("repeatable")
+# Where the environment forbids it, each worker and each of some hundred commands that tests start would
+# compile all sources anew, and pytest would rewrite the asserts of all tests: 5 s of CPU a worker.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
+# The workers share the cores out among them: threads within a test would take a core from another.
+for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_threads] = "1"
 
 # A shell that runs the tests in the background ignores Ctrl-C; processes started here would inherit
 # that, were it not set back.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_configure() -> None:
+    """Let hypothesis try the same examples in every run: a failure seen once is seen again."""
+    from hypothesis import settings
+
+    settings.register_profile("repeatable", derandomize=True, deadline=None)
+    settings.load_profile("repeatable")

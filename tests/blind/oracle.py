@@ -74,7 +74,7 @@ def tell(rig: Rig, flights: tuple[Flight, Flight], hidden: Sequence[Hidden]) -> 
     for one in hidden:
         kind = kinds[one.id]
         if kind.baseline:
-            gone |= kind.held
+            gone |= kind.override
         elif not kind.noise_inputs:
             effects.append(kind.make(one.start))
             # Free beside a torque that starts small, a frequency runs away before the torque has grown.

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
 
 import pytest
 from heli_host.cli import run
@@ -51,11 +52,20 @@ def command(*arguments: str | Path) -> list[str]:
     return [sys.executable, "-c", "from heli_host.cli import main; main()", *map(str, arguments)]
 
 
-def process(folder: Path, *arguments: str | Path) -> subprocess.Popen[str]:
+class Process(subprocess.Popen[str]):
+    """A process that does not outlive a block that failed: the run would wait for it for ever."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is not None:
+            self.kill()
+        super().__exit__(kind, value, trace)
+
+
+def process(folder: Path, *arguments: str | Path) -> Process:
     """Start a command in a process of its own."""
-    return subprocess.Popen(
-        command(*arguments), cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    return Process(command(*arguments), cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def refusal(ended: Ended, *, code: int) -> str:

@@ -21,7 +21,7 @@ from heli_host.heli import Heli
 from heli_host.link.session import Session
 
 from firmware.due.report import Image
-from tests.channels import COUNTS
+from tests.channels.groups import COUNTS
 from tests.firmware.desk import TICK_INTERRUPT, TRAVEL_INTERRUPT, Board, flying
 from tests.firmware.measures import boot_to_first_frame_ms, rx_lost_bytes, travel_counts_lost
 

@@ -66,10 +66,11 @@ def workshop(elf: Path, tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     # Names that a mutation leaves unused are not the mistake that is looked for.
     flags = folder / "due" / "compile.flags"
     flags.write_text(flags.read_text().replace("-Werror", "-w"))
-    # What is compiled already is taken over, as if from the copied files.
+    # What is compiled already is taken over, as if from the copied files; a rule names object and sources.
     build = shutil.copytree(elf.parent, folder / "build")
     for dependencies in build.rglob("*.d"):
-        dependencies.write_text(dependencies.read_text().replace(str(ROOT / "firmware"), str(folder)))
+        rules = dependencies.read_text().replace(str(elf.parent), str(build))
+        dependencies.write_text(rules.replace(str(ROOT / "firmware"), str(folder)))
     for path in (*folder.rglob("*.flags"), *folder.rglob("Makefile")):
         os.utime(path, (0, 0))
     for path in build.rglob("*"):

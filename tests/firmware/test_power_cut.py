@@ -24,7 +24,7 @@ from tests.firmware.desk import Board
 pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
-WRITE_PAGE = "_ZN4heli3due5flash10write_pageEjPKh"
+WRITE_PAGE = "_ZN4heli3due5flash10write_pageEjPKhj"
 PAGE = 256
 PAGES_ADDRESS = 0x0010_0000 - 2 * PAGE
 # A page buffer takes 64 words, then comes the command, then 64 words are erased and 64 written.

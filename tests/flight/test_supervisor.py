@@ -11,9 +11,9 @@ from heli_host import declaration as d
 from heli_host.declaration import Event, Fault, Result, State, Trigger
 from heli_host.link.channels import physical
 from heli_host.link.telemetry import TelemetryDecoder
-from heli_sim._native import control
+from heli_test_native import flight
 
-from tests.flight.desk import REST_DEG, Desk
+from tests.flight.harness import REST_DEG, Harness
 
 # The table as docs and README promise it, written a second time: (from, trigger) -> to.
 PROMISED = {
@@ -52,36 +52,36 @@ for flying in (State.CLOSED_LOOP, State.OPEN_LOOP, State.STREAMED):
     "state, trigger", list(itertools.product(State, Trigger)), ids=lambda x: x.name.lower()
 )
 def test_every_cell_of_the_state_table_is_as_promised(state: State, trigger: Trigger) -> None:
-    assert control.next_state(state, trigger) == PROMISED.get((state, trigger))
+    assert flight.next_state(state, trigger) == PROMISED.get((state, trigger))
 
 
 def test_power_up_is_idle_with_the_bridges_off_and_the_arm_at_rest() -> None:
-    desk = Desk(session=False)
+    desk = Harness(session=False)
     assert desk.state is State.IDLE
     assert desk.motors_off
 
 
 def test_nothing_is_obeyed_before_a_handshake() -> None:
-    desk = Desk(session=False)
+    desk = Harness(session=False)
     assert desk.arm().result == Result.NO_HANDSHAKE
     assert desk.state is State.IDLE
 
 
 def test_armed_drives_are_enabled_at_zero_voltage() -> None:
-    desk = Desk()
+    desk = Harness()
     assert desk.arm().result == Result.OK
     assert desk.state is State.ARMED
     assert desk.motors == (0, 0, True)
 
 
-def refused_with(desk: Desk, fault: Fault) -> None:
+def refused_with(desk: Harness, fault: Fault) -> None:
     reply = desk.arm()
     assert (reply.result, reply.detail) == (Result.CHECK_FAILED, fault)
     assert desk.motors_off
 
 
 def test_arming_is_refused_away_from_rest() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.glide(0, REST_DEG + 4, 1.0)
     desk.tick(500)
     desk.ping()
@@ -89,7 +89,7 @@ def test_arming_is_refused_away_from_rest() -> None:
 
 
 def test_arming_is_refused_with_the_short_arm_tilted() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.glide(1, 12, 20.0)
     desk.tick(400)
     desk.ping()
@@ -97,25 +97,25 @@ def test_arming_is_refused_with_the_short_arm_tilted() -> None:
 
 
 def test_arming_is_refused_while_moving() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.glide(2, 20, 30.0)
     refused_with(desk, Fault.MOVING)
 
 
 def test_arming_is_refused_when_parameters_contradict_each_other() -> None:
-    desk = Desk()
+    desk = Harness()
     assert desk.set("motor_max_V", 24).result == Result.OK  # above the supply of 12 V
     refused_with(desk, Fault.PARAMETERS_INVALID)
 
 
 def test_arming_is_refused_while_the_hardware_stop_is_pressed() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.core.stop_input(True)
     refused_with(desk, Fault.HARDWARE_STOP)
 
 
 def test_arming_is_refused_in_flight() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.fly()
     reply = desk.arm()
     assert (reply.result, reply.detail) == (Result.BAD_STATE, State.CLOSED_LOOP)
@@ -137,7 +137,7 @@ def test_arming_is_refused_in_flight() -> None:
 def test_each_limit_cuts_the_motors_and_names_itself(
     axis: int, angle_deg: float, rate_deg_s: float, fault: Fault
 ) -> None:
-    desk = Desk()
+    desk = Harness()
     desk.set("setpoint_hold_s", 5)
     desk.set("setpoint_land_s", 30)
     desk.fly()
@@ -154,7 +154,7 @@ def test_each_limit_cuts_the_motors_and_names_itself(
 def test_illegal_encoder_transitions_are_tolerated_up_to_the_parameter_then_cut(
     axis: int, fault: Fault
 ) -> None:
-    desk = Desk()
+    desk = Harness()
     desk.break_encoder(axis, 100)  # before arming they do not count
     desk.tick()
     desk.fly()
@@ -168,7 +168,7 @@ def test_illegal_encoder_transitions_are_tolerated_up_to_the_parameter_then_cut(
 
 
 def test_late_ticks_cut_the_motors_when_there_are_too_many() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.fly()
     desk.tick(10, late=True)
     assert desk.state is State.CLOSED_LOOP
@@ -179,7 +179,7 @@ def test_late_ticks_cut_the_motors_when_there_are_too_many() -> None:
 
 
 def test_a_fault_stays_until_it_is_cleared_and_not_while_its_cause_is_pressed() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.fly()
     desk.core.stop_input(True)
     desk.tick(2)
@@ -193,7 +193,7 @@ def test_a_fault_stays_until_it_is_cleared_and_not_while_its_cause_is_pressed() 
 
 
 def test_setpoint_loss_holds_level_after_half_a_second_then_lands_after_two_then_cuts() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.fly()
     desk.glide(0, 0, 20)
     desk.keep_flying(2000)
@@ -216,7 +216,7 @@ def test_setpoint_loss_holds_level_after_half_a_second_then_lands_after_two_then
 
 
 def test_a_setpoint_that_comes_back_ends_the_hold_but_not_a_landing() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.fly()
     desk.tick(600)
     assert desk.state is State.HOLD
@@ -230,7 +230,7 @@ def test_a_setpoint_that_comes_back_ends_the_hold_but_not_a_landing() -> None:
 
 
 def test_landing_that_never_reaches_the_table_times_out_with_a_fault() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.fly()
     desk.glide(0, 0, 60)
     assert desk.ask(d.LandMessage(0)).result == Result.OK
@@ -242,26 +242,26 @@ def test_landing_that_never_reaches_the_table_times_out_with_a_fault() -> None:
 
 
 def test_stop_works_from_every_state_that_has_motors() -> None:
-    def streamed(desk: Desk) -> None:
+    def streamed(desk: Harness) -> None:
         desk.arm()
         desk.ask(d.StreamMessage(0))
 
-    def open_loop(desk: Desk) -> None:
+    def open_loop(desk: Harness) -> None:
         desk.arm()
         desk.ask(d.ControlMessage(0, 0, 1.5, 1.5))
 
-    def hold(desk: Desk) -> None:
+    def hold(desk: Harness) -> None:
         desk.fly()
         desk.tick(600)
 
-    def landing(desk: Desk) -> None:
+    def landing(desk: Harness) -> None:
         desk.fly()
         desk.glide(0, 0, 60)
         desk.ask(d.LandMessage(0))
 
     reached = set()
-    for prepare in (Desk.arm, Desk.fly, streamed, open_loop, hold, landing):
-        desk = Desk()
+    for prepare in (Harness.arm, Harness.fly, streamed, open_loop, hold, landing):
+        desk = Harness()
         prepare(desk)
         reached.add(desk.state)
         assert desk.ask(d.StopMessage(0)).result == Result.OK
@@ -270,7 +270,7 @@ def test_stop_works_from_every_state_that_has_motors() -> None:
 
 
 def test_streamed_voltage_acts_for_its_time_only_then_the_board_holds_by_itself() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.arm()
     desk.ask(d.StreamMessage(0))
     for _ in range(100):
@@ -285,7 +285,7 @@ def test_streamed_voltage_acts_for_its_time_only_then_the_board_holds_by_itself(
 
 
 def test_a_streamed_voltage_that_asks_for_hours_gets_the_parameter() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.arm()
     desk.ask(d.StreamMessage(0))
     desk.send(d.VoltagesMessage(1.0, 1.0, 60000))
@@ -296,7 +296,7 @@ def test_a_streamed_voltage_that_asks_for_hours_gets_the_parameter() -> None:
 
 
 def test_open_loop_without_a_living_link_cuts_the_motors() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.arm()
     desk.ask(d.ControlMessage(0, 0, 1.5, 1.5))
     desk.tick(480)
@@ -307,7 +307,7 @@ def test_open_loop_without_a_living_link_cuts_the_motors() -> None:
 
 
 def test_armed_without_a_living_link_disarms() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.arm()
     desk.tick(1990)
     assert desk.state is State.ARMED
@@ -327,7 +327,7 @@ def test_armed_without_a_living_link_disarms() -> None:
     ],
 )
 def test_a_setpoint_outside_the_limits_is_refused_and_reported(setpoint: dict[str, float]) -> None:
-    desk = Desk()
+    desk = Harness()
     desk.fly()
     desk.setpoint(**setpoint)  # type: ignore[arg-type]
     desk.tick(30)
@@ -337,7 +337,7 @@ def test_a_setpoint_outside_the_limits_is_refused_and_reported(setpoint: dict[st
 
 
 def test_a_host_that_streams_nonsense_gets_one_event_in_half_a_second() -> None:
-    desk = Desk()
+    desk = Harness()
     for _ in range(100):
         desk.setpoint(elevation_deg=90)
         desk.tick(10)
@@ -346,7 +346,7 @@ def test_a_host_that_streams_nonsense_gets_one_event_in_half_a_second() -> None:
 
 @pytest.mark.parametrize("axes", [4, 5, 8, 255])
 def test_travel_cannot_be_closed_without_pitch_nor_unknown_axes(axes: int) -> None:
-    desk = Desk()
+    desk = Harness()
     desk.arm()
     assert desk.close_loops(axes).result == Result.BAD_VALUE
     assert desk.state is State.ARMED
@@ -369,7 +369,7 @@ def test_travel_cannot_be_closed_without_pitch_nor_unknown_axes(axes: int) -> No
     ],
 )
 def test_excitation_outside_its_bounds_is_refused_by_field(message: d.ExciteMessage, field: int) -> None:
-    desk = Desk()
+    desk = Harness()
     desk.arm()
     desk.ask(d.ControlMessage(0, 0, 1.5, 1.5))
     reply = desk.ask(message)
@@ -379,7 +379,7 @@ def test_excitation_outside_its_bounds_is_refused_by_field(message: d.ExciteMess
 
 
 def test_excitation_adds_to_the_voltages_and_ends_by_itself() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.arm()
     desk.ask(d.ControlMessage(0, 0, 3.0, 3.0))
     for _ in range(10):
@@ -395,7 +395,7 @@ def test_excitation_adds_to_the_voltages_and_ends_by_itself() -> None:
 
 
 def test_excitation_ends_when_the_board_must_hold() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.fly()
     assert desk.ask(d.ExciteMessage(0, d.Excitation.MULTISINE, 0.2, 0.2, 0.1, 5, 60, 1)).result == Result.OK
     for _ in range(6):  # whoever reads later than that loses events: the line's buffer is full of telemetry
@@ -405,7 +405,7 @@ def test_excitation_ends_when_the_board_must_hold() -> None:
 
 
 def test_unsafe_parameters_are_refused_in_flight_and_gains_are_not() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.fly()
     assert desk.set("supply_V", 11).result == Result.UNSAFE_NOW
     assert desk.set("elevation_kp", 0.6).result == Result.OK
@@ -413,14 +413,14 @@ def test_unsafe_parameters_are_refused_in_flight_and_gains_are_not() -> None:
 
 
 def test_zero_and_save_are_refused_in_flight() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.fly()
     for message in (d.ZeroMessage(0, 7), d.ParamsSaveMessage(0), d.ParamsDefaultMessage(0)):
         assert desk.ask(message).result == Result.BAD_STATE
 
 
 def test_gain_changes_act_in_the_next_tick() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.fly()
     desk.set("hover_V", 2.4)
     desk.keep_flying(3000, elevation_deg=REST_DEG)
@@ -430,14 +430,14 @@ def test_gain_changes_act_in_the_next_tick() -> None:
     assert desk.motors[0] - before[0] == pytest.approx(0.5 / 12 * 2100, abs=3)
 
 
-def elevation_setpoints(desk: Desk) -> tuple[np.ndarray, np.ndarray]:
+def elevation_setpoints(desk: Harness) -> tuple[np.ndarray, np.ndarray]:
     """Ticks and elevation setpoints in degrees, each (n,)."""
     ticks = TelemetryDecoder().decode([f.payload for f in desk.frames if f.id == d.MessageId.TELEMETRY])
     return ticks.tick, np.degrees(physical(ticks.raw, d.Channel.ELEVATION_SETPOINT))
 
 
 def test_a_smooth_path_is_followed_on_its_device_ticks() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.fly()
     start = desk.ask(d.PingMessage(0, 0)).tick
 
@@ -454,7 +454,7 @@ def test_a_smooth_path_is_followed_on_its_device_ticks() -> None:
 
 
 def test_a_step_becomes_a_ramp_within_slew_and_acceleration_that_does_not_overshoot() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.fly()
     desk.keep_flying(4000, elevation_deg=0.0)
     _, setpoint_deg = elevation_setpoints(desk)

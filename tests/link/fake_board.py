@@ -20,7 +20,7 @@ from heli_host.declaration import Channel, Flags, MessageId, Result, State
 from heli_host.errors import LinkLost, PortError
 from heli_host.link.frames import Frame, FrameParser
 
-from tests.channels import COUNTS, SETPOINTS, VOLTAGES, row_of
+from tests.channels.groups import COUNTS, SETPOINTS, VOLTAGES, row_of
 from tests.link import host_reference as reference
 
 BATCH_TICKS = 20

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from cobs import cobs
 from heli_host.declaration import MAX_TELEMETRY_PAYLOAD, PROTOCOL, Channel, TelemetryMessage
-from heli_sim._native import link as core_link
+from heli_test_native import link as core_link
 from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from tests.channels import SIGNED, UNSIGNED
+from tests.channels.groups import SIGNED, UNSIGNED
 from tests.link import host_reference as reference
 
 # Runs without a zero around the 254 bytes that a COBS block may hold.

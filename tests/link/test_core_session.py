@@ -21,14 +21,14 @@ from heli_host.declaration import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.link.core_desk import STREAMS, TO_BOARD, Desk, acks_in, named, of_kind, open_desk, ramp
+from tests.link.core_harness import STREAMS, TO_BOARD, Harness, acks_in, named, of_kind, open_harness, ramp
 
 NEVER = 0xFFFFFFFF
 
 
 @pytest.mark.parametrize("cls", TO_BOARD, ids=named)
 def test_before_the_handshake_nothing_but_hello_is_heard(cls: Any) -> None:
-    desk = Desk()
+    desk = Harness()
     frames = desk.turn(desk.raw_frame(cls.ID, b"\x05" + bytes(cls.STRUCT.size - 1)), ticks=3)
     assert desk.executed == []
     assert desk.streamed == []
@@ -43,14 +43,14 @@ def test_before_the_handshake_nothing_but_hello_is_heard(cls: Any) -> None:
 
 
 def test_before_the_handshake_the_board_says_nothing_by_itself() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.bench.push_event(0, 0)
     desk.bench.push_samples(0, ramp(60))
     assert desk.turn(ticks=3000) == []
 
 
 def test_what_happened_before_the_handshake_is_told_after_it() -> None:
-    desk = Desk()
+    desk = Harness()
     for tick in range(5):
         desk.bench.push_event(tick, 1)
     desk.turn(ticks=100)
@@ -60,7 +60,7 @@ def test_what_happened_before_the_handshake_is_told_after_it() -> None:
 
 
 def test_another_declaration_gets_welcome_with_the_mismatch_and_no_session() -> None:
-    desk = Desk()
+    desk = Harness()
     welcome = desk.hello(link_hash=LINK_HASH ^ 1)
     assert (welcome.result, welcome.link_hash) == (Result.HASH_MISMATCH, LINK_HASH)
     (ack,) = acks_in(desk.ask(ArmMessage(3)))
@@ -68,7 +68,7 @@ def test_another_declaration_gets_welcome_with_the_mismatch_and_no_session() -> 
 
 
 def test_a_host_of_another_declaration_ends_the_session_of_the_one_before() -> None:
-    desk = open_desk()
+    desk = open_harness()
     desk.hello(link_hash=LINK_HASH ^ 1)
     assert desk.bench.ticks_since_host_frame() == NEVER
     (ack,) = acks_in(desk.ask(ArmMessage(3)))
@@ -76,13 +76,13 @@ def test_a_host_of_another_declaration_ends_the_session_of_the_one_before() -> N
 
 
 def test_welcome_carries_the_device_time() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.turn(ticks=1234)
     assert desk.hello().tick == 1234
 
 
 def test_the_age_of_the_link_counts_from_the_last_valid_frame() -> None:
-    desk = Desk()
+    desk = Harness()
     assert desk.bench.ticks_since_host_frame() == NEVER
     desk.hello()
     desk.turn(ticks=250)
@@ -94,7 +94,7 @@ def test_the_age_of_the_link_counts_from_the_last_valid_frame() -> None:
 
 
 def test_a_retry_is_answered_from_memory_and_not_executed_again() -> None:
-    desk = open_desk(lambda _id, _payload: (Result.CHECK_FAILED, 21, 1.5))
+    desk = open_harness(lambda _id, _payload: (Result.CHECK_FAILED, 21, 1.5))
     first = acks_in(desk.ask(ArmMessage(7)))
     again = acks_in(desk.ask(ArmMessage(7)))
     assert first == again
@@ -104,14 +104,14 @@ def test_a_retry_is_answered_from_memory_and_not_executed_again() -> None:
 
 
 def test_retries_that_overtake_the_answer_are_answered_once() -> None:
-    desk = open_desk()
+    desk = open_harness()
     frames = desk.turn(desk.frame(ArmMessage(7)) * 3, ticks=3)
     assert len(desk.executed) == 1
     assert len(acks_in(frames)) == 1
 
 
 def test_a_new_session_forgets_the_commands_of_the_old_one() -> None:
-    desk = open_desk()
+    desk = open_harness()
     desk.ask(ArmMessage(7))
     desk.hello(session=2)
     desk.ask(ArmMessage(7))
@@ -119,7 +119,7 @@ def test_a_new_session_forgets_the_commands_of_the_old_one() -> None:
 
 
 def test_the_same_session_that_reconnects_does_not_repeat_its_command() -> None:
-    desk = open_desk()
+    desk = open_harness()
     desk.ask(ArmMessage(7))
     desk.hello(session=1)
     desk.ask(ArmMessage(7))
@@ -127,7 +127,7 @@ def test_the_same_session_that_reconnects_does_not_repeat_its_command() -> None:
 
 
 def test_a_stop_is_executed_though_256_pings_brought_its_number_round_again() -> None:
-    desk = open_desk()
+    desk = open_harness()
     desk.ask(StopMessage(9))
     for request in range(10, 10 + 255):
         desk.turn(desk.frame(PingMessage(request % 256, 0)))
@@ -136,7 +136,7 @@ def test_a_stop_is_executed_though_256_pings_brought_its_number_round_again() ->
 
 
 def test_the_same_number_on_another_command_is_another_command() -> None:
-    desk = open_desk()
+    desk = open_harness()
     desk.ask(ParamSetMessage(9, 10, 1.0))
     desk.ask(ParamSetMessage(9, 10, 2.0))
     desk.ask(StopMessage(9))
@@ -144,7 +144,7 @@ def test_the_same_number_on_another_command_is_another_command() -> None:
 
 
 def test_one_command_at_a_time_the_second_waits_for_its_retry() -> None:
-    desk = open_desk()
+    desk = open_harness()
     frames = desk.turn(desk.frame(ArmMessage(1)) + desk.frame(LandMessage(2)), ticks=3)
     assert [ack.request for ack in acks_in(frames)] == [1]
     (ack,) = acks_in(desk.ask(LandMessage(2)))
@@ -153,7 +153,7 @@ def test_one_command_at_a_time_the_second_waits_for_its_retry() -> None:
 
 
 def test_a_stop_on_the_heels_of_another_command_is_executed_without_a_retry() -> None:
-    desk = open_desk()
+    desk = open_harness()
     frames = desk.turn(desk.frame(ArmMessage(1)) + desk.frame(StopMessage(2)) * 3, ticks=4)
     assert [message_id for message_id, _ in desk.executed] == [MessageId.ARM, MessageId.STOP]
     assert [ack.request for ack in acks_in(frames)] == [1, 2]
@@ -180,7 +180,7 @@ def test_every_acknowledged_command_took_effect_once_whatever_the_line_lost(
         done.append(value)
         return Result.OK, 0, value
 
-    desk = open_desk(execute)
+    desk = open_harness(execute)
     for number in range(12):
         message = ParamSetMessage((first_request + number) % 256, 10, float(number))
         acknowledged = False
@@ -199,7 +199,7 @@ def test_every_acknowledged_command_took_effect_once_whatever_the_line_lost(
 
 
 def test_a_setpoint_before_the_handshake_is_not_remembered() -> None:
-    desk = Desk()
+    desk = Harness()
     desk.turn(desk.frame(SetpointMessage(0, 0.1, 0.0, 0.0)))
     desk.hello()
     desk.turn(ticks=5)

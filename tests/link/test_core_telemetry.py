@@ -8,15 +8,15 @@ from heli_host.link.frames import Frame
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.channels import UNSIGNED
+from tests.channels.groups import UNSIGNED
 from tests.link import host_reference as reference
-from tests.link.core_desk import Desk, of_kind, open_desk, ramp
+from tests.link.core_harness import Harness, of_kind, open_harness, ramp
 
 BATCH = next(spec for spec in PARAMS if spec.name == "telemetry_batch_ticks")
 RING_TICKS = 64
 
 
-def turn_with_sample(desk: Desk, row: np.ndarray, received: bytes = b"") -> list[Frame]:
+def turn_with_sample(desk: Harness, row: np.ndarray, received: bytes = b"") -> list[Frame]:
     """One millisecond in which the tick logs one sample."""
     desk.bench.push_samples(desk.tick, row.reshape(1, -1))
     return desk.turn(received)
@@ -31,7 +31,7 @@ def ticks_of(frames: list[Frame]) -> list[int]:
 
 
 def test_every_tick_of_a_session_arrives_once_and_in_order() -> None:
-    desk = open_desk()
+    desk = open_harness()
     start = desk.tick
     raw = np.random.default_rng(1).integers(-100, 100, (400, len(Channel))).astype(np.int32)
     raw[:, UNSIGNED] &= 7
@@ -45,7 +45,7 @@ def test_every_tick_of_a_session_arrives_once_and_in_order() -> None:
 
 
 def test_a_batch_has_as_many_ticks_as_the_parameter_says() -> None:
-    desk = Desk(lambda _id, _payload: (Result.OK, 0, 0.0))
+    desk = Harness(lambda _id, _payload: (Result.OK, 0, 0.0))
     desk.hello()
     for count in (20, 4, 32):
         desk.bench.params.set(BATCH.index, float(count), True)
@@ -57,20 +57,20 @@ def test_a_batch_has_as_many_ticks_as_the_parameter_says() -> None:
 
 
 def test_a_gap_in_the_ticks_ends_a_batch() -> None:
-    desk = open_desk()
+    desk = open_harness()
     desk.bench.push_samples(100, ramp(7))
     desk.bench.push_samples(200, ramp(20))
     assert [(first, len(rows)) for first, rows in batches(desk.turn())] == [(100, 7), (200, 20)]
 
 
 def test_tick_numbers_may_wrap() -> None:
-    desk = open_desk()
+    desk = open_harness()
     desk.bench.push_samples(2**32 - 10, ramp(20))
     assert [(first, len(rows)) for first, rows in batches(desk.turn())] == [(2**32 - 10, 20)]
 
 
 def test_an_idle_loop_that_is_late_loses_nothing_within_the_ring() -> None:
-    desk = open_desk()
+    desk = open_harness()
     desk.bench.push_samples(0, ramp(RING_TICKS))
     frames = desk.turn()
     desk.bench.push_samples(RING_TICKS, ramp(16))
@@ -78,14 +78,14 @@ def test_an_idle_loop_that_is_late_loses_nothing_within_the_ring() -> None:
 
 
 def test_ticks_beyond_the_ring_are_lost_and_counted() -> None:
-    desk = open_desk()
+    desk = open_harness()
     desk.bench.push_samples(0, ramp(RING_TICKS + 9))
     desk.turn()
     assert desk.status().ticks_dropped == 9
 
 
 def test_a_full_line_costs_whole_batches_which_are_counted() -> None:
-    desk = open_desk()
+    desk = open_harness()
     desk.room = 0
     start = desk.tick
     frames: list[Frame] = []
@@ -104,7 +104,7 @@ def test_a_full_line_costs_whole_batches_which_are_counted() -> None:
 
 
 def test_replies_leave_before_events_and_events_before_telemetry() -> None:
-    desk = open_desk()
+    desk = open_harness()
     desk.room = 0
     desk.bench.push_event(0, 1)
     desk.bench.push_samples(0, ramp(20))
@@ -115,7 +115,7 @@ def test_replies_leave_before_events_and_events_before_telemetry() -> None:
 
 @given(st.lists(st.integers(0, 120), min_size=200, max_size=200))
 def test_the_board_never_sends_more_than_there_is_room_for(rooms: list[int]) -> None:
-    desk = open_desk()
+    desk = open_harness()
     for number, room in enumerate(rooms):
         desk.room = room  # the bench raises when more is sent
         desk.bench.push_event(desk.tick, 1)
@@ -123,13 +123,13 @@ def test_the_board_never_sends_more_than_there_is_room_for(rooms: list[int]) -> 
 
 
 def test_status_comes_once_a_second_by_itself() -> None:
-    desk = open_desk()
+    desk = open_harness()
     frames = desk.turn(ticks=5000)
     assert [payload[0] for payload in of_kind(frames, MessageId.STATUS)] == [0] * 5
 
 
 def test_of_too_many_events_the_first_sixteen_are_kept() -> None:
-    desk = open_desk()
+    desk = open_harness()
     for tick in range(30):
         desk.bench.push_event(tick, 1)
     events = of_kind(desk.turn(), MessageId.EVENT)

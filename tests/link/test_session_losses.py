@@ -13,7 +13,7 @@ from heli_host.link.events import BOARD_RESTARTED, LINK_LOST, LINK_RESTORED, LIN
 from heli_host.link.session import Session
 from heli_host.link.telemetry import Ticks
 
-from tests.channels import SIGNED
+from tests.channels.groups import SIGNED
 from tests.link.fake_board import FakeBoard, FakeLine, truth
 
 

@@ -10,7 +10,7 @@ from heli_host.link.channels import rad_per_count
 from heli_host.log.writer import LogWriter
 from numpy.typing import NDArray
 
-from tests.channels import COUNTS, SETPOINTS
+from tests.channels.groups import COUNTS, SETPOINTS
 
 PARAMETERS = {spec.name: spec.default for spec in PARAMS}
 RAD_PER_COUNT = rad_per_count(PARAMETERS)

@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 
-from tests.channels import SETPOINTS
+from tests.channels.groups import SETPOINTS
 from tests.link import host_reference as reference
 from tests.log.made import PARAMETERS, RAD_PER_COUNT, WALL_NS, make_samples, open_writer, write_made_log
 
@@ -236,7 +236,7 @@ def test_a_missing_log_is_one_line(tmp_path: Path) -> None:
 _WRITE_FOR_EVER = """
 import sys, time
 from pathlib import Path
-from tests.channels import SETPOINTS
+from tests.channels.groups import SETPOINTS
 from tests.link import host_reference as reference
 from tests.log.made import make_samples, open_writer
 tick, raw = make_samples(100_000)

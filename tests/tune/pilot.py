@@ -23,7 +23,7 @@ from heli_sim.rig import Rig
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
-from tests.channels import COUNTS, SETPOINTS, STATUS, VOLTAGES
+from tests.channels.groups import COUNTS, SETPOINTS, STATUS, VOLTAGES
 
 Floats = npt.NDArray[np.float64]
 

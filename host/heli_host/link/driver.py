@@ -36,8 +36,8 @@ class Driver:
     ----------
     transport : Transport
         The board's bytes; another one after a reconnect.
-    lock : threading.Condition
-        Held while the engine is touched; notified after every reading.
+    lock : threading.RLock
+        Held while the engine is touched.
     read_interval_s : float
         How long a port collects bytes between two readings [s].
     handshake_deadline_s : float
@@ -50,7 +50,10 @@ class Driver:
         self, transport: Transport, engine: Engine, subscribers: Subscribers, reconnect_timeout_s: float
     ) -> None:
         self.transport = transport
-        self.lock = threading.Condition(threading.RLock())
+        # A Ctrl-C that comes within Condition.__enter__, which is Python, leaves its lock held for ever; it
+        # cannot come within an RLock's, which is C. So the block is the lock's, and the condition only waits.
+        self.lock = threading.RLock()
+        self._changed = threading.Condition(self.lock)
         self.read_interval_s = READ_INTERVAL_S
         self.handshake_deadline_s = 0.0
         self.fatal: HeliError | None = None
@@ -130,7 +133,7 @@ class Driver:
                 if inline:
                     self.pump(min(step_s, left_s))
                 else:
-                    self.lock.wait(min(left_s, 0.1))
+                    self._changed.wait(min(left_s, 0.1))
         self.check()
         return True
 
@@ -176,7 +179,7 @@ class Driver:
     def _deliver(self, received: Received) -> None:
         self._subscribers.deliver(received.ticks, received.events, received.statuses)
         with self.lock:
-            self.lock.notify_all()
+            self._changed.notify_all()
 
     def _reopen(self, error: LinkLost) -> None:
         transport = self.transport
@@ -210,4 +213,4 @@ class Driver:
         with self.lock:
             if self.fatal is None:
                 self.fatal = error
-            self.lock.notify_all()
+            self._changed.notify_all()

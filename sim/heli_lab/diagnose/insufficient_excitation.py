@@ -8,11 +8,11 @@ from typing import Any, Final
 
 from heli_sim.model.base import Model
 from heli_sim.model.effects import EffectKind
+from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.diagnose.experiment_design import ExperimentDesign, next_flight
 from heli_lab.identify.free import free_parameters
-from heli_lab.identify.record import AXES
 
 _WORD: Final = "ambiguous"
 """Without a flight that could tell, nothing missing and every effect do equally well."""

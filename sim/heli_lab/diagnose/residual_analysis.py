@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.model_comparison import Hypothesis
 from heli_lab.diagnose.noise_model import DisturbanceModel, InnovationsFilter
 from heli_lab.diagnose.screening import Scored, Screening
 from heli_lab.diagnose.whiteness import Dependence, dependences, one_axis
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.record import AXES
 
 _CORRELATE_SHARE: Final = 0.3
 """A quantity is named when its pattern gains this share of the best one's."""

@@ -128,7 +128,7 @@ def _candidate(kind: EffectKind, model: Model, known: set[str]) -> bool:
     """Whether an effect is searched for; numbers of the rig that vanish are seen in the fit itself."""
     if not kind.suits(model) or kind.id in known or kind.noise_inputs:
         return False
-    return not kind.baseline or (not kind.held and model.name != "multibody")
+    return not kind.baseline or (not kind.override and model.name != "multibody")
 
 
 def _next(

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from heli_sim.model.parts import AXES
+
 from heli_lab.diagnose.error_reduction import ErrorReduction
 from heli_lab.diagnose.model_comparison import Errors
 from heli_lab.diagnose.residual_analysis import correlates
 from heli_lab.diagnose.verdict import CONFIDENCE_BESIDE_UNKNOWN, CONFIDENCE_CHANCE, ambiguous_with, confidence
 from heli_lab.identify import check
-from heli_lab.identify.record import AXES
 
 if TYPE_CHECKING:
     from heli_lab.diagnose.result import Diagnosis
@@ -58,7 +59,7 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
                 "effect": id_,
                 "parameters": _spelled(found.random_torque),
                 "confidence": CONFIDENCE_CHANCE,
-                "sentence": found.kinds[id_].sentence(
+                "sentence": found.kinds[id_].describe(
                     {key: value for key, (value, _, _) in found.random_torque.items()},
                     {key: std for key, (_, std, _) in found.random_torque.items()},
                 ),
@@ -79,7 +80,7 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
                 "effect": term.id,
                 "parameters": _spelled({name: (term.share, term.std, "1")}),
                 "confidence": round(term.confidence * beside, 3),
-                "sentence": kind.sentence({name: term.share}, {name: term.std}),
+                "sentence": kind.describe({name: term.share}, {name: term.std}),
                 "equation": kind.equation,
                 "evidence": {
                     "standard_errors_from_nothing": term.from_nothing,

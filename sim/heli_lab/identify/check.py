@@ -8,11 +8,12 @@ from typing import Final
 
 import numpy as np
 from heli_host.flight import Flight
+from heli_sim.model.parts import AXES
 
 from heli_lab.identify.free import PER_FLIGHT
 from heli_lab.identify.functions import Floats
 from heli_lab.identify.problem import Problem
-from heli_lab.identify.record import AXES, Record
+from heli_lab.identify.record import Record
 from heli_lab.identify.residual_noise import correlation_at, normalised
 from heli_lab.identify.solve import Fit, solve
 

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from heli_host.flight import Flight
 from heli_sim.model.base import Model
+from heli_sim.model.parts import AXES
 from heli_sim.rig import Prior, Rig
 
 from heli_lab.errors import IdentifyError
@@ -19,7 +20,7 @@ from heli_lab.identify.free import PER_FLIGHT, FreeParameter, free_parameters
 from heli_lab.identify.functions import Floats
 from heli_lab.identify.grid import Grid, make_grid, window_starts
 from heli_lab.identify.kernel import kernel
-from heli_lab.identify.record import AXES, Record, prepare
+from heli_lab.identify.record import Record, prepare
 
 _STATE_FIT_S: Final = 0.15
 _SHORT_FIT_S: Final = 0.05
@@ -342,7 +343,7 @@ class Problem:
         if self.state_count == 6:
             return states
         states[:, 6:] = self._led_in(index, rows, states, theta)
-        shown = {state: axis for effect in self.model.effects for state, axis in effect.shown.items()}
+        shown = {state: axis for effect in self.model.effects for state, axis in effect.measured_as.items()}
         for place, state in enumerate(self.model.states):
             if state.name in shown:
                 states[:, place] = record.angles_rad[rows, AXES.index(shown[state.name])]
@@ -380,7 +381,7 @@ class Problem:
             zip((q.name for q in self.model.parameters), self.parameters(theta, index), strict=True)
         )
         sides = []
-        for side in (side for effect in self.model.effects for side in effect.sides(values)):
+        for side in (side for effect in self.model.effects for side in effect.alternative_starts(values)):
             shifted = self.states_at(index, self._starts(index, theta), theta)
             for name, shift in side.items():
                 shifted[:, places[name]] += shift

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+from heli_sim.model.parts import AXES
+
 from heli_lab.identify.check import Check
 from heli_lab.identify.figures import figure_of_correlations, figure_of_flight, figure_of_parameters
-from heli_lab.identify.record import AXES
 from heli_lab.identify.result import Identification, rounded
 from heli_lab.identify.uncertainty import Combination
 from heli_lab.page import escaped, folder_with, image, table

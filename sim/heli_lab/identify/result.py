@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from heli_sim.model.parts import AXES
 from heli_sim.rig import Number, Rig
 
 from heli_lab.identify.check import Check, Trace
-from heli_lab.identify.record import AXES
 from heli_lab.identify.solve import Fit
 from heli_lab.identify.uncertainty import Combination, combinations, uninformed_parameters
 

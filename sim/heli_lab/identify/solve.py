@@ -421,7 +421,7 @@ def solve(
         )
     rounds = _ROUNDS
     converged = True
-    searched = {name for effect in problem.model.effects for name in effect.searched}
+    searched = {name for effect in problem.model.effects for name in effect.multimodal}
     for number in range(rounds):
         # Beside sizes that are still wrong, a frequency or a moment would run away.
         solver.held[:] = [number < _ROUGH and one.quantity in searched for one in problem.free]

@@ -1,4 +1,4 @@
-"""The flight code on a desk: encoders, clock and serial line in the test's hands."""
+"""The flight code with encoders, clock and serial line in the test's hands."""
 
 from __future__ import annotations
 
@@ -7,22 +7,38 @@ from typing import Any
 
 from heli_host import declaration as d
 from heli_host.link.frames import Frame, FrameParser, encode_frame
-from heli_sim._native import control
+from heli_test_native import flight
 
 REST_DEG = -25.0
+DUTY_FULL = 2100
+"""Of the Due."""
+PAGE_BYTES = 256
+"""Of the Due."""
 
 
-class Desk:
+class Harness:
     """A board that has just been powered with the arm on the table.
 
     Parameters
     ----------
     session : bool
         Open a session (hello) at once.
+    law : flight.ToldLaw, optional
+        What the core flies; the law that boards fly if None.
+    duty_full : int
+        Duty of the board's full voltage.
+    page_bytes : int
+        Length of a page of the board's flash.
     """
 
-    def __init__(self, session: bool = True) -> None:
-        self.core = control.Desk()
+    def __init__(
+        self,
+        session: bool = True,
+        law: flight.ToldLaw | None = None,
+        duty_full: int = DUTY_FULL,
+        page_bytes: int = PAGE_BYTES,
+    ) -> None:
+        self.core = flight.Harness(law, duty_full, page_bytes)
         self.parser = FrameParser()
         self.sequence = 0
         self.request = 0

@@ -1,55 +1,36 @@
-// The control law, the excitation, the state table and a whole core on a desk, for the tests.
+// The control law and the excitation, piece by piece.
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
-#include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <optional>
-#include <stdexcept>
 #include <tuple>
-#include <utility>
 #include <vector>
 
 #include "bindings.hpp"
 #include "control/cascade.hpp"
-#include "control/constants.hpp"
 #include "control/excitation.hpp"
 #include "control/fixed.hpp"
 #include "control/math.hpp"
 #include "control/mixer.hpp"
 #include "control/rate_filter.hpp"
-#include "core.hpp"
-#include "flight/setpoints.hpp"
-#include "flight/state_table.hpp"
-#include "native_board.hpp"
-#include "params/params.hpp"
+#include "convert.hpp"
 
 namespace nb = nanobind;
 
 namespace {
 
 using heli::control::Quantity;
-using Triple = std::array<float, heli::kAxisCount>;
-using ParamValues = std::vector<std::tuple<int, float>>;
+using heli_test::ParamValues;
+using heli_test::Triple;
 
-heli::params::Params params_from(const ParamValues& values) {
-  heli::params::Params params;
-  for (const auto& [index, value] : values) {
-    if (params.set(static_cast<heli::link::Param>(index), value, true) != heli::link::Result::ok) {
-      throw std::invalid_argument("parameter refused");
-    }
-  }
-  return params;
-}
-
+// The cascade by itself.
 class Law {
  public:
-  explicit Law(const ParamValues& values)
-      : constants_(heli::control::constants_of(params_from(values))) {}
+  explicit Law(const ParamValues& values) { law_.derive(heli_test::params_from(values), kBank); }
 
   auto update(const Triple& angle_rad, const Triple& rate_rad_s, const Triple& setpoint_rad,
               const Triple& setpoint_rate_rad_s, const Triple& setpoint_acceleration_rad_s2,
@@ -68,46 +49,16 @@ class Law {
     in.open_back_V = Quantity::of(open_V[1]);
     in.excitation_front_V = Quantity::of(excitation_V[0]);
     in.excitation_back_V = Quantity::of(excitation_V[1]);
-    const heli::control::ControlOutput out = law_.update(in, constants_);
+    const heli::control::ControlOutput out = law_.update(in, kBank);
     return std::make_tuple(out.front_V.to_float(), out.back_V.to_float(),
                            out.pitch_setpoint_rad.to_float(), out.front_saturated,
                            out.back_saturated, out.pitch_limited);
   }
 
  private:
-  heli::control::Constants constants_;
+  static constexpr heli::control::Bank kBank = 0;
+
   heli::control::Cascade law_;
-};
-
-// Setpoints as the supervisor lets them advance, one tick at a time.
-class Shaper {
- public:
-  explicit Shaper(const ParamValues& values)
-      : limits_(heli::flight::setpoint_limits_of(params_from(values))) {
-    setpoints_.start_at({});
-  }
-
-  bool aim(const Triple& target_rad, std::uint32_t ahead_ticks) {
-    const Quantity target[heli::kAxisCount] = {
-        Quantity::of(target_rad[0]), Quantity::of(target_rad[1]), Quantity::of(target_rad[2])};
-    return setpoints_.aim(target, ahead_ticks, 0, limits_);
-  }
-
-  // Angle, rate and acceleration of each axis.
-  std::array<Triple, heli::kAxisCount> advance() {
-    setpoints_.advance(limits_);
-    std::array<Triple, heli::kAxisCount> out{};
-    for (std::size_t axis = 0; axis < heli::kAxisCount; ++axis) {
-      const heli::flight::Setpoint s = setpoints_.of(axis);
-      out[axis] = {s.angle_rad.to_float(), s.rate_rad_s.to_float(),
-                   s.acceleration_rad_s2.to_float()};
-    }
-    return out;
-  }
-
- private:
-  heli::flight::SetpointLimits limits_;
-  heli::flight::Setpoints setpoints_;
 };
 
 nb::ndarray<nb::numpy, float, nb::ndim<2>> excitation(std::uint8_t kind, float front_V,
@@ -134,53 +85,6 @@ nb::ndarray<nb::numpy, float, nb::ndim<2>> excitation(std::uint8_t kind, float f
   return {values, {ticks, 2}, owner};
 }
 
-// The flight code with its encoders, stop input and serial bytes in the test's hands.
-class Desk {
- public:
-  Desk() : core_(board_) { core_.start(); }
-
-  void tick(std::size_t count, bool late) {
-    for (std::size_t i = 0; i < count; ++i) {
-      core_.tick({100, late});
-      core_.poll();
-    }
-  }
-
-  void encoders(const std::array<std::int32_t, 3>& counts,
-                const std::array<std::uint16_t, 3>& illegal) {
-    for (std::size_t axis = 0; axis < heli::kAxisCount; ++axis) {
-      board_.encoders.count[axis] = counts[axis];
-      board_.encoders.illegal[axis] = illegal[axis];
-    }
-  }
-
-  void receive(const nb::bytes& bytes) {
-    const auto* data = reinterpret_cast<const std::uint8_t*>(bytes.data());
-    for (std::size_t i = 0; i < bytes.size(); ++i) {
-      board_.rx.push(data[i]);
-    }
-  }
-
-  nb::bytes sent() {
-    std::vector<char> bytes;
-    while (!board_.tx.empty()) {
-      bytes.push_back(static_cast<char>(board_.tx.pop()));
-    }
-    return nb::bytes(bytes.data(), bytes.size());
-  }
-
-  std::tuple<int, int, bool> motors() const {
-    return {board_.motors.front_duty, board_.motors.back_duty, board_.motors.enable};
-  }
-
-  int state() const { return static_cast<int>(core_.state()); }
-  void stop_input(bool active) { board_.stop_input = active; }
-
- private:
-  heli_sim::MemoryBoard board_;
-  heli::Core core_;
-};
-
 }  // namespace
 
 void bind_control(nb::module_& module) {
@@ -191,10 +95,6 @@ void bind_control(nb::module_& module) {
            nb::arg("setpoint_rad"), nb::arg("setpoint_rate_rad_s"),
            nb::arg("setpoint_acceleration_rad_s2"), nb::arg("axes"), nb::arg("open_V"),
            nb::arg("excitation_V"));
-  nb::class_<Shaper>(m, "Shaper")
-      .def(nb::init<const ParamValues&>(), nb::arg("params"))
-      .def("aim", &Shaper::aim, nb::arg("target_rad"), nb::arg("ahead_ticks"))
-      .def("advance", &Shaper::advance);
   nb::class_<heli::control::RateFilter>(m, "RateFilter")
       .def(nb::init<>())
       .def(
@@ -251,24 +151,4 @@ void bind_control(nb::module_& module) {
   m.def("excitation", &excitation, nb::arg("kind"), nb::arg("front_V"), nb::arg("back_V"),
         nb::arg("start_Hz"), nb::arg("stop_Hz"), nb::arg("duration_s"), nb::arg("seed"),
         nb::arg("ticks"));
-  m.def(
-      "next_state",
-      [](int state, int trigger) -> std::optional<int> {
-        const std::uint8_t next = heli::flight::next_state(
-            static_cast<heli::link::State>(state), static_cast<heli::link::Trigger>(trigger));
-        if (next == heli::flight::kRefused) {
-          return std::nullopt;
-        }
-        return next;
-      },
-      nb::arg("state"), nb::arg("trigger"));
-  nb::class_<Desk>(m, "Desk")
-      .def(nb::init<>())
-      .def("tick", &Desk::tick, nb::arg("count") = 1, nb::arg("late") = false)
-      .def("encoders", &Desk::encoders, nb::arg("counts"), nb::arg("illegal"))
-      .def("receive", &Desk::receive, nb::arg("bytes"))
-      .def("sent", &Desk::sent)
-      .def("motors", &Desk::motors)
-      .def("stop_input", &Desk::stop_input, nb::arg("active"))
-      .def_prop_ro("state", &Desk::state);
 }

@@ -1,9 +1,6 @@
-// What the tick needs of the parameters, converted once for each change of one.
+// What the cascade needs of the parameters, worked out once for each change of one.
 #pragma once
 
-#include <cstdint>
-
-#include "board.hpp"
 #include "control/fixed.hpp"
 #include "control/mixer.hpp"
 #include "control/pid.hpp"
@@ -11,12 +8,7 @@
 
 namespace heli::control {
 
-struct Constants {
-  PerCount rad_per_count[kAxisCount];
-  std::int32_t count_sign[kAxisCount] = {};
-  std::int32_t elevation_rest_counts = 0;
-  Share smoothing[kAxisCount];
-
+struct CascadeConstants {
   PidGains elevation;
   PidGains pitch;
   PidGains travel;  // output is the pitch setpoint in rad
@@ -35,13 +27,9 @@ struct Constants {
   MixerLimits mixer;
   Quantity motor_min_V;
   Quantity motor_max_V;
-  Gain front_duty_per_V;  // signed
-  Gain back_duty_per_V;
-  Share front_V_per_duty;
-  Share back_V_per_duty;
 };
 
 // Uses floats, divisions and exponentials: idle loop only.
-Constants constants_of(const params::Params& params);
+CascadeConstants cascade_constants_of(const params::Params& params);
 
 }  // namespace heli::control

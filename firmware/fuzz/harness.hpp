@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "board.hpp"
-#include "core.hpp"
+#include "flight_code.hpp"
 #include "link/bytes.hpp"
 #include "link/cobs.hpp"
 #include "link/crc32.hpp"
@@ -18,6 +18,8 @@
 #include "link/frame_writer.hpp"
 
 namespace heli_fuzz {
+
+using heli::link::State;
 
 // The fuzzer keeps the input that got here.
 inline void require(bool claim, const char* text) {
@@ -135,10 +137,15 @@ class Auditor {
 
 class FuzzBoard final : public heli::Board {
  public:
+  // No board's: what the flight code takes for granted of one shows here.
+  static constexpr std::int16_t kDutyFull = 1000;
+  static constexpr std::size_t kPageBytes = 512;
+
   FuzzBoard() {
     for (auto& page : pages) page.fill(0xff);
   }
 
+  std::int16_t duty_full() override { return kDutyFull; }
   heli::EncoderReading read_encoders() override { return encoders; }
   void write_motors(const heli::MotorCommand& command) override { motors = command; }
   bool hardware_stop() override { return stop_input; }
@@ -163,12 +170,15 @@ class FuzzBoard final : public heli::Board {
     for (std::size_t i = 0; i < count; ++i) auditor.put(bytes[i]);
   }
 
-  void read_page(std::size_t page, std::uint8_t* to) override {
-    for (std::size_t i = 0; i < kPageBytes; ++i) to[i] = pages.at(page)[i];
+  void read_page(std::size_t page, std::uint8_t* to, std::size_t count) override {
+    require(count <= kPageBytes, "no more is read than a page has");
+    for (std::size_t i = 0; i < count; ++i) to[i] = pages.at(page)[i];
   }
-  bool write_page(std::size_t page, const std::uint8_t* from) override {
+  bool write_page(std::size_t page, const std::uint8_t* from, std::size_t count) override {
     require(!motors.enable, "flash is written only while the motors are off");
-    for (std::size_t i = 0; i < kPageBytes; ++i) pages.at(page)[i] = from[i];
+    require(count <= kPageBytes, "no more is written than a page takes");
+    pages.at(page).fill(0xff);
+    for (std::size_t i = 0; i < count; ++i) pages.at(page)[i] = from[i];
     return true;
   }
   heli::BootReport boot_report() override { return {0, 0, 0, 1}; }
@@ -186,27 +196,27 @@ class FuzzBoard final : public heli::Board {
 };
 
 // The flight code on that board, and what must hold after every tick.
-class Desk {
+class Harness {
  public:
   static constexpr std::size_t kLineBytes = 25;  // a millisecond at 250 kbaud
 
-  Desk() { boot(); }
+  Harness() { boot(); }
 
   // As after a reset: the flash stays, the rest is new.
   void boot() {
     board.motors = {};
     board.forget_received();
     board.auditor = {};
-    core.emplace(board);
-    core->start();
+    code.emplace(board);
+    code->core.start();
   }
 
   // One millisecond; the idle loop may be too busy to turn.
   void tick(bool poll = true) {
-    core->tick();
+    code->core.tick();
     audit_motors();
     board.room = board.room + kLineBytes < kMostRoom ? board.room + kLineBytes : kMostRoom;
-    if (poll) core->poll();
+    if (poll) code->core.poll();
   }
 
   void send(std::uint8_t id, const std::vector<std::uint8_t>& payload) {
@@ -228,8 +238,10 @@ class Desk {
     require(!board.motors.enable, "without a host the motors are off in the end");
   }
 
+  State state() const { return code->core.state(); }
+
   FuzzBoard board;
-  std::optional<heli::Core> core;
+  std::optional<heli::FlightCode> code;
   heli::link::FrameWriter writer;
 
  private:
@@ -238,16 +250,15 @@ class Desk {
   static constexpr std::size_t kLongestDescent_ticks = 120000;
 
   void audit_motors() const {
-    using heli::link::State;
     const heli::MotorCommand& m = board.motors;
-    const State state = core->state();
-    require(m.front_duty >= -heli::kDutyFull && m.front_duty <= heli::kDutyFull &&
-                m.back_duty >= -heli::kDutyFull && m.back_duty <= heli::kDutyFull,
+    constexpr std::int16_t kFull = FuzzBoard::kDutyFull;
+    require(m.front_duty >= -kFull && m.front_duty <= kFull && m.back_duty >= -kFull &&
+                m.back_duty <= kFull,
             "a duty is at most full");
-    if (state == State::idle || state == State::fault) {
+    if (state() == State::idle || state() == State::fault) {
       require(!m.enable, "in idle and fault the drivers are off");
     }
-    if (state == State::armed) {
+    if (state() == State::armed) {
       require(m.front_duty == 0 && m.back_duty == 0, "armed motors have no voltage");
     }
     if (board.stop_input) require(!m.enable, "the hardware stop keeps the drivers off");

@@ -1,15 +1,11 @@
-// The board's end of the link, its parameters and their flash for Python: for tests only.
+// The board's end of the link, its parameters and their flash.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
-#include <nanobind/stl/pair.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
-#include <array>
-#include <cstring>
-#include <deque>
 #include <optional>
 #include <stdexcept>
 #include <tuple>
@@ -17,6 +13,8 @@
 #include <vector>
 
 #include "bindings.hpp"
+#include "convert.hpp"
+#include "harness_board.hpp"
 #include "link/cobs.hpp"
 #include "link/crc32.hpp"
 #include "link/frame_writer.hpp"
@@ -31,7 +29,6 @@ using namespace nb::literals;
 
 namespace {
 
-using heli::Board;
 using heli::link::FrameWriter;
 using heli::link::kChannelCount;
 using heli::link::Link;
@@ -41,96 +38,39 @@ using heli::link::Request;
 using heli::link::Sample;
 using heli::params::Params;
 using heli::params::Store;
+using heli_test::Bytes;
+using heli_test::data_of;
+using heli_test::HarnessBoard;
+using heli_test::to_python;
 
-using Bytes = std::vector<std::uint8_t>;
 using RawTicks =
     nb::ndarray<const std::int32_t, nb::shape<-1, kChannelCount>, nb::c_contig, nb::device::cpu>;
 
-const std::uint8_t* data_of(const nb::bytes& from) {
-  return reinterpret_cast<const std::uint8_t*>(from.c_str());
-}
-
 Bytes copy_of(const nb::bytes& from) { return {data_of(from), data_of(from) + from.size()}; }
 
-nb::bytes to_python(const std::uint8_t* from, std::size_t count) {
-  return nb::bytes(reinterpret_cast<const char*>(from), count);
-}
-
-nb::bytes to_python(const Bytes& from) { return to_python(from.data(), from.size()); }
-
-// Memory in place of a Due. Its flash erases a page byte by byte and then writes it byte by byte;
-// power may fail at any of these steps, after which nothing more changes.
-class BenchBoard final : public Board {
- public:
-  static constexpr std::size_t kPages = 2;
-
-  BenchBoard() {
-    for (auto& page : pages) page.fill(0xff);
-  }
-
-  heli::EncoderReading read_encoders() override { return {}; }
-  void write_motors(const heli::MotorCommand&) override {}
-  bool hardware_stop() override { return false; }
-
-  std::size_t receive(std::uint8_t* to, std::size_t most) override {
-    const std::size_t count = std::min(most, received.size());
-    std::copy_n(received.begin(), count, to);
-    received.erase(received.begin(), received.begin() + static_cast<std::ptrdiff_t>(count));
-    return count;
-  }
-  std::size_t transmit_free() override { return room; }
-  void transmit(const std::uint8_t* bytes, std::size_t count) override {
-    if (count > room) throw std::logic_error("more bytes sent than transmit_free() allowed");
-    sent.insert(sent.end(), bytes, bytes + count);
-    room -= count;
-  }
-
-  void read_page(std::size_t page, std::uint8_t* to) override {
-    std::copy(pages[page].begin(), pages[page].end(), to);
-  }
-  bool write_page(std::size_t page, const std::uint8_t* from) override {
-    for (std::uint8_t& byte : pages[page]) step(byte, 0xff);
-    for (std::size_t i = 0; i < kPageBytes; ++i) step(pages[page][i], from[i]);
-    return true;
-  }
-
-  heli::BootReport boot_report() override { return boot; }
-
-  std::array<std::array<std::uint8_t, kPageBytes>, kPages> pages;
-  std::deque<std::uint8_t> received;
-  Bytes sent;
-  std::size_t room = 4096;
-  std::optional<std::size_t> steps_left;
-  heli::BootReport boot{};
-
- private:
-  void step(std::uint8_t& byte, std::uint8_t value) {
-    if (steps_left == 0U) return;
-    if (steps_left) --*steps_left;
-    byte = value;
-  }
-};
-
 // Link, parameters and store on one board. Python plays the control tick.
-class Bench {
+class LinkHarness {
  public:
-  Bench() : store(board), link(board, params, store) { store.load(params); }
+  LinkHarness(std::int16_t duty_full, std::size_t page_bytes)
+      : board(duty_full, page_bytes), store(board), link(board, params, store) {
+    store.load(params);
+  }
 
-  BenchBoard board;
+  HarnessBoard board;
   Params params;
   Store store;
   Link link;
 };
 
-std::optional<std::tuple<int, nb::bytes>> take_request(const Bench& bench) {
-  const Request* request = bench.link.take_request();
+std::optional<std::tuple<int, nb::bytes>> take_request(const LinkHarness& harness) {
+  const Request* request = harness.link.take_request();
   if (request == nullptr) return std::nullopt;
   return std::tuple(static_cast<int>(request->id), to_python(request->payload, request->size));
 }
 
-std::optional<std::tuple<int, nb::bytes>> take_stream(Bench& bench) {
+std::optional<std::tuple<int, nb::bytes>> take_stream(LinkHarness& harness) {
   heli::link::StreamValue value;
-  if (!bench.link.take_stream(value)) return std::nullopt;
+  if (!harness.link.take_stream(value)) return std::nullopt;
   const bool setpoint = value.id == heli::link::MessageId::setpoint;
   Bytes payload(setpoint ? value.setpoint.kSize : value.voltages.kSize);
   if (setpoint) {
@@ -224,23 +164,18 @@ void bind_codec(nb::module_& m) {
 }
 
 void bind_params(nb::module_& m) {
-  nb::class_<BenchBoard>(m, "Board")
-      .def(nb::init<>())
+  nb::class_<HarnessBoard>(m, "Board")
+      .def(nb::init<std::int16_t, std::size_t>(), "duty_full"_a, "page_bytes"_a)
       .def_prop_rw(
-          "flash",
-          [](const BenchBoard& board) {
-            Bytes all;
-            for (const auto& page : board.pages) all.insert(all.end(), page.begin(), page.end());
-            return to_python(all);
-          },
-          [](BenchBoard& board, const nb::bytes& all) {
-            if (all.size() != BenchBoard::kPages * Board::kPageBytes) {
-              throw nb::value_error("two pages of 256 bytes");
+          "flash", [](const HarnessBoard& board) { return to_python(board.flash); },
+          [](HarnessBoard& board, const nb::bytes& all) {
+            if (all.size() != board.flash.size()) {
+              throw nb::value_error("the flash is two pages long");
             }
-            std::memcpy(board.pages.data(), all.c_str(), all.size());
+            board.flash = copy_of(all);
           },
           "Both pages one after the other.")
-      .def_rw("steps_left", &BenchBoard::steps_left, nb::arg().none(),
+      .def_rw("steps_left", &HarnessBoard::steps_left, nb::arg().none(),
               "Bytes that may still be erased or written before power fails; None: it never does.");
   nb::class_<Params>(m, "Params")
       .def(nb::init<>())
@@ -260,77 +195,77 @@ void bind_params(nb::module_& m) {
       .def_prop_ro("revision", &Params::revision);
   nb::class_<Store>(m, "Store")
       .def(
-          "__init__", [](Store* store, BenchBoard& board) { new (store) Store(board); }, "board"_a,
-          nb::keep_alive<1, 2>())
+          "__init__", [](Store* store, HarnessBoard& board) { new (store) Store(board); },
+          "board"_a, nb::keep_alive<1, 2>())
       .def("load", [](Store& s, Params& p) { return static_cast<int>(s.load(p)); })
       .def("save", &Store::save)
       .def_prop_ro("source", [](const Store& s) { return static_cast<int>(s.source()); })
       .def_prop_ro("generation", &Store::generation);
 }
 
-void bind_bench(nb::module_& m) {
-  nb::class_<Bench>(m, "Bench")
-      .def(nb::init<>())
-      .def_ro("board", &Bench::board)
-      .def_ro("params", &Bench::params)
-      .def_ro("store", &Bench::store)
+void bind_harness(nb::module_& m) {
+  nb::class_<LinkHarness>(m, "Harness")
+      .def(nb::init<std::int16_t, std::size_t>(), "duty_full"_a, "page_bytes"_a)
+      .def_ro("board", &LinkHarness::board)
+      .def_ro("params", &LinkHarness::params)
+      .def_ro("store", &LinkHarness::store)
       .def(
           "receive",
-          [](Bench& b, const nb::bytes& data) {
-            b.board.received.insert(b.board.received.end(), data_of(data),
+          [](LinkHarness& h, const nb::bytes& data) {
+            h.board.received.insert(h.board.received.end(), data_of(data),
                                     data_of(data) + data.size());
           },
           "data"_a, "Bytes that the next poll will find.")
-      .def("poll", [](Bench& b) { b.link.poll(); })
+      .def("poll", [](LinkHarness& h) { h.link.poll(); })
       .def(
           "sent",
-          [](Bench& b) {
-            const Bytes all = std::exchange(b.board.sent, {});
+          [](LinkHarness& h) {
+            const Bytes all = std::exchange(h.board.sent, {});
             return to_python(all);
           },
           "Bytes transmitted since the last call.")
       .def_prop_rw(
-          "room", [](const Bench& b) { return b.board.room; },
-          [](Bench& b, std::size_t room) { b.board.room = room; },
+          "room", [](const LinkHarness& h) { return h.board.room; },
+          [](LinkHarness& h, std::size_t room) { h.board.room = room; },
           "Bytes that the transmitter still takes.")
-      .def("begin_tick", [](Bench& b, std::uint32_t tick) { b.link.begin_tick(tick); })
+      .def("begin_tick", [](LinkHarness& h, std::uint32_t tick) { h.link.begin_tick(tick); })
       .def("take_request", &take_request, "(message id, payload) or None.")
       .def(
           "answer",
-          [](Bench& b, int result, std::uint8_t detail, float value) {
-            b.link.answer({static_cast<heli::link::Result>(result), detail, value});
+          [](LinkHarness& h, int result, std::uint8_t detail, float value) {
+            h.link.answer({static_cast<heli::link::Result>(result), detail, value});
           },
           "result"_a = 0, "detail"_a = 0, "value"_a = 0.0F)
       .def("take_stream", &take_stream, "(message id, payload) or None.")
       .def(
           "push_samples",
-          [](Bench& b, std::uint32_t first_tick, const RawTicks& raw) {
-            for (const Sample& sample : samples_of(first_tick, raw)) b.link.push_sample(sample);
+          [](LinkHarness& h, std::uint32_t first_tick, const RawTicks& raw) {
+            for (const Sample& sample : samples_of(first_tick, raw)) h.link.push_sample(sample);
           },
           "first_tick"_a, "raw"_a)
       .def(
           "push_event",
-          [](Bench& b, std::uint32_t tick, std::uint8_t kind) {
-            b.link.push_event({tick, kind, 0, 0, 0.0F});
+          [](LinkHarness& h, std::uint32_t tick, std::uint8_t kind) {
+            h.link.push_event({tick, kind, 0, 0, 0.0F});
           },
           "tick"_a, "kind"_a)
       .def(
           "publish",
-          [](Bench& b, std::uint32_t overruns) {
+          [](LinkHarness& h, std::uint32_t overruns) {
             heli::link::TickCounters counters;
             counters.overruns = overruns;
-            b.link.publish(counters);
+            h.link.publish(counters);
           },
           "overruns"_a)
       .def("ticks_since_host_frame",
-           [](const Bench& b) { return b.link.ticks_since_host_frame(); });
+           [](const LinkHarness& h) { return h.link.ticks_since_host_frame(); });
 }
 
 }  // namespace
 
 void bind_link(nb::module_& module) {
-  nb::module_ m = module.def_submodule("link", "The board's end of the link, for tests.");
+  nb::module_ m = module.def_submodule("link", "The board's end of the link.");
   bind_codec(m);
   bind_params(m);
-  bind_bench(m);
+  bind_harness(m);
 }

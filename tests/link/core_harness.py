@@ -1,4 +1,4 @@
-"""A desk for the board's end of the link: Python plays both the host and the control tick."""
+"""The board's end of the link by itself: Python plays both the host and the control tick."""
 
 from __future__ import annotations
 
@@ -19,7 +19,11 @@ from heli_host.declaration import (
     WelcomeMessage,
 )
 from heli_host.link.frames import Frame, FrameParser, encode_frame
-from heli_sim._native import link as core_link
+from heli_test_native import link as core_link
+
+# Numbers of the Due.
+DUTY_FULL = 2100
+PAGE_BYTES = 256
 
 # The generated classes of all messages that the host sends; of these the streams and the commands.
 TO_BOARD: list[Any] = [
@@ -45,11 +49,11 @@ def always_ok(_message_id: int, _payload: bytes) -> tuple[int, int, float]:
     return int(Result.OK), 0, 0.0
 
 
-class Desk:
+class Harness:
     """One board, its host and its tick; `turn` lets a millisecond pass."""
 
     def __init__(self, execute: Execute = always_ok) -> None:
-        self.bench = core_link.Bench()
+        self.bench = core_link.Harness(DUTY_FULL, PAGE_BYTES)
         self.execute = execute
         self.tick = 0
         self.room = 4096  # bytes that the transmitter takes in a millisecond
@@ -107,11 +111,11 @@ def named(value: object) -> str | None:
     return value.ID.name.lower() if isinstance(value, type) and hasattr(value, "ID") else None
 
 
-def open_desk(execute: Execute = always_ok, session: int = 1) -> Desk:
-    """A desk on which the handshake has been made."""
-    desk = Desk(execute)
-    assert desk.hello(session).result == Result.OK
-    return desk
+def open_harness(execute: Execute = always_ok, session: int = 1) -> Harness:
+    """One on which the handshake has been made."""
+    harness = Harness(execute)
+    assert harness.hello(session).result == Result.OK
+    return harness
 
 
 def of_kind(frames: list[Frame], message_id: MessageId) -> list[bytes]:

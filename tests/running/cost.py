@@ -1,0 +1,191 @@
+"""What tests cost in CPU time, and the bound that makes a dear one say so.
+
+A test is charged what it would cost alone: its own set-up and call, and the making of every fixture that it
+shares and of everything `kept` that it takes, whichever test they were made for. So no test passes because
+another one went first. CPU time is that of this process and of the children it has waited for; a test that
+waits costs nothing.
+
+The same work takes up to three times the CPU time on a machine that is busy with other things. So a test that
+seems too dear is measured against the machine: a fixed piece of work that takes `UNHURRIED_S` where nothing
+else runs is timed right after it, and the charge is divided by how much longer that took.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Generator
+from typing import Any, Final
+
+import pytest
+
+from tests.running.clock import spent_s
+from tests.running.kept import KEPT
+
+DEAR: Final = ("slow", "emulated", "documents", "diagnosis")
+"""Markers that allow a test to cost more than the bound; `make quick` leaves them out."""
+UNHURRIED_S: Final = 0.0064
+"""CPU time of `_work` on an idle core of the machine that the bound was set on, Python 3.11."""
+COSTS_KEY: Final = "heli/cpu_s"
+"""Where pytest's cache keeps what each test cost when it ran last."""
+
+
+def slowness() -> float:
+    """How many times longer than on an idle machine the same work takes now; at least 1."""
+    return max(1.0, statistics.median(_work() for _ in range(9)) / UNHURRIED_S)
+
+
+def _work() -> float:
+    start_s = time.thread_time()
+    value = 0
+    for i in range(100_000):
+        value = (value * 31 + i) % 1_000_003
+    return time.thread_time() - start_s
+
+
+class Costs:
+    """Measures the tests of one process.
+
+    Parameters
+    ----------
+    limit_s : float
+        Most CPU time of a test that has none of the markers `DEAR`.
+    """
+
+    def __init__(self, limit_s: float) -> None:
+        self.limit_s = limit_s
+        self._shared: dict[tuple[str, str], float] = {}
+        self._within: list[float] = [0.0]
+        self._phase_s: dict[str, float] = {}
+        self._own_s = 0.0
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(
+        self, fixturedef: pytest.FixtureDef[Any], request: pytest.FixtureRequest
+    ) -> Generator[None, Any, Any]:
+        self._within.append(0.0)
+        start_s = KEPT.charged_s()
+        try:
+            return (yield)
+        finally:
+            # What other fixtures took that this one asked for within its body is theirs.
+            all_s, others_s = KEPT.charged_s() - start_s, self._within.pop()
+            apart_s = others_s
+            if fixturedef.scope != "function":
+                self._shared[fixturedef.argname, fixturedef.baseid] = all_s - others_s
+                apart_s = all_s
+            self._within[-1] += apart_s
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_setup(self) -> Generator[None, Any, Any]:
+        self._own_s = 0.0
+        return (yield from self._phase("setup"))
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_call(self) -> Generator[None, Any, Any]:
+        return (yield from self._phase("call"))
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_teardown(self) -> Generator[None, Any, Any]:
+        return (yield from self._phase("teardown"))
+
+    def _phase(self, name: str) -> Generator[None, Any, Any]:
+        self._within = [0.0]
+        real_s, start_s = spent_s(), KEPT.charged_s()
+        try:
+            return (yield)
+        finally:
+            self._phase_s[name] = spent_s() - real_s
+            self._own_s += KEPT.charged_s() - start_s - self._within[0]
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(
+        self, item: pytest.Item, call: pytest.CallInfo[None]
+    ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+        report = yield
+        # A number among a report's attributes travels with it from a worker to the process that reports.
+        vars(report)["cpu_s"] = self._phase_s.pop(call.when, 0.0)
+        if call.when == "call" and report.passed and not any(item.get_closest_marker(name) for name in DEAR):
+            self._hold_to_the_limit(item, report)
+        return report
+
+    def _hold_to_the_limit(self, item: pytest.Item, report: pytest.TestReport) -> None:
+        names = set(getattr(item, "fixturenames", ()))
+        alone_s = self._own_s + sum(
+            cost_s
+            for (name, base), cost_s in self._shared.items()
+            if name in names and item.nodeid.startswith(base)
+        )
+        if alone_s <= self.limit_s:
+            return
+        times = slowness()
+        if alone_s / times > self.limit_s:
+            report.outcome = "failed"
+            report.longrepr = (
+                f"{alone_s:.1f} s of CPU, on a machine that is {times:.1f} times slower than an idle one: a "
+                f"test above {self.limit_s:g} s is made cheaper, or marked as one of {', '.join(DEAR)}"
+            )
+
+
+class Account:
+    """Adds up what the tests of a run cost, for its last lines and for the order of the next run.
+
+    Parameters
+    ----------
+    config : pytest.Config
+        Of the process that reports.
+    """
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+        self._cost_s: dict[str, float] = {}
+        self._workers_s = 0.0
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        name = plain(report.nodeid)
+        self._cost_s[name] = self._cost_s.get(name, 0.0) + getattr(report, "cpu_s", 0.0)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any, error: object) -> None:
+        self._workers_s += getattr(node, "workeroutput", {}).get("cpu_s", 0.0)
+
+    def pytest_sessionfinish(self) -> None:
+        cache = getattr(self._config, "cache", None)
+        if cache is not None and self._cost_s:
+            known = {**cache.get(COSTS_KEY, {}), **{name: round(s, 3) for name, s in self._cost_s.items()}}
+            cache.set(COSTS_KEY, known)
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        if not self._cost_s:
+            return
+        # Workers are children of this process, and say themselves what they and their own children took.
+        all_s = self._workers_s + time.process_time() if self._workers_s else spent_s()
+        tests_s = sum(self._cost_s.values())
+        dearest = sorted(self._cost_s.items(), key=lambda cost: -cost[1])[:5]
+        told = ", ".join(f"{name.rpartition('::')[2]} {cost_s:.1f}" for name, cost_s in dearest)
+        terminalreporter.write_line(
+            f"{all_s:.1f} s of CPU, of which {all_s - tests_s:.1f} to start and collect; dearest: {told}"
+        )
+
+
+def plain(nodeid: str) -> str:
+    """A test's name without the group that xdist writes behind it."""
+    name, at, group = nodeid.rpartition("@")
+    return name if at and not group.endswith("]") else nodeid
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addini(
+        "unmarked_cpu_s", "most CPU seconds of a test that is not marked as a dear one", default="2"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(Costs(float(config.getini("unmarked_cpu_s"))), "heli-costs")
+    if not hasattr(config, "workerinput"):
+        config.pluginmanager.register(Account(config), "heli-account")
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["cpu_s"] = spent_s()

@@ -1,0 +1,47 @@
+"""Who runs which tests, and in which order, when several workers share them.
+
+The tests of a file stay together, because they share what the file builds, unless a test is in a group of its
+own by ``xdist_group``. The dearest group goes first, so that none is left over at the end: by what its tests
+cost when they ran last, and where that is not known, by their markers.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import Final
+
+import pytest
+
+from tests.running.cost import COSTS_KEY
+
+GUESSED_S: Final = {"documents": 30.0, "diagnosis": 20.0, "slow": 5.0, "emulated": 3.0}
+GUESSED_OTHERWISE_S: Final = 0.02
+
+
+def group_of(item: pytest.Item) -> str:
+    """The group that a test runs in."""
+    names = {str(mark.args[0]) for mark in item.iter_markers("xdist_group")}
+    return "_".join(sorted(names)) or item.nodeid.partition("::")[0]
+
+
+def cost_s(item: pytest.Item, known_s: dict[str, float]) -> float:
+    """What a test is expected to cost."""
+    guesses = (guess_s for name, guess_s in GUESSED_S.items() if item.get_closest_marker(name))
+    return known_s.get(item.nodeid, next(guesses, GUESSED_OTHERWISE_S))
+
+
+# Before xdist, which writes the group behind a test's name.
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if not hasattr(config, "workerinput"):
+        return
+    cache = getattr(config, "cache", None)
+    known_s = cache.get(COSTS_KEY, {}) if cache is not None else {}
+    groups = {item: group_of(item) for item in items}
+    total_s: dict[str, float] = defaultdict(float)
+    for item, group in groups.items():
+        total_s[group] += cost_s(item, known_s)
+    items.sort(key=lambda item: (-total_s[groups[item]], groups[item]))
+    for item, group in groups.items():
+        if not any(item.iter_markers("xdist_group")):
+            item.add_marker(pytest.mark.xdist_group(group))
