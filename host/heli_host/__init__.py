@@ -22,7 +22,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from heli_host.declaration import Axes, Excitation, Fault, Flags, State
     from heli_host.errors import HeliError
+    from heli_host.flight import Flight
     from heli_host.heli import Heli, connect
+    from heli_host.log.flight_file import read_flight
     from heli_host.samples import Sample, Samples
 
 __all__ = [
@@ -30,18 +32,22 @@ __all__ = [
     "Excitation",
     "Fault",
     "Flags",
+    "Flight",
     "Heli",
     "HeliError",
     "Sample",
     "Samples",
     "State",
     "connect",
+    "read_flight",
 ]
 
 _WHERE = {
     "HeliError": "heli_host.errors",
     "Heli": "heli_host.heli",
     "connect": "heli_host.heli",
+    "Flight": "heli_host.flight",
+    "read_flight": "heli_host.log.flight_file",
     "Axes": "heli_host.declaration",
     "Excitation": "heli_host.declaration",
     "Fault": "heli_host.declaration",

@@ -24,7 +24,7 @@ from heli_host.link.telemetry import Ticks
 from heli_host.samples import Sample
 
 if TYPE_CHECKING:
-    from heli_host.heli import Heli
+    from heli_host.vehicle import Vehicle
 
 ControlLaw = Callable[[Sample], tuple[float, float]]
 After = Literal["hold", "land", "stop"]
@@ -102,7 +102,7 @@ class _Run:
 
 
 def run_controller(
-    heli: Heli,
+    heli: Vehicle,
     law: ControlLaw,
     *,
     rate_Hz: float = 200.0,
@@ -118,7 +118,7 @@ def run_controller(
 
     Parameters
     ----------
-    heli : Heli
+    heli : Vehicle
         The helicopter.
     law : callable taking Sample, returning (front_V, back_V)
         The control law; voltages beyond the board's limits are brought back to them.
@@ -175,7 +175,7 @@ def run_controller(
     return _report(run, session.ticks_counted_on, acted)
 
 
-def _loop(heli: Heli, law: ControlLaw, run: _Run) -> None:
+def _loop(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
     session = heli.session
     low_V, high_V = heli.params["motor_min_V"], heli.params["motor_max_V"]
     heli.stream()

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 from heli_host.declaration import CHANNELS, Channel, Fault, State
-from heli_host.flight import OWN_COLUMNS, Flight
+from heli_host.flight import OWN_COLUMNS
+from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import read_log
 
 from tests.channels import scripted_flight
@@ -93,15 +94,15 @@ def test_new_channels_say_what_the_board_put_there(flown: Flown) -> None:
 
 
 def test_a_log_and_its_tables_have_the_old_columns_and_the_new(flown: Flown) -> None:
-    before = Flight.read(flown.before / "flight.mcap")
+    before = read_flight(flown.before / "flight.mcap")
     for name in ("flight.mcap", "flight.csv"):
-        after = Flight.read(flown.after / name)
+        after = read_flight(flown.after / name)
         assert set(after.columns()) - set(before.columns()) == set(after.extra) == {ECHO, RATE}
         for column in OWN_COLUMNS:
             np.testing.assert_allclose(after.columns()[column], before.columns()[column], atol=1e-9)
     ticks = np.load(flown.after / "ticks.npz")
     for name in ("flight.mcap", "flight.csv"):
-        extra = Flight.read(flown.after / name).extra
+        extra = read_flight(flown.after / name).extra
         np.testing.assert_array_equal(extra[ECHO], ticks["tick_echo"])
         np.testing.assert_allclose(extra[RATE], ticks["pitch_rate"] * 1e-3, atol=1e-12)
 
@@ -109,7 +110,7 @@ def test_a_log_and_its_tables_have_the_old_columns_and_the_new(flown: Flown) -> 
 def test_matlab_and_parquet_have_them_too(flown: Flown) -> None:
     from scipy.io import loadmat
 
-    flight = Flight.read(flown.after / "flight.mcap")
+    flight = read_flight(flown.after / "flight.mcap")
     matlab = loadmat(flown.after / "flight.mat", squeeze_me=True)
     parquet = pytest.importorskip("pyarrow.parquet", reason="skipped: no pyarrow")
     table = parquet.read_table(flown.after / "flight.parquet")
@@ -129,7 +130,7 @@ def test_a_plan_flies_to_its_end_and_its_log_knows_state_and_fault(flown: Flown)
     assert [names[int(one)] for one in changes] == ["idle", "armed", "closed_loop", "landing", "idle"]
     assert not log.ticks["fault"].any()
     np.testing.assert_array_equal(log.ticks[ECHO], echo_of(log.ticks["tick"]))
-    flight, table = log.flight(), Flight.read(flown.copy.root / "hover.csv")
+    flight, table = log.flight(), read_flight(flown.copy.root / "hover.csv")
     assert abs(np.degrees(flight.elevation_rad[20_000])) < 1.0
     for name, column in flight.columns().items():
         np.testing.assert_allclose(table.columns()[name], column, atol=1e-9)
@@ -183,14 +184,14 @@ print(json.dumps([
 
 
 def test_an_older_host_reads_the_log_of_a_longer_declaration_and_the_other_way_round(flown: Flown) -> None:
-    newer = Flight.read(flown.after / "flight.mcap")
+    newer = read_flight(flown.after / "flight.mcap")
     assert {ECHO, RATE} == set(newer.extra), "this host does not know them"
     program = """
 import sys
 from heli_host.errors import LogError
-from heli_host.flight import Flight
+from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import read_log
-flight = Flight.read(sys.argv[1])
+flight = read_flight(sys.argv[1])
 assert not flight.extra
 print(len(flight))
 try:
@@ -199,7 +200,7 @@ except LogError as error:
     print(error)
 """
     rows, said = flown.copy.run("-c", program, str(flown.before / "flight.mcap")).splitlines()
-    assert int(rows) == len(Flight.read(flown.before / "flight.mcap"))
+    assert int(rows) == len(read_flight(flown.before / "flight.mcap"))
     assert "no channel tick_echo" in said and "read it with the version that wrote it" in said
 
 

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 from heli_host.declaration import CHANNELS, PARAMS, Channel
-from heli_host.flight import Flight
 from heli_host.link.channels import rad_per_count
 from heli_host.link.telemetry import TelemetryDecoder, Ticks
 from heli_host.log.export import export_csv, export_mat, export_parquet
+from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import read_log
 from heli_host.log.writer import LogWriter
 from heli_host.samples import Scales
@@ -105,7 +105,7 @@ def check(folder: Path) -> None:
     export_mat(flight, folder / "a.mat")
     export_parquet(flight, folder / "a.parquet")
     matlab = loadmat(folder / "a.mat", squeeze_me=True)
-    table = Flight.read(folder / "a.csv").columns()
+    table = read_flight(folder / "a.csv").columns()
     for name, column in expected.items():
         np.testing.assert_array_equal(flight.columns()[name], column, name)
         np.testing.assert_array_equal(matlab[name], column, name)

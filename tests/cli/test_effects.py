@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.flight import Flight
+from heli_host.log.flight_file import read_flight
 from heli_sim.model.effects import catalogue, effect_numbers
 from heli_sim.rig import Rig, load_rig, write_rig
 
@@ -28,7 +28,7 @@ def test_an_effect_changes_the_flight_and_the_seed_its_chance(terminal: Terminal
     for name, options in flights.items():
         log = tmp_path / f"{name}.mcap"
         assert terminal("fly", "hover", *SIL, *options, "--log", log).code == 0
-        angles[name] = Flight.read(log).angles_rad
+        angles[name] = read_flight(log).angles_rad
     rows = min(len(one) for one in angles.values())
     np.testing.assert_array_equal(angles["gusts"], angles["again"])
     for one, two in (("plain", "lag"), ("plain", "gusts"), ("gusts", "other")):

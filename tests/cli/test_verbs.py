@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 from heli_host.cli.finding import Verdict
 from heli_host.cli.verbs import doctor
-from heli_host.flight import Flight
+from heli_host.log.flight_file import read_flight
 from serial.tools import list_ports
 
 from tests.cli.terminal import Terminal, process
@@ -53,7 +53,7 @@ def test_setpoint_holds_then_lands(terminal: Terminal, tmp_path: Path) -> None:
     ended = terminal("setpoint", "--take-off", *given, *SIL, "--log", log)
     assert ended.code == 0
     assert ended.out.splitlines()[-1] == "landed"
-    flight = Flight.read(log)
+    flight = read_flight(log)
     assert flight.elevation_setpoint_rad is not None
     assert flight.elevation_rad[-1] == pytest.approx(flight.elevation_rad[0], abs=0.02)
     assert flight.travel_rad.max() > 0.12
@@ -61,7 +61,7 @@ def test_setpoint_holds_then_lands(terminal: Terminal, tmp_path: Path) -> None:
 
 def test_log_records_as_long_as_told(terminal: Terminal, tmp_path: Path) -> None:
     assert terminal("log", "--for-s", "3", "-o", tmp_path / "f.mcap", *SIL).code == 0
-    assert Flight.read(tmp_path / "f.mcap").duration_s == pytest.approx(3.0, abs=0.2)
+    assert read_flight(tmp_path / "f.mcap").duration_s == pytest.approx(3.0, abs=0.2)
 
 
 def test_info_reads_a_table_too(terminal: Terminal, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from heli_host.log.table import write_csv
 from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Terminal
@@ -19,7 +20,7 @@ def tables(tmp_path: Path) -> tuple[Path, Path]:
     """Two flights as files."""
     paths = tmp_path / "a.csv.gz", tmp_path / "b.csv.gz"
     for flight, path in zip(flights(), paths, strict=True):
-        flight.write_csv(path)
+        write_csv(flight, path)
     return paths
 
 

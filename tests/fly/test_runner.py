@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 from heli_host.declaration import Flags, State
 from heli_host.errors import LogWriteError, PlanError
-from heli_host.flight import Flight
 from heli_host.fly.pilot import Pilot
 from heli_host.fly.plan import Plan, load_plan
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import Progress, fly
 from heli_host.heli import Heli, connect
 from heli_host.link.telemetry import Ticks
+from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import Log, read_log
 from heli_host.log.summary import FlightSummary
 
@@ -247,7 +247,7 @@ def test_a_noisy_line_costs_ticks_that_are_all_counted(tmp_path: Path) -> None:
     ticks = log.ticks["tick"].astype(np.int64)
     assert summary.ticks_lost == ticks[-1] - ticks[0] + 1 - len(ticks)
     with pytest.raises(Exception, match="gaps"):
-        Flight.read(tmp_path / "a.mcap")
+        read_flight(tmp_path / "a.mcap")
 
 
 def test_a_full_disk_lands_the_rig_and_keeps_what_was_written(

@@ -11,6 +11,8 @@ import pytest
 from heli_host.cli.progress_bar import WorkBar
 from heli_host.cli.variadic import spread
 from heli_host.flight import Flight
+from heli_host.log.flight_file import read_flight
+from heli_host.log.table import write_csv
 from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Terminal
@@ -43,7 +45,7 @@ def fly_hidden(terminal: Terminal, folder: Path, name: str, duration_s: int, see
 def test_from_a_flight_to_a_rig_that_flies(terminal: Terminal, tmp_path: Path) -> None:
     fly_hidden(terminal, tmp_path, "a", 32, seed=1)
     fly_hidden(terminal, tmp_path, "b", 16, seed=2)
-    Flight.read(tmp_path / "b.mcap").write_csv(tmp_path / "b.csv.gz")
+    write_csv(read_flight(tmp_path / "b.mcap"), tmp_path / "b.csv.gz")
     files = ("--out", "new.toml", "--report", "report", "--json", "new.json")
     ended = terminal("identify", "a.mcap", "--validate", "b.csv.gz", *files)
     assert ended.code == 0, ended
@@ -118,7 +120,7 @@ def test_a_second_flight_to_validate_on_is_not_fitted(terminal: Terminal, tmp_pa
         t_s = np.linspace(0.0, 5.998, 3000)
         wave = np.sin(2 * np.pi * t_s / 3.0) + 0.01 * random.standard_normal()
         volts = 1.7 + 0.2 * wave, 1.7 - 0.1 * wave
-        Flight(t_s, *volts, 0.1 * wave, 0.2 * wave, 0.5 * wave).write_csv(tmp_path / f"{name}.csv")
+        write_csv(Flight(t_s, *volts, 0.1 * wave, 0.2 * wave, 0.5 * wave), tmp_path / f"{name}.csv")
     ended = terminal(
         *("identify", "a.csv", "--free", "thrust_gain", "--validate", "b.csv", "c.csv", "--json", "new.json")
     )

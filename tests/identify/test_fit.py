@@ -10,6 +10,7 @@ import heli_sim.compiled
 import numpy as np
 import pytest
 from heli_host.flight import Flight
+from heli_host.log.flight_file import read_flight
 from heli_lab.identify import Budget, Problem, check, prepare, solve
 from heli_lab.identify.interpreted_kernel import InterpretedKernel
 from heli_lab.identify.result import Identification
@@ -169,7 +170,7 @@ def test_a_budget_that_runs_out_is_told() -> None:
 
 @pytest.mark.skipif(not PRACTICE.exists(), reason="skipped: no shared data")
 def test_a_practice_flight_with_nothing_hidden_is_explained_down_to_the_encoder() -> None:
-    flights = [Flight.read(PRACTICE / name) for name in ("a.csv.gz", "b.csv.gz")]
+    flights = [read_flight(PRACTICE / name) for name in ("a.csv.gz", "b.csv.gz")]
     for train, held_out in (flights, flights[::-1]):
         found = identify(MultibodyModel(), known(), [train], validation=[held_out])
         residual = found.json()["normalised_residual"]

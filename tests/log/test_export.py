@@ -12,10 +12,12 @@ import pytest
 from heli_host.declaration import Axis, Channel, State
 from heli_host.errors import LogWriteError
 from heli_host.flight import Flight
-from heli_host.log.export import export_csv, export_mat, export_parquet
+from heli_host.log.export import export_mat, export_parquet
 from heli_host.log.figure import draw, write_figure
+from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import read_log
 from heli_host.log.summary import flown_rows, summarise, tracking_errors_deg
+from heli_host.log.table import write_csv
 
 from tests.log.made import make_samples, open_writer, write_made_log
 
@@ -23,7 +25,7 @@ from tests.log.made import make_samples, open_writer, write_made_log
 @pytest.fixture
 def flight(tmp_path: Path) -> Flight:
     write_made_log(tmp_path / "a.mcap", 3000)
-    return Flight.read(tmp_path / "a.mcap")
+    return read_flight(tmp_path / "a.mcap")
 
 
 def test_matlab_gets_columns_parameters_and_plan(tmp_path: Path, flight: Flight) -> None:
@@ -39,7 +41,7 @@ def test_matlab_gets_columns_parameters_and_plan(tmp_path: Path, flight: Flight)
 
 
 def test_a_table_gets_every_column(tmp_path: Path, flight: Flight) -> None:
-    export_csv(flight, tmp_path / "a.csv")
+    write_csv(flight, tmp_path / "a.csv")
     header = next(line for line in (tmp_path / "a.csv").read_text().splitlines() if not line.startswith("#"))
     assert header.split(",") == list(flight.columns())
 
@@ -57,7 +59,7 @@ def test_parquet_gets_every_column_or_says_what_to_install(
     np.testing.assert_array_equal(table["pitch_rad"].to_numpy(), flight.pitch_rad)
 
 
-@pytest.mark.parametrize("export", [export_csv, export_mat])
+@pytest.mark.parametrize("export", [write_csv, export_mat])
 def test_an_export_into_a_missing_folder_is_one_line(tmp_path: Path, flight: Flight, export: object) -> None:
     assert callable(export)
     with pytest.raises(LogWriteError, match="choose another folder"):

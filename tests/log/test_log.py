@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from heli_host.declaration import Channel
 from heli_host.errors import HeliError, LogError, LogWriteError, TruncatedLog
-from heli_host.flight import Flight
 from heli_host.log.clock import TickClock
+from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import read_log
 from heli_host.log.schema import TICK_LAYOUT, TICK_SCHEMA, TICK_TOPIC, parse_layout
 from heli_host.log.writer import CHUNK_TICKS, LogWriter
@@ -55,7 +55,7 @@ def test_every_channel_survives_at_its_extremes(
 
 def test_the_flight_of_a_log_has_angles_from_the_exact_counts(tmp_path: Path) -> None:
     _, raw = write_made_log(tmp_path / "a.mcap", 3000)
-    flight = Flight.read(tmp_path / "a.mcap")
+    flight = read_flight(tmp_path / "a.mcap")
     np.testing.assert_array_equal(flight.elevation_rad, raw[:, Channel.ELEVATION_COUNT] * (2 * np.pi / 4096))
     np.testing.assert_array_equal(flight.back_V, raw[:, Channel.BACK] * 1e-3)
     assert flight.setpoints_rad is not None
@@ -319,8 +319,8 @@ def test_lost_ticks_are_counted_and_time_goes_on_behind_them(tmp_path: Path) -> 
     assert log.ticks_lost == 41
     np.testing.assert_allclose(log.ticks["t_s"], np.arange(3000)[keep] * 1e-3, atol=1e-12)
     with pytest.raises(HeliError, match="2 gaps"):
-        Flight.read(tmp_path / "a.mcap")
-    assert Flight.read(tmp_path / "a.mcap", allow_gaps=True).gaps.tolist() == [999, 1459]
+        read_flight(tmp_path / "a.mcap")
+    assert read_flight(tmp_path / "a.mcap", allow_gaps=True).gaps.tolist() == [999, 1459]
 
 
 def test_a_restarted_board_goes_on_in_the_same_log(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from heli_host.flight import Flight
+from heli_host.log.flight_file import read_flight
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.diagnose.error_reduction import ErrorReduction, gain
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
@@ -80,7 +80,7 @@ def flights(pair: str, back: bool = False) -> tuple[Record, Record]:
     rig = load_rig(RIG)
     names = PAIRS[pair][::-1] if back else PAIRS[pair]
     first, second = (
-        prepare(Flight.read(MEASURED / f"{name}.csv.gz"), rig, name, start_s=FROM_s, stop_s=LANDS_s.get(name))
+        prepare(read_flight(MEASURED / f"{name}.csv.gz"), rig, name, start_s=FROM_s, stop_s=LANDS_s.get(name))
         for name in names
     )
     return first, second

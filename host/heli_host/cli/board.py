@@ -12,7 +12,7 @@ import typer
 if TYPE_CHECKING:
     from heli_host.heli import Heli
     from heli_host.link.transport import PortInfo
-    from heli_host.view import BoardInfo
+    from heli_host.telemetry_view import BoardInfo
 
 ARDUINO_VID = 0x2341
 DUE_PROGRAMMING_PID = 0x003D

@@ -22,10 +22,10 @@ from heli_host.log.summary import LANDING
 
 if TYPE_CHECKING:
     from heli_host.fly.recorder import Recorder
-    from heli_host.heli import Heli
     from heli_host.link.accounting import LinkCounters
     from heli_host.link.telemetry import Ticks
     from heli_host.samples import Sample
+    from heli_host.vehicle import Vehicle
 
 TICK_S = TICK_US * 1e-6
 INTERVAL_TICKS = 20
@@ -74,7 +74,7 @@ class Pilot:
 
     Parameters
     ----------
-    heli : Heli
+    heli : Vehicle
         A connected board.
     route : Route
         Where to fly, from the table on; checked against the board.
@@ -93,7 +93,7 @@ class Pilot:
 
     def __init__(
         self,
-        heli: Heli,
+        heli: Vehicle,
         route: Route,
         axes: tuple[str, ...],
         recorder: Recorder,

@@ -21,9 +21,9 @@ from heli_host.log.writer import LogCounters, LogWriter
 
 if TYPE_CHECKING:
     from heli_host.fly.plan import Plan
-    from heli_host.heli import Heli
     from heli_host.link.accounting import LinkCounters
     from heli_host.link.telemetry import Ticks
+    from heli_host.vehicle import Vehicle
 
 _LEVELS = {
     "fault": LEVEL_ERROR,
@@ -44,7 +44,7 @@ class Recorder:
 
     Parameters
     ----------
-    heli : Heli
+    heli : Vehicle
         A connected board.
     path : str or Path
         Log to write; a file that exists is replaced.
@@ -63,7 +63,7 @@ class Recorder:
 
     def __init__(
         self,
-        heli: Heli,
+        heli: Vehicle,
         path: str | Path,
         *,
         rig_name: str = "",
@@ -217,7 +217,7 @@ class Recorder:
             self.error = self.error or error
 
     @staticmethod
-    def _session(heli: Heli, rig_name: str, plans: Sequence[Plan], board_name: str) -> dict[str, str]:
+    def _session(heli: Vehicle, rig_name: str, plans: Sequence[Plan], board_name: str) -> dict[str, str]:
         info = heli.info
         wall_ns = heli.session.transport.wall_ns()
         return {

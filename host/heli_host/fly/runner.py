@@ -21,13 +21,13 @@ from heli_host.log.reader import Log, read_log
 from heli_host.log.summary import FlightSummary, summarise
 
 if TYPE_CHECKING:
-    from heli_host.heli import Heli
+    from heli_host.vehicle import Vehicle
 
 PlanLike = Plan | str | Path
 
 
 def fly(
-    heli: Heli,
+    heli: Vehicle,
     plans: PlanLike | Sequence[PlanLike],
     *,
     log_path: str | Path | None = None,
@@ -45,7 +45,7 @@ def fly(
 
     Parameters
     ----------
-    heli : Heli
+    heli : Vehicle
         A connected board, idle, its arm at rest on the table.
     plans : Plan, str or Path, or a sequence of them
         What to fly: plans, names of built-in ones, or TOML files.

@@ -1,4 +1,4 @@
-"""Flights for other programs: tables, MATLAB, Parquet."""
+"""Flights for other programs: MATLAB, Parquet; `heli_host.log.table` writes the tables."""
 
 from __future__ import annotations
 
@@ -9,24 +9,6 @@ import numpy as np
 
 from heli_host.errors import LogWriteError
 from heli_host.flight import Flight
-
-
-def export_csv(flight: Flight, path: str | Path) -> None:
-    """Write a table that `Flight.read` takes back.
-
-    Parameters
-    ----------
-    flight : Flight
-        What to write.
-    path : str or Path
-        ``.csv``, or ``.csv.gz`` to compress it.
-
-    Raises
-    ------
-    LogWriteError
-        If it cannot be written.
-    """
-    flight.write_csv(path)
 
 
 def export_mat(flight: Flight, path: str | Path) -> None:

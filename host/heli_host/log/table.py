@@ -24,8 +24,8 @@ from heli_host.flight import (
     STATUS_COLUMNS,
     Flight,
     FlightEvent,
+    check,
 )
-from heli_host.flight_check import check
 
 _FORMATS = {"t_s": "%.6f", "front_V": "%.6f", "back_V": "%.6f"} | dict.fromkeys(STATUS_COLUMNS, "%d")
 # Ten digits tell all numbers of 32 bits apart, whatever their scale.
@@ -79,7 +79,7 @@ def read_csv(path: Path, *, allow_gaps: bool = False) -> Flight:
     Raises
     ------
     FlightDataError
-        As `Flight.read` says.
+        As `heli_host.log.flight_file.read_flight` says.
     """
     lines = _take_apart(_read_bytes(path), path)
     _check_names(lines.names, path)
@@ -90,14 +90,14 @@ def read_csv(path: Path, *, allow_gaps: bool = False) -> Flight:
     return flight
 
 
-def write_csv(flight: Flight, path: Path) -> None:
+def write_csv(flight: Flight, path: str | Path) -> None:
     """Write a flight as a table.
 
     Parameters
     ----------
     flight : Flight
         What to write.
-    path : Path
+    path : str or Path
         ``.csv`` or ``.csv.gz``; the same flight gives the same bytes.
 
     Raises
@@ -105,6 +105,7 @@ def write_csv(flight: Flight, path: Path) -> None:
     LogWriteError
         If the file cannot be written.
     """
+    path = Path(path)
     columns = flight.columns()
     row_format = ",".join(_FORMATS.get(name, _NUMBER_FORMAT) for name in columns) + "\n"
     table = np.column_stack([column.astype(np.float64) for column in columns.values()])

@@ -13,6 +13,7 @@ from heli_host.fly.plan import Plan
 from heli_host.fly.runner import fly
 from heli_host.heli import Heli
 from heli_host.link.session import Session
+from heli_host.log.flight_file import read_flight
 from heli_sim.errors import SimError
 from heli_sim.model.linear import trim
 from heli_sim.plant import Plant
@@ -68,7 +69,7 @@ def simulate_experiment(fit: Fit, plan: str, seed: int = 0) -> Record | None:
             summary = fly(heli, Plan.parse(plan, "next flight"), log_path=path)
             if not summary.completed and "landing" not in summary.outcome:
                 return None
-            return prepare(_thinned(Flight.read(path)), rig, "rehearsed")
+            return prepare(_thinned(read_flight(path)), rig, "rehearsed")
     except (HeliError, SimError):
         return None
 

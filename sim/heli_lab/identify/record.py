@@ -120,7 +120,7 @@ def prepare(
     Parameters
     ----------
     flight : Flight
-        The flight, as `Flight.read` checked it; gaps are allowed.
+        The flight, as `read_flight` checked it; gaps are allowed.
     rig : Rig
         Gives table, stops and, for angles that are not rounded, the encoders' counts.
     label : str

@@ -61,7 +61,7 @@ def diagnose(
 
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
-    from heli_host.flight import Flight
+    from heli_host.log.flight_file import read_flight
     from heli_sim.model.effects import catalogue, effects_of
     from heli_sim.model.named import model_named
     from heli_sim.rig import load_rig, write_rig
@@ -82,8 +82,8 @@ def diagnose(
     written: list[Path] = []
     with WorkBar() as bar:
         bar.show("reading", 0.0)
-        fitted = [Flight.read(path) for path in flights]
-        held_out = [Flight.read(path) for path in others]
+        fitted = [read_flight(path) for path in flights]
+        held_out = [read_flight(path) for path in others]
         try:
             found = find(
                 equations,

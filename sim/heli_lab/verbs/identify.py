@@ -67,7 +67,7 @@ def identify(
 
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
-    from heli_host.flight import Flight
+    from heli_host.log.flight_file import read_flight
     from heli_sim.model.effects import effects_of, parse_effects
     from heli_sim.model.named import model_named
     from heli_sim.rig import load_rig, write_rig
@@ -86,8 +86,8 @@ def identify(
     labels = short_names([*flights, *others])
     with WorkBar() as bar:
         bar.show("reading", 0.0)
-        fitted = [Flight.read(path, allow_gaps=allow_gaps) for path in flights]
-        held_out = [Flight.read(path, allow_gaps=allow_gaps) for path in others]
+        fitted = [read_flight(path, allow_gaps=allow_gaps) for path in flights]
+        held_out = [read_flight(path, allow_gaps=allow_gaps) for path in others]
         found = find(
             equations,
             chosen,

@@ -26,12 +26,13 @@ def export(
     """
     if csv + mat + parquet != 1:
         raise typer.BadParameter("give one of --csv, --mat and --parquet")
-    from heli_host.flight import Flight
-    from heli_host.log.export import export_csv, export_mat, export_parquet
+    from heli_host.log.export import export_mat, export_parquet
+    from heli_host.log.flight_file import read_flight
+    from heli_host.log.table import write_csv
 
-    flight = Flight.read(log, allow_gaps=True)
+    flight = read_flight(log, allow_gaps=True)
     write, suffix = (
-        (export_csv, ".csv") if csv else (export_mat, ".mat") if mat else (export_parquet, ".parquet")
+        (write_csv, ".csv") if csv else (export_mat, ".mat") if mat else (export_parquet, ".parquet")
     )
     target = out if out is not None else log.with_name(_stem(log) + suffix)
     if target.exists() and target.samefile(log):

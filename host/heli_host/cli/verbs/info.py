@@ -31,9 +31,9 @@ def info(
         _print_log(log)
         flight = log.flight() if len(log.ticks) else None
     else:
-        from heli_host.flight import Flight
+        from heli_host.log.flight_file import read_flight
 
-        flight = Flight.read(flight_file, allow_gaps=True)
+        flight = read_flight(flight_file, allow_gaps=True)
         _print_table(flight, flight_file)
     if flight is None:
         return

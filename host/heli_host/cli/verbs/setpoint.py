@@ -52,10 +52,10 @@ def setpoint(
         raise typer.BadParameter("give at least one of --elevation-deg, --travel-deg and --pitch-deg")
     if "pitch" in targets_deg and "travel" in targets_deg:
         raise typer.BadParameter("give --travel-deg or --pitch-deg: flying to a travel needs the pitch")
-    from heli_host.bench import ALL_AXES
     from heli_host.cli.board import clear_latched_fault, open_board
     from heli_host.declaration import Axes
     from heli_host.fly.recorder import Recorder
+    from heli_host.open_loop import ALL_AXES
     from heli_host.setpoints import check_setpoint
 
     axes = Axes.ELEVATION | Axes.PITCH if "pitch" in targets_deg else ALL_AXES

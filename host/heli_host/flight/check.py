@@ -3,21 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from heli_host.declaration import AXES
 from heli_host.errors import FlightDataError
-
-if TYPE_CHECKING:
-    from heli_host.flight import Flight
-
-Floats = NDArray[np.float64]
-
-MIN_ROWS = 10
-"""Fewer rows than this are no flight."""
+from heli_host.flight.flight import MIN_ROWS, Flight, Floats, find_gaps
 
 _MAX_ANGLE_RAD = {"elevation_rad": 1.6, "pitch_rad": 3.2}
 """No arm stands higher than upright, and no short arm turns over; travel may turn many times."""
@@ -28,26 +19,6 @@ _MAX_RATE_RAD_S = 20.0
 """Over a tenth of a second, in one row of a hundred; the board's own limits are below 10."""
 _MAX_VOLTAGE_V = 100.0
 _MAX_STEP_S = 0.5
-_GAP_RATIO = 1.75
-
-
-def find_gaps(t_s: Floats) -> NDArray[np.intp]:
-    """Return the rows after which time is missing.
-
-    Parameters
-    ----------
-    t_s : ndarray (n,)
-        Rising times in seconds.
-
-    Returns
-    -------
-    ndarray (g,)
-        Row ``k`` is listed when ``t_s[k + 1] - t_s[k]`` exceeds 1.75 median steps.
-    """
-    if t_s.size < 3:
-        return np.zeros(0, np.intp)
-    step_s = np.diff(t_s)
-    return np.flatnonzero(step_s > _GAP_RATIO * float(np.median(step_s)))
 
 
 def data_row(row: int) -> str:

@@ -54,7 +54,7 @@ class BoardInfo:
     params_source: str
 
 
-class BoardView:
+class TelemetryView:
     """Reads a board, and commands nothing.
 
     Parameters

@@ -1,4 +1,4 @@
-"""What is commanded on the bench: excitation, streamed voltages, zeros, faults."""
+"""Commands that need no closed loop: excitation, streamed voltages, zeros, faults."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from heli_host.declaration import (
     ZeroMessage,
 )
 from heli_host.errors import ParameterError, SetpointError
-from heli_host.view import BoardView
+from heli_host.telemetry_view import TelemetryView
 
 ALL_AXES = reduce(or_, Axes)
 
 _STATE_TIMEOUT_S = 1.0
 
 
-class BenchCommands(BoardView):
+class OpenLoopCommands(TelemetryView):
     """Commands that concern motors and encoders, not flight.
 
     Parameters

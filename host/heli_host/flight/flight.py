@@ -1,7 +1,7 @@
 """A flight as arrays: what every later analysis starts from.
 
-This module and what it imports know nothing of ports, boards or sessions, so that programs which only study
-flights (identification, reports) may import it alone.
+This package and what it imports know nothing of ports, boards, sessions or files, so that programs which only
+study flights (identification, reports) may import it alone. `heli_host.log` reads and writes them.
 
 Convention of time: row ``k`` holds the angles read at ``t_s[k]`` and the voltages that act from ``t_s[k]``
 until ``t_s[k + 1]``. The board's telemetry has the same order: in one tick it reads the counts, then computes
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from numpy.typing import NDArray
 
 from heli_host.declaration import AXES
 from heli_host.errors import FlightDataError
-from heli_host.flight_check import MIN_ROWS, check, find_gaps
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -33,6 +31,11 @@ SETPOINT_COLUMNS = tuple(f"{axis}_setpoint_rad" for axis in AXES)
 STATUS_COLUMNS = ("state", "fault", "flags")
 OWN_COLUMNS = (*REQUIRED_COLUMNS, *SETPOINT_COLUMNS, *STATUS_COLUMNS)
 """Columns that are attributes of a flight; all others are in its ``extra``."""
+
+MIN_ROWS = 10
+"""Fewer rows than this are no flight."""
+
+_GAP_RATIO = 1.75
 
 
 @dataclass(frozen=True)
@@ -199,60 +202,21 @@ class Flight:
             events=tuple(event for event in self.events if start_s <= event.t_s < stop_s),
         )
 
-    @staticmethod
-    def read(path: str | Path, *, allow_gaps: bool = False) -> Flight:
-        """Read a log or a table.
 
-        Parameters
-        ----------
-        path : str or Path
-            ``.mcap`` (this package's logs, complete or cut short), ``.csv`` or ``.csv.gz`` (at least the
-            columns ``t_s, front_V, back_V, elevation_rad, pitch_rad, travel_rad``; lines that start with
-            ``#`` are notes).
-        allow_gaps : bool
-            Accept rows that are missing in between; `Flight.gaps` then tells where.
+def find_gaps(t_s: Floats) -> NDArray[np.intp]:
+    """Return the rows after which time is missing.
 
-        Returns
-        -------
-        Flight
+    Parameters
+    ----------
+    t_s : ndarray (n,)
+        Rising times in seconds.
 
-        Raises
-        ------
-        FlightDataError
-            If the table lacks a column, holds something that is not a number, does not rise in time, has a
-            gap, is in degrees or milliseconds, or is too short. The message names the file, the column and
-            the row.
-        LogError
-            If the log is not one of this package, or nothing of it can be read.
-        """
-        path = Path(path)
-        name = path.name.lower()
-        if name.endswith(".mcap"):
-            from heli_host.log.reader import read_log
-
-            flight = read_log(path).flight()
-            check(flight, str(path), allow_gaps=allow_gaps)
-            return flight
-        if name.endswith((".csv", ".csv.gz")):
-            from heli_host.log.table import read_csv
-
-            return read_csv(path, allow_gaps=allow_gaps)
-        raise FlightDataError(f"{path}: not a flight file", "give a .mcap, .csv or .csv.gz file")
-
-    def write_csv(self, path: str | Path) -> None:
-        """Write the flight as a table that `read` takes back.
-
-        Parameters
-        ----------
-        path : str or Path
-            File to write; compressed when it ends in ``.gz``. Notes, parameters, plan and events go into
-            ``#`` lines.
-
-        Raises
-        ------
-        LogWriteError
-            If the file cannot be written.
-        """
-        from heli_host.log.table import write_csv
-
-        write_csv(self, Path(path))
+    Returns
+    -------
+    ndarray (g,)
+        Row ``k`` is listed when ``t_s[k + 1] - t_s[k]`` exceeds 1.75 median steps.
+    """
+    if t_s.size < 3:
+        return np.zeros(0, np.intp)
+    step_s = np.diff(t_s)
+    return np.flatnonzero(step_s > _GAP_RATIO * float(np.median(step_s)))
