@@ -51,7 +51,12 @@ def read(path: Path) -> Table:
         declaration = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise DeclarationError(f"cannot be read: {error}") from error
-    check(declaration)
+    try:
+        check(declaration)
+    except KeyError as error:
+        raise DeclarationError(
+            f"an entry, or the whole, lacks {error}; compare it with its neighbours"
+        ) from error
     return declaration
 
 
@@ -163,6 +168,9 @@ def check_channels(declaration: Table) -> None:
         if channel.keys() != CHANNEL_KEYS:
             wrong = sorted(channel.keys() ^ CHANNEL_KEYS)
             raise DeclarationError(f"channel {name}: {wrong[0]} is missing, or not known")
+        for key in sorted(CHANNEL_KEYS - {"scale"}):
+            if not isinstance(channel[key], str):
+                raise DeclarationError(f"channel {name}: {key} {channel[key]} is no text; put it in quotes")
         check_channel(declaration, channel)
         claimed = [
             (owner, channels.column(channel)),

@@ -6,8 +6,10 @@ import itertools
 import random
 from pathlib import Path
 
+import numpy as np
 import pytest
 from heli_host.declaration import CHANNELS
+from heli_host.log.flight_file import read_flight
 
 from tests.channels import through_the_host
 from tests.channels.changed_copy import DECLARATION, ChangedCopy, channel
@@ -64,3 +66,13 @@ def test_a_second_channel_of_an_enumeration_shares_its_names(tmp_path: Path) -> 
     copy.add_channel(channel("state_before", "u8", "enum state"), before="state")
     copy.add_channel(channel("reset_cause", "u8", "enum reset"))
     assert "state_before" in came_through(copy, tmp_path)
+
+
+def test_a_log_by_a_version_with_a_finer_scale_is_not_rounded_to_ours(tmp_path: Path) -> None:
+    copy = ChangedCopy(tmp_path / "copy")
+    back = 'name = "back"\ntype = "i16"\nunit = "V"\nscale = '
+    copy.replace(DECLARATION, f"{back}0.001", f"{back}0.00001")
+    came_through(copy, tmp_path)
+    logged, table = (Flight.read(tmp_path / name) for name in ("a.mcap", "a.csv"))
+    assert np.abs(table.back_V).max() < 0.13
+    np.testing.assert_allclose(logged.back_V, table.back_V, rtol=1e-6, atol=1e-9)

@@ -56,6 +56,7 @@ def with_channel(entry: str) -> str:
         (channel("speed", "i16", meaning="two\\nlines"), "more than one line"),
         ('[[channel]]\nname = "speed"\ntype = "i16"\n', "meaning is missing, or not known"),
         (channel("speed", "i16") + 'colour = "red"\n', "colour is missing, or not known"),
+        (channel("speed", "i16").replace('unit = ""', "unit = 5"), "unit 5 is no text"),
         ("[[channel]\n", "cannot be read"),
     ],
 )
@@ -72,6 +73,7 @@ def test_a_channel_that_would_not_work_is_refused(tmp_path: Path, entry: str, sa
         ("pitch = { value = 1", "pitch = { value = 4", "enum axis: its values count from 0"),
         ('name = "pitch_counts_per_rev"', 'name = "pitch_lines"', "no parameter pitch_counts_per_rev"),
         ('name = "pitch_count"', 'name = "travel_count"', "two are called travel_count"),
+        ("max = 24\n", "", "lacks 'max'"),
         ("[enums.reset]", "[enums.channel]", "two are called channel"),
         ('name = "hello"', 'name = "ping"', "message: two are called ping"),
         ("id = 2\n", "id = 1\n", "two entries of [[message]] share a id"),

@@ -44,6 +44,8 @@ from heli_host.log.schema import (
 _RECORD_HEADER = struct.Struct("<BQ")
 _MESSAGE_HEADER = struct.Struct("<HIQQ")
 _MAX_CHUNK_BYTES = 1 << 30
+_SINGLE = 2.0**-23
+"""What single precision rounds at most, as a share of the value."""
 _BY_FIELD = {spec.field: spec for spec in CHANNELS}
 _ANGLES = tuple(spec.column for spec in CHANNELS if spec.axis is not None)
 _NEEDED_FIELDS = (
@@ -165,7 +167,10 @@ class Log:
         if spec.axis is None and is_whole(spec):
             return np.ascontiguousarray(logged)
         if spec.axis is None:
-            return np.asarray(np.rint(logged.astype(np.float64) / spec.scale) * spec.scale)
+            values = logged.astype(np.float64)
+            exact = np.rint(values / spec.scale) * spec.scale
+            # Of a log by a version with a finer scale nothing is rounded away.
+            return np.where(np.abs(exact - values) <= _SINGLE * np.abs(values), exact, values)
         if np.isnan(count_rad[spec.axis]):
             return np.asarray(self.ticks[spec.column], np.float64)
         return np.asarray(logged * count_rad[spec.axis])

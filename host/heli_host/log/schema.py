@@ -220,7 +220,7 @@ def _fields() -> Iterator[_Field]:
         constants = ""
         if spec.kind is not None and spec.kind not in named:
             named.add(spec.kind)
-            prefix = spec.kind.__name__.upper()
+            prefix = spec.unit.partition(" ")[2].upper()
             constants = "".join(f"uint8 {prefix}_{one.name}={one.value}\n" for one in spec.kind)
         yield _Field(_type_in_log(spec), spec.field, spec.meaning, constants)
         if spec.axis is not None:
