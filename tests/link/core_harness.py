@@ -53,7 +53,7 @@ class Harness:
     """One board, its host and its tick; `turn` lets a millisecond pass."""
 
     def __init__(self, execute: Execute = always_ok) -> None:
-        self.bench = core_link.Harness(DUTY_FULL, PAGE_BYTES)
+        self.native = core_link.Harness(DUTY_FULL, PAGE_BYTES)
         self.execute = execute
         self.tick = 0
         self.room = 4096  # bytes that the transmitter takes in a millisecond
@@ -71,22 +71,22 @@ class Harness:
 
     def turn(self, received: bytes = b"", ticks: int = 1) -> list[Frame]:
         """Give the board these bytes, then let tick and idle loop run; what the board sent meanwhile."""
-        self.bench.receive(received)
+        self.native.receive(received)
         frames: list[Frame] = []
         for _ in range(ticks):
             self.run_tick()
-            self.bench.room = self.room
-            self.bench.poll()
-            frames += self._parser.feed(self.bench.sent())
+            self.native.room = self.room
+            self.native.poll()
+            frames += self._parser.feed(self.native.sent())
         return frames
 
     def run_tick(self) -> None:
-        self.bench.begin_tick(self.tick)
-        request = self.bench.take_request()
+        self.native.begin_tick(self.tick)
+        request = self.native.take_request()
         if request is not None:
             self.executed.append(request)
-            self.bench.answer(*self.execute(*request))
-        while (value := self.bench.take_stream()) is not None:
+            self.native.answer(*self.execute(*request))
+        while (value := self.native.take_stream()) is not None:
             self.streamed.append(value)
         self.tick += 1
 
