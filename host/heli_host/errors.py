@@ -26,6 +26,9 @@
         ├── TruncatedLog        it ends in the middle; what is before can be read
         └── LogWriteError       it cannot be written: disk full, folder missing, no permission
 
+Packages above hang their own branches into it, printed at the top of their ``errors.py``: ``SimError`` of the
+simulation, and ``IdentifyError`` of the laboratory below that.
+
 ``str(error)`` is always one line for a person: the cause, then what to do about it.
 """
 

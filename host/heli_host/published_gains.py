@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from heli_host.errors import ParameterError
 
+if TYPE_CHECKING:
+    from heli_host.parameters import Parameters
+
 PAPER_SETS: Final = ("printed", "corrected")
+SETS: Final = {"paper": "corrected", "paper-printed": "printed"}
+"""Table 6 of the paper under the names that ``--gains`` takes."""
 
 # (34) is three bare PIDs on the error, in degrees and volts. What the board adds to them is set aside: no
 # feed-forward but the setpoint's rate (which makes the derivative one of the error), no dead zone, and limits
@@ -62,3 +67,19 @@ def paper_gains(which: str) -> dict[str, float]:
     if which not in _TRAVEL:
         raise ParameterError(f"Table 6 has no set '{which}'", f"give {' or '.join(PAPER_SETS)}")
     return {**_BARE, **_ELEVATION, **_PITCH, **_TRAVEL[which]}
+
+
+def load_gains(parameters: Parameters, gains: str | None) -> None:
+    """Set published gains in the board's memory; nothing is saved.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        Those of a connected board, idle.
+    gains : str or None
+        A name of `SETS`; None leaves the board's own.
+    """
+    if gains is None:
+        return
+    for name, value in paper_gains(SETS[gains]).items():
+        parameters[name] = value

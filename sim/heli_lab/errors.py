@@ -2,9 +2,10 @@
 
 ::
 
-    SimError
-    └── IdentifyError       a flight and a model from which nothing can be identified
-        └── NotExcited    a sound flight in which nothing flew, or nothing that could be learned from
+    HeliError                   cause, remedy and exit code
+    └── SimError                what goes wrong in the simulation
+        └── IdentifyError       a flight and a model from which nothing can be identified
+            └── NotExcited      a sound flight in which nothing flew, or nothing that could be learned from
 """
 
 from __future__ import annotations

@@ -8,7 +8,8 @@
         ├── PlantError          the plant cannot be put together, compiled or loaded
         ├── EndpointError       the simulated serial port cannot be opened or did not appear
         ├── EffectError         an effect that is unknown, badly written or has a value it may not have
-        └── OptionError         an option of a sil:// address or of the server is unknown or out of range
+        ├── OptionError         an option of a sil:// address or of the server is unknown or out of range
+        └── DueError            the emulated Due, see `heli_sim.due.errors`
 """
 
 from __future__ import annotations

@@ -30,8 +30,9 @@ from heli_host.declaration import (
 from heli_host.link.channels import numbers, rad_per_count
 from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.telemetry import TelemetryDecoder, Ticks
-from heli_host.log.export import export_csv, export_mat, export_parquet
+from heli_host.log.export import export_mat, export_parquet
 from heli_host.log.flight_file import read_flight
+from heli_host.log.table import write_csv
 from heli_host.log.writer import LogWriter
 from heli_host.open_loop import ALL_AXES
 from heli_sim.sil.options import SilOptions
@@ -94,7 +95,7 @@ def write(ticks: Ticks, folder: Path) -> None:
     writer.write_ticks(ticks.tick, ticks.raw)
     writer.close()
     flight = read_flight(folder / "flight.mcap")
-    export_csv(flight, folder / "flight.csv")
+    write_csv(flight, folder / "flight.csv")
     export_mat(flight, folder / "flight.mat")
     export_parquet(flight, folder / "flight.parquet")
 

@@ -13,9 +13,10 @@ import numpy as np
 from heli_host.declaration import CHANNELS, PARAMS, Channel
 from heli_host.link.channels import rad_per_count
 from heli_host.link.telemetry import TelemetryDecoder, Ticks
-from heli_host.log.export import export_csv, export_mat, export_parquet
+from heli_host.log.export import export_mat, export_parquet
 from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import read_log
+from heli_host.log.table import write_csv
 from heli_host.log.writer import LogWriter
 from heli_host.samples import Scales
 from numpy.typing import NDArray
@@ -101,7 +102,7 @@ def check(folder: Path) -> None:
     np.testing.assert_array_equal(log.raw, raw)
     flight = log.flight()
     assert set(flight.columns()) == {"t_s", *expected}
-    export_csv(flight, folder / "a.csv")
+    write_csv(flight, folder / "a.csv")
     export_mat(flight, folder / "a.mat")
     export_parquet(flight, folder / "a.parquet")
     matlab = loadmat(folder / "a.mat", squeeze_me=True)

@@ -12,7 +12,7 @@ import pkgutil
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Final
 
 import typer
@@ -20,6 +20,7 @@ import typer
 from heli_host.cli.variadic import Variadic
 
 ENTRY_POINT_GROUP: Final = "heli_host.verbs"
+DISTRIBUTION: Final = "heli-host"
 PANELS: Final = ("Fly", "Board", "Logs", "Simulation", "Laboratory")
 """Headings of ``--help``, in this order; others come after them."""
 
@@ -70,7 +71,7 @@ def installed_verbs() -> dict[str, Verb]:
         is named in one line on stderr and left out, so that it takes no other verb with it.
     """
     found: dict[str, Verb] = {}
-    for entry in entry_points(group=ENTRY_POINT_GROUP):
+    for entry in sorted(entry_points(group=ENTRY_POINT_GROUP), key=_order):
         try:
             for name, verb in _verbs_in(entry.value):
                 if found.setdefault(name, verb) is not verb:
@@ -80,6 +81,11 @@ def installed_verbs() -> dict[str, Verb]:
             print(f"warning: the verbs of {entry.value} do not load ({reason}); left out", file=sys.stderr)
     rank = {panel: place for place, panel in enumerate(PANELS)}
     return dict(sorted(found.items(), key=lambda item: (rank.get(item[1].panel, len(rank)), item[0])))
+
+
+def _order(entry: EntryPoint) -> tuple[bool, str]:
+    """Verbs of this distribution come first: nobody takes the name of one of them."""
+    return entry.dist is None or entry.dist.name != DISTRIBUTION, entry.value
 
 
 def _verbs_in(package_name: str) -> Iterator[tuple[str, Verb]]:

@@ -98,7 +98,8 @@ def check_rig(rig: Rig) -> None:
     if abs(hover_V - _HOVER_V) > _HOVER_SLACK_V:
         raise IdentifyError(
             f"the paper's tests and flights are set for hover at {_HOVER_V:g} V on each motor, rig "
-            f"'{rig.name}' hovers at {hover_V:.2f}; give makki2024 or one like it"
+            f"'{rig.name}' hovers at {hover_V:.2f}",
+            "give makki2024 or one like it",
         )
 
 
@@ -133,10 +134,11 @@ def record_of(test: BenchTest, flight: Flight, rig: Rig) -> Record:
     )
     if hit:
         raise IdentifyError(
-            f"{test.name}: the rig '{rig.name}' reaches a stop; its numbers are too far from Table 2"
+            f"{test.name}: the rig '{rig.name}' reaches a stop, its numbers are too far from Table 2",
+            "give makki2024 or one like it",
         )
     if flight.gaps.size:
-        raise IdentifyError(f"{test.name}: rows are missing; run it again")
+        raise IdentifyError(f"{test.name}: rows are missing", "run it again")
     per_rev = rig["encoder_counts"].value * np.array([1.0, 1.0, rig["encoder_travel_ratio"].value])
     return Record(
         test.name,

@@ -224,11 +224,11 @@ def fly_plan(
     Flown
         The flight beside what the plan asked for; also when a fault ended it.
     """
-    from heli_host.cli.gains import load_gains
     from heli_host.declaration import State
     from heli_host.fly.plan import Plan, take_off
     from heli_host.fly.runner import Progress, fly
     from heli_host.log.reader import read_log
+    from heli_host.published_gains import load_gains
 
     from heli_lab.paper.figures_flight import flown
 
@@ -244,7 +244,7 @@ def fly_plan(
             if on_progress is not None:
                 on_progress(min(1.0, progress.t_s / length_s))
 
-        load_gains(heli, gains)
+        load_gains(heli.params, gains)
         sample = heli.latest
         start_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
         route = take_off([plan], dict(heli.params), start_deg)

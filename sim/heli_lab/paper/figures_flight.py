@@ -80,10 +80,12 @@ def flown(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> Flow
     """
     names = {name: number for number, name in flight.state_names.items()}
     if flight.state is None or flight.setpoints_rad is None:
-        raise IdentifyError(f"{label}: the log holds no states or setpoints; record it with heli-host fly")
+        raise IdentifyError(f"{label}: the log holds no states or setpoints", "record it with heli-host fly")
     rows = np.flatnonzero(flight.state == names["closed_loop"])
     if rows.size == 0:
-        raise IdentifyError(f"{label}: the board never closed its loops ({outcome})")
+        raise IdentifyError(
+            f"{label}: the board never closed its loops ({outcome})", "record a flight that takes off"
+        )
     start_s, stop_s = float(flight.t_s[rows[0]]), float(flight.t_s[rows[-1]]) - _END_S
     cut = flight.between(start_s, stop_s)
     keep = (flight.t_s >= start_s) & (flight.t_s < stop_s)

@@ -109,7 +109,7 @@ class ThrustCurve:
         above = self.thrust_N > 0.0
         volts, thrust = self.volts_V[above], self.thrust_N[above]
         if volts.size < 3:
-            raise IdentifyError("the rotors give no thrust; look at thrust_gain and dead_zone of the rig")
+            raise IdentifyError("the rotors give no thrust", "look at thrust_gain and dead_zone of the rig")
         design = np.column_stack((volts, np.ones_like(volts)))
         (slope, constant), *_ = np.linalg.lstsq(design, thrust, rcond=None)
         scatter = np.std(thrust - design @ (slope, constant), ddof=2)

@@ -129,7 +129,8 @@ def _check_lift(rig: Rig, hover_V: float) -> None:
     if hover_V >= _lift_max_V(rig):
         raise PlantError(
             f"rig '{rig.name}' hovers at {0.5 * hover_V + rig['dead_zone'].value:.1f} V a motor, and has "
-            f"{_motor_max_V(rig):.1f}; check its masses, thrust_gain and supply"
+            f"{_motor_max_V(rig):.1f}",
+            "check its masses, thrust_gain and supply",
         )
 
 

@@ -215,8 +215,8 @@ def linear_plant(
     hover_V = float(np.sum(at.volts_V) - 2.0 * rig["dead_zone"].value)
     if A[5, 1] <= 0.0:
         raise PlantError(
-            f"rig '{rig.name}' hovers on {hover_V:.2f} V of lift, too little to travel by when it tilts; "
-            "give it less counterweight"
+            f"rig '{rig.name}' hovers on {hover_V:.2f} V of lift, too little to travel by when it tilts",
+            "give it less counterweight",
         )
     return LinearPlant(
         lag_s,

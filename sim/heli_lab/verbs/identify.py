@@ -9,7 +9,7 @@ import typer
 from heli_host.cli.simulated import DEFAULT_RIG
 from heli_host.cli.verb import Verb
 
-from heli_lab.verbs.fit_options import (
+from heli_lab.fit_options import (
     DEFAULT_MODEL,
     EquationsOption,
     FlightsArgument,

@@ -45,7 +45,7 @@ def tables(
     from heli_lab.paper.experiments import read_thrust
     from heli_lab.paper.rig_table import fit_rig
     from heli_lab.paper.tables import fit_table
-    from heli_lab.verbs.paper_text import table_lines, tables_json
+    from heli_lab.paper.text import table_lines, tables_json
 
     if json is not None:
         check_place(json)
@@ -80,7 +80,7 @@ def gains(rig: RigName = DEFAULT_RIG, json: JsonFile = None) -> None:
     from heli_sim.rig import load_rig
 
     from heli_lab.paper.table6 import verdicts
-    from heli_lab.verbs.paper_text import gain_lines
+    from heli_lab.paper.text import gain_lines
 
     if json is not None:
         check_place(json)
@@ -106,7 +106,7 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonFile = No
 
     from heli_lab.paper.compare import distances
     from heli_lab.paper.experiments import fly_plan
-    from heli_lab.verbs.paper_text import model_lines
+    from heli_lab.paper.text import model_lines
 
     if json is not None:
         check_place(json)

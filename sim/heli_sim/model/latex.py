@@ -250,7 +250,9 @@ class _Writer:
             return of.name(), _ATOM
         write = _OPERATIONS.get(of.op())
         if write is None:
-            raise PlantError(f"an effect uses the operation '{of}', which has no LaTeX; leave the effect out")
+            raise PlantError(
+                f"an effect uses the operation '{of}', which has no LaTeX", "leave the effect out"
+            )
         return write(self, of)
 
     def within(self, of: ca.SX, least: int) -> str:

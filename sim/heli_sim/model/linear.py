@@ -152,8 +152,8 @@ def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
         state[unknown] += step[:-2]
         volts_V = volts_V + step[-2:]
     raise PlantError(
-        f"rig '{rig.name}' cannot hover at {np.degrees(elevation_rad):g} degrees with model "
-        f"'{model.name}'; check its masses and lengths"
+        f"rig '{rig.name}' cannot hover at {np.degrees(elevation_rad):g} degrees with model '{model.name}'",
+        "check its masses and lengths",
     )
 
 

@@ -158,8 +158,8 @@ class EmulatedDue:
             kept = self._file.read_bytes()
             if len(kept) != _FILE_BYTES:
                 raise SimError(
-                    f"the flash file {self._file} is not {_FILE_BYTES} bytes long; delete it, "
-                    "it is made again"
+                    f"the flash file {self._file} is not {_FILE_BYTES} bytes long",
+                    "delete it, it is made again",
                 )
             self.sim.due.load(_PAGES_AT, kept[:_PAGES_BYTES])
         self._writes = self.sim.due.flash_writes

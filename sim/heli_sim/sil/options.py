@@ -80,15 +80,15 @@ class SilOptions:
 
     def __post_init__(self) -> None:
         if self.board not in BOARDS:
-            raise OptionError(f"board={self.board} is unknown; boards are: {', '.join(BOARDS)}")
+            raise OptionError(f"board={self.board} is unknown", f"boards are: {', '.join(BOARDS)}")
         if self.elf and self.board == NATIVE:
-            raise OptionError("an ELF runs on board=due only; give that, or leave elf out")
+            raise OptionError("an ELF runs on board=due only", "give that, or leave elf out")
         if self.seed < 0:
-            raise OptionError(f"seed={self.seed} must not be negative")
+            raise OptionError(f"seed={self.seed} must not be negative", "give 0 or more")
         if self.speed is not None and not (math.isfinite(self.speed) and self.speed > 0.0):
-            raise OptionError(f"speed={self.speed} must be a number above 0, or max")
+            raise OptionError(f"speed={self.speed} is no speed", "give a number above 0, or max")
         if not 1 <= self.slice_ms <= 1000:
-            raise OptionError(f"slice_ms={self.slice_ms} must be from 1 to 1000")
+            raise OptionError(f"slice_ms={self.slice_ms} is out of range", "give 1 to 1000")
 
 
 def parse_url(url: str) -> SilOptions:
@@ -112,11 +112,13 @@ def parse_url(url: str) -> SilOptions:
     """
     parts = urlsplit(url)
     if parts.netloc or parts.path.strip("/"):
-        raise OptionError(f"'{url}' names a place; a simulated board is written sil://?rig=NAME&seed=1")
+        raise OptionError(f"'{url}' names a place", "a simulated board is written sil://?rig=NAME&seed=1")
     try:
         pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
     except ValueError:
-        raise OptionError(f"'{url}' has no key=value after the question mark") from None
+        raise OptionError(
+            f"'{url}' has no key=value after the question mark", "write sil://?rig=NAME&seed=1"
+        ) from None
     return parse_options(dict(pairs))
 
 
@@ -140,7 +142,7 @@ def parse_options(values: dict[str, str]) -> SilOptions:
     """
     unknown = sorted(set(values) - set(_KEYS))
     if unknown:
-        raise OptionError(f"unknown option {', '.join(unknown)}; options are: {', '.join(_KEYS)}")
+        raise OptionError(f"unknown option {', '.join(unknown)}", f"options are: {', '.join(_KEYS)}")
     speed = values.get("speed", "max")
     return SilOptions(
         rig=values.get("rig", "makki2024"),
@@ -172,12 +174,12 @@ def _number(key: str, text: str, *, whole: bool = False) -> float:
         return int(text) if whole else float(text)
     except ValueError:
         kind = "whole number" if whole else "number"
-        raise OptionError(f"{key}={text} must be a {kind}") from None
+        raise OptionError(f"{key}={text} is no number", f"give a {kind}") from None
 
 
 def _flag(key: str, text: str) -> bool:
     if text not in ("0", "1"):
-        raise OptionError(f"{key}={text} must be 0 or 1")
+        raise OptionError(f"{key}={text} is no switch", "give 0 or 1")
     return text == "1"
 
 

@@ -113,7 +113,7 @@ class PtyEndpoint(Endpoint):
         try:
             self._master, slave = os.openpty()
         except OSError as error:
-            raise EndpointError(f"no pseudo-terminal: {error.strerror}; close other programs") from None
+            raise EndpointError(f"no pseudo-terminal: {error.strerror}", "close other programs") from None
         self.terminal = os.ttyname(slave)
         """Name of the terminal itself, such as ``/dev/pts/3``."""
         # Without this a host sees its own bytes, and the board's zeros and returns changed, until it sets the
@@ -140,14 +140,14 @@ class PtyEndpoint(Endpoint):
         if self._link is None:
             return
         if self._link.exists() and not self._link.is_symlink():
-            raise EndpointError(f"{self._link} exists and is no link; choose another path for the port")
+            raise EndpointError(f"{self._link} exists and is no link", "choose another path for the port")
         beside = self._link.with_name(f".{self._link.name}.{os.getpid()}")
         try:
             beside.symlink_to(self.terminal)
             beside.replace(self._link)
         except OSError as error:
             raise EndpointError(
-                f"cannot make the port {self._link}: {error.strerror}; choose a folder that can be written"
+                f"cannot make the port {self._link}: {error.strerror}", "choose a folder that can be written"
             ) from None
 
     def _hang_up(self) -> None:

@@ -194,7 +194,7 @@ def run_server(
 def _address(text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     if not port.isdigit():
-        raise OptionError(f"'{text}' is no address; write HOST:PORT")
+        raise OptionError(f"'{text}' is no address", "write HOST:PORT")
     return host or "127.0.0.1", int(port)
 
 

@@ -108,7 +108,7 @@ class TcpEndpoint(Endpoint):
         except (OSError, OverflowError) as error:
             host, port = self._address
             reason = getattr(error, "strerror", None) or str(error)
-            raise EndpointError(f"cannot listen on {host}:{port}: {reason}; choose another port") from None
+            raise EndpointError(f"cannot listen on {host}:{port}: {reason}", "choose another port") from None
         listener.setblocking(False)
         self._listener = listener
         self._address = (self._address[0], listener.getsockname()[1])

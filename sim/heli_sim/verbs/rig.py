@@ -107,7 +107,7 @@ def check(
             continue
         print(f"{name}: {'; '.join(_found(rig))}")
     if len(rigs) > 1 and refused:
-        raise RigError(f"{len(refused)} of {len(rigs)} rigs cannot be, see above; correct them")
+        raise RigError(f"{len(refused)} of {len(rigs)} rigs cannot be, see above", "correct them")
     if refused:
         raise refused[0]
 

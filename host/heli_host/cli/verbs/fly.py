@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from heli_host.cli.gains import GainsOption, ParamsFileOption, check_gains, chosen_parameters, load_gains
+from heli_host.cli.gains import GainsOption, ParamsFileOption, check_gains, chosen_parameters
 from heli_host.cli.options import ClearFaultOption, PortOption, flight_folder
 from heli_host.cli.simulated import (
     BoardOption,
@@ -66,6 +66,7 @@ def fly(
     from heli_host.fly.runner import Progress
     from heli_host.fly.runner import fly as fly_plans
     from heli_host.link.transport import transport_label, transport_note
+    from heli_host.published_gains import load_gains
 
     parse_speed(speed)
     if not sil:
@@ -87,7 +88,7 @@ def fly(
     with open_board(port, address if sil else None) as heli:
         if clear_fault:
             clear_latched_fault(heli)
-        load_gains(heli, gains)
+        load_gains(heli.params, gains)
         if parameters:
             heli.params.restore(parameters)
         everything = log is None and json is None and figure is None

@@ -46,7 +46,7 @@ def catalogue(extra: Sequence[str | Path] = ()) -> dict[str, EffectKind]:
     for path in extra:
         for kind in _kinds_of(Path(path)):
             if kind.id in kinds:
-                raise EffectError(f"effect file {path}: '{kind.id}' exists already; give it another id")
+                raise EffectError(f"effect file {path}: '{kind.id}' exists already", "give it another id")
             kinds[kind.id] = kind
     return kinds
 
@@ -65,7 +65,7 @@ def _kinds_of(path: Path) -> list[EffectKind]:
     module = _module(path)
     found = list(_kinds_in(module))
     if not found:
-        raise EffectError(f"effect file {path} has no EffectKind at its top level; see docs/effects.md")
+        raise EffectError(f"effect file {path} has no EffectKind at its top level", "see docs/effects.md")
     for kind in found:
         _try(path, kind)
     return found
@@ -75,14 +75,14 @@ def _module(path: Path) -> ModuleType:
     name = f"heli_sim_user_effects_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None or not path.is_file():
-        raise EffectError(f"effect file {path} cannot be read; give a Python file, FILE.py")
+        raise EffectError(f"effect file {path} cannot be read", "give a Python file, FILE.py")
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
     except SyntaxError as error:
-        raise EffectError(f"effect file {path}, line {error.lineno}: {error.msg}; correct it") from None
+        raise EffectError(f"effect file {path}, line {error.lineno}: {error.msg}", "correct it") from None
     except Exception as error:  # noqa: BLE001 - a user's file may raise anything
-        raise EffectError(f"effect file {path}: {_line(path, error)}; correct it") from None
+        raise EffectError(f"effect file {path}: {_line(path, error)}", "correct it") from None
     return module
 
 
@@ -99,22 +99,25 @@ def _try(path: Path, kind: EffectKind) -> None:
     """Evaluate a model with the effect, so that what is wrong with it shows here and not during a fit."""
     where = f"effect file {path}: '{kind.id}'"
     if not (inspect.isclass(kind.effect) and issubclass(kind.effect, Effect)):
-        raise EffectError(f"{where}: effect must be a class derived from Effect; see docs/effects.md")
+        raise EffectError(f"{where}: effect must be a class derived from Effect", "see docs/effects.md")
     if not kind.numbers or not kind.size:
-        raise EffectError(f"{where} has no number with size=True; say which one measures it")
+        raise EffectError(f"{where} has no number with size=True", "say which one measures it")
     models = [model for model in (MultibodyModel, PaperModel) if kind.suits(model())]
     if not models:
-        raise EffectError(f"{where} needs {', '.join({*kind.needs, *kind.override})}, which no model has")
+        raise EffectError(
+            f"{where} needs {', '.join({*kind.needs, *kind.override})}, which no model has",
+            "name what a model has; see docs/effects.md",
+        )
     try:
         kind.describe(kind.typical)
         for values in (kind.neutral, kind.typical):
             bad = _not_finite(models[0]((kind.make(values),)))
             if bad:
-                raise EffectError(f"{where}: {bad} is not a finite number at {values}; correct it")
+                raise EffectError(f"{where}: {bad} is not a finite number at {values}", "correct it")
     except EffectError:
         raise
     except Exception as error:  # noqa: BLE001 - a user's file may raise anything
-        raise EffectError(f"{where}: {_line(path, error)}; correct it") from None
+        raise EffectError(f"{where}: {_line(path, error)}", "correct it") from None
 
 
 def _not_finite(model: Model) -> str:

@@ -282,12 +282,12 @@ class EffectKind:
     def _check(self, name: str, value: float) -> None:
         ranges = {q.name: self.priors.get(q.name) for q in self.parameters}
         if name not in ranges:
-            raise EffectError(f"'{self.id}' has no '{name}'; it has: {', '.join(ranges)}")
+            raise EffectError(f"'{self.id}' has no '{name}'", f"it has: {', '.join(ranges)}")
         prior = ranges[name]
         low, high = (prior.low, prior.high) if prior is not None else (-math.inf, math.inf)
         if not (math.isfinite(value) and low <= value <= high):
             unit = next(q.unit for q in self.parameters if q.name == name)
-            raise EffectError(f"{name} = {value:g} {unit} is out of range; give {low:g} to {high:g}")
+            raise EffectError(f"{name} = {value:g} {unit} is out of range", f"give {low:g} to {high:g}")
 
 
 def format_estimate(value: float, std: float | None, unit: str) -> str:

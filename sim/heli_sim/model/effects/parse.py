@@ -67,14 +67,14 @@ def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]
         units = {one.what: one.unit for one in kind.numbers}
         for what, number in numbers.items():
             if what not in units:
-                raise EffectError(f"{where}: effect '{name}' has no '{what}'; it has: {', '.join(units)}")
+                raise EffectError(f"{where}: effect '{name}' has no '{what}'", f"it has: {', '.join(units)}")
             if number.unit != units[what]:
                 raise EffectError(
-                    f"{where}: {what} of '{name}' is in '{number.unit}'; give it in '{units[what]}'"
+                    f"{where}: {what} of '{name}' is in '{number.unit}'", f"give it in '{units[what]}'"
                 )
         missing = [one.what for one in kind.numbers if one.prior is not None and one.what not in numbers]
         if missing:
-            raise EffectError(f"{where}: effect '{name}' lacks {', '.join(missing)}; add each")
+            raise EffectError(f"{where}: effect '{name}' lacks {', '.join(missing)}", "add each")
         made.append(kind.make({kind.full(what): number.value for what, number in numbers.items()}))
     return tuple(made)
 
@@ -115,7 +115,7 @@ def _each(texts: Sequence[str], kinds: Mapping[str, EffectKind]) -> list[tuple[E
         name, equals, rest = text.partition("=")
         kind = _known(kinds, name.strip(), f"--effect {text}")
         if any(kind is other for other, _ in result):
-            raise EffectError(f"--effect {text}: '{kind.id}' is given twice; give it once")
+            raise EffectError(f"--effect {text}: '{kind.id}' is given twice", "give it once")
         values = dict(kind.typical)
         if equals:
             values.update(_values(kind, rest, text))
@@ -129,7 +129,7 @@ def _known(kinds: Mapping[str, EffectKind], name: str, where: str) -> EffectKind
     near = [kind for kind in kinds if kind.startswith(f"{name}.")]
     near = near or difflib.get_close_matches(name, kinds, n=1)
     hint = f"did you mean {' or '.join(near)}?" if near else f"effects are: {', '.join(kinds)}"
-    raise EffectError(f"{where}: there is no effect '{name}'; {hint}")
+    raise EffectError(f"{where}: there is no effect '{name}'", hint)
 
 
 def _in_proportion(kind: EffectKind, value: str) -> dict[str, str]:
@@ -156,9 +156,9 @@ def _values(kind: EffectKind, rest: str, text: str) -> dict[str, float]:
     for spelled, value in given.items():
         what = spelled.removeprefix(f"{kind.prefix}_")
         if what not in names:
-            raise EffectError(f"--effect {text}: '{kind.id}' has no '{what}'; it has: {', '.join(names)}")
+            raise EffectError(f"--effect {text}: '{kind.id}' has no '{what}'", f"it has: {', '.join(names)}")
         try:
             values[kind.full(what)] = float(value)
         except ValueError:
-            raise EffectError(f"--effect {text}: {what} = '{value}' is not a number; give one") from None
+            raise EffectError(f"--effect {text}: {what} = '{value}' is not a number", "give one") from None
     return values

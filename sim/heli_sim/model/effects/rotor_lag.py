@@ -39,7 +39,9 @@ class RotorLag(Effect):
     def __init__(self, lag_s: float = 0.0, **fields: object) -> None:
         if not fields:
             if not lag_s >= 0.0:
-                raise PlantError(f"rotor_lag_s = {lag_s} must not be negative; leave the effect out instead")
+                raise PlantError(
+                    f"rotor_lag_s = {lag_s} must not be negative", "leave the effect out instead"
+                )
             made = KIND.make({"rotor_lag_s": lag_s})
             fields = {name: getattr(made, name) for name in Effect.__dataclass_fields__}
         super().__init__(**fields)  # type: ignore[arg-type]
