@@ -253,6 +253,37 @@ def _disassembled(text: str) -> Iterable[tuple[str, list[tuple[str, str]]]]:
     yield name, body
 
 
+def read_symbols(elf: Path, cross: str = "arm-none-eabi-") -> dict[str, int]:
+    """Read where a linked firmware has its symbols.
+
+    Parameters
+    ----------
+    elf : Path
+        The linked file.
+    cross : str
+        Prefix of the names of the binary tools.
+
+    Returns
+    -------
+    dict of str to int
+        Addresses of all symbols.
+
+    Raises
+    ------
+    ReportError
+        When a tool is missing or does not take the file.
+    """
+    return {name: address for name, _, address in _symbols(elf, cross)}
+
+
+def _symbols(elf: Path, cross: str) -> Iterable[tuple[str, str, int]]:
+    """Name, kind and address of each."""
+    for line in _run(cross, "nm", elf).splitlines():
+        address, kind, name = line.split()[-3:] if len(line.split()) == 3 else ("0", "?", "")
+        if name and not name.startswith("$"):
+            yield name, kind, int(address, 16)
+
+
 def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
     """Take a linked firmware apart.
 
@@ -280,12 +311,10 @@ def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
     }
     symbols = {}
     code_at: dict[int, str] = {}
-    for line in _run(cross, "nm", elf).splitlines():
-        address, kind, name = line.split()[-3:] if len(line.split()) == 3 else ("0", "?", "")
-        if name and not name.startswith("$"):
-            symbols[name] = int(address, 16)
-            if kind in "tTwW":
-                code_at.setdefault(int(address, 16) & ~1, name)
+    for name, kind, address in _symbols(elf, cross):
+        symbols[name] = address
+        if kind in "tTwW":
+            code_at.setdefault(address & ~1, name)
 
     functions = {}
     constants: set[int] = set()
