@@ -301,6 +301,37 @@ def _disassembled(text: str) -> Iterable[tuple[str, list[tuple[int, str, str]]]]
     yield name, body
 
 
+def read_symbols(elf: Path, cross: str = "arm-none-eabi-") -> dict[str, int]:
+    """Read where a linked firmware has its symbols.
+
+    Parameters
+    ----------
+    elf : Path
+        The linked file.
+    cross : str
+        Prefix of the names of the binary tools.
+
+    Returns
+    -------
+    dict of str to int
+        Addresses of all symbols.
+
+    Raises
+    ------
+    ReportError
+        When a tool is missing or does not take the file.
+    """
+    return {name: address for name, _, address, _ in _symbols(elf, cross)}
+
+
+def _symbols(elf: Path, cross: str) -> Iterable[tuple[str, str, int, int]]:
+    """Name, kind, address and length in bytes of each; length 0 where the linker states none."""
+    for line in _run(cross, "nm", "-S", elf).splitlines():
+        words = line.split()
+        if len(words) in (3, 4) and not words[-1].startswith("$"):
+            yield words[-1], words[-2], int(words[0], 16), int(words[1], 16) if len(words) == 4 else 0
+
+
 def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
     """Take a linked firmware apart.
 
@@ -329,15 +360,13 @@ def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
     symbols = {}
     code_at: dict[int, str] = {}
     table_words: dict[str, range] = {}
-    for line in _run(cross, "nm", "-S", elf).splitlines():
-        address, *size, kind, name = line.split() if len(line.split()) > 2 else ("0", "?", "")
-        if name and not name.startswith("$"):
-            symbols[name] = int(address, 16)
-            if kind in "tTwW":
-                code_at.setdefault(int(address, 16) & ~1, name)
-            if name.startswith(_VIRTUAL_TABLE) and size:
-                first = (int(address, 16) - FLASH_START) // 4
-                table_words[name] = range(first + _TABLE_HEAD_WORDS, first + int(size[0], 16) // 4)
+    for name, kind, address, size in _symbols(elf, cross):
+        symbols[name] = address
+        if kind in "tTwW":
+            code_at.setdefault(address & ~1, name)
+        if name.startswith(_VIRTUAL_TABLE) and size:
+            first = (address - FLASH_START) // 4
+            table_words[name] = range(first + _TABLE_HEAD_WORDS, first + size // 4)
 
     functions = {}
     constants: set[int] = set()

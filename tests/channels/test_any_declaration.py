@@ -73,6 +73,6 @@ def test_a_log_by_a_version_with_a_finer_scale_is_not_rounded_to_ours(tmp_path: 
     back = 'name = "back"\ntype = "i16"\nunit = "V"\nscale = '
     copy.replace(DECLARATION, f"{back}0.001", f"{back}0.00001")
     came_through(copy, tmp_path)
-    logged, table = (Flight.read(tmp_path / name) for name in ("a.mcap", "a.csv"))
+    logged, table = (read_flight(tmp_path / name) for name in ("a.mcap", "a.csv"))
     assert np.abs(table.back_V).max() < 0.13
     np.testing.assert_allclose(logged.back_V, table.back_V, rtol=1e-6, atol=1e-9)

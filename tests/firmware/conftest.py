@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,32 +9,17 @@ import pytest
 
 from firmware.due.report import Image, read_image
 from tests.due import fetch_svd
+from tests.firmware.built import built_elf
 from tests.firmware.description import Description, read_description
 
 if TYPE_CHECKING:
     from tests.firmware.desk import Board
 
-ROOT = Path(__file__).resolve().parents[2]
-
 
 @pytest.fixture(scope="session")
-def elf(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def elf() -> Path:
     """The linked firmware."""
-    for tool in ("arm-none-eabi-g++", "make"):
-        if shutil.which(tool) is None:
-            pytest.skip(
-                f"{tool} is not installed; on Debian: apt-get install gcc-arm-none-eabi "
-                "libnewlib-arm-none-eabi libstdc++-arm-none-eabi-dev make"
-            )
-    build = tmp_path_factory.mktemp("firmware")
-    done = subprocess.run(
-        ["make", "-s", "-j2", "-C", ROOT / "firmware" / "due", f"BUILD={build}", build / "heli.elf"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return build / "heli.elf"
+    return built_elf()
 
 
 @pytest.fixture(scope="session")

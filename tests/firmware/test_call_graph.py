@@ -10,7 +10,7 @@ import pytest
 
 from firmware.due import report
 from firmware.due.report import Image
-from tests.firmware.conftest import ROOT
+from tests.firmware.built import ROOT
 
 FLAGS = ROOT / "firmware" / "due" / "compile.flags"
 PROGRAMS = ROOT / "tests" / "due" / "programs"

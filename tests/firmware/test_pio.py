@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.firmware.conftest import ROOT
+from tests.firmware.built import ROOT
 
 PIO = ROOT / "firmware" / "pio"
 
@@ -31,7 +31,7 @@ def test_flags_are_in_one_place() -> None:
         assert "-mcpu" not in path.read_text(), path.name
 
 
-def test_platformio_builds_the_same_program_as_the_makefile(elf: Path) -> None:
+def test_platformio_builds_the_same_program_as_the_makefile(elf: Path, tmp_path: Path) -> None:
     if find_spec("platformio") is None or find_spec("SCons") is None:
         pytest.skip("PlatformIO is not installed: pip install platformio scons")
     # Sizes are printed when it is linked, so it must be linked now.
@@ -46,7 +46,6 @@ def test_platformio_builds_the_same_program_as_the_makefile(elf: Path) -> None:
     )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     assert "flash" in done.stdout
-    subprocess.run(["arm-none-eabi-objcopy", "-O", "binary", elf, elf.with_suffix(".bin")], check=True)
-    assert (ROOT / "build" / "pio" / "due" / "firmware.bin").read_bytes() == elf.with_suffix(
-        ".bin"
-    ).read_bytes()
+    flashed = tmp_path / "heli.bin"
+    subprocess.run(["arm-none-eabi-objcopy", "-O", "binary", elf, flashed], check=True)
+    assert (ROOT / "build" / "pio" / "due" / "firmware.bin").read_bytes() == flashed.read_bytes()

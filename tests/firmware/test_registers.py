@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.firmware.conftest import ROOT
+from tests.firmware.built import ROOT
 from tests.firmware.description import Description, Register
 
 HEADER = ROOT / "firmware" / "due" / "registers.hpp"

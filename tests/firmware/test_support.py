@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.firmware.conftest import ROOT
+from tests.firmware.built import ROOT
 
 
 @pytest.fixture(scope="module")

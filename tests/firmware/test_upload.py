@@ -20,7 +20,7 @@ from heli_sim.sil.process import SilProcess
 
 from firmware.due.report import Image
 from tests.cli.uploader import Uploader
-from tests.firmware.conftest import ROOT
+from tests.firmware.built import ROOT
 from tests.firmware.desk import Board
 from tests.firmware.loader import RomLoader
 

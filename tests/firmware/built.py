@@ -1,0 +1,37 @@
+"""The linked firmware, built once for all workers and runs; make builds again only what is out of date."""
+
+from __future__ import annotations
+
+import fcntl
+import functools
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+ROOT: Final = Path(__file__).resolve().parents[2]
+BUILD: Final = ROOT / "build" / "firmware-of-tests"
+
+
+@functools.cache
+def built_elf() -> Path:
+    """The ELF of the sources as they are; skips without the cross-compiler."""
+    for tool in ("arm-none-eabi-g++", "make"):
+        if shutil.which(tool) is None:
+            pytest.skip(
+                f"{tool} is not installed; on Debian: apt-get install gcc-arm-none-eabi "
+                "libnewlib-arm-none-eabi libstdc++-arm-none-eabi-dev make"
+            )
+    BUILD.mkdir(parents=True, exist_ok=True)
+    with (BUILD / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        done = subprocess.run(
+            ["make", "-s", "-C", ROOT / "firmware" / "due", f"BUILD={BUILD}", BUILD / "heli.elf"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 0, done.stderr
+    return BUILD / "heli.elf"
