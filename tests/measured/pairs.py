@@ -9,7 +9,7 @@ from typing import Final
 
 from heli_host.flight import Flight
 from heli_lab.diagnose.candidate import Candidate
-from heli_lab.diagnose.error_reduction import ErrorReduction, gain
+from heli_lab.diagnose.error_reduction import ErrorReduction, error_reduction
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.identify import Record, prepare
 from heli_sim.model import MultibodyModel
@@ -113,10 +113,10 @@ def told(pair: str, models: Sequence[tuple[str, ...]] = TOLD, back: bool = False
         # A valley is chosen by the flight that is fitted; the other one is only looked at.
         best = min((comparison.refit(candidates, start) for start in starts), key=_unlikely)
         baseline = found[0].hypothesis if found else best
-        found.append(Told(effects, best, gain(baseline, best)))
+        found.append(Told(effects, best, error_reduction(baseline, best)))
     return found
 
 
 def _unlikely(one: Hypothesis) -> float:
     """Minus the logarithm of the likelihood; a fit's own cost is in units of its own errors."""
-    return float(0.5 * one.train.rows.sum() * one.train.neg2_log_likelihood.sum() + one.train.tension)
+    return float(0.5 * one.train.rows.sum() * one.train.neg2_log_likelihood.sum() + one.train.prior_penalty)
