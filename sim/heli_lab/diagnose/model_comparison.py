@@ -13,7 +13,8 @@ from heli_sim.rig import Rig
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.identify import Fit, Problem, Record, solve, validate
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.residual_noise import LEAST_VARIANCE, autocovariance, floored_mean_square
+from heli_lab.identify.residual_noise import autocovariance, floored_mean_square
+from heli_lab.identify.thresholds import LEAST_VARIANCE
 
 _CORRELATED_s: Final = 0.5
 _RELIEF: Final = 20.0
