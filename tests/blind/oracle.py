@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from heli_host.flight import Flight
 from heli_lab.identify import Fit, Problem, Record, check, prepare, solve, validate
-from heli_lab.identify.free import loose
+from heli_lab.identify.free import estimated_names
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Effect
 from heli_sim.model.effects import catalogue
@@ -74,7 +74,7 @@ def tell(rig: Rig, flights: tuple[Flight, Flight], hidden: Sequence[Hidden]) -> 
     for one in hidden:
         kind = kinds[one.id]
         if kind.baseline:
-            gone |= kind.held
+            gone |= kind.override
         elif not kind.noise_inputs:
             effects.append(kind.make(one.start))
             # Free beside a torque that starts small, a frequency runs away before the torque has grown.
@@ -125,7 +125,7 @@ def _fit(
         model,
         rig,
         records[:1],
-        free=loose(model, rig, None, list(fixed)),
+        free=estimated_names(model, rig, None, list(fixed)),
         step_s=_STEP_S,
         values=fixed,
     )

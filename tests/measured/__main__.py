@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from heli_lab.diagnose import diagnose, to_json
-from heli_lab.identify.record import AXES
 from heli_sim.model import MultibodyModel
+from heli_sim.model.parts import AXES
 from heli_sim.rig import load_rig
 
 from tests.measured.figures import figure_of_pair, figure_of_sizes

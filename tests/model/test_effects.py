@@ -180,7 +180,7 @@ def test_a_lag_follows_the_thrust_that_a_bent_curve_asks_for() -> None:
 def power_W(model: Model, effect: Effect, x: Vector, volts_V: tuple[float, float]) -> float:
     """What an effect's torque gives to the axes, at rates that they keep but for it."""
     symbols = ca.SX.sym("x", len(model.states))
-    at = model.situation(symbols, ca.SX(list(volts_V)), ca.SX(model.parameter_values(load_rig("makki2024"))))
+    at = model.operands(symbols, ca.SX(list(volts_V)), ca.SX(model.parameter_values(load_rig("makki2024"))))
     friction = effect.friction_Nm(at, ca.SX.zeros(3), ca.SX.ones(3))
     torque = ca.Function("torque", [symbols], [effect.torque_Nm(at) + friction])
     return float(np.asarray(torque(x)).ravel() @ x[3:6])
@@ -200,7 +200,7 @@ def test_dry_friction_holds_what_pushes_less_and_slows_what_moves(axis: str) -> 
     c_Nm, row = 0.01, AXES.index(axis)
     effect = KINDS[f"coulomb_friction.{axis}"].make({f"coulomb_friction_{axis}_Nm": c_Nm})
     model, inertia = MultibodyModel((effect,)), ca.SX([0.8, 0.05, 0.7])
-    at = model.situation(
+    at = model.operands(
         ca.SX.sym("x", 6), ca.SX.zeros(2), ca.SX(model.parameter_values(load_rig("makki2024")))
     )
     rate, push_Nm = at.state[f"{axis}_rate_rad_s"], ca.SX.sym("push")
@@ -218,7 +218,7 @@ def test_springs_and_tilt_conserve_energy(text: str) -> None:
     rig = load_rig("makki2024").replace(**loss)
     model = MultibodyModel(parse_effects([text]))
     x, u, p = ca.SX.sym("x", 6), ca.SX.zeros(2), ca.SX(model.parameter_values(rig))
-    at = model.situation(x, u, p)
+    at = model.operands(x, u, p)
     # The rate of the energy along the motion is exactly nothing.
     change = ca.jtimes(model.energy_J(at), x, model.dynamics(x, u, p))
     own = model.energy_J(at) - MultibodyModel().energy_J(at)
@@ -235,7 +235,7 @@ def test_thrust_times_climb_is_the_power_that_the_thrust_gives() -> None:
     model, random = MultibodyModel(), np.random.default_rng(5)
     x, thrust = ca.SX.sym("x", 6), ca.SX.sym("F", 2)
     p = ca.SX(model.parameter_values(load_rig("makki2024")))
-    at = model.situation(x, ca.SX.zeros(2), p)
+    at = model.operands(x, ca.SX.zeros(2), p)
     pushed = model.acceleration(at, thrust, ca.SX.zeros(3)) - model.acceleration(
         at, ca.SX.zeros(2), ca.SX.zeros(3)
     )

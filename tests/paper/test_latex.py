@@ -162,7 +162,7 @@ def test_the_mass_matrix_and_the_forces_written_are_those_of_the_multibody_model
     model = MultibodyModel()
     known = evaluated(model, equations(model))
     x = ca.SX.sym("x", 6)
-    at = model.situation(x, ca.SX(VOLTS), ca.SX(model.parameter_values(RIG)))
+    at = model.operands(x, ca.SX(VOLTS), ca.SX(model.parameter_values(RIG)))
     F = ca.SX([known["F_{f}"], known["F_{b}"]])
     inertia, forces, energy = (
         np.asarray(value)

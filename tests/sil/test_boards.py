@@ -35,7 +35,7 @@ from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import parse_options
 from heli_sim.sil.world import SilWorld
 
-from tests.sil.desk import Host, world
+from tests.sil.harness import Host, world
 
 Board = dict[str, str]
 # Steps of the duty over its whole range, as in firmware/core/board.hpp.

@@ -13,7 +13,7 @@ from heli_sim.sil.options import parse_options, parse_url
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.sil.desk import Host, hello_frame, world
+from tests.sil.harness import Host, hello_frame, world
 
 PLAN = FaultPlan(flip=1e-3, drop=1e-2, double=1e-2)
 CLEAN = bytes(range(256)) * 40

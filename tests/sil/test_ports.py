@@ -15,7 +15,7 @@ from heli_sim.sil.pty import PtyEndpoint
 from heli_sim.sil.server import run_server
 from heli_sim.sil.tcp import TcpEndpoint
 
-from tests.sil.desk import hello_frame, world
+from tests.sil.harness import hello_frame, world
 from tests.sil.ports import Bench, PtyHost, TcpHost
 
 Opener = Callable[[str], PtyHost | TcpHost]

@@ -1,4 +1,4 @@
-"""The simulated board behaves like a board: power stage, reset, flash, stop input, pinned axes."""
+"""The simulated board behaves like a board: power stage, reset, flash, stop input, locked axes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
 from tests.channels import COUNTS
-from tests.sil.desk import Host, world
+from tests.sil.harness import Host, world
 
 
 @pytest.mark.parametrize(

@@ -84,7 +84,7 @@ def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[A
     values, stds = fit.values, fit.std
     found = []
     for id_, kind in kinds.items():
-        names = [name for name in kind.held if name in values and rig[name].value > 0.0]
+        names = [name for name in kind.override if name in values and rig[name].value > 0.0]
         if not kind.baseline or not names:
             continue
         numbers = [
@@ -146,8 +146,8 @@ def closely_stated(kind: EffectKind, rig: Rig) -> bool:
     bool
         False also where the rig does not have the term.
     """
-    return bool(kind.held) and all(
-        name in rig and 0.0 < rig[name].tolerance < CLOSELY_STATED * rig[name].value for name in kind.held
+    return bool(kind.override) and all(
+        name in rig and 0.0 < rig[name].tolerance < CLOSELY_STATED * rig[name].value for name in kind.override
     )
 
 
@@ -177,7 +177,7 @@ def without_absent_terms(
     for kind in kinds:
         if not (kind.baseline and kind.suits(comparison.model) and closely_stated(kind, comparison.rig)):
             continue
-        names = [one.quantity for one in baseline.fit.problem.free if one.quantity not in kind.held]
+        names = [one.quantity for one in baseline.fit.problem.free if one.quantity not in kind.override]
         problem = Problem(
             comparison.model,
             comparison.rig,
@@ -185,7 +185,7 @@ def without_absent_terms(
             free=tuple(dict.fromkeys(names)),
             window_s=comparison.window_s,
             step_s=baseline.fit.problem.step_s,
-            values=kind.held,
+            values=kind.override,
         )
         try:
             fit = solve(problem, fine=False)
@@ -201,7 +201,7 @@ def without_absent_terms(
     effect = replace(kind.make({name: 1.0}), priors={name: _WHOLE})
     start = {
         **fit.values,
-        **{number: comparison.rig[number].value for number in kind.held},
+        **{number: comparison.rig[number].value for number in kind.override},
         name: _START_SHARE,
     }
     less = comparison.refit([Candidate(kind.id, effect, (name,))], start)

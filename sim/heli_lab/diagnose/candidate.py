@@ -198,7 +198,7 @@ class _ExtendedModel:
         for i, place in enumerate(extra):
             both[place] = z[i]
         rates, angles = self.more.dynamics(both, u, p, t), self.more.measurement(both, u, p, t)
-        after = self.more.settled(both, u, p, t)
+        after = self.more.reset_map(both, u, p, t)
         p_base = ca.vertcat(*(p[i] for i in self.places))
         if linear:
             by = ca.vertcat(*(p[self.own_places[name]] for name in linear))
@@ -273,7 +273,7 @@ def effect_candidates(kind: EffectKind, seconds: float) -> list[Candidate]:
     list of Candidate
         One for each point of the grid.
     """
-    scan = kind.scanned(seconds)
+    scan = kind.grid_values(seconds)
     candidates = []
     for point in itertools.product(*scan.values()):
         grid = dict(zip(scan, point, strict=True))

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.model_comparison import Hypothesis
 from heli_lab.identify import Fit, trace
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.record import AXES
 
 _RESAMPLES: Final = 2000
 """Bootstrap samples: 50 lie beyond each end of a 95 % interval."""

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.disturbance_torque import DisturbanceTorque, estimate_disturbance
 from heli_lab.diagnose.linearisation import Linearisation
@@ -19,7 +20,6 @@ from heli_lab.diagnose.spline_curve import SplineCurve
 from heli_lab.diagnose.spline_term import readable_id
 from heli_lab.identify import Fit, Trace, trace
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.record import AXES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

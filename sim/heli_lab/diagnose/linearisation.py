@@ -14,6 +14,7 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
+from heli_sim.model.parts import AXES
 from scipy.linalg import expm
 
 from heli_lab.identify import Fit
@@ -121,7 +122,7 @@ class Linearisation:
         names = [quantity.name for quantity in model.parameters]
         problem = self.fit.problem
         free = [names.index(problem.free[i].quantity) for i in problem.columns[self.index]]
-        torques = [names.index(f"torque_{axis}") for axis in ("elevation", "pitch", "travel")]
+        torques = [names.index(f"torque_{axis}") for axis in AXES]
         rates, angles = model.dynamics(x, u, p, t), model.measurement(x, u, p, t)
         wanted = [
             ca.jacobian(rates, x),

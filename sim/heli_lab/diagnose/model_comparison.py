@@ -14,7 +14,8 @@ from heli_lab.diagnose.candidate import Candidate
 from heli_lab.diagnose.thresholds import PRIOR_RELIEF
 from heli_lab.identify import Fit, Problem, Record, solve, validate
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.residual_noise import LEAST_VARIANCE, autocovariance, floored_mean_square
+from heli_lab.identify.residual_noise import autocovariance, floored_mean_square
+from heli_lab.identify.thresholds import LEAST_VARIANCE
 
 _LONGEST_LAG_s: Final = 0.5
 """Lags of the autocovariance in the long-run variance: a quarter of a window. Longer ones are too noisy."""

@@ -321,7 +321,7 @@ def pooled(comparison: Comparison, hypothesis: Hypothesis) -> Fit:
         (*comparison.train, *comparison.held_out),
         window_s=old.window_s,
         step_s=old.step_s,
-        state_std=old.tied,
+        state_std=old.state_std_by_name,
     )
     known = {(one.quantity, one.record): v for one, v in zip(old.free, fit.theta, strict=True)}
     for one, value in zip(held_out.problem.free, held_out.theta, strict=True):

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.noise_model import DisturbanceFit
 from heli_lab.diagnose.screening import Scored, Screening
 from heli_lab.diagnose.thresholds import CORRELATE_MIN, CORRELATE_SHARE
 from heli_lab.diagnose.whiteness import Dependence, best_single_axis, score_dependences
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.record import AXES
 
 _MAX_CORRELATES: Final = 4
 """Length of a list for people."""

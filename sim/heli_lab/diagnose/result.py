@@ -115,7 +115,7 @@ class Diagnosis:
             One sentence without its full stop.
         """
         numbers = self.values(found)
-        return self.kinds[found.candidate.id].sentence(
+        return self.kinds[found.candidate.id].describe(
             {name: value for name, (value, _, _) in numbers.items()},
             {name: std for name, (_, std, _) in numbers.items()},
         )

@@ -122,7 +122,7 @@ def _candidate(kind: EffectKind, model: Model, known: set[str]) -> bool:
     """Whether an effect is searched for; a removed term whose parameter is free shows in the fit itself."""
     if not kind.suits(model) or kind.id in known or kind.noise_inputs:
         return False
-    return not kind.baseline or (not kind.held and model.name != "multibody")
+    return not kind.baseline or (not kind.override and model.name != "multibody")
 
 
 def _next(

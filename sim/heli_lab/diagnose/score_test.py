@@ -14,11 +14,12 @@ from typing import Final
 
 import numpy as np
 
-from heli_lab.block_elimination import eliminate_leading
 from heli_lab.diagnose.linearisation import Linearisation
 from heli_lab.identify import Fit
 from heli_lab.identify.functions import Floats
 from heli_lab.identify.residual_noise import floored_mean_square
+from heli_lab.identify.schur import eliminate
+from heli_lab.identify.thresholds import SINGULAR_GUARD
 
 _REWEIGHTINGS: Final = 4
 """Updates of the axes' variances in a score; they have settled by then, set by judgement."""
@@ -159,7 +160,7 @@ class ScoreTest:
         for _ in range(_REWEIGHTINGS):
             normal = np.einsum("wa,waij->wij", self.weights[:, None] / scale, normal_matrix)
             normal[:, diagonal, diagonal] += self._state_prior
-            schur, follow = eliminate_leading(normal, nx)
+            schur, follow = eliminate(normal, nx, SINGULAR_GUARD)
             rest = schur.sum(axis=0)
             matrix = (rest[:-1, :-1] + np.diag(prior)) / np.outer(unit, unit)
             covariance = np.linalg.pinv(matrix, rcond=1e-12, hermitian=True) / np.outer(unit, unit)

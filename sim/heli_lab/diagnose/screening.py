@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 from heli_sim.model.effects.kind import EffectKind
+from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.candidate import Candidate, Regressors, effect_candidates, spline_candidates
 from heli_lab.diagnose.disturbance_torque import DisturbanceTorque, estimate_disturbance
@@ -131,14 +132,14 @@ class Screening:
         return Scored(candidate, result, tried)
 
     def _places(self, kind: EffectKind) -> list[Candidate]:
-        frequency = next((q.name for q in kind.parameters if q.unit == "Hz" and q.name in kind.scan), None)
+        frequency = next((q.name for q in kind.parameters if q.unit == "Hz" and q.name in kind.grid), None)
         if frequency is not None:
             axis = kind.acts_on.rpartition(".")[2]
             candidates = effect_candidates(
                 replace(
                     kind,
                     numbers=tuple(
-                        replace(one, scan=self._peaks(axis)) if kind.full(one.what) == frequency else one
+                        replace(one, grid=self._peaks(axis)) if kind.full(one.what) == frequency else one
                         for one in kind.numbers
                     ),
                 ),
@@ -194,7 +195,7 @@ class Screening:
 
     def _peaks(self, axis: str) -> tuple[float, ...]:
         """Frequencies of the highest peaks of the missing torque's spectrum about an axis."""
-        index = ("elevation", "pitch", "travel").index(axis)
+        index = AXES.index(axis)
         torque = self.torques[0]
         value = torque.value_Nm[:, index]
         step_s = float(np.median(np.diff(torque.t_s)))
@@ -275,9 +276,9 @@ def _thinned(kind: EffectKind, seconds: float) -> EffectKind:
     def thin(values: tuple[float, ...]) -> tuple[float, ...]:
         return values[:: -(-len(values) // _MAX_GRID)]
 
-    scan = kind.scanned(seconds)
+    scan = kind.grid_values(seconds)
     numbers = tuple(
-        one if one.scan is None else replace(one, scan=thin(scan[kind.full(one.what)]))
+        one if one.grid is None else replace(one, grid=thin(scan[kind.full(one.what)]))
         for one in kind.numbers
     )
     return replace(kind, numbers=numbers)

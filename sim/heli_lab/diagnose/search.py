@@ -104,7 +104,7 @@ class _Searcher:
         if kind is None or len(fixed) != 1:
             return [candidate]
         (name,) = fixed
-        values = kind.scanned(1.0)[name]
+        values = kind.grid_values(1.0)[name]
         if len(values) < 3:
             return [candidate]
         near = int(np.argmin(np.abs(np.array(values) - candidate.grid[name])))

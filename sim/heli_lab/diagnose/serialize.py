@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from heli_sim.model.parts import AXES
+
 from heli_lab.diagnose.error_reduction import ErrorReduction
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.model_comparison import Errors
@@ -13,7 +15,6 @@ from heli_lab.diagnose.result import METRIC, Diagnosis
 from heli_lab.diagnose.thresholds import CONFIDENCE_BESIDE_UNKNOWN, CONFIDENCE_GUST, MIN_UNEXPLAINED
 from heli_lab.diagnose.verdict import ambiguous_with, confidence
 from heli_lab.identify import check
-from heli_lab.identify.record import AXES
 
 
 def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
@@ -114,7 +115,7 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
                 "effect": id_,
                 "parameters": _parameters(found.random_torque),
                 "confidence": CONFIDENCE_GUST,
-                "sentence": found.kinds[id_].sentence(
+                "sentence": found.kinds[id_].describe(
                     {key: value for key, (value, _, _) in found.random_torque.items()},
                     {key: std for key, (_, std, _) in found.random_torque.items()},
                 ),
@@ -135,7 +136,7 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
                 "effect": term.id,
                 "parameters": _parameters({name: (term.share, term.std, "1")}),
                 "confidence": round(term.confidence * beside, 3),
-                "sentence": kind.sentence({name: term.share}, {name: term.std}),
+                "sentence": kind.describe({name: term.share}, {name: term.std}),
                 "equation": kind.equation,
                 "evidence": {
                     "standard_errors_from_zero": term.z_from_zero,

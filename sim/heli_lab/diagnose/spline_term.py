@@ -15,13 +15,13 @@ from typing import Final
 import casadi as ca
 import numpy as np
 from heli_sim.model.base import Effect, Model, Operands
+from heli_sim.model.parts import AXES
 from heli_sim.model.parts import thrust_N as static_thrust_N
 from heli_sim.rig.quantity import Prior, Quantity
 
 from heli_lab.diagnose.linearisation import MapEvaluator, Trajectory
 from heli_lab.identify.functions import Floats
 
-AXES: Final = ("elevation", "pitch", "travel")
 KNOTS: Final = 8
 """Basis functions of a curve. By judgement: 4 do not follow a kink or a bump, 16 lose their BIC penalty."""
 _TAIL: Final = 0.005
@@ -79,7 +79,7 @@ class SplineTerm(Effect):
 
     Parameters
     ----------
-    name, parameters, values, states, priors, delay, stage, noise_inputs, shown, searched
+    name, parameters, values, states, priors, delay, stage, noise_inputs, measured_as, multimodal
         Inherited from `Effect`; `spline_term` makes them.
     channel : str
         One of `CHANNELS`; ``torque`` in N m, ``thrust`` as a share of itself, ``measurement`` in rad.
@@ -259,7 +259,7 @@ def quantity_values(model: Model, trajectory: Trajectory) -> dict[str, Floats]:
     """
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
-    at = model.situation(x, u, p, t)
+    at = model.operands(x, u, p, t)
     values = ca.vertcat(*(evaluation(at) for evaluation, _ in QUANTITIES.values()))
     (result,) = MapEvaluator(
         ca.Function("quantities", [x, u, t, p], [ca.densify(values)]), len(trajectory.t_s)

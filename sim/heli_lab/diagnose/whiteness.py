@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from heli_sim.model.parts import AXES
 from scipy.signal import lfilter
 
 from heli_lab.diagnose.candidate import Regressors, spline_candidates
@@ -21,7 +22,6 @@ from heli_lab.diagnose.linearisation import Linearisation
 from heli_lab.diagnose.noise_model import DisturbanceFit
 from heli_lab.diagnose.spline_term import quantity_values
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.record import AXES
 
 _PRODUCTS: Final = (
     "elevation",

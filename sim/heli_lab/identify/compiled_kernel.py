@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from heli_sim.compiled import c_source
 from heli_sim.errors import PlantError
+from typing_extensions import override
 
 from heli_lab.identify.functions import Floats, Functions, Inputs
 from heli_lab.identify.windows import Kernel
@@ -59,7 +60,7 @@ static void evaluate(const Row* row, double c, double t, const double* p, double
   }
 }
 
-static void look(const Row* row, double t, const double* p, double* x, double (*s)[NZ], double* angles,
+static void measure(const Row* row, double t, const double* p, double* x, double (*s)[NZ], double* angles,
                  double* target) {
   double u[2], du[NS][2], fx[%(fx)d], fp[%(fp)d], fu[%(fu)d], w[%(w)d];
   long long iw[%(iw)d];
@@ -79,7 +80,7 @@ static void look(const Row* row, double t, const double* p, double* x, double (*
   }
 }
 
-%(settle)s
+%(reset)s
 /* One step; s is null without derivatives. */
 static void advance(const Row* row, double c, double share, double t, double h, const double* p, double* x,
                     double (*s)[NZ]) {
@@ -109,13 +110,13 @@ static void advance(const Row* row, double c, double share, double t, double h, 
     x[i] += h / 6.0 * sum[i];
     if (s) for (int j = 0; j < NZ; ++j) s[i][j] += h / 6.0 * sums[i][j];
   }
-%(settled)s}
+%(call_reset)s}
 
 /* Adds the products of one axis' row [derivatives | residual]; the lower triangle is filled at the end. */
-static void add_products(const double* row, double* gram) {
+static void add_products(const double* row, double* normal) {
   for (int i = 0; i <= NZ; ++i) {
     const double value = row[i];
-    double* target = gram + i * (NZ + 1);
+    double* target = normal + i * (NZ + 1);
     for (int j = i; j <= NZ; ++j) target[j] += value * row[j];
   }
 }
@@ -124,9 +125,9 @@ void heli_windows(long long windows, const long long* first, const long long* st
                   double step_s, long long substeps, const double* mean, const double* change,
                   const double** mean_by, const double** change_by, const double* x0,
                   const double* p, double* angles, double* jacobian, double* end,
-                  const double* measured, const double* sigma, double* gram) {
+                  const double* measured, const double* sigma, double* normal) {
   double derivatives[3][NZ], products[NZ + 1];
-  const int with = jacobian != 0 || gram != 0;
+  const int with = jacobian != 0 || normal != 0;
   const double share = 1.0 / (double)substeps, h = step_s * share;
   double s[NX][NZ];
   for (long long w = 0; w < windows; ++w) {
@@ -142,19 +143,19 @@ void heli_windows(long long windows, const long long* first, const long long* st
         row.change_by[j] = change_by[j] ? change_by[j] + 2 * r : 0;
       }
       const double t = start_s[w] + (double)k * step_s;
-      look(&row, t, p, x, s, angles + 3 * r, with ? derivatives[0] : 0);
+      measure(&row, t, p, x, s, angles + 3 * r, with ? derivatives[0] : 0);
       if (jacobian) memcpy(jacobian + 3 * NZ * r, derivatives, sizeof(derivatives));
-      for (int axis = 0; gram && axis < 3; ++axis) {
+      for (int axis = 0; normal && axis < 3; ++axis) {
         for (int j = 0; j < NZ; ++j) products[j] = derivatives[axis][j] / sigma[axis];
         products[NZ] = (measured[3 * r + axis] - angles[3 * r + axis]) / sigma[axis];
-        add_products(products, gram + (3 * w + axis) * (NZ + 1) * (NZ + 1));
+        add_products(products, normal + (3 * w + axis) * (NZ + 1) * (NZ + 1));
       }
       for (long long m = 0; m < substeps; ++m) {
         advance(&row, (double)m * share, share, t + (double)m * h, h, p, x, with ? s : 0);
       }
     }
-    for (int axis = 0; gram && axis < 3; ++axis) {
-      double* target = gram + (3 * w + axis) * (NZ + 1) * (NZ + 1);
+    for (int axis = 0; normal && axis < 3; ++axis) {
+      double* target = normal + (3 * w + axis) * (NZ + 1) * (NZ + 1);
       for (int i = 0; i <= NZ; ++i) {
         for (int j = 0; j < i; ++j) target[i * (NZ + 1) + j] = target[j * (NZ + 1) + i];
       }
@@ -164,24 +165,24 @@ void heli_windows(long long windows, const long long* first, const long long* st
 """
 
 
-# States that an effect sets anew after a step.
-_SETTLE: Final = """
-static void chain_settled(const double* fx, const double* fp, const double* fu, double (*du)[2],
+# The map that effects reset their states by after a step.
+_RESET: Final = """
+static void chain_reset_map(const double* fx, const double* fp, const double* fu, double (*du)[2],
                           double (*s)[NZ], double (*out)[NZ]) {
 %(chain)s}
 
-static void settle(const Row* row, double c, double t, const double* p, double* x, double (*s)[NZ]) {
+static void reset(const Row* row, double c, double t, const double* p, double* x, double (*s)[NZ]) {
   double u[2], du[NS][2], fx[%(fx)d], fp[%(fp)d], fu[%(fu)d], w[%(w)d], y[NX], ys[NX][NZ];
   long long iw[%(iw)d];
   const double* arg[%(arg)d] = {x, u, &t, p};
   double* res[%(res)d] = {y, fx, fp, fu};
   input(row, c, u, du);
   if (s) {
-    heli_settled_jacobian(arg, res, iw, w, 0);
-    chain_settled(fx, fp, fu, du, s, ys);
+    heli_reset_map_jacobian(arg, res, iw, w, 0);
+    chain_reset_map(fx, fp, fu, du, s, ys);
     memcpy(s, ys, sizeof(ys));
   } else {
-    heli_settled(arg, res, iw, w, 0);
+    heli_reset_map(arg, res, iw, w, 0);
   }
   memcpy(x, y, sizeof(y));
 }
@@ -223,14 +224,14 @@ def driver(functions: Functions) -> str:
         One C file with the function heli_windows.
     """
     sizes = [function.sz_arg() for function in functions.all], [f.sz_res() for f in functions.all]
-    jacobians = (functions.rates_jacobian, functions.angles_jacobian, functions.settled_jacobian)
+    jacobians = (functions.rates_jacobian, functions.angles_jacobian, functions.reset_map_jacobian)
     nonzeros = [max(f.nnz_out(i) for f in jacobians) for i in (1, 2, 3)]
     sized = {
         "nx": functions.state_count,
         "nz": functions.state_count + len(functions.free_index),
         "ns": max(1, len(functions.shaping)),
         "identity": functions.identity,
-        "chain": _chain(functions, functions.settled_jacobian),
+        "chain": _chain(functions, functions.reset_map_jacobian),
         "arg": max(4, *sizes[0]),
         "res": max(4, *sizes[1]),
         "iw": max(1, *(f.sz_iw() for f in functions.all)),
@@ -239,8 +240,8 @@ def driver(functions: Functions) -> str:
         "rates": _chain(functions, functions.rates_jacobian),
         "angles": _chain(functions, functions.angles_jacobian),
     }
-    sized["settle"] = _SETTLE % sized if functions.settles else ""
-    sized["settled"] = "  settle(row, c + share, t + h, p, x, s);\n" if functions.settles else ""
+    sized["reset"] = _RESET % sized if functions.has_reset else ""
+    sized["call_reset"] = "  reset(row, c + share, t + h, p, x, s);\n" if functions.has_reset else ""
     return c_source(*functions.all) + _C % sized
 
 
@@ -269,6 +270,7 @@ class CompiledKernel(Kernel):
             raise PlantError(f"the compiled model does not load: {error}; delete {library}") from None
         self._windows.restype = None
 
+    @override
     def _run(
         self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool
     ) -> tuple[Floats, Floats | None]:
@@ -276,6 +278,7 @@ class CompiledKernel(Kernel):
         angles, _ = self._call(inputs, start, parameters, jacobian, None)
         return angles, jacobian
 
+    @override
     def _products(
         self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
     ) -> tuple[Floats, Floats]:
@@ -284,6 +287,7 @@ class CompiledKernel(Kernel):
         angles, _ = self._call(inputs, start, parameters, None, (measured_rad, sigma_rad, normal_matrix))
         return angles, normal_matrix
 
+    @override
     def _end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
         return self._call(inputs, start, parameters, None, None)[1]
 

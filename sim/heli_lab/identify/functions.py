@@ -1,4 +1,4 @@
-"""What every kernel starts from: rates, measurement and Jacobians of a model, and inputs of windows."""
+"""Input of every kernel: rates, measurement and Jacobians of a model, and voltages of the windows."""
 
 from __future__ import annotations
 
@@ -96,14 +96,14 @@ class Functions:
         self.rates_jacobian = function("heli_rates_jacobian", with_derivatives(rates))
         self.angles = function("heli_angles", [angles])
         self.angles_jacobian = function("heli_angles_jacobian", with_derivatives(angles))
-        settled = ca.densify(model.settled(x, u, p, t))
-        self.settles = not ca.is_equal(settled, x, 10)
-        """Whether effects set states anew after each step."""
-        self.settled = function("heli_settled", [settled])
-        self.settled_jacobian = function("heli_settled_jacobian", with_derivatives(settled))
+        reset_map = ca.densify(model.reset_map(x, u, p, t))
+        self.has_reset = not ca.is_equal(reset_map, x, 10)
+        """Whether a reset map acts on the state after each step."""
+        self.reset_map = function("heli_reset_map", [reset_map])
+        self.reset_map_jacobian = function("heli_reset_map_jacobian", with_derivatives(reset_map))
 
     @property
     def all(self) -> tuple[ca.Function, ...]:
         """Every function that the loop calls."""
         moving = (self.rates, self.rates_jacobian, self.angles, self.angles_jacobian)
-        return (*moving, self.settled, self.settled_jacobian) if self.settles else moving
+        return (*moving, self.reset_map, self.reset_map_jacobian) if self.has_reset else moving

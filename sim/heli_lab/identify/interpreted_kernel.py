@@ -1,4 +1,4 @@
-"""The kernel without a compiler, and the witness of the compiled one: NumPy on CasADi's virtual machine."""
+"""The kernel without a compiler: NumPy on CasADi's virtual machine; the compiled one is tested by it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
 from heli_lab.identify.functions import Floats, Functions, Inputs, Integers
 from heli_lab.identify.windows import Kernel
@@ -24,12 +25,14 @@ class InterpretedKernel(Kernel):
     def __init__(self, functions: Functions) -> None:
         self._functions = functions
 
+    @override
     def _run(
         self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool
     ) -> tuple[Floats, Floats | None]:
         angles, jacobian, _ = self._loop(inputs, start, parameters, derivatives)
         return angles, jacobian
 
+    @override
     def _products(
         self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
     ) -> tuple[Floats, Floats]:
@@ -41,6 +44,7 @@ class InterpretedKernel(Kernel):
         parts = [columns[low:high].transpose(1, 0, 2) for low, high in itertools.pairwise(edges)]
         return angles, np.array([part.transpose(0, 2, 1) @ part for part in parts])
 
+    @override
     def _end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
         return self._loop(inputs, start, parameters, False)[2]
 
@@ -84,8 +88,8 @@ class InterpretedKernel(Kernel):
                 k4, s4 = evaluate("rates", (m + 1) * share, y + h * k3, ys + h * s3)
                 x[here] += h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
                 s[here] += h / 6 * (s1 + 2 * s2 + 2 * s3 + s4)
-                if self._functions.settles:
-                    x[here], s[here] = evaluate("settled", (m + 1) * share, x[here], s[here])
+                if self._functions.has_reset:
+                    x[here], s[here] = evaluate("reset_map", (m + 1) * share, x[here], s[here])
         return angles, jacobian, x
 
     def _evaluate(

@@ -1,6 +1,6 @@
-"""The bench tests of section IV of the paper: which axes are pinned, where it starts, what the motors get.
+"""The bench tests of section IV of the paper: which axes are locked, where it starts, what the motors get.
 
-The paper says which axes it pinned and from which angles pitch was released, and no more: neither voltages
+The paper says which axes it locked and from which angles pitch was released, and no more: neither voltages
 nor lengths are in its text. They are chosen here so that the free axes move far without touching a stop.
 """
 
@@ -29,7 +29,7 @@ _HOVER_SLACK_V: Final = 0.15
 
 @dataclass(frozen=True)
 class BenchTest:
-    """One experiment on a rig some of whose axes are pinned.
+    """One experiment on a rig some of whose axes are locked.
 
     Parameters
     ----------
@@ -37,8 +37,8 @@ class BenchTest:
         What it is called in lists and records.
     panel : str
         Panel of the paper's figure that shows it.
-    pinned : tuple of bool
-        Which of elevation, pitch and travel are pinned throughout.
+    locked : tuple of bool
+        Which of elevation, pitch and travel are locked throughout.
     elevation_deg : float
         Elevation at the start; a hand holds all axes until then.
     pitch_deg : float
@@ -51,7 +51,7 @@ class BenchTest:
 
     name: str
     panel: str
-    pinned: tuple[bool, bool, bool]
+    locked: tuple[bool, bool, bool]
     elevation_deg: float = 0.0
     pitch_deg: float = 0.0
     front_V: float = 0.0
@@ -126,7 +126,7 @@ def record_of(test: BenchTest, flight: Flight, rig: Rig) -> Record:
     """
     angles_deg = np.rad2deg(flight.angles_rad)
     elevation_deg, pitch_deg, travel_deg = (angles_deg[:, axis] for axis in range(3))
-    free = [not held for held in test.pinned]
+    free = [not held for held in test.locked]
     hit = (free[0] and (elevation_deg.max() >= rig["elevation_max"].value)) or any(
         free[axis] and np.abs(angle).max() >= rig[stop].value
         for axis, angle, stop in ((1, pitch_deg, "pitch_max"), (2, travel_deg, "travel_max"))

@@ -25,7 +25,7 @@ _BOOT_S = 0.5
 _SETTLE_S = 1.0
 _FREE_TICKS = 20
 """Left out after the release and before the end: there a hand and a voltage change at once."""
-_ALL_PINNED = [True, True, True]
+_ALL_LOCKED = [True, True, True]
 TABLE_DEG = -25.0
 
 _START = """
@@ -101,7 +101,7 @@ def board_on(plant: Plant, seed: int, elevation_deg: float) -> Iterator[tuple[He
     state = world.state
     state[0] = np.deg2rad(elevation_deg)
     world.state = state
-    world.native.locked = _ALL_PINNED
+    world.native.locked = _ALL_LOCKED
     session = Session(InProcessTransport(world))
     session.connect()
     with Heli(session) as heli:
@@ -145,7 +145,7 @@ def run_bench_test(test: BenchTest, plant: Plant, seed: int = 1) -> Flight:
         with Recorder(heli, path):
             if powered:
                 heli.control(Axes(0), test.front_V, test.back_V)
-            world.native.locked = list(test.pinned)
+            world.native.locked = list(test.locked)
             # The board and the world count the same milliseconds.
             release_tick = world.tick + _FREE_TICKS
             heli.wait(test.duration_s)
@@ -161,7 +161,7 @@ def run_bench_test(test: BenchTest, plant: Plant, seed: int = 1) -> Flight:
 
 
 def read_thrust(plant: Plant, seed: int = 1) -> ThrustCurve:
-    """Read thrust against voltage from a scale, every axis pinned.
+    """Read thrust against voltage from a scale, every axis locked.
 
     Parameters
     ----------

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
+from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.identify.check import Trace, trace
@@ -28,7 +29,6 @@ MEASURED: Final = "#222222"
 MODEL: Final = "#d1495b"
 PRINTED: Final = "#0b5fa5"
 GREY: Final = "#8a8a8a"
-_AXES: Final = ("elevation", "pitch", "travel")
 _SHOWN: Final = {3: "pitch", 4: "elevation", 5: "travel"}
 _NUMBERS: Final = {3: "16", 4: "17", 5: "18"}
 _PANEL_SIZE: Final = (6.4, 3.4)
@@ -104,7 +104,7 @@ def bench_figure(table: Table, records: Sequence[Record], rig: Rig) -> Figure:
     panels = figure.subplots(2, 1)
     for panel, test, record in zip(panels, tests, records, strict=True):
         run = _whole_run(table, record, rig)
-        column = _AXES.index(axis)
+        column = AXES.index(axis)
         panel.plot(run.t_s, np.rad2deg(run.measured_rad[:, column]), color=MEASURED, label="measured")
         panel.plot(
             run.t_s, np.rad2deg(run.predicted_rad[:, column]), "--", color=MODEL, label="(30), identified"

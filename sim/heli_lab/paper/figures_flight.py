@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 from heli_host.flight import Flight
+from heli_sim.model.parts import AXES
 
 from heli_lab.errors import IdentifyError
 from heli_lab.paper.figures_bench import GREY, MEASURED, MODEL, PRINTED
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
-_AXES: Final = ("elevation", "pitch", "travel")
 _COLOURS: Final = (PRINTED, MODEL)
 _WIDTH, _HEIGHT, _SMALL = 7.0, 2.7, 8
 # A path that the host streams is on board a little later; and the last tick before a landing is no flight.
@@ -142,7 +142,7 @@ def response_figure(flights: Sequence[Flown], path: str, number: int) -> Figure:
     panels = figure.subplots(2, 1, sharex=True)
     for letter, panel, axis in zip("ab", panels, (2, 0), strict=True):
         _response(panel, flights, axis, desired=True)
-        panel.set_title(f"({letter}) {_AXES[axis]} angle", fontsize=9)
+        panel.set_title(f"({letter}) {AXES[axis]} angle", fontsize=9)
     panels[-1].set_xlabel("time since the loops closed on the table [s]")
     figure.suptitle(f"Response during flight along the {path} (after Fig. {number})")
     return figure
@@ -182,7 +182,7 @@ def performance_figure(flights: Sequence[Flown], path: str, number: int) -> Figu
                 label=f"{one.label}: {rms:.2f} deg rms",
             )
         panel.axhline(0.0, color=GREY, lw=0.8)
-        panel.set_title(f"({letter}) {_AXES[axis]}", fontsize=9)
+        panel.set_title(f"({letter}) {AXES[axis]}", fontsize=9)
         panel.set_ylabel("error [deg]")
         panel.grid(alpha=0.25)
         panel.legend(fontsize=_SMALL)
@@ -234,6 +234,6 @@ def _response(panel: Axes, flights: Sequence[Flown], axis: int, *, desired: bool
                 lw=0.7,
                 label=f"{one.label}, setpoint",
             )
-    panel.set_ylabel(f"{_AXES[axis]} [deg]")
+    panel.set_ylabel(f"{AXES[axis]} [deg]")
     panel.grid(alpha=0.25)
     panel.legend(fontsize=_SMALL, loc="best")

@@ -13,6 +13,7 @@ from typing import Final
 import casadi as ca
 from heli_sim.model.base import Effect, Model, Operands
 from heli_sim.rig.quantity import Prior, Quantity
+from typing_extensions import override
 
 from heli_lab.paper.coefficients import PRINTED
 
@@ -64,21 +65,8 @@ class LumpedModel(Model):
     def __init__(self, coefficients: Coefficients) -> None:
         super().__init__((coefficients,))
 
+    @override
     def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
-        """Right-hand sides of (30).
-
-        Parameters
-        ----------
-        at : Operands
-            Present state, voltages and coefficients.
-        thrust_N, torque_Nm : casadi.SX
-            Not used: the coefficients hold thrust and friction.
-
-        Returns
-        -------
-        casadi.SX
-            Acceleration of elevation, pitch and travel in rad/s2, shape (3, 1).
-        """
         p, state = at.parameter, at.state
         theta, phi = state["elevation_rad"], state["pitch_rad"]
         travel_rate2 = state["travel_rate_rad_s"] ** 2

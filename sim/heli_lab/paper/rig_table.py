@@ -9,6 +9,7 @@ from typing import Final
 
 from heli_sim.model import MultibodyModel
 from heli_sim.model.locked import Locked
+from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.identify.free import NOT_FREE
@@ -125,7 +126,7 @@ def fit_rig(
     for done, (number, tests) in enumerate(TESTS_OF_TABLE.items()):
         if on_progress is not None:
             on_progress(done / len(TESTS_OF_TABLE))
-        model = Locked(MultibodyModel(), tests[0].pinned)
+        model = Locked(MultibodyModel(), tests[0].locked)
         free = [
             q.name
             for q in model.parameters
@@ -133,7 +134,7 @@ def fit_rig(
         ]
         problem = Problem(model, rig, records[number], free=free, window_s=WINDOW_S)
         fit = solve(problem)
-        normalised[number] = free_axes_normalised(fit, tests[0].pinned)
+        normalised[number] = free_axes_normalised(fit, tests[0].locked)
         for name, std in fit.std.items():
             if name in rig and (name not in best or 2.0 * std < best[name][1]):
                 best[name] = fit.values[name], 2.0 * std, f"Fig. {tests[0].panel[:2]}"
@@ -152,9 +153,9 @@ _BESIDE: Final = ("dead_zone", "friction_elevation", "friction_pitch", "friction
 
 
 def _may_show(name: str, tests: Sequence[BenchTest]) -> bool:
-    """Whether a number can matter at all: motors that are off have no thrust, pinned axes no friction."""
-    pinned = dict(zip(("elevation", "pitch", "travel"), tests[0].pinned, strict=True))
-    held = any(name.endswith(f"_{axis}") and on for axis, on in pinned.items())
+    """Whether a number can matter at all: motors that are off have no thrust, locked axes no friction."""
+    locked = dict(zip(AXES, tests[0].locked, strict=True))
+    held = any(name.endswith(f"_{axis}") and on for axis, on in locked.items())
     off = all(test.front_V == 0.0 and test.back_V == 0.0 for test in tests)
     return not held and not (off and name in ("thrust_gain", "dead_zone"))
 

@@ -67,7 +67,7 @@ class Sensitivity:
 
 
 def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats) -> Floats:
-    """Elevation of (30) after a step of both voltages, pitch and travel pinned, from the table on.
+    """Elevation of (30) after a step of both voltages, pitch and travel locked, from the table on.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Tables 3 to 5 from the bench tests: (30) fitted to them, coefficient by coefficient, with intervals.
 
-Only what a table's tests can tell is fitted. With pitch pinned at 0, cos phi is 1, and P_1 and P_5 are one
+Only what a table's tests can tell is fitted. With pitch locked at 0, cos phi is 1, and P_1 and P_5 are one
 constant; with the motors off, P_11 moves nothing; two travel tests at constant voltages give one factor of
 sin phi each, for the three unknowns P_15, P_17 and P_18.
 """
@@ -14,12 +14,14 @@ from typing import Final
 
 import numpy as np
 from heli_sim.model.locked import Locked
+from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.identify.check import check
+from heli_lab.identify.fit import Fit
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import Record
-from heli_lab.identify.solve import Fit, solve
+from heli_lab.identify.solve import solve
 from heli_lab.paper.bench_tests import ELEVATION_STEPS, PITCH_RELEASES, TRAVEL_STEPS, BenchTest
 from heli_lab.paper.coefficients import PRINTED, analytic
 from heli_lab.paper.lumped import Coefficients, LumpedModel
@@ -59,7 +61,7 @@ _PLANS: Final[Mapping[int, _Plan]] = {
         ("P_1", "P_2", "P_3", "P_4", "P_6"),
         ("P_5",),
         "offset_elevation",
-        dict.fromkeys(("P_1", "P_5"), "told only as P_1 + P_5: pitch is pinned at 0"),
+        dict.fromkeys(("P_1", "P_5"), "told only as P_1 + P_5: pitch is locked at 0"),
     ),
     5: _Plan(
         ("P_12", "P_13", "P_14", "P_16", "P_15", "P_8", "P_9", "P_10", "P_11"),
@@ -156,10 +158,10 @@ def fit_table(
         start["P_1"] = by_masses["P_1"] + by_masses["P_5"]
     if number == 5:
         start["P_15"] = _sine_factor(by_masses, TRAVEL_STEPS[0])
-    pinned = TESTS_OF_TABLE[number][0].pinned
+    locked = TESTS_OF_TABLE[number][0].locked
     prior_std = {name: _PRIOR_STD[name] for name in plan.free}
     problem = Problem(
-        Locked(LumpedModel(Coefficients(start, prior_std)), pinned),
+        Locked(LumpedModel(Coefficients(start, prior_std)), locked),
         rig,
         records,
         free=[*plan.free, plan.offset],
@@ -168,25 +170,25 @@ def fit_table(
     )
     fit = solve(problem, on_progress=lambda p: on_progress(p.done) if on_progress is not None else None)
     rows = [*_printed_rows(number, plan, fit, by_masses), *_extra_rows(number, fit, by_masses)]
-    return Table(number, tuple(rows), free_axes_normalised(fit, pinned), fit)
+    return Table(number, tuple(rows), free_axes_normalised(fit, locked), fit)
 
 
-def free_axes_normalised(fit: Fit, pinned: tuple[bool, bool, bool]) -> float:
-    """Root mean square error of a fit over the axes that are not pinned.
+def free_axes_normalised(fit: Fit, locked: tuple[bool, bool, bool]) -> float:
+    """Root mean square error of a fit over the axes that are not locked.
 
     Parameters
     ----------
     fit : Fit
         The fit.
-    pinned : tuple of bool
-        Which of elevation, pitch and travel are pinned.
+    locked : tuple of bool
+        Which of elevation, pitch and travel are locked.
 
     Returns
     -------
     float
         In standard deviations of the rounding to counts.
     """
-    free = [axis for axis, held in zip(("elevation", "pitch", "travel"), pinned, strict=True) if not held]
+    free = [axis for axis, held in zip(AXES, locked, strict=True) if not held]
     checks = [check(fit, index) for index in range(len(fit.problem.records))]
     return math.sqrt(float(np.mean([one.axis_normalised[axis] ** 2 for one in checks for axis in free])))
 

@@ -29,9 +29,9 @@ class Scale:
     def __init__(self, plant: Plant) -> None:
         model = plant.model
         x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
-        at = model.situation(x, u, ca.SX(model.parameter_values(plant.rig)))
+        at = model.operands(x, u, ca.SX(model.parameter_values(plant.rig)))
         for effect in model.effects:
-            at = replace(at, parameter={**at.parameter, **effect.changed(at)})
+            at = replace(at, parameter={**at.parameter, **effect.modified_parameters(at)})
         for effect in model.effects:
             at = replace(at, volts_V=effect.voltage_V(at, at.volts_V))
         p = at.parameter

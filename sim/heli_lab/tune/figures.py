@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from heli_host.flight import Flight
+from heli_sim.model.parts import AXES
 
 from heli_lab.tune.design import Design
 from heli_lab.tune.loops import LOOPS, open_loops
@@ -19,7 +20,6 @@ _ASKED, _CORNER = "#222222", "#cccccc"
 _COLOURS: Final = ("#0b5fa5", "#d1495b", "#2a9d55", "#8a5fbf")
 _REACH: Final = 2.2
 _SMALL: Final = 8
-_ROWS: Final = ("elevation", "pitch", "travel")
 
 
 def figure_of(design: Design, flights: Sequence[tuple[str, Flight]]) -> Figure:
@@ -74,7 +74,7 @@ def _draw_flights(panels: Sequence[Axes], flights: Sequence[tuple[str, Flight]])
             panels[index].plot(
                 first.t_s, np.rad2deg(setpoint_rad), color=_ASKED, lw=0.9, ls="--", label=label
             )
-        panels[index].set_ylabel(f"{_ROWS[index]} [deg]")
+        panels[index].set_ylabel(f"{AXES[index]} [deg]")
     panels[3].set_ylabel("front motor [V]")
     panels[3].set_xlabel("time since take-off [s]")
     panels[0].legend(loc="lower right", fontsize=_SMALL)

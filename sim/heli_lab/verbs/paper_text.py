@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from heli_host.link.declaration import AXES
+from heli_sim.model.parts import AXES
 
 if TYPE_CHECKING:
     from heli_sim.plant import Plant

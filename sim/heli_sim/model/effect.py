@@ -1,4 +1,4 @@
-"""The places where an effect may act on the way from voltage to measured angle."""
+"""The steps from voltage to measured angle that an effect may change."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from heli_sim.rig.quantity import Prior, Quantity
 
 @dataclass(frozen=True)
 class Operands:
-    """What an equation may look at, by name.
+    """Operands of an equation, by name.
 
     Parameters
     ----------
@@ -25,8 +25,8 @@ class Operands:
         Scalars by parameter name, in the units of `Model.parameters`.
     time_s : casadi.SX
         Time since the flight's first sample.
-    pinned : casadi.SX
-        1 for each of elevation, pitch and travel that a pin holds, else 0; shape (3, 1).
+    locked : casadi.SX
+        1 for each of elevation, pitch and travel that is locked, else 0; shape (3, 1).
     thrust_N : casadi.SX
         Thrust of the front and the back rotor, shape (2, 1): in a torque the final one; in a thrust and in
         the rates of an effect's states that of the effects before it. Zero in a measurement.
@@ -36,7 +36,7 @@ class Operands:
     volts_V: ca.SX
     parameter: Mapping[str, ca.SX]
     time_s: ca.SX = field(default_factory=lambda: ca.SX(0))
-    pinned: ca.SX = field(default_factory=lambda: ca.SX.zeros(3))
+    locked: ca.SX = field(default_factory=lambda: ca.SX.zeros(3))
     thrust_N: ca.SX = field(default_factory=lambda: ca.SX.zeros(2))
 
 
@@ -85,13 +85,13 @@ class Effect:
     stage : Stage
         Where it acts.
     noise_inputs : int
-        Number of independent random pushes that it takes each millisecond of a simulation.
-    shown : Mapping[str, str]
-        Those of `states` that are what an encoder shows, by name, with the axis: whoever starts in the middle
-        of a flight knows them from it.
-    searched : tuple of str
-        Those of `parameters` that a search has to bring near, such as a frequency: beside a size that is
-        still wrong a descent leads away from them.
+        Dimension of the white noise that drives its states in a simulation.
+    measured_as : Mapping[str, str]
+        Those of `states` that an encoder measures, by name, with the axis: their value at any moment of a
+        flight is the measured angle.
+    multimodal : tuple of str
+        Those of `parameters` in which the likelihood is multimodal, such as a frequency: a fit has to start
+        near their values, and holds them while other parameters are still far off.
     """
 
     name: str
@@ -102,8 +102,8 @@ class Effect:
     delay: str = ""
     stage: Stage = Stage.GAIN
     noise_inputs: int = 0
-    shown: Mapping[str, str] = field(default_factory=dict)
-    searched: tuple[str, ...] = ()
+    measured_as: Mapping[str, str] = field(default_factory=dict)
+    multimodal: tuple[str, ...] = ()
 
     @property
     def prefix(self) -> str:
@@ -133,8 +133,8 @@ class Effect:
         name = f"{self.prefix}_{what}"
         return at.parameter[name] if name in at.parameter else at.state[name]
 
-    def changed(self, at: Operands) -> Mapping[str, ca.SX]:
-        """Change numbers of the rig, before anything is computed with them.
+    def modified_parameters(self, at: Operands) -> Mapping[str, ca.SX]:
+        """Numbers of the rig as the effect modifies them, before anything is computed with them.
 
         Parameters
         ----------
@@ -198,7 +198,7 @@ class Effect:
         return ca.SX.zeros(3)
 
     def friction_Nm(self, at: Operands, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
-        """Add a torque that goes by what the axes would do without it: dry friction holds against any other.
+        """Add a torque that depends on the acceleration without it, as dry friction does at standstill.
 
         Parameters
         ----------
@@ -217,7 +217,7 @@ class Effect:
         return ca.SX.zeros(3)
 
     @property
-    def rubs(self) -> bool:
+    def has_friction(self) -> bool:
         """Whether it has a `friction_Nm` of its own."""
         return type(self).friction_Nm is not Effect.friction_Nm
 
@@ -268,8 +268,8 @@ class Effect:
         """
         return ca.SX.zeros(len(self.states))
 
-    def sides(self, parameters: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
-        """Other places from which a prediction may have to start, because the angles seen leave it open.
+    def alternative_starts(self, parameters: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
+        """Other initial states from which a prediction may have to start, where the angles leave them open.
 
         Parameters
         ----------
@@ -279,12 +279,12 @@ class Effect:
         Returns
         -------
         tuple of Mapping[str, float]
-            For each place, by how much states differ from what the angles seen suggest, by name.
+            For each, offsets of states from what the measured angles suggest, by name.
         """
         return ()
 
-    def settled(self, at: Operands) -> ca.SX:
-        """Set own states anew after a step of whatever length, for what a rate cannot say, such as play.
+    def reset_map(self, at: Operands) -> ca.SX:
+        """Reset own states after a step of whatever length, for what no rate describes, such as backlash.
 
         Parameters
         ----------
@@ -298,8 +298,8 @@ class Effect:
         """
         return ca.vertcat(*(at.state[state.name] for state in self.states))
 
-    def pushed(self, at: Operands, step_s: float, normal: ca.SX) -> ca.SX:
-        """Change of own states by chance in one step of a simulation; identification leaves it out.
+    def diffusion(self, at: Operands, step_s: float, normal: ca.SX) -> ca.SX:
+        """Increment of own states by their driving noise in one step of a simulation; a fit leaves it out.
 
         Parameters
         ----------
@@ -308,11 +308,11 @@ class Effect:
         step_s : float
             Length of the step.
         normal : casadi.SX
-            Independent random numbers with mean 0 and variance 1, shape (shaken, 1).
+            Independent random numbers with mean 0 and variance 1, shape (noise_inputs, 1).
 
         Returns
         -------
         casadi.SX
-            Change of own states, in the order of `states`.
+            Increment of own states, in the order of `states`.
         """
         return ca.SX.zeros(len(self.states))

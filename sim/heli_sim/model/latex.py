@@ -16,17 +16,16 @@ import casadi as ca
 from heli_sim.errors import PlantError
 from heli_sim.model.base import Model, Operands
 from heli_sim.model.multibody import MultibodyModel
-from heli_sim.model.parts import friction_torque_Nm
+from heli_sim.model.parts import AXES, friction_torque_Nm
 
-_AXES: Final = ("elevation", "pitch", "travel")
 _ANGLES: Final = (r"\theta", r"\phi", r"\psi")
 _RATES: Final = (r"\dot{\theta}", r"\dot{\phi}", r"\dot{\psi}")
 _ACCELERATIONS: Final = (r"\ddot{\theta}", r"\ddot{\phi}", r"\ddot{\psi}")
 _NAMES: Final[Mapping[str, str]] = {
-    **{f"{axis}_rad": name for axis, name in zip(_AXES, _ANGLES, strict=True)},
-    **{f"{axis}_rate_rad_s": name for axis, name in zip(_AXES, _RATES, strict=True)},
-    **{f"friction_{axis}": f"f_{{{name}}}" for axis, name in zip(_AXES, _ANGLES, strict=True)},
-    **{f"torque_{axis}": f"D_{{{name}}}" for axis, name in zip(_AXES, _ANGLES, strict=True)},
+    **{f"{axis}_rad": name for axis, name in zip(AXES, _ANGLES, strict=True)},
+    **{f"{axis}_rate_rad_s": name for axis, name in zip(AXES, _RATES, strict=True)},
+    **{f"friction_{axis}": f"f_{{{name}}}" for axis, name in zip(AXES, _ANGLES, strict=True)},
+    **{f"torque_{axis}": f"D_{{{name}}}" for axis, name in zip(AXES, _ANGLES, strict=True)},
     **{f"M_{part}": f"M_{{{part}}}" for part in "fbwhl"},
     **{f"L_{part}": f"L_{{{part}}}" for part in "abhx"},
     "L_phi": r"L_{\phi}",
@@ -106,9 +105,9 @@ def equations(model: Model) -> list[Equation]:
     at = _situation(model)
     F = ca.vertcat(ca.SX.sym("F_{f}"), ca.SX.sym("F_{b}"))
     out = _thrust(at)
-    rates = ca.vertcat(*(at.state[f"{axis}_rate_rad_s"] for axis in _AXES))
+    rates = ca.vertcat(*(at.state[f"{axis}_rate_rad_s"] for axis in AXES))
     torque = friction_torque_Nm(rates, at.parameter) + ca.vertcat(
-        *(at.parameter[f"torque_{axis}"] for axis in _AXES)
+        *(at.parameter[f"torque_{axis}"] for axis in AXES)
     )
     writer = _Writer()
     if isinstance(model, MultibodyModel):

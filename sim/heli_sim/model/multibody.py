@@ -20,10 +20,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import casadi as ca
+from typing_extensions import override
 
 from heli_sim.model.base import Model, Operands
-
-_AXES = ("elevation", "pitch", "travel")
+from heli_sim.model.parts import AXES
 
 
 @dataclass(frozen=True)
@@ -59,23 +59,8 @@ class MultibodyModel(Model):
     name = "multibody"
     rig_parameters = ("M_f", "M_b", "M_w", "M_h", "M_l", "L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x", "g")
 
+    @override
     def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
-        """Solve the equations of motion for the accelerations.
-
-        Parameters
-        ----------
-        at : Operands
-            Present state, voltages and parameters.
-        thrust_N : casadi.SX
-            Thrust of the front and the back rotor, shape (2, 1).
-        torque_Nm : casadi.SX
-            Friction and other torques about the three axes, shape (3, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Acceleration of elevation, pitch and travel in rad/s2, shape (3, 1).
-        """
         # Derivatives are taken with symbols of their own: an effect may hand in angles that are expressions.
         q, rates = ca.SX.sym("q", 3), ca.SX.sym("rates", 3)
         inertia = self._inertia_kg_m2(at, q)
@@ -84,7 +69,7 @@ class MultibodyModel(Model):
         force = self._thrust_Nm(at, q, thrust_N) - coriolis - ca.gradient(self._potential_J(at, q), q)
         now, now_rates = _angles(at), _rates(at)
         inertia, force = ca.substitute([inertia, force], [q, rates], [now, now_rates])
-        return _solve(*_with_pins(inertia, force + torque_Nm, at.pinned))
+        return _solve(*_with_locks(inertia, force + torque_Nm, at.locked))
 
     def inertia_kg_m2(self, at: Operands) -> ca.SX:
         """Mass matrix M(q) at the present angles.
@@ -214,17 +199,17 @@ class MultibodyModel(Model):
 
 
 def _angles(at: Operands) -> ca.SX:
-    return ca.vertcat(*(at.state[f"{axis}_rad"] for axis in _AXES))
+    return ca.vertcat(*(at.state[f"{axis}_rad"] for axis in AXES))
 
 
 def _rates(at: Operands) -> ca.SX:
-    return ca.vertcat(*(at.state[f"{axis}_rate_rad_s"] for axis in _AXES))
+    return ca.vertcat(*(at.state[f"{axis}_rate_rad_s"] for axis in AXES))
 
 
-def _with_pins(matrix: ca.SX, right: ca.SX, pinned: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Keep the free axes' block of the equations; a pinned axis has 1 times its acceleration = 0."""
-    free = 1 - pinned
-    return free @ free.T * matrix + ca.diag(pinned), free * right
+def _with_locks(matrix: ca.SX, right: ca.SX, locked: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Keep the free axes' block of the equations; a locked axis has 1 times its acceleration = 0."""
+    free = 1 - locked
+    return free @ free.T * matrix + ca.diag(locked), free * right
 
 
 def _solve(matrix: ca.SX, right: ca.SX) -> ca.SX:

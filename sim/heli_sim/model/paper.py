@@ -18,6 +18,7 @@ Corrections, each against what is printed:
 from __future__ import annotations
 
 import casadi as ca
+from typing_extensions import override
 
 from heli_sim.model.base import Model, Operands
 
@@ -69,23 +70,9 @@ class PaperModel(Model):
         )
         return ca.vertcat(elevation, pitch, travel)
 
+    @override
     def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
-        """Right-hand sides of (16), (20) and (25), divided by the inertias.
-
-        Parameters
-        ----------
-        at : Operands
-            Present state, voltages and parameters.
-        thrust_N : casadi.SX
-            Thrust of the front and the back rotor, shape (2, 1).
-        torque_Nm : casadi.SX
-            Friction and other torques about the three axes, shape (3, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Acceleration of elevation, pitch and travel in rad/s2, shape (3, 1).
-        """
+        # Right-hand sides of (16), (20) and (25), divided by the inertias.
         p, state = at.parameter, at.state
         elevation, pitch = state["elevation_rad"], state["pitch_rad"]
         total_N = thrust_N[0] + thrust_N[1]

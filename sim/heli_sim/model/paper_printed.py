@@ -23,6 +23,7 @@ about it where the equation cannot be evaluated as it stands:
 from __future__ import annotations
 
 import casadi as ca
+from typing_extensions import override
 
 from heli_sim.model.base import Model, Operands
 
@@ -73,23 +74,10 @@ class PaperPrintedModel(Model):
         )
         return ca.vertcat(about_elevation, about_pitch, about_travel)
 
+    @override
     def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
-        """Right-hand sides of (14), (19) and (25), divided by the inertias.
-
-        Parameters
-        ----------
-        at : Operands
-            Present state, voltages and parameters.
-        thrust_N : casadi.SX
-            Thrust of the front and the back rotor, shape (2, 1); none below the dead zone, which is undone.
-        torque_Nm : casadi.SX
-            Friction and other torques about the three axes, shape (3, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Acceleration of elevation, pitch and travel in rad/s2, shape (3, 1).
-        """
+        # Right-hand sides of (14), (19) and (25), divided by the inertias. The paper does not cut the thrust
+        # off below the dead zone: it is put back.
         p, state = at.parameter, at.state
         elevation, pitch = state["elevation_rad"], state["pitch_rad"]
         rate = state["travel_rate_rad_s"]

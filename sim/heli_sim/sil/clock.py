@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Final, Protocol
 
+from typing_extensions import override
+
 # A wake-up costs about 60 us of processor time whatever it simulates; 4 ms is also the rhythm in which the
 # bridge of a real Due hands over its bytes.
 _SLICE_WALL_s: Final = 0.004
@@ -12,7 +14,7 @@ _SLICE_TICKS: Final = (4, 20)
 _MAX_BEHIND_s: Final = 0.5
 
 
-class Pace(Protocol):
+class Clock(Protocol):
     """Decides how many milliseconds to simulate now."""
 
     follows_host: bool
@@ -55,7 +57,7 @@ class Pace(Protocol):
         ...
 
 
-class TimedPace:
+class TimedClock(Clock):
     """Real time, or a multiple of it, on an absolute schedule: what one slice is late, the next is not.
 
     Parameters
@@ -74,21 +76,8 @@ class TimedPace:
         self.slipped_s = 0.0
         """Time given up because the machine could not keep the pace, s."""
 
+    @override
     def due(self, now_s: float, tick: int) -> int:
-        """Milliseconds to simulate now; see `Pace.due`.
-
-        Parameters
-        ----------
-        now_s : float
-            Any monotonic clock, s.
-        tick : int
-            Milliseconds simulated so far.
-
-        Returns
-        -------
-        int
-            0 or one slice.
-        """
         start_s, start_tick = self._anchor(now_s, tick)
         behind = (now_s - start_s) * self._ticks_per_s - (tick - start_tick)
         if behind > _MAX_BEHIND_s * self._ticks_per_s + self._slice:
@@ -96,34 +85,14 @@ class TimedPace:
             self._start = (now_s, tick)
         return self._slice if behind >= self._slice else 0
 
+    @override
     def wait_s(self, now_s: float, tick: int) -> float:
-        """Seconds until the next slice is due.
-
-        Parameters
-        ----------
-        now_s : float
-            Any monotonic clock, s.
-        tick : int
-            Milliseconds simulated so far.
-
-        Returns
-        -------
-        float
-            Time to wait, s, not negative.
-        """
         start_s, start_tick = self._anchor(now_s, tick)
         return max(0.0, start_s + (tick - start_tick + self._slice) / self._ticks_per_s - now_s)
 
+    @override
     def heard(self, now_s: float, tick: int) -> None:
-        """Do nothing: the clock alone decides.
-
-        Parameters
-        ----------
-        now_s : float
-            Any monotonic clock, s.
-        tick : int
-            Milliseconds simulated so far.
-        """
+        pass
 
     def _anchor(self, now_s: float, tick: int) -> tuple[float, int]:
         if self._start is None:
@@ -131,7 +100,7 @@ class TimedPace:
         return self._start
 
 
-class LockstepPace:
+class LockstepClock(Clock):
     """As fast as the host keeps up.
 
     Simulated time runs at most `window_ms` ahead of the last byte that came from the host, so a host that
@@ -150,52 +119,18 @@ class LockstepPace:
         self._window = window_ms
         self._heard: tuple[float, int] | None = None
 
+    @override
     def due(self, now_s: float, tick: int) -> int:
-        """Milliseconds to simulate now; see `Pace.due`.
-
-        Parameters
-        ----------
-        now_s : float
-            Any monotonic clock, s.
-        tick : int
-            Milliseconds simulated so far.
-
-        Returns
-        -------
-        int
-            0, or 4 to 20.
-        """
         least, most = _SLICE_TICKS
         allowed = self._allowed(now_s, tick) - tick
         return min(int(allowed), most) if allowed >= least else 0
 
+    @override
     def wait_s(self, now_s: float, tick: int) -> float:
-        """Seconds until real time alone lets the simulation go on.
-
-        Parameters
-        ----------
-        now_s : float
-            Any monotonic clock, s.
-        tick : int
-            Milliseconds simulated so far.
-
-        Returns
-        -------
-        float
-            Time to wait, s, not negative.
-        """
         return max(0.0, 1e-3 * (tick + _SLICE_TICKS[0] - self._allowed(now_s, tick)))
 
+    @override
     def heard(self, now_s: float, tick: int) -> None:
-        """Open the window again.
-
-        Parameters
-        ----------
-        now_s : float
-            Any monotonic clock, s.
-        tick : int
-            Milliseconds simulated so far.
-        """
         self._heard = (now_s, tick)
 
     def _allowed(self, now_s: float, tick: int) -> float:
@@ -205,8 +140,8 @@ class LockstepPace:
         return heard_tick + self._window + 1e3 * (now_s - heard_s)
 
 
-def make_pace(speed: float | None) -> Pace:
-    """Pace for an option.
+def make_clock(speed: float | None) -> Clock:
+    """Clock for an option.
 
     Parameters
     ----------
@@ -215,7 +150,7 @@ def make_pace(speed: float | None) -> Pace:
 
     Returns
     -------
-    Pace
+    Clock
         A fresh pace; its schedule starts when it is first asked.
     """
-    return LockstepPace() if speed is None else TimedPace(speed)
+    return LockstepClock() if speed is None else TimedClock(speed)

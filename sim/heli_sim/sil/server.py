@@ -20,7 +20,7 @@ from typing import Any
 from urllib.parse import parse_qsl
 
 from heli_sim.errors import OptionError, SimError
-from heli_sim.sil.clock import Pace, make_pace
+from heli_sim.sil.clock import Clock, make_clock
 from heli_sim.sil.endpoint import Endpoint
 from heli_sim.sil.options import DUE, SilOptions, parse_options
 from heli_sim.sil.pty import PtyEndpoint
@@ -38,23 +38,23 @@ class SilServer:
         The port.
     world : SilWorld
         Board, line and plant.
-    pace : Pace
-        How fast time may pass.
-    clock : callable
-        Monotonic clock, s.
+    clock : Clock
+        How fast simulated time may pass.
+    now_s : callable
+        Monotonic clock of the machine, s.
     """
 
     def __init__(
         self,
         endpoint: Endpoint,
         world: SilWorld,
-        pace: Pace,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Clock,
+        now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._endpoint = endpoint
         self._world = world
-        self._pace = pace
         self._clock = clock
+        self._now_s = now_s
         resets = world.options.reset_on_open
         self._resets = resets if resets is not None else world.options.board == DUE
         self._plugged = True
@@ -68,25 +68,25 @@ class SilServer:
         float
             Seconds until the next turn is worth while; 0 for at once.
         """
-        endpoint, world, now_s = self._endpoint, self._world, self._clock()
+        endpoint, world, now_s = self._endpoint, self._world, self._now_s()
         self._follow_cable()
         received = endpoint.receive()
         if received:
             self._received += received
-            self._pace.heard(now_s, world.tick)
+            self._clock.heard(now_s, world.tick)
         for change in endpoint.take_lines():
             if self._resets:
                 world.control_lines(dtr=change.dtr, baud=change.baud)
-        ticks = self._pace.due(now_s, world.tick)
+        ticks = self._clock.due(now_s, world.tick)
         if ticks == 0:
-            return self._pace.wait_s(now_s, world.tick)
+            return self._clock.wait_s(now_s, world.tick)
         endpoint.send(b"")
         world.host_reading = endpoint.ready
         sent = world.advance(ticks, self._received)
         self._received = b""
         if sent:
             endpoint.send(sent)
-        return self._pace.wait_s(now_s, world.tick)
+        return self._clock.wait_s(now_s, world.tick)
 
     def watched(self) -> list[int]:
         """File descriptors whose bytes are worth waking up for.
@@ -94,10 +94,10 @@ class SilServer:
         Returns
         -------
         list of int
-            The port, where the pace follows the host; else none.
+            The port, where the clock follows the host; else none.
         """
         fd = self._endpoint.fileno()
-        return [fd] if self._pace.follows_host and fd >= 0 else []
+        return [fd] if self._clock.follows_host and fd >= 0 else []
 
     def _follow_cable(self) -> None:
         if self._world.unplugged == self._plugged:
@@ -109,7 +109,7 @@ class SilServer:
                 self._received = b""
 
 
-def serve(endpoint: Endpoint, world: SilWorld, pace: Pace, stop_fd: int | None = None) -> None:
+def serve(endpoint: Endpoint, world: SilWorld, clock: Clock, stop_fd: int | None = None) -> None:
     """Serve a world until told to stop.
 
     Parameters
@@ -118,12 +118,12 @@ def serve(endpoint: Endpoint, world: SilWorld, pace: Pace, stop_fd: int | None =
         The port; the caller closes it.
     world : SilWorld
         Board, line and plant.
-    pace : Pace
-        How fast time may pass.
+    clock : Clock
+        How fast simulated time may pass.
     stop_fd : int or None
         File descriptor; serving ends as soon as something can be read from it, or it is at its end.
     """
-    server = SilServer(endpoint, world, pace)
+    server = SilServer(endpoint, world, clock)
     stops = [] if stop_fd is None else [stop_fd]
     while True:
         wait_s = server.turn()
@@ -183,7 +183,7 @@ def run_server(
         endpoint = PtyEndpoint(pty)
     try:
         on_ready(endpoint.url)
-        serve(endpoint, world, make_pace(options.speed), stop_fd)
+        serve(endpoint, world, make_clock(options.speed), stop_fd)
     except KeyboardInterrupt:
         pass
     finally:

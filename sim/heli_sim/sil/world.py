@@ -12,7 +12,7 @@ from heli_sim import _native
 from heli_sim.due.errors import BoardStopped
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig
-from heli_sim.sil.arm_support import Hand
+from heli_sim.sil.arm_support import ArmSupport
 from heli_sim.sil.boards import make_board, settled
 from heli_sim.sil.faults import FaultyStream
 from heli_sim.sil.options import SilOptions
@@ -64,7 +64,7 @@ class SilWorld:
             offset_count=random.uniform(-_OFFSET_COUNTS, _OFFSET_COUNTS, 3).tolist(),
             board=self.board.sim,
         )
-        self._hand = Hand(self.plant)
+        self._arm_support = ArmSupport(self.plant)
         self.to_board = FaultyStream(options.faults, options.seed, 0)
         self.to_host = FaultyStream(options.faults, options.seed, 1)
         self.host_reading = True
@@ -133,7 +133,7 @@ class SilWorld:
             if write:
                 self._held = b""
             most = min(ticks, least) if until_output and received else ticks
-            stretch = self._hand.tend(self.native, min(most, faults.next_edge(tick) - tick))
+            stretch = self._arm_support.update(self.native, min(most, faults.next_edge(tick) - tick))
             passed, data = self._pass(stretch, write, until_output, max(1, least))
             received += data
             ticks -= passed

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Final
 
 import casadi as ca
+from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
@@ -16,19 +17,8 @@ from heli_sim.rig.quantity import Prior
 class RemovedTerm(Effect):
     """A share of some numbers of the rig is taken away."""
 
-    def changed(self, at: Operands) -> Mapping[str, ca.SX]:
-        """Scale the numbers that make the term.
-
-        Parameters
-        ----------
-        at : Operands
-            Parameters.
-
-        Returns
-        -------
-        Mapping[str, casadi.SX]
-            New values.
-        """
+    @override
+    def modified_parameters(self, at: Operands) -> Mapping[str, ca.SX]:
         left = 1 - self.own(at, "share")
         return {name: left * at.parameter[name] for name in TERMS[self.name][1] if name in at.parameter}
 
@@ -36,19 +26,8 @@ class RemovedTerm(Effect):
 class RemovedDifferentialTravel(Effect):
     """P_18 is taken away: (F_f - F_b) L_h sin(pitch), which has no origin in a multibody rig."""
 
+    @override
     def torque_Nm(self, at: Operands) -> ca.SX:
-        """Take the term's torque off travel.
-
-        Parameters
-        ----------
-        at : Operands
-            Present state, parameters and final thrust.
-
-        Returns
-        -------
-        casadi.SX
-            Torque in N m, shape (3, 1).
-        """
         term = (at.thrust_N[0] - at.thrust_N[1]) * at.parameter["L_h"] * ca.sin(at.state["pitch_rad"])
         return on_axis("travel", -self.own(at, "share") * term)
 
@@ -90,13 +69,14 @@ def _kind(name: str, words: str, numbers: tuple[str, ...], equation: str) -> Eff
     return EffectKind(
         id=name,
         effect=RemovedTerm,
-        says=f"{{share}} of {words} is not there",
+        sentence=f"{{share}} of {words} is not there",
         equation=equation,
         acts_on="parameters",
         stage=Stage.TORQUE,
         numbers=(_SHARE,),
         baseline=True,
-        held=dict.fromkeys(numbers, 0.0),
+        override=dict.fromkeys(numbers, 0.0),
+        rank=900,
         source="the baseline's own term",
     )
 
@@ -106,13 +86,14 @@ KINDS: Final = (
     EffectKind(
         id="removed.differential_travel",
         effect=RemovedDifferentialTravel,
-        says="{share} of P_18, the travel torque of the difference of the thrusts at pitch, is not there",
+        sentence="{share} of P_18, the travel torque of the difference of the thrusts at pitch, is not there",
         equation=r"P_{18}: (F_f - F_b) L_h \sin\phi \to (1 - s) (F_f - F_b) L_h \sin\phi",
         acts_on="torque.travel",
         stage=Stage.TORQUE,
         numbers=(_SHARE,),
         models=("paper_printed",),
         baseline=True,
+        rank=900,
         source="(21), (23), (24) of the paper as printed; no multibody model has it",
     ),
 )

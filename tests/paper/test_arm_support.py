@@ -61,8 +61,8 @@ def test_an_arm_that_rests_by_itself_and_pins_of_others_are_left_alone() -> None
     heavy = world_of(PaperModel())
     heavy.advance(100)
     assert heavy.native.locked == [False, False, False]
-    pinned = world_of(MultibodyModel())
-    pinned.native.locked = [False, True, True]
-    pinned.advance(2000)
-    assert pinned.native.locked == [False, True, True]
-    assert pinned.state[0] > TABLE_RAD + np.deg2rad(1.0)
+    locked = world_of(MultibodyModel())
+    locked.native.locked = [False, True, True]
+    locked.advance(2000)
+    assert locked.native.locked == [False, True, True]
+    assert locked.state[0] > TABLE_RAD + np.deg2rad(1.0)

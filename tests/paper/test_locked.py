@@ -1,4 +1,4 @@
-"""An axis that a pin holds: the others move as on a rig that has no such joint, reaction included."""
+"""A locked axis: the others move as on a rig that has no such joint, reaction included."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from tests.plant.test_multibody import STEP_S, runge_kutta  # noqa: E402
 SECONDS = 3
 # Inertia of a joint that nothing here could turn.
 IMMOVABLE = 1e9
-PINS = [(1, 0, 1), (0, 1, 1), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+LOCKS = [(1, 0, 1), (0, 1, 1), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
 
 
 @pytest.mark.parametrize(
-    "pinned", PINS, ids=lambda p: "".join(j[0] for j, on in zip(JOINTS, p, strict=True) if on)
+    "locked", LOCKS, ids=lambda p: "".join(j[0] for j, on in zip(JOINTS, p, strict=True) if on)
 )
-def test_the_free_axes_move_as_mujocos_do_with_the_pinned_joints_immovable(pinned: tuple[int, ...]) -> None:
+def test_the_free_axes_move_as_mujocos_do_with_the_pinned_joints_immovable(locked: tuple[int, ...]) -> None:
     rig, model = load_rig("makki2024"), MultibodyModel()
     state = np.array([0.15, 0.25, -0.2, 0.3, -0.4, 0.5])
-    state[3:] *= 1 - np.array(pinned)
+    state[3:] *= 1 - np.array(locked)
     volts_V = np.array([1.9, 1.6])
     x, u = ca.SX.sym("x", 6), ca.SX.sym("u", 2)
     f = ca.Function(
-        "f", [x, u], [model.dynamics(x, u, ca.SX(model.parameter_values(rig)), pinned=ca.SX(pinned))]
+        "f", [x, u], [model.dynamics(x, u, ca.SX(model.parameter_values(rig)), locked=ca.SX(locked))]
     )
     steps = round(SECONDS / STEP_S)
     path = runge_kutta(f, x, u, STEP_S).mapaccum(steps)
@@ -39,7 +39,7 @@ def test_the_free_axes_move_as_mujocos_do_with_the_pinned_joints_immovable(pinne
     physics = mujoco_rig(rig)
     data = mujoco.MjData(physics)
     address = [physics.joint(name).qposadr[0] for name in JOINTS]
-    for name, held in zip(JOINTS, pinned, strict=True):
+    for name, held in zip(JOINTS, locked, strict=True):
         if held:
             physics.dof_armature[physics.joint(name).dofadr[0]] = IMMOVABLE
     data.qpos[address], data.qvel[address] = state[:3], state[3:]
