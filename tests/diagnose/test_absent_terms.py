@@ -31,7 +31,7 @@ def tried(effect: str) -> tuple[Comparison, Hypothesis]:
 
 @cache
 def diagnosed(effect: str) -> Diagnosis:
-    """Diagnose flights of a rig that lacks a term; few rivals, to be quick."""
+    """Diagnose flights of a rig that lacks a term; few candidates, to be quick."""
     fit, held_out = flights(effect)
     few = {id_: kind for id_, kind in KINDS.items() if kind.baseline or id_ in ("rotor_lag", "axis_tilt")}
     return diagnose(
@@ -51,7 +51,7 @@ def test_friction_that_is_not_there_is_named_by_the_fit_itself(axis: str) -> Non
 
 
 @pytest.mark.parametrize("axis", ["elevation", "pitch"])
-def test_pendulum_that_the_rig_states_closely_is_found_to_be_gone(axis: str) -> None:
+def test_pendulum_that_the_rig_states_closely_is_found_to_be_absent(axis: str) -> None:
     comparison, baseline = tried(f"removed.pendulum.{axis}=1")
     assert baseline.train.normalised > 5.0
     less = without_absent_terms(comparison, baseline, KINDS.values())
@@ -93,7 +93,7 @@ def test_removed_term_is_the_cause_with_its_share_and_flies_in_the_extended_rig(
         (1.0, 0.01, 0.0, 1e-6),
     ],
 )
-def test_term_is_gone_only_if_its_number_is_nothing_and_known_to_be(
+def test_term_is_absent_only_if_its_parameter_is_zero_within_a_small_error(
     value: float, std: float, low: float, high: float
 ) -> None:
     assert low <= absence_probability(value, std) <= high

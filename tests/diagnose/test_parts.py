@@ -27,7 +27,7 @@ def baseline() -> Fit:
 
 
 @pytest.mark.parametrize("name", ["thrust_gain", "L_phi", "friction_travel", "torque_pitch"])
-def test_tangent_answers_as_the_free_run_itself_does(baseline: Fit, name: str) -> None:
+def test_linearisation_responds_as_the_free_run_itself_does(baseline: Fit, name: str) -> None:
     linearisation = Linearisation(baseline)
     column = linearisation.parameter_response()[:, :, baseline.problem.names.index(name)]
     step = np.zeros(len(baseline.theta))
@@ -44,15 +44,15 @@ def test_tangent_answers_as_the_free_run_itself_does(baseline: Fit, name: str) -
     assert np.sqrt(np.mean((column - blocks) ** 2)) < 0.02 * np.sqrt(np.mean(blocks**2))
 
 
-def test_curves_have_a_sum_of_one_everywhere() -> None:
+def test_bspline_basis_has_a_sum_of_one_everywhere() -> None:
     values = np.linspace(-3.0, 5.0, 200)
     low, step = knot_span(values)
     assert bspline_basis(values, low, step).shape == (200, KNOTS)
     assert np.allclose(bspline_basis(values, low, step).sum(axis=1), 1.0)
 
 
-def test_no_curve_asks_whether_a_measurement_goes_with_thrust() -> None:
-    # The controller answers to rounding, so it always does.
+def test_no_spline_of_a_measurement_on_thrust_is_tried() -> None:
+    # The controller feeds the quantisation error back: such a term would be found in any flight.
     assert not [
         pair for pair in channel_quantity_pairs() if pair[0].startswith("measurement") and "thrust" in pair[1]
     ]
@@ -70,7 +70,7 @@ def test_missing_torque_is_the_torque_that_was_hidden() -> None:
     assert np.sqrt(np.mean((truth - found) ** 2)) < 0.3 * truth.std()
 
 
-def test_nothing_scores_as_nothing(baseline: Fit) -> None:
+def test_random_regressors_score_as_nothing(baseline: Fit) -> None:
     score_test = ScoreTest(baseline)
     random = np.random.default_rng(1)
     signal = random.standard_normal((score_test.linearisations[0].rows, 6, 3))
@@ -97,7 +97,7 @@ def test_the_axis_that_is_far_off_decides_where_a_model_is_wrong() -> None:
 
     # Half of travel's error is nothing beside a tenth of a pitch error ten times as large.
     assert neg2_log_likelihood(pitch=45.0, travel=10.0) < neg2_log_likelihood(pitch=50.0, travel=5.0)
-    # Where only rounding is left, each axis counts for itself.
+    # Where only quantisation is left, each axis counts for itself.
     assert neg2_log_likelihood(pitch=1.2, travel=1.0) - neg2_log_likelihood(
         pitch=1.0, travel=1.0
     ) == pytest.approx(2 * np.log(1.2))

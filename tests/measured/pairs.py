@@ -45,7 +45,7 @@ TOLD: Final = (
 
 @dataclass(frozen=True)
 class Told:
-    """A pair, fitted with effects that it was told.
+    """A pair, fitted with given effects.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def flights(pair: str, back: bool = False) -> tuple[Record, Record]:
 
 
 def told(pair: str, models: Sequence[tuple[str, ...]] = TOLD, back: bool = False) -> list[Told]:
-    """Fit models with given effects, each from the rig's numbers and from the model before it.
+    """Fit models with given effects, each from the rig's parameters and from the model before it.
 
     Parameters
     ----------
@@ -103,8 +103,8 @@ def told(pair: str, models: Sequence[tuple[str, ...]] = TOLD, back: bool = False
     list of Told
         One a model.
     """
-    train, held = flights(pair, back)
-    comparison = Comparison(MultibodyModel(), load_rig(RIG), [train], [held])
+    train, held_out = flights(pair, back)
+    comparison = Comparison(MultibodyModel(), load_rig(RIG), [train], [held_out])
     kinds = catalogue()
     found: list[Told] = []
     for effects in models:
