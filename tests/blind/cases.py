@@ -85,7 +85,7 @@ class Case:
         Parameters
         ----------
         flight : int
-            Number of the flight, for what differs by chance.
+            Number of the flight, for random torques.
         """
         made: list[Hidden] = []
         for number, ((_, size), maker) in enumerate(

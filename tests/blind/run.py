@@ -13,7 +13,7 @@ from typing import Any
 import heli_sim
 from heli_host.flight import Flight
 from heli_host.log.flight_file import read_flight
-from heli_lab.diagnose import diagnose
+from heli_lab.diagnose import diagnose, to_json
 from heli_sim.errors import SimError
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig, load_rig
@@ -93,7 +93,8 @@ def diagnosed(rig: Rig, flights: tuple[Flight, Flight], budget_s: float = BUDGET
         Its JSON.
     """
     labels = ["a", "b"]
-    return diagnose(MultibodyModel(), rig, flights[:1], flights[1:], labels=labels, seconds=budget_s).json()
+    found = diagnose(MultibodyModel(), rig, flights[:1], flights[1:], labels=labels, seconds=budget_s)
+    return to_json(found)
 
 
 def _asked(rig: Rig, flights: tuple[Flight, Flight], budget_s: float) -> dict[str, Any]:

@@ -36,8 +36,8 @@ def flights(*effects: str, off_list: bool = False) -> tuple[Flight, Flight]:
         hidden = (*hidden, OffList("off_list"))
     model = MultibodyModel(hidden)
     fit = thinned(flown(rig, 11, TRAIN_S, model), 2)
-    held = thinned(flown(rig, 12, HELD_OUT_S, model), 2)
-    return fit, held
+    held_out = thinned(flown(rig, 12, HELD_OUT_S, model), 2)
+    return fit, held_out
 
 
 @cache

@@ -25,9 +25,9 @@ def tables(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def test_command_writes_numbers_rig_and_page(terminal: Terminal, tables: tuple[Path, Path]) -> None:
-    fit, held = tables
+    fit, held_out = tables
     files = ("--report", "why", "--json", "why.json", "--out", "extended.toml")
-    ended = terminal("diagnose", fit, "--validate", held, "--rig", "makki2024", *files)
+    ended = terminal("diagnose", fit, "--validate", held_out, "--rig", "makki2024", *files)
     assert ended.code == 0, ended.err
     assert ended.out.count("explained: ") == 1
     numbers = json.loads(Path("why.json").read_text())
@@ -40,12 +40,14 @@ def test_command_writes_numbers_rig_and_page(terminal: Terminal, tables: tuple[P
 def test_short_part_of_a_flight_is_answered_with_the_flight_that_would_tell(
     terminal: Terminal, tables: tuple[Path, Path]
 ) -> None:
-    fit, held = tables
-    ended = terminal("diagnose", fit, "--validate", held, "--from", "12", "--to", "17", "--json", "why.json")
+    fit, held_out = tables
+    ended = terminal(
+        "diagnose", fit, "--validate", held_out, "--from", "12", "--to", "17", "--json", "why.json"
+    )
     assert ended.code == 0, ended.err
     numbers = json.loads(Path("why.json").read_text())
     assert numbers["causes"] == []
-    assert numbers["could_not_be_seen"]
+    assert numbers["undetectable"]
     assert tomllib.loads(numbers["next_flight"]["plan"])["segment"]
 
 

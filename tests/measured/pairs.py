@@ -9,7 +9,7 @@ from typing import Final
 
 from heli_host.log.flight_file import read_flight
 from heli_lab.diagnose.candidate import Candidate
-from heli_lab.diagnose.error_reduction import ErrorReduction, gain
+from heli_lab.diagnose.error_reduction import ErrorReduction, error_reduction
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.identify import Record, prepare
 from heli_sim.model import MultibodyModel
@@ -45,7 +45,7 @@ TOLD: Final = (
 
 @dataclass(frozen=True)
 class Told:
-    """A pair, fitted with effects that it was told.
+    """A pair, fitted with given effects.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def flights(pair: str, back: bool = False) -> tuple[Record, Record]:
 
 
 def told(pair: str, models: Sequence[tuple[str, ...]] = TOLD, back: bool = False) -> list[Told]:
-    """Fit models with given effects, each from the rig's numbers and from the model before it.
+    """Fit models with given effects, each from the rig's parameters and from the model before it.
 
     Parameters
     ----------
@@ -103,8 +103,8 @@ def told(pair: str, models: Sequence[tuple[str, ...]] = TOLD, back: bool = False
     list of Told
         One a model.
     """
-    train, held = flights(pair, back)
-    comparison = Comparison(MultibodyModel(), load_rig(RIG), [train], [held])
+    train, held_out = flights(pair, back)
+    comparison = Comparison(MultibodyModel(), load_rig(RIG), [train], [held_out])
     kinds = catalogue()
     found: list[Told] = []
     for effects in models:
@@ -113,10 +113,10 @@ def told(pair: str, models: Sequence[tuple[str, ...]] = TOLD, back: bool = False
         # A valley is chosen by the flight that is fitted; the other one is only looked at.
         best = min((comparison.refit(candidates, start) for start in starts), key=_unlikely)
         baseline = found[0].hypothesis if found else best
-        found.append(Told(effects, best, gain(baseline, best)))
+        found.append(Told(effects, best, error_reduction(baseline, best)))
     return found
 
 
 def _unlikely(one: Hypothesis) -> float:
     """Minus the logarithm of the likelihood; a fit's own cost is in units of its own errors."""
-    return float(0.5 * one.train.rows.sum() * one.train.neg2_log_likelihood.sum() + one.train.tension)
+    return float(0.5 * one.train.rows.sum() * one.train.neg2_log_likelihood.sum() + one.train.prior_penalty)

@@ -39,4 +39,4 @@ def test_what_a_refit_finds_the_screening_ranks_first_and_predicts(liveliest: li
     first = Screening(beside.fit).effects([kind for kind in left if not kind.noise_inputs])[0]
     assert first.candidate.id == "edgewise_flow"
     pitch = refitted.train.axis_normalised[1]
-    assert first.answer.variance[1] ** 0.5 == pytest.approx(pitch, rel=0.2)
+    assert first.result.variance[1] ** 0.5 == pytest.approx(pitch, rel=0.2)

@@ -40,7 +40,7 @@ class Found:
     values, std : dict of float
         Estimates.
     normalised : float
-        What is left, in standard deviations of the encoders' rounding.
+        What is left, in standard deviations of the encoders' quantisation.
     """
 
     off: dict[str, float]

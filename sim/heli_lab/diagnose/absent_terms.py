@@ -1,8 +1,8 @@
-"""Terms of the baseline that the flights reject.
+"""Terms of the baseline that the rig does not have.
 
-A number that the rig file leaves open, such as a friction, is found to be nothing by the fit itself
-(`absent_terms`). One that it states closely, such as the length of a pendulum, holds the fit back: there the
-model is fitted without the term, before anything is looked for in its place (`without_absent_terms`).
+A parameter whose prior is wide, such as a friction, is estimated as zero (`absent_terms`). One whose prior is
+narrow, such as the length of a pendulum, cannot be: there the model is refitted without the term before any
+effect is tried in its place (`without_absent_terms`).
 """
 
 from __future__ import annotations
@@ -18,68 +18,68 @@ from heli_sim.rig import Prior, Rig
 
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis, errors
+from heli_lab.diagnose.thresholds import (
+    ABSENT_MAX_SHARE,
+    ABSENT_MIN_CONFIDENCE,
+    ABSENT_MIN_ERROR,
+    ABSENT_MIN_STD,
+    ABSENT_PRIOR,
+    CLOSELY_STATED,
+    MAX_CONFIDENCE,
+    PRESENT_LOG_STD,
+)
 from heli_lab.errors import IdentifyError
 from heli_lab.identify import Fit, Problem, solve
 
-_SPREAD: Final = math.log(2.0)
-"""A term that is there may be twice or half of what the rig says: 1 standard deviation of its logarithm."""
-_GONE_BEFOREHAND: Final = 0.1
-"""Probability, before a flight, that a term is gone."""
-_LEAST_CONFIDENCE: Final = 0.5
-_FINEST: Final = 1e-3
-"""Least standard error of a share: a fit keeps numbers that cannot be negative this far from 0."""
-_CLOSELY: Final = 0.5
-"""A number is stated closely when its tolerance is below this share of it."""
-_FAR_OFF: Final = 1.5
-"""Normalised error of the baseline from which on a whole term may be gone; it then is 6 and more."""
-_LEFT: Final = 0.5
-"""Share of the error beyond rounding that may remain without the term."""
 _WHOLE: Final = Prior(1.0, 0.03, 0.0, 1.0)
-"""Of the share that is gone: a term is there or not; a part of it would be another number."""
+"""Of the share of a term that is absent: all of it or nothing. A wider prior would let a share of the term
+stand in for a parameter that is merely off."""
+_START_SHARE: Final = 0.99
+"""Just inside the bound of that prior."""
 
 
 @dataclass(frozen=True)
 class AbsentTerm:
-    """A term of the baseline that is not there.
+    """A term of the baseline that the rig does not have.
 
     Parameters
     ----------
     id : str
         Its id in the catalogue, such as ``removed.friction.travel``.
     share, std : float
-        Share of the term that is gone, at most 1, and its standard error.
+        Share of the term that is absent, at most 1, and its standard error.
     confidence : float
-        Probability that it is gone, see `absence_probability`.
-    from_nothing : float
-        Standard errors by which its number differs from 0; of several numbers, the most.
-    from_rig : float
-        Standard errors by which its number differs from what the rig has; of several numbers, the least.
+        Probability that it is absent, see `absence_probability`.
+    z_from_zero : float
+        Standard errors by which its parameter differs from 0; of several, the most.
+    z_from_rig : float
+        Standard errors by which its parameter differs from the rig's; of several, the least.
     """
 
     id: str
     share: float
     std: float
     confidence: float
-    from_nothing: float
-    from_rig: float
+    z_from_zero: float
+    z_from_rig: float
 
 
 def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[AbsentTerm, ...]:
-    """Find the terms whose numbers are nothing.
+    """Find the terms whose parameters are zero within their standard errors.
 
     Parameters
     ----------
     fit : Fit
         The final model on the flights fitted.
     rig : Rig
-        What the numbers were beforehand.
+        The parameters before the fit.
     kinds : Mapping[str, EffectKind]
         The catalogue.
 
     Returns
     -------
-    tuple of Removed
-        The terms that are gone more likely than not, the surest first.
+    tuple of AbsentTerm
+        The terms that are more likely absent than not, the most likely first.
     """
     values, stds = fit.values, fit.std
     found = []
@@ -92,52 +92,52 @@ def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[A
             for name in names
         ]
         confidence = math.prod(absence_probability(value, std) for value, std in numbers)
-        if confidence < _LEAST_CONFIDENCE:
+        if confidence < ABSENT_MIN_CONFIDENCE:
             continue
-        share, std = 1.0 - numbers[0][0], max(numbers[0][1], _FINEST)
+        share, std = 1.0 - numbers[0][0], max(numbers[0][1], ABSENT_MIN_STD)
         found.append(
             AbsentTerm(
                 id_,
                 min(max(share, 0.0), 1.0),
                 std,
                 confidence,
-                max(abs(value) / max(spread, _FINEST) for value, spread in numbers),
-                min((1.0 - value) / max(spread, _FINEST) for value, spread in numbers),
+                max(abs(value) / max(std, ABSENT_MIN_STD) for value, std in numbers),
+                min((1.0 - value) / max(std, ABSENT_MIN_STD) for value, std in numbers),
             )
         )
     return tuple(sorted(found, key=lambda one: -one.confidence))
 
 
 def absence_probability(value: float, std: float) -> float:
-    """How likely a number is nothing, by Bayes' rule, rather than twice or half of what the rig has.
+    """Posterior probability that a parameter is zero, rather than log-normal about the rig's value.
 
     Parameters
     ----------
     value, std : float
-        The number and its standard error, in units of what the rig has.
+        The estimate and its standard error, in units of the rig's value.
 
     Returns
     -------
     float
         Probability, at most 0.99.
     """
-    std = max(std, _FINEST)
+    std = max(std, ABSENT_MIN_STD)
     there = np.geomspace(1e-3, 1e3, 4001)
-    likely = np.exp(-0.5 * (np.log(there) / _SPREAD) ** 2)
+    likely = np.exp(-0.5 * (np.log(there) / PRESENT_LOG_STD) ** 2)
     likely /= likely.sum()
-    # The same factor before both densities is left out.
-    absent = math.exp(-0.5 * min((value / std) ** 2, 1e3)) * _GONE_BEFOREHAND
-    present = float(likely @ np.exp(-0.5 * ((value - there) / std) ** 2)) * (1.0 - _GONE_BEFOREHAND)
-    return min(0.99, absent / max(absent + present, 1e-300))
+    # The normal densities' common factor cancels.
+    absent = math.exp(-0.5 * min((value / std) ** 2, 1e3)) * ABSENT_PRIOR
+    present = float(likely @ np.exp(-0.5 * ((value - there) / std) ** 2)) * (1.0 - ABSENT_PRIOR)
+    return min(MAX_CONFIDENCE, absent / max(absent + present, 1e-300))
 
 
 def closely_stated(kind: EffectKind, rig: Rig) -> bool:
-    """Whether a term's numbers are stated so closely that no fit would find them to be nothing.
+    """Whether a term's priors are so narrow that no fit would estimate its parameters as zero.
 
     Parameters
     ----------
     kind : EffectKind
-        A kind that takes a term away.
+        A kind that removes a term.
     rig : Rig
         The rig.
 
@@ -147,14 +147,14 @@ def closely_stated(kind: EffectKind, rig: Rig) -> bool:
         False also where the rig does not have the term.
     """
     return bool(kind.override) and all(
-        name in rig and 0.0 < rig[name].tolerance < _CLOSELY * rig[name].value for name in kind.override
+        name in rig and 0.0 < rig[name].tolerance < CLOSELY_STATED * rig[name].value for name in kind.override
     )
 
 
 def without_absent_terms(
     comparison: Comparison, baseline: Hypothesis, kinds: Iterable[EffectKind]
 ) -> Hypothesis:
-    """Take away the one closely stated term without which the model predicts far better, if there is one.
+    """Remove the one closely stated term without which the model predicts far better, if there is one.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def without_absent_terms(
         The model without the term, or the baseline.
     """
     before = baseline.train.normalised
-    if before < _FAR_OFF:
+    if before < ABSENT_MIN_ERROR:
         return baseline
     best: tuple[float, EffectKind, Fit] | None = None
     for kind in kinds:
@@ -192,13 +192,17 @@ def without_absent_terms(
         except IdentifyError:
             continue
         after = errors(fit).normalised
-        if after - 1.0 < _LEFT * (before - 1.0) and (best is None or after < best[0]):
+        if after - 1.0 < ABSENT_MAX_SHARE * (before - 1.0) and (best is None or after < best[0]):
             best = after, kind, fit
     if best is None:
         return baseline
     _, kind, fit = best
     (name,) = kind.size
     effect = replace(kind.make({name: 1.0}), priors={name: _WHOLE})
-    start = {**fit.values, **{number: comparison.rig[number].value for number in kind.override}, name: 0.99}
+    start = {
+        **fit.values,
+        **{number: comparison.rig[number].value for number in kind.override},
+        name: _START_SHARE,
+    }
     less = comparison.refit([Candidate(kind.id, effect, (name,))], start)
-    return less if comparison.evidence(less, baseline).raw > 0.0 else baseline
+    return less if comparison.evidence(less, baseline).iid > 0.0 else baseline

@@ -1,22 +1,19 @@
-"""What flights could not have shown: effects that drown in their error, numbers that stay as they were."""
+"""Detectability of effects and identifiability of parameters in the flights given."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
 
 from heli_sim.model.effects import EffectKind
 
 from heli_lab.diagnose.screening import Scored
+from heli_lab.diagnose.thresholds import DETECTION_STD_ERRORS
 from heli_lab.identify import Fit
 from heli_lab.identify.uncertainty import uninformed_parameters
 
-_STANDS_OUT: Final = 5.0
-"""Standard errors that an effect must measure to be seen among all that are tried."""
-
 
 def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectKind]) -> tuple[str, ...]:
-    """Find the effects that would not stand out of their standard error at a typical size.
+    """Find the effects that would not be significant at a typical size.
 
     Parameters
     ----------
@@ -30,19 +27,19 @@ def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectK
     tuple of str
         Their ids.
     """
-    unseen = []
+    undetectable = []
     for one in screened:
         kind = kinds[one.candidate.id]
-        # Without columns for each size, the unit of the only coefficient is the size tried.
+        # Without linear parameters there is one regressor, the effect at the size tried.
         name = kind.size[0]
-        unit = 1.0 if one.candidate.size else one.candidate.effect.values[name]
-        if one.answer.std[0] * abs(unit) * _STANDS_OUT > abs(kind.typical[name]):
-            unseen.append(kind.id)
-    return tuple(sorted(unseen))
+        unit = 1.0 if one.candidate.linear_parameters else one.candidate.effect.values[name]
+        if one.result.std[0] * abs(unit) * DETECTION_STD_ERRORS > abs(kind.typical[name]):
+            undetectable.append(kind.id)
+    return tuple(sorted(undetectable))
 
 
 def unidentifiable_parameters(fit: Fit) -> tuple[str, ...]:
-    """Find the numbers of the rig of which the flights said nothing that was not known.
+    """Find the parameters of the rig whose posterior is as wide as their prior.
 
     Parameters
     ----------

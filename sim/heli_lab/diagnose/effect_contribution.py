@@ -1,4 +1,4 @@
-"""How large an effect is over a flight."""
+"""The acceleration that an effect contributes along a flight."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from heli_lab.identify.functions import Floats
 
 
 def accelerations(fit: Fit, name: str, index: int = 0) -> tuple[Floats, Floats]:
-    """Acceleration that one of a fit's effects makes along its prediction of a flight.
+    """Acceleration that one of a fit's effects makes along the free run of a flight.
 
     Parameters
     ----------
     fit : Fit
-        The fit.
+        A fit with it.
     name : str
         Id of the effect.
     index : int
@@ -27,10 +27,10 @@ def accelerations(fit: Fit, name: str, index: int = 0) -> tuple[Floats, Floats]:
     t_s : ndarray (n,)
         Times since the flight's first sample.
     change_rad_s2 : ndarray (n, 3)
-        Acceleration of elevation, pitch and travel with the effect less that without it. An effect with a
-        delay or a measurement has none of its own.
+        Acceleration of elevation, pitch and travel with the effect less that without it; zero for a delay and
+        for an effect on what is measured.
     """
-    model, tangent = fit.problem.model, Linearisation(fit, index)
+    model, linearisation = fit.problem.model, Linearisation(fit, index)
     less = type(model)(tuple(effect for effect in model.effects if effect.name != name))
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
@@ -40,5 +40,5 @@ def accelerations(fit: Fit, name: str, index: int = 0) -> tuple[Floats, Floats]:
     p_less = ca.vertcat(*(p[names.index(q.name)] for q in less.parameters))
     change = model.dynamics(x, u, p, t)[3:6] - less.dynamics(x_less, u, p_less, t)[3:6]
     function = ca.Function("change", [x, u, t, p], [ca.densify(change)])
-    (result,) = MapEvaluator(function, tangent.rows)(tangent.path)
-    return tangent.path.t_s, np.ascontiguousarray(result[:, :, 0])
+    (result,) = MapEvaluator(function, linearisation.rows)(linearisation.trajectory)
+    return linearisation.trajectory.t_s, np.ascontiguousarray(result[:, :, 0])

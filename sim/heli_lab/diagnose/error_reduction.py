@@ -1,4 +1,4 @@
-"""What the extended model gains on flights that it never saw, with an interval."""
+"""Reduction of the free-run error on the validation flights, with a bootstrap interval."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from heli_lab.diagnose.model_comparison import Hypothesis
 from heli_lab.identify import Fit, trace
 from heli_lab.identify.functions import Floats
 
-_RESAMPLED: Final = 2000
+_RESAMPLES: Final = 2000
+"""Bootstrap samples: 50 lie beyond each end of a 95 % interval."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class ErrorReduction:
     before_deg, after_deg : float
         Root mean square error of the refitted baseline and of the extended model, degrees.
     interval95 : (float, float)
-        95 % interval of the ratio after over before, the windows drawn anew.
+        95 % bootstrap interval of the ratio after over before, windows resampled.
     """
 
     before_deg: float
@@ -37,7 +38,7 @@ class ErrorReduction:
         return self.after_deg / self.before_deg
 
 
-def gain(before: Hypothesis, after: Hypothesis, seed: int = 0) -> dict[str, ErrorReduction]:
+def error_reduction(before: Hypothesis, after: Hypothesis, seed: int = 0) -> dict[str, ErrorReduction]:
     """Measure the free-run error on the validation flights, or without any on those fitted.
 
     Parameters
@@ -45,7 +46,7 @@ def gain(before: Hypothesis, after: Hypothesis, seed: int = 0) -> dict[str, Erro
     before, after : Hypothesis
         Refitted baseline and extended model.
     seed : int
-        Seed of the resampling.
+        Seed of the bootstrap.
 
     Returns
     -------
@@ -56,7 +57,7 @@ def gain(before: Hypothesis, after: Hypothesis, seed: int = 0) -> dict[str, Erro
     squares_after, _ = _squares(after)
     count = len(rows)
     random = np.random.default_rng(seed)
-    weights = random.multinomial(count, np.full(count, 1.0 / count), _RESAMPLED)
+    weights = random.multinomial(count, np.full(count, 1.0 / count), _RESAMPLES)
     ratios = np.sqrt((weights @ squares_after) / np.maximum(weights @ squares_before, 1e-30))
     low, high = np.quantile(ratios, [0.025, 0.975], axis=0)
     rms_before = np.rad2deg(np.sqrt(squares_before.sum(axis=0) / rows.sum()))
@@ -69,12 +70,12 @@ def gain(before: Hypothesis, after: Hypothesis, seed: int = 0) -> dict[str, Erro
 
 def _squares(hypothesis: Hypothesis) -> tuple[Floats, Floats]:
     """Sum of squared errors in rad^2 and number of samples of each window."""
-    fit: Fit = hypothesis.held_fit or hypothesis.fit
+    fit: Fit = hypothesis.held_out_fit or hypothesis.fit
     squares, rows = [], []
     for index in range(len(fit.problem.records)):
-        seen = trace(fit, index)
-        error = seen.residual * seen.sigma_rad
-        for window in seen.windows:
+        run = trace(fit, index)
+        error = run.residual * run.sigma_rad
+        for window in run.windows:
             squares.append((error[window] ** 2).sum(axis=0))
             rows.append(window.stop - window.start)
     return np.array(squares), np.array(rows, float)

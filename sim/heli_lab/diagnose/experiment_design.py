@@ -1,7 +1,8 @@
-"""The flight that would tell more: plans for `heli-host fly`, put together from what has to be seen.
+"""Experiment design: plans for `heli-host fly` that separate hypotheses or show what is undetectable.
 
-Which of them tells two hypotheses apart is not guessed: each plan is flown on the simulated rig with one of
-them true, and the other one is fitted to that flight (`rehearsal.py`).
+Plans are put together from segments, each of which excites some effects. To discriminate two hypotheses, each
+plan is flown on the simulated rig with one of them true, and the other is fitted to that flight
+(`simulated_experiment.py`): the plan of the largest expected log-likelihood ratio is proposed.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from heli_sim.model.effects import EffectKind
 from heli_lab.diagnose.detectability import undetectable_effects
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.diagnose.screening import Screening
-from heli_lab.diagnose.simulated_experiment import separation, simulate_experiment
+from heli_lab.diagnose.simulated_experiment import expected_log_likelihood_ratio, simulate_experiment
 
-_PARTS: Final[Mapping[str, tuple[str, str]]] = {
+_SEGMENTS: Final[Mapping[str, tuple[str, str]]] = {
     "motors": (
-        "both motors shaken hard and fast, which shows how thrust follows voltage",
+        "both motors excited up to 8 Hz, which shows how thrust follows voltage",
         """
 [[segment]]
 kind = "waypoints"
@@ -35,7 +36,7 @@ excite = { signal = "prbs", front_V = 0.5, back_V = 0.5, stop_Hz = 8, seed = 3 }
 """,
     ),
     "fast": (
-        "both motors shaken harder and faster for a minute, which tells a lag from a delay",
+        "both motors excited harder and up to 20 Hz for a minute, which tells a lag from a delay",
         """
 [[segment]]
 kind = "hold"
@@ -91,12 +92,13 @@ excite = { signal = "multisine", front_V = 0.25, back_V = 0.25, start_Hz = 0.1, 
 """,
     ),
 }
-"""Parts of a plan: what each shows, and its segments."""
-_USUAL: Final = ("motors", "travel", "elevation")
-_TRIED: Final = ("motors", "fast", "travel", "elevation")
-"""Parts that are rehearsed besides those of the two effects themselves."""
-_CLEARLY: Final = 10.0
-"""Times what is enough at which no other plan is rehearsed."""
+"""Segments of a plan by key: what they show, and their TOML. Amplitudes keep within the board's limits of
+rates."""
+_DEFAULT: Final = ("motors", "travel", "elevation")
+_ALSO_TRIED: Final = ("motors", "fast", "travel", "elevation")
+"""Segments that are simulated besides those of the two effects themselves."""
+_PLENTY: Final = 10.0
+"""Times the log-likelihood ratio needed at which no further plan is simulated; only time depends on it."""
 
 _HEAD: Final = """title = "The flight that would tell more"
 
@@ -116,7 +118,7 @@ rate_deg_s = 8
 
 @dataclass(frozen=True)
 class ExperimentDesign:
-    """A flight that would tell more.
+    """An experiment that would tell more.
 
     Parameters
     ----------
@@ -130,8 +132,8 @@ class ExperimentDesign:
     plan: str
 
 
-def part_for(kind: EffectKind) -> str:
-    """Which part of a plan shows an effect best.
+def segment_for(kind: EffectKind) -> str:
+    """Choose the segment of a plan that excites an effect best, by what the effect acts on.
 
     Parameters
     ----------
@@ -141,7 +143,7 @@ def part_for(kind: EffectKind) -> str:
     Returns
     -------
     str
-        Key of a part.
+        Key of a segment.
     """
     if any(q.name.endswith("_at_s") for q in kind.parameters) or "fade" in kind.id:
         return "time"
@@ -151,53 +153,48 @@ def part_for(kind: EffectKind) -> str:
     return "elevation" if kind.id == "ground_effect" else "motors"
 
 
-def next_flight(reason: str, parts: Iterable[str]) -> ExperimentDesign:
-    """Put a plan together.
+def compose_experiment(reason: str, parts: Iterable[str]) -> ExperimentDesign:
+    """Put a plan together from segments.
 
     Parameters
     ----------
     reason : str
         Why another flight is needed, a sentence.
     parts : iterable of str
-        Keys of the parts that it needs; all but the longest where there are none.
-
-    Returns
-    -------
-    ExperimentDesign
-        The flight.
+        Keys of the segments that it needs; without any, those that excite every axis.
     """
-    chosen = [key for key in _PARTS if key in set(parts)] or list(_USUAL)
+    chosen = [key for key in _SEGMENTS if key in set(parts)] or list(_DEFAULT)
     return ExperimentDesign(f"{reason} Fly {_shows(chosen)}.", _plan(chosen))
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two hypotheses that the flights given do not tell apart.
+    """Two hypotheses that the flights do not tell apart.
 
     Parameters
     ----------
     first, second : Hypothesis
-        The models, fitted to the flights given.
+        The models, fitted to the flights.
     names : (str, str)
         Ids of the effects in which they differ.
-    behind : float
-        Logarithm of the likelihood ratio by which the second is behind on the flights given.
+    log_likelihood_ratio : float
+        Of the first over the second on these flights, penalties included, nats.
     """
 
     first: Hypothesis
     second: Hypothesis
     names: tuple[str, str]
-    behind: float
+    log_likelihood_ratio: float
 
 
-def flight_that_separates(
+def discriminating_experiment(
     pair: Pair,
     comparison: Comparison,
     kinds: Mapping[str, EffectKind],
     enough: float,
     in_time: Callable[[], bool],
 ) -> ExperimentDesign:
-    """Choose the plan that would tell two hypotheses apart best.
+    """Choose the plan of the largest expected log-likelihood ratio between two hypotheses.
 
     Parameters
     ----------
@@ -208,65 +205,69 @@ def flight_that_separates(
     kinds : Mapping[str, EffectKind]
         The catalogue.
     enough : float
-        Logarithm of a likelihood ratio from which on two hypotheses are told apart.
+        Log-likelihood ratio from which on two hypotheses count as told apart, nats.
     in_time : callable
-        Whether there is time for another rehearsal.
+        Whether there is time for another simulation.
 
     Returns
     -------
     ExperimentDesign
-        The plan with the largest expected separation, none being tried after one that is plenty; where there
-        was no time for any, the one that shows the two effects best by what they act on.
+        The best plan of those simulated; where there was no time for any, the one that excites the two
+        effects best by what they act on.
     """
     apart = (
         f"These flights do not tell {pair.names[0]} from {pair.names[1]}: their log-likelihoods differ by "
-        f"{abs(pair.behind):.1f}, and {enough:.0f} are needed."
+        f"{abs(pair.log_likelihood_ratio):.1f}, and {enough:.0f} are needed."
     )
-    parts = [part_for(kinds[id_]) for id_ in pair.names if id_ in kinds]
+    parts = [segment_for(kinds[id_]) for id_ in pair.names if id_ in kinds]
     found: dict[str, float] = {}
-    for key in dict.fromkeys((*parts, *_TRIED)):
-        if not in_time() or max(found.values(), default=0.0) > _CLEARLY * enough:
+    for key in dict.fromkeys((*parts, *_ALSO_TRIED)):
+        if not in_time() or max(found.values(), default=0.0) > _PLENTY * enough:
             break
-        expected_apart = separation(pair.first, pair.second, comparison, _plan([key]))
+        expected_apart = expected_log_likelihood_ratio(pair.first, pair.second, comparison, _plan([key]))
         if expected_apart is not None:
             found[key] = expected_apart
     if not found:
-        return next_flight(apart, parts)
+        return compose_experiment(apart, parts)
     best = max(found, key=lambda key: found[key])
-    other = separation(pair.second, pair.first, comparison, _plan([best])) if in_time() else None
+    other = (
+        expected_log_likelihood_ratio(pair.second, pair.first, comparison, _plan([best]))
+        if in_time()
+        else None
+    )
     expected = f"{found[best]:.0f} if it is {pair.names[0]}"
     if other is not None:
         expected += f" and {other:.0f} if it is {pair.names[1]}"
     return ExperimentDesign(
-        f"{apart} Fly {_shows([best])}. Rehearsed on the simulated rig, this plan alone sets them apart by "
+        f"{apart} Fly {_shows([best])}. Simulated on this rig, this plan alone sets them apart by "
         f"{expected}; it does best of {len(found)} plans tried.",
         _plan([best]),
     )
 
 
-def flight_that_shows(
-    reason: str, unseen: Iterable[str], baseline: Hypothesis, kinds: Mapping[str, EffectKind]
+def informative_experiment(
+    reason: str, undetectable: Iterable[str], baseline: Hypothesis, kinds: Mapping[str, EffectKind]
 ) -> ExperimentDesign:
-    """Choose the plan that shows effects which the flights given could not show, and say which it would.
+    """Choose the plan that excites undetectable effects, and count those that it would make detectable.
 
     Parameters
     ----------
     reason : str
         Why another flight is needed, a sentence.
-    unseen : iterable of str
+    undetectable : iterable of str
         Ids of the effects.
     baseline : Hypothesis
-        The refitted baseline, to rehearse the plan on.
+        The refitted baseline, to simulate the plan with.
     kinds : Mapping[str, EffectKind]
         The catalogue.
 
     Returns
     -------
     ExperimentDesign
-        The plan, and how many of the effects it would show at a typical size.
+        The plan, and how many of the effects would be significant in it at a typical size.
     """
-    asked = [kinds[id_] for id_ in unseen]
-    flight = next_flight(reason, {part_for(kind) for kind in asked})
+    asked = [kinds[id_] for id_ in undetectable]
+    flight = compose_experiment(reason, {segment_for(kind) for kind in asked})
     record = simulate_experiment(baseline.fit, flight.plan)
     if record is None:
         return flight
@@ -278,15 +279,15 @@ def flight_that_shows(
         return flight
     but = f", not {', '.join(still)}" if still else ""
     return ExperimentDesign(
-        f"{flight.why} Rehearsed on the simulated rig, it shows {len(asked) - len(still)} of these "
+        f"{flight.why} Simulated on this rig, it shows {len(asked) - len(still)} of these "
         f"{len(asked)} at a typical size{but}.",
         flight.plan,
     )
 
 
 def _plan(keys: Iterable[str]) -> str:
-    return _HEAD + _BACK.join(_PARTS[key][1] for key in keys)
+    return _HEAD + _BACK.join(_SEGMENTS[key][1] for key in keys)
 
 
 def _shows(keys: Iterable[str]) -> str:
-    return "; ".join(_PARTS[key][0] for key in keys)
+    return "; ".join(_SEGMENTS[key][0] for key in keys)

@@ -17,7 +17,7 @@ from heli_lab.diagnose.model_comparison import Hypothesis
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.search_record import Round
 from heli_lab.diagnose.spline_curve import SplineCurve
-from heli_lab.diagnose.spline_term import named
+from heli_lab.diagnose.spline_term import readable_id
 from heli_lab.identify import Fit, Trace, trace
 from heli_lab.identify.functions import Floats
 
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _BEFORE, _AFTER = "#d1495b", "#0b5fa5"
-_BENEATH: Final = "#b9bec4"
+_MEASURED: Final = "#b9bec4"
 _MOST_POINTS: Final = 5000
 _EQUATION_POINTS: Final = 12.0
 
 
 def _judged(hypothesis: Hypothesis) -> Fit:
-    return hypothesis.held_fit or hypothesis.fit
+    return hypothesis.held_out_fit or hypothesis.fit
 
 
 def figure_of_flight(before: Hypothesis, after: Hypothesis, index: int = 0) -> Figure:
-    """Draw measured angles against those simulated before and after, on a flight held out where there is one.
+    """Draw measured and simulated angles before and after, on a flight held out where there is one.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def figure_of_flight(before: Hypothesis, after: Hypothesis, index: int = 0) -> F
     for axis in range(3):
         above, below = panels[2 * axis], panels[2 * axis + 1]
         above.plot(
-            old.t_s[keep], _deg(old.measured_rad, axis, keep), color=_BENEATH, lw=3.5, label="measured"
+            old.t_s[keep], _deg(old.measured_rad, axis, keep), color=_MEASURED, lw=3.5, label="measured"
         )
         above.plot(*_broken(old, axis), color=_BEFORE, lw=1.0, label="simulated before")
         above.plot(*_broken(new, axis), color=_AFTER, lw=1.0, label="simulated after")
@@ -79,7 +79,7 @@ def figure_of_flight(before: Hypothesis, after: Hypothesis, index: int = 0) -> F
 
 
 def figure_of_windows(before: Hypothesis, after: Hypothesis, index: int = 0) -> Figure:
-    """Draw the windows in which the baseline is farthest off, one an axis.
+    """Draw the window of the baseline's largest error on each axis.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def figure_of_windows(before: Hypothesis, after: Hypothesis, index: int = 0) -> 
     for axis, panel in enumerate(panels):
         worst = max(old.windows, key=lambda part: float(np.mean(old.residual[part, axis] ** 2)))
         t_s = old.t_s[worst]
-        panel.plot(t_s, np.rad2deg(old.measured_rad[worst, axis]), color=_BENEATH, lw=4, label="measured")
+        panel.plot(t_s, np.rad2deg(old.measured_rad[worst, axis]), color=_MEASURED, lw=4, label="measured")
         panel.plot(t_s, np.rad2deg(old.predicted_rad[worst, axis]), color=_BEFORE, lw=1.3, label="before")
         panel.plot(t_s, np.rad2deg(new.predicted_rad[worst, axis]), color=_AFTER, lw=1.3, label="after")
         errors_deg = [np.rad2deg(_rms(one.residual[worst, axis]) * one.sigma_rad[axis]) for one in (old, new)]
@@ -179,29 +179,37 @@ def figure_of_ranking(rounds: tuple[Round, ...]) -> Figure:
 
 
 def _rank(one: Round, number: int, panel: Axes) -> None:
-    tried = {step.candidate.id: step for step in one.steps}
-    every = sorted((*one.screened[:7], *one.splines[:3]), key=lambda scored: scored.answer.gain)
-    names = [named(scored.candidate.id) for scored in every]
+    refits = {refit.candidate.id: refit for refit in one.refits}
+    every = sorted(
+        (*one.screened[:7], *one.splines[:3]), key=lambda scored: scored.result.log_likelihood_gain
+    )
+    names = [readable_id(scored.candidate.id) for scored in every]
     place = np.arange(len(every))
-    gains = [max(scored.answer.gain, 0.1) for scored in every]
+    gains = [max(scored.result.log_likelihood_gain, 0.1) for scored in every]
     panel.barh(place, gains, color="#dddddd", label="screened, flight fitted")
     for row, scored in enumerate(every):
-        step = tried.get(scored.candidate.id)
-        if step is not None:
+        refit = refits.get(scored.candidate.id)
+        if refit is not None:
             color = _AFTER if scored.candidate.id == one.taken else "#8fb3d1"
-            panel.barh(row, max(step.evidence.held, 0.1), height=0.4, color=color)
-            text = f"  {step.evidence.held:.0f} held out"
-            panel.text(max(scored.answer.gain, step.evidence.held, 1.0), row, text, va="center", fontsize=7)
+            panel.barh(row, max(refit.evidence.held_out, 0.1), height=0.4, color=color)
+            text = f"  {refit.evidence.held_out:.0f} held out"
+            panel.text(
+                max(scored.result.log_likelihood_gain, refit.evidence.held_out, 1.0),
+                row,
+                text,
+                va="center",
+                fontsize=7,
+            )
     panel.set_xscale("log")
     panel.set_xlim(1.0, max(10.0, 5.0 * max(gains)))
     panel.set_yticks(place, names, fontsize=8)
-    taken = f"taken: {named(one.taken)}" if one.taken else "nothing taken"
+    taken = f"taken: {readable_id(one.taken)}" if one.taken else "nothing taken"
     panel.set_title(f"round {number}: {taken}", fontsize=10, loc="left")
     panel.set_xlabel("log likelihood ratio; grey: screened, blue: refitted, held out", fontsize=8)
 
 
 def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
-    """Draw how large the causes are over the flight, as what the prediction of each axis would miss.
+    """Draw the acceleration that each cause contributes along the flight.
 
     Parameters
     ----------
@@ -239,7 +247,7 @@ def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
 
 
 def figure_of_curves(curves: Sequence[SplineCurve]) -> Figure:
-    """Draw the curves that stand for what is on no list.
+    """Draw the spline terms that stand for causes outside the catalogue.
 
     Parameters
     ----------

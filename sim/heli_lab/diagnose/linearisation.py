@@ -1,13 +1,14 @@
-"""How the windows' predictions answer small changes of the dynamics, to first order and for any signal.
+"""The free run linearised about its prediction: first-order responses to changes of the dynamics.
 
 A change g(t) of the state's rates moves a window's state by d/dt dx = A(t) dx + g(t), A being the model's
-Jacobian along the prediction. One pass of this linear system tells what any number of candidates would do to
-the predicted angles: a candidate is nothing but the signal by which it changes the rates. So screening costs
-no fit and no compiler, however many moments, frequencies and angles are tried.
+Jacobian along the prediction; in discrete time, dx[k+1] = Phi[k] dx[k] + Gamma[k] g[k], dy[k] = C[k] dx[k].
+A candidate effect enters as the signal g by which it changes the rates, so one pass of this linear system
+gives the response to any number of candidates, without a fit.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -20,12 +21,13 @@ from heli_lab.identify import Fit
 from heli_lab.identify.functions import Floats, Inputs, Integers
 
 _BATCH: Final = 48
-"""Signals that are carried along together: as many as the processor's cache holds."""
+"""Signals that are propagated together. Any number gives the same result; a step's matrices and so many
+columns stay in a processor's first cache."""
 
 
 @dataclass(frozen=True)
-class Path:
-    """A predicted flight in steps, and what acts in each.
+class Trajectory:
+    """A predicted flight in steps, and the inputs of each.
 
     Parameters
     ----------
@@ -60,7 +62,8 @@ class Linearisation:
 
     Notes
     -----
-    Rows are the steps of the coarse grid; angles and residuals are means over a step.
+    n rows are the steps of the coarse grid (10 ms), all windows one after the other; angles and residuals are
+    means over a step.
     """
 
     def __init__(self, fit: Fit, index: int = 0) -> None:
@@ -77,7 +80,7 @@ class Linearisation:
         parameters = problem.parameters(fit.theta, index)
         evaluation = problem.evaluation(index, fit.theta, fit.states[index], fine=True, derivatives=False)
         self.residual: Floats = evaluation.residual.reshape(self.rows, grid.every, 3).mean(axis=1)
-        """Measured minus predicted, in standard deviations of the rounding, mean of each step; (n, 3)."""
+        """Measured minus predicted, in standard deviations of the quantisation, mean of each step; (n, 3)."""
 
         before, after = self._states(fit.states[index], parameters)
         middle = 0.5 * (before + after)
@@ -87,7 +90,7 @@ class Linearisation:
                 for start, count in zip(self.inputs.start_s, self.steps, strict=True)
             ]
         )
-        self.path = Path(t_s, middle, self.inputs.mean_V, self.inputs.step_s, parameters)
+        self.trajectory = Trajectory(t_s, middle, self.inputs.mean_V, self.inputs.step_s, parameters)
         self._linearise()
 
     def _states(self, start: Floats, parameters: Floats) -> tuple[Floats, Floats]:
@@ -113,7 +116,7 @@ class Linearisation:
         return before, after
 
     def _linearise(self) -> None:
-        model, path = self.fit.problem.model, self.path
+        model, trajectory = self.fit.problem.model, self.trajectory
         x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
         t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
         names = [quantity.name for quantity in model.parameters]
@@ -129,56 +132,61 @@ class Linearisation:
             ca.jacobian(angles, x),
             ca.jacobian(angles, ca.vertcat(*(p[i] for i in free))) if free else ca.SX(3, 0),
         ]
-        function = ca.Function("tangent", [x, u, t, p], ca.cse([ca.densify(w) for w in wanted]))
-        a, by_free, by_torque, by_volts, c, c_by_free = MapEvaluator(function, self.rows)(path)
+        function = ca.Function("linearisation", [x, u, t, p], ca.cse([ca.densify(w) for w in wanted]))
+        a, rates_by_parameters, rates_by_torque, by_volts, c, c_by_free = MapEvaluator(function, self.rows)(
+            trajectory
+        )
         shaping = {name: mean for name, mean, _ in self.inputs.shaped_by}
         for column, i in enumerate(free):
             if names[i] == model.delay and names[i] in shaping:
-                by_free[:, :, column] += np.einsum("nij,nj->ni", by_volts, shaping[names[i]])
-        h = path.step_s
+                rates_by_parameters[:, :, column] += np.einsum("nij,nj->ni", by_volts, shaping[names[i]])
+        h = trajectory.step_s
         n, nx = len(a), a.shape[1]
         block = np.zeros((n, 2 * nx, 2 * nx))
         block[:, :nx, :nx] = a * h
         block[:, :nx, nx:] = np.eye(nx) * h
         exponential = expm(block)
-        self.over: Floats = exponential[:, :nx, :nx]
-        self.push: Floats = exponential[:, :nx, nx:]
-        self.by_free: Floats = by_free
-        """Derivatives of the rates to the free parameters of this record, (n, states, f)."""
-        self.by_torque: Floats = by_torque
-        """Derivatives of the rates to torques about the three axes, (n, states, 3) in 1/(N m)."""
-        self.see: Floats = c
+        self.Phi: Floats = exponential[:, :nx, :nx]
+        """Transition of the state over each step, (n, states, states)."""
+        self.Gamma: Floats = exponential[:, :nx, nx:]
+        """Response of the state at a step's end to rates changed by 1 during it, (n, states, states)."""
+        self.rates_by_parameters: Floats = rates_by_parameters
+        """Derivatives of the rates by the free parameters of this record, (n, states, f)."""
+        self.rates_by_torque: Floats = rates_by_torque
+        """Derivatives of the rates by torques about the three axes, (n, states, 3) in 1/(N m)."""
+        self.C: Floats = c
+        """Derivatives of the measured angles by the state, (n, 3, states) in rad."""
         self._angles_by_free: Floats = c_by_free
 
-    def answer(self, signals: Floats, seen_rad: Floats | None = None) -> Floats:
-        """Carry changes of the rates, and of what is measured, to the predicted angles.
+    def response(self, signals: Floats, measured_rad: Floats | None = None) -> Floats:
+        """Response of the predicted angles to changes of the rates, and of what the encoders measure.
 
         Parameters
         ----------
         signals : ndarray (n, states, s)
-            Change of the rates of the state in the middle of each step, one column a candidate.
-        seen_rad : ndarray (n, 3, s), optional
-            Change of the measured angles.
+            Change of the rates of the state in the middle of each step, one column a regressor.
+        measured_rad : ndarray (n, 3, s), optional
+            Direct change of the measured angles.
 
         Returns
         -------
         ndarray (n, 3, s)
-            Change of the predicted angles, mean over each step, in standard deviations of the rounding.
+            Change of the predicted angles, mean over each step, in standard deviations of the quantisation.
         """
         count = signals.shape[2]
         out = np.empty((self.rows, 3, count))
         for low in range(0, count, _BATCH):
             part = slice(low, min(count, low + _BATCH))
-            pushed = np.einsum("nij,njs->nis", self.push, signals[:, :, part])
+            driven = np.einsum("nij,njs->nis", self.Gamma, signals[:, :, part])
             state = np.zeros((len(self.steps), signals.shape[1], part.stop - part.start))
-            out[:, :, part] = self._carry(state, pushed)
-        if seen_rad is not None:
-            out += seen_rad
+            out[:, :, part] = self._propagate(state, driven)
+        if measured_rad is not None:
+            out += measured_rad
         result: Floats = out / self.record.sigma_rad[:, None]
         return result
 
-    def by_window(self, rows: Floats) -> Floats:
-        """Sort rows into windows of equal length, shorter ones filled up with zeros.
+    def stack_windows(self, rows: Floats) -> Floats:
+        """Stack rows by window, all of the longest one's length, zeros after a window's end.
 
         Parameters
         ----------
@@ -195,33 +203,81 @@ class Linearisation:
             padded[number, : window.stop - window.start] = rows[window]
         return np.ascontiguousarray(padded.transpose(0, 2, 1, 3))
 
-    def initial(self) -> Floats:
-        """How the angles follow the windows' initial states, shape (n, 3, states), in units of rounding."""
-        nx = self.over.shape[1]
+    def unstack_windows(self, stacked: Floats) -> Floats:
+        """Undo `stack_steps` for this flight.
+
+        Parameters
+        ----------
+        stacked : ndarray (k, w, s)
+            Step of the window, window, column.
+
+        Returns
+        -------
+        ndarray (n, s)
+            One row a step of the flight.
+        """
+        out = np.empty((self.rows, stacked.shape[2]))
+        for number, window in enumerate(self.windows):
+            out[window] = stacked[: window.stop - window.start, number]
+        return out
+
+    def initial_state_response(self) -> Floats:
+        """Response to a window's initial state, (n, 3, states), in the unit of `response`."""
+        nx = self.Phi.shape[1]
         state = np.broadcast_to(np.eye(nx), (len(self.steps), nx, nx)).copy()
-        result: Floats = self._carry(state, None) / self.record.sigma_rad[:, None]
+        result: Floats = self._propagate(state, None) / self.record.sigma_rad[:, None]
         return result
 
-    def free(self) -> Floats:
-        """How the angles follow the free parameters of this record, shape (n, 3, f), in units of rounding."""
-        return self.answer(self.by_free, self._angles_by_free)
+    def parameter_response(self) -> Floats:
+        """Response to the free parameters of this record, (n, 3, f), in the unit of `response`."""
+        return self.response(self.rates_by_parameters, self._angles_by_free)
 
-    def _carry(self, state: Floats, pushed: Floats | None) -> Floats:
+    def _propagate(self, state: Floats, driven: Floats | None) -> Floats:
         out = np.empty((self.rows, 3, state.shape[2]))
         for k in range(int(self.steps.max())):
             alive = np.flatnonzero(self.steps > k)
             rows = self.first[alive] + k
             now = state[alive]
-            after = self.over[rows] @ now
-            if pushed is not None:
-                after += pushed[rows]
-            out[rows] = self.see[rows] @ (0.5 * (now + after))
+            after = self.Phi[rows] @ now
+            if driven is not None:
+                after += driven[rows]
+            out[rows] = self.C[rows] @ (0.5 * (now + after))
             state[alive] = after
         return out
 
 
+def stack_steps(linearisations: Sequence[Linearisation], arrays: Sequence[Floats], block: int = 1) -> Floats:
+    """Stack the rows of several flights by step and window, as filters run over them.
+
+    Parameters
+    ----------
+    linearisations : sequence of Linearisation
+        The flights.
+    arrays : sequence of ndarray (n, ...)
+        For each flight one row a step.
+    block : int
+        Steps that are taken together; a window's last incomplete block is left out.
+
+    Returns
+    -------
+    ndarray (k, w, block, ...)
+        Block of the window, window of any flight, step of the block; zeros after a window's end.
+    """
+    longest = max(int(one.steps.max()) for one in linearisations) // block
+    windows = sum(len(one.windows) for one in linearisations)
+    out = np.zeros((longest, windows, block, *arrays[0].shape[1:]))
+    place = 0
+    for one, array in zip(linearisations, arrays, strict=True):
+        for window in one.windows:
+            count = (window.stop - window.start) // block
+            rows = array[window.start : window.start + count * block]
+            out[:count, place] = rows.reshape(count, block, *array.shape[1:])
+            place += 1
+    return out
+
+
 class MapEvaluator:
-    """Evaluates a function of (x, u, t, p) in every step of a path.
+    """Evaluates a function of (x, u, t, p) in every step of a trajectory.
 
     Parameters
     ----------
@@ -238,15 +294,10 @@ class MapEvaluator:
         parameters = ca.MX.sym("p", function.size1_in(3))
         calls = function.map(steps)(*inputs, ca.repmat(parameters, 1, steps))
         outputs = calls if isinstance(calls, tuple | list) else [calls]
-        self._buffer, self._run = ca.Function("along", [*inputs, parameters], outputs).buffer()
+        self._buffer, self._run = ca.Function("mapped", [*inputs, parameters], outputs).buffer()
 
-    def __call__(self, path: Path) -> list[Floats]:
+    def __call__(self, trajectory: Trajectory) -> list[Floats]:
         """Evaluate.
-
-        Parameters
-        ----------
-        path : Path
-            Where.
 
         Returns
         -------
@@ -254,7 +305,8 @@ class MapEvaluator:
             One array an output, shape (n, rows, columns).
         """
         arrays = [
-            np.ascontiguousarray(a, float) for a in (path.state, path.volts_V, path.t_s, path.parameters)
+            np.ascontiguousarray(a, float)
+            for a in (trajectory.state, trajectory.volts_V, trajectory.t_s, trajectory.parameters)
         ]
         for i, array in enumerate(arrays):
             # CasADi's own stubs ask for a size that set_arg and set_res do not take.

@@ -1,4 +1,4 @@
-"""A model with some effects, refitted, and how well it predicts: the flights it saw, and those it did not."""
+"""Hypotheses, models refitted with some effects, and their comparison by log-likelihood ratios."""
 
 from __future__ import annotations
 
@@ -11,16 +11,20 @@ from heli_sim.model.base import Effect, Model
 from heli_sim.rig import Rig
 
 from heli_lab.diagnose.candidate import Candidate
+from heli_lab.diagnose.thresholds import PRIOR_RELIEF
 from heli_lab.identify import Fit, Problem, Record, solve, validate
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.residual_noise import LEAST_VARIANCE, autocovariance, floored_mean_square
+from heli_lab.identify.residual_noise import autocovariance, floored_mean_square
+from heli_lab.identify.thresholds import LEAST_VARIANCE
 
-_CORRELATED_s: Final = 0.5
-_RELIEF: Final = 20.0
-"""Relief of the rig's numbers that counts as much as a visible drop of the errors."""
+_LONGEST_LAG_s: Final = 0.5
+"""Lags of the autocovariance in the long-run variance: a quarter of a window. Longer ones are too noisy."""
 _STEP_s: Final = 0.004
-"""Steps of 10 ms lose their way in effects that change within a few milliseconds, such as dry friction."""
-_RESAMPLED: Final = 400
+"""Step of the fits. With 10 ms, fits of effects that change within milliseconds, such as dry friction,
+fail."""
+_RESAMPLES: Final = 400
+"""Bootstrap samples for a 5 % quantile: 20 lie below it."""
+_LOWER_QUANTILE: Final = 0.05
 
 
 @dataclass(frozen=True)
@@ -30,35 +34,35 @@ class Errors:
     Parameters
     ----------
     squares : ndarray (w, 3)
-        Sum of squared errors of each window, in units of the rounding's variance.
+        Sum of squared errors of each window, in units of the quantisation's variance.
     rows : ndarray (w,)
         Rows of each window.
-    independent : ndarray (3,)
-        Share of the rows that count, their errors being correlated.
-    tension : float
-        Half the sum of squares by which numbers of the rig left what was known of them, in standard
-        deviations of their priors: a cost beside that of the errors.
+    effective_fraction : ndarray (3,)
+        Effective over actual number of rows: variance over long-run variance of the errors, 0 to 1.
+    prior_penalty : float
+        -log prior of the rig's parameters: half the sum of squares of their distances from the prior means,
+        in standard deviations of the priors.
     normalised : float
-        Root mean square of every sample's error, in standard deviations of the rounding.
+        Root mean square of every sample's error, in standard deviations of the quantisation.
     axis_normalised : ndarray (3,)
         The same of each axis.
     sigma_rad : ndarray (3,)
-        Standard deviation of the rounding of each axis.
+        Standard deviation of the quantisation of each axis.
     """
 
     squares: Floats
     rows: Floats
-    independent: Floats
-    tension: float
+    effective_fraction: Floats
+    prior_penalty: float
     normalised: float
     axis_normalised: Floats
     sigma_rad: Floats
 
     def neg2_log_likelihood_rows(self, squares: Floats, rows: Floats) -> Floats:
-        """Twice what each row of an axis takes off the logarithm of the likelihood.
+        """-2 log likelihood for each row of an axis, up to a constant.
 
-        Axes are judged as in a fit (`noise.judged`): where a model is wrong, how far off it is counts, and
-        not which axis shows it most finely.
+        Variances are those of `residual_noise.floored_mean_square`: where a model is wrong, its error in
+        radians counts, and not the resolution of the axis' encoder.
 
         Parameters
         ----------
@@ -70,7 +74,7 @@ class Errors:
         Returns
         -------
         ndarray (..., 3)
-            Logarithm of the variance, and the mean square over it.
+            Logarithm of the variance, plus the mean square over it.
         """
         mean = np.maximum(squares / rows[..., None], LEAST_VARIANCE)
         scale = floored_mean_square(mean, self.sigma_rad)
@@ -89,27 +93,27 @@ class Errors:
         return result
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """Some effects, the model refitted with them, and its errors.
+    """Some effects, the model refitted with them, and its errors; compared by identity.
 
     Parameters
     ----------
     candidates : tuple of Candidate
-        Where each effect came from, in the order in which they were found.
+        Its effects, in the order in which they were found.
     fit : Fit
         The refitted model.
-    held_fit : Fit or None
-        The same model on the validation flights, their initial states and encoder zeros found.
-    train, held : Errors
-        Errors on the flights fitted and on the others; without validation flights both are the same.
+    held_out_fit : Fit or None
+        The same model on the validation flights, only their initial states and encoder zeros estimated.
+    train, held_out : Errors
+        Errors on the flights fitted and on those held out; without the latter both are the same.
     """
 
     candidates: tuple[Candidate, ...]
     fit: Fit
-    held_fit: Fit | None
+    held_out_fit: Fit | None
     train: Errors
-    held: Errors
+    held_out: Errors
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -124,34 +128,34 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What one model has over another.
+    """Log-likelihood ratios of one model over another, nats.
 
     Parameters
     ----------
-    train, held : float
-        Logarithm of the likelihood ratio on the flights fitted and on those held out.
-    held_low : float
-        The latter's lower bound: 5 % of resamplings of the windows lie below it.
-    raw : float
-        Sum of both as if all errors were independent: to rank models that leave errors of different colour.
+    train, held_out : float
+        On the flights fitted and on those held out, with the effective number of rows.
+    held_out_low : float
+        Lower bound of the latter: 5 % of bootstrap samples of the windows lie below it.
+    iid : float
+        Sum of both as if all errors were independent: ranks models whose errors differ in autocorrelation.
     variance_reduction : float
-        Largest share by which it lowers the mean square of an axis on the flights fitted, held out or both.
+        Largest share by which it lowers the mean square of an axis; the smaller one of fitted and held out.
     """
 
     train: float
-    held: float
-    held_low: float
-    raw: float
+    held_out: float
+    held_out_low: float
+    iid: float
     variance_reduction: float
 
     @property
     def total(self) -> float:
-        """Sum of both."""
-        return self.train + self.held
+        """Fitted and held out together."""
+        return self.train + self.held_out
 
 
 class Comparison:
-    """Flights, rig and model on which hypotheses are tried.
+    """Flights, rig and model with which hypotheses are fitted and compared.
 
     Parameters
     ----------
@@ -159,12 +163,12 @@ class Comparison:
         The model, with effects that are known beforehand.
     rig : Rig
         Start values and priors.
-    train, held : sequence of Record
-        Flights to fit and flights to judge on.
+    train, held_out : sequence of Record
+        Flights to fit and flights to validate on.
     window_s : float
-        Length of the windows that are predicted freely.
+        Length of the free-run windows.
     seed : int
-        Seed of the resampling.
+        Seed of the bootstrap.
     """
 
     def __init__(
@@ -172,12 +176,12 @@ class Comparison:
         model: Model,
         rig: Rig,
         train: Sequence[Record],
-        held: Sequence[Record],
+        held_out: Sequence[Record],
         window_s: float = 2.0,
         seed: int = 0,
     ) -> None:
         self.model, self.rig, self.seed = model, rig, seed
-        self.train, self.held = tuple(train), tuple(held)
+        self.train, self.held_out = tuple(train), tuple(held_out)
         self.window_s = window_s
         self.fits = 0
 
@@ -193,21 +197,23 @@ class Comparison:
         candidates : sequence of Candidate
             The effects.
         start : Mapping[str, float] or Fit, optional
-            Values to start from.
+            Parameter values to start from.
 
-        Returns
-        -------
-        Hypothesis
-            The result.
+        Raises
+        ------
+        IdentifyError
+            When the fit fails.
         """
         effects: tuple[Effect, ...] = tuple(candidate.effect for candidate in candidates)
         model = type(self.model)((*self.model.effects, *effects))
         problem = Problem(model, self.rig, self.train, window_s=self.window_s, step_s=_STEP_s)
         fit = solve(problem, start=start)
         self.fits += 1
-        held_fit = validate(fit, self.held) if self.held else None
+        held_out_fit = validate(fit, self.held_out) if self.held_out else None
         train = errors(fit)
-        return Hypothesis(tuple(candidates), fit, held_fit, train, errors(held_fit) if held_fit else train)
+        return Hypothesis(
+            tuple(candidates), fit, held_out_fit, train, errors(held_out_fit) if held_out_fit else train
+        )
 
     def evidence(self, more: Hypothesis, less: Hypothesis) -> Evidence:
         """Compare two hypotheses.
@@ -215,48 +221,40 @@ class Comparison:
         Parameters
         ----------
         more, less : Hypothesis
-            The one that is asked about, and the one that it is compared with.
-
-        Returns
-        -------
-        Evidence
-            Positive where the first predicts better.
+            Positive ratios are in favour of the first.
         """
         train = _ratio(more.train, less.train)
-        if not self.held:
+        if not self.held_out:
             return Evidence(
                 train, 0.0, 0.0, _raw(more.train, less.train), _variance_reduction(more.train, less.train)
             )
         random = np.random.default_rng(self.seed)
-        windows = len(more.held.rows)
-        counts = random.multinomial(windows, np.full(windows, 1.0 / windows), _RESAMPLED)
-        rows = counts @ more.held.rows
-        logs = less.held.neg2_log_likelihood_rows(
-            counts @ less.held.squares, rows
-        ) - more.held.neg2_log_likelihood_rows(counts @ more.held.squares, rows)
-        resampled = 0.5 * rows * (logs @ _shares(more.held, less.held))
-        resampled += less.held.tension - more.held.tension
+        windows = len(more.held_out.rows)
+        counts = random.multinomial(windows, np.full(windows, 1.0 / windows), _RESAMPLES)
+        rows = counts @ more.held_out.rows
+        logs = less.held_out.neg2_log_likelihood_rows(
+            counts @ less.held_out.squares, rows
+        ) - more.held_out.neg2_log_likelihood_rows(counts @ more.held_out.squares, rows)
+        resampled = 0.5 * rows * (logs @ _effective_fraction(more.held_out, less.held_out))
+        resampled += less.held_out.prior_penalty - more.held_out.prior_penalty
         return Evidence(
             train,
-            _ratio(more.held, less.held),
-            float(np.quantile(resampled, 0.05)),
-            _raw(more.train, less.train) + _raw(more.held, less.held),
-            min(_variance_reduction(more.train, less.train), _variance_reduction(more.held, less.held)),
+            _ratio(more.held_out, less.held_out),
+            float(np.quantile(resampled, _LOWER_QUANTILE)),
+            _raw(more.train, less.train) + _raw(more.held_out, less.held_out),
+            min(
+                _variance_reduction(more.train, less.train), _variance_reduction(more.held_out, less.held_out)
+            ),
         )
 
 
 def errors(fit: Fit) -> Errors:
-    """Measure the errors of a fit on its flights.
+    """Measure the errors of a fit on its flights, window by window.
 
     Parameters
     ----------
     fit : Fit
         The fit.
-
-    Returns
-    -------
-    Errors
-        Window by window.
     """
     problem = fit.problem
     squares, rows, means, slices, every = [], [], [], [], []
@@ -274,15 +272,15 @@ def errors(fit: Fit) -> Errors:
         place += len(mean)
         step_s = grid.inputs.step_s
     together = np.concatenate(means)
-    covariance = autocovariance(together, slices, max(1, round(_CORRELATED_s / step_s)))
+    covariance = autocovariance(together, slices, max(1, round(_LONGEST_LAG_s / step_s)))
     taper = 1.0 - np.arange(len(covariance)) / len(covariance)
     long_run = 2.0 * (taper[:, None] * covariance).sum(axis=0) - covariance[0]
-    independent = np.clip(covariance[0] / np.maximum(long_run, 1e-12), 0.0, 1.0)
+    effective_fraction = np.clip(covariance[0] / np.maximum(long_run, 1e-12), 0.0, 1.0)
     samples = np.concatenate(every)
     return Errors(
         np.array(squares),
         np.array(rows, float),
-        np.where(long_run > 0.0, independent, 1.0),
+        np.where(long_run > 0.0, effective_fraction, 1.0),
         _prior_penalty(fit),
         float(np.sqrt(np.mean(samples**2))),
         np.sqrt(np.mean(samples**2, axis=0)),
@@ -290,10 +288,10 @@ def errors(fit: Fit) -> Errors:
     )
 
 
-def _shares(more: Errors, less: Errors) -> Floats:
-    """Share of the rows that count: by the better model's errors, on each axis."""
+def _effective_fraction(more: Errors, less: Errors) -> Floats:
+    """Of the better model's errors, on each axis."""
     better = more.variance <= less.variance
-    result: Floats = np.where(better, more.independent, less.independent)
+    result: Floats = np.where(better, more.effective_fraction, less.effective_fraction)
     return result
 
 
@@ -307,14 +305,18 @@ def _prior_penalty(fit: Fit) -> float:
 
 def _raw(more: Errors, less: Errors) -> float:
     logs = (less.neg2_log_likelihood - more.neg2_log_likelihood).sum()
-    return float(0.5 * more.rows.sum() * logs + less.tension - more.tension)
+    return float(0.5 * more.rows.sum() * logs + less.prior_penalty - more.prior_penalty)
 
 
 def _variance_reduction(more: Errors, less: Errors) -> float:
-    relieved = 1.0 if less.tension - more.tension > _RELIEF else 0.0
+    relieved = 1.0 if less.prior_penalty - more.prior_penalty > PRIOR_RELIEF else 0.0
     return max(relieved, float(np.max(1.0 - more.variance / less.variance)))
 
 
 def _ratio(more: Errors, less: Errors) -> float:
     logs = less.neg2_log_likelihood - more.neg2_log_likelihood
-    return float(0.5 * more.rows.sum() * (_shares(more, less) @ logs) + less.tension - more.tension)
+    return float(
+        0.5 * more.rows.sum() * (_effective_fraction(more, less) @ logs)
+        + less.prior_penalty
+        - more.prior_penalty
+    )

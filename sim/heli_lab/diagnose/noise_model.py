@@ -1,11 +1,11 @@
-"""How likely a fit makes its flights when torques may wander by chance: errors that go together count once.
+"""The coloured-noise model: likelihood of flights under quantisation and disturbance torques.
 
-Errors of a free run are all of one piece: what pushes the arm shows for seconds. Taken as independent they
-make a gust look like whatever cause imitates its course. Here each axis gets a random torque that forgets
-within `correlation_time_s`; a Kalman filter over each window turns the errors into innovations, which are
-independent where the model is right but for such torques, and stay so in a closed loop, where the voltages
-answer to the torques. Sizes and memory are those that make the flights likeliest. A cause is believed when it
-makes the flights likelier than chance does. After Kristensen, Madsen and Jorgensen (2004).
+Simulation errors are strongly autocorrelated: a disturbance torque affects the output for seconds. Taken as
+independent they let a gust imitate any effect of a similar time course. Here each axis has a first-order
+Gauss-Markov torque; a Kalman filter over each window turns the simulation errors into innovations, which are
+white where the model is right but for such torques, also in closed loop, where the voltages answer to them.
+Standard deviations and correlation time are the maximum-likelihood estimates. A cause is accepted when its
+log-likelihood ratio under this model exceeds its penalty. After Kristensen, Madsen and Jorgensen (2004).
 """
 
 from __future__ import annotations
@@ -17,52 +17,66 @@ from typing import Final
 import numpy as np
 from scipy.optimize import minimize
 
-from heli_lab.diagnose.disturbance_torque import FREE_ANGLE_rad, FREE_RATE_rad_s
-from heli_lab.diagnose.linearisation import Linearisation
+from heli_lab.diagnose.kalman import StateSpace, filter_outputs
+from heli_lab.diagnose.linearisation import Linearisation, stack_steps
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.identify import Fit, Problem
 from heli_lab.identify.functions import Floats
 
-_BLOCK: Final = 4
-"""Steps that are taken together: 40 ms, short beside the memory of any gust."""
-_NOISE: Final = 0.3
-"""Variance of a block's mean residual that rounding leaves, in units of the rounding's variance."""
-_LEAST_Nm: Final = 1e-5
-_MOST_Nm: Final = 1.0
-_LEAST_START_Nm: Final = 1e-4
-_START_s: Final = 0.4
-_LONGEST_s: Final = 10.0
+BLOCK_STEPS: Final = 4
+"""Steps of 10 ms that make one measurement: 40 ms, short beside the correlation time of gusts (0.2 to 0.8 s),
+and a quarter of the work. Longer blocks blur the response to voltages."""
+QUANTISATION_VARIANCE: Final = 0.3
+"""Variance that quantisation leaves in the mean residual of a block, in units of a sample's: samples within
+40 ms are not independent, as counts stay for several of them. Smaller: quantisation is taken for a torque."""
+INITIAL_ANGLE_STD_rad: Final = 0.02
+INITIAL_RATE_STD_rad_s: Final = 0.3
+"""What is left open of a window's initial state, about the fitted one: it was fitted to errors taken as white
+and is off by as much as a torque moves it in a window's first tenths of a second. By judgement. Smaller: the
+torque must explain the start. Larger: the start of each window says nothing."""
+MAX_RELINEARISATIONS: Final = 4
+"""Moves of the parameters to where the likelihood is largest; each is a new linearisation."""
+_SMALL_MOVE: Final = 0.7
+"""Standard errors by which parameters may move without another linearisation."""
+
+# Bounds and start of the search for the disturbance, far outside of and within what flights show.
+_MIN_SIGMA_Nm: Final = 1e-5
+_MAX_SIGMA_Nm: Final = 1.0
+_START_SIGMA_Nm: Final = (3e-3, 1e-3, 3e-3)
+_MIN_START_SIGMA_Nm: Final = 1e-4
+_START_CORRELATION_s: Final = 0.4
+_MAX_CORRELATION_s: Final = 10.0
+# The simplex search in logarithms of four parameters. From the optimum of a similar model a third is enough.
 _EVALUATIONS: Final = 75
-_FIRST_STEP: Final = 0.7
-_NEXT_STEP: Final = 0.3
+_FIRST_SIMPLEX: Final = 0.7
+_NEXT_SIMPLEX: Final = 0.3
 _TOLERANCE_NATS: Final = 0.5
 _RIDGE: Final = 1e-3
-MOST_ROUNDS: Final = 4
-_SMALL_MOVE: Final = 0.7
-"""Standard errors by which numbers may move without another round."""
+"""Share of a regressor block's mean square that is added where no prior holds its coefficients: collinear
+columns stay solvable and measurable ones lose a thousandth."""
 
 
 @dataclass(frozen=True)
 class DisturbanceModel:
-    """Random torques that make a fit's flights likeliest.
+    """Maximum-likelihood Gauss-Markov torques of a fit's flights.
 
     Parameters
     ----------
-    likelihood : float
-        Logarithm of the likelihood, up to what all fits of these flights share, priors included.
+    log_likelihood : float
+        In nats, up to what all fits of these flights share, priors included.
     sigma_Nm : ndarray (3,)
         Standard deviation of the torque about each axis.
     correlation_time_s : float
-        Time over which it falls to 1/e.
+        Time over which the torques' autocorrelation falls to 1/e.
     """
 
-    likelihood: float
+    log_likelihood: float
     sigma_Nm: Floats
     correlation_time_s: float
 
 
 class InnovationsFilter:
-    """Turns errors into innovations, for all flights of a fit.
+    """The Kalman filter of the coloured-noise model over all flights of a fit.
 
     Parameters
     ----------
@@ -73,200 +87,181 @@ class InnovationsFilter:
     def __init__(self, fit: Fit) -> None:
         self.fit = fit
         problem = fit.problem
-        self.tangents = tuple(Linearisation(fit, index) for index in range(len(problem.records)))
-        steps = np.concatenate([t.steps for t in self.tangents]) // _BLOCK
+        self.linearisations = tuple(Linearisation(fit, index) for index in range(len(problem.records)))
+        steps = np.concatenate([one.steps for one in self.linearisations]) // BLOCK_STEPS
         self.alive = np.arange(steps.max())[:, None] < steps[None, :]
-        self.step_s = _BLOCK * self.tangents[0].path.step_s
-        known = []
-        for index, tangent in enumerate(self.tangents):
-            own = np.zeros((tangent.rows, 3, len(problem.free) + 1))
-            own[:, :, [*problem.columns[index]]] = tangent.free()
-            own[:, :, -1] = tangent.residual
-            known.append(own)
-        self._known = self._blocks(known).mean(axis=2)
-        """Answers to the free parameters, and the residual; mean of each block."""
-        self._weight: Floats = problem.prior_std**-2.0
-        self._off: Floats = fit.theta - problem.prior_mean
-        self.over, self.see = self._joined()
+        self.step_s = BLOCK_STEPS * self.linearisations[0].trajectory.step_s
+        sensitivities = []
+        for index, linearisation in enumerate(self.linearisations):
+            own = np.zeros((linearisation.rows, 3, len(problem.free) + 1))
+            own[:, :, [*problem.columns[index]]] = linearisation.parameter_response()
+            own[:, :, -1] = linearisation.residual
+            sensitivities.append(own)
+        self._outputs = self._blocks(sensitivities).mean(axis=2)
+        """Sensitivities to the free parameters, and the residual as last column; mean of each block."""
+        self._prior_precision: Floats = problem.prior_std**-2.0
+        self._prior_offset: Floats = fit.theta - problem.prior_mean
+        self.Phi, self.Gamma, self.C = self._over_blocks()
 
     def _blocks(self, arrays: Sequence[Floats]) -> Floats:
-        """Rows of all flights as (blocks, windows, steps of a block, ...), zeros after a window's end."""
-        out = np.zeros((*self.alive.shape, _BLOCK, *arrays[0].shape[1:]))
-        place = 0
-        for tangent, array in zip(self.tangents, arrays, strict=True):
-            for window in tangent.windows:
-                count = (window.stop - window.start) // _BLOCK
-                rows = array[window.start : window.start + count * _BLOCK]
-                out[:count, place] = rows.reshape(count, _BLOCK, *array.shape[1:])
-                place += 1
-        return out
+        return stack_steps(self.linearisations, arrays, BLOCK_STEPS)
 
-    def _joined(self) -> tuple[Floats, Floats]:
-        """State and torque over a block, and the mean of what is seen in it, by those at its beginning."""
-        over = self._blocks([t.over for t in self.tangents])
-        push = self._blocks([t.push @ t.by_torque for t in self.tangents])
-        see = self._blocks([t.see / t.record.sigma_rad[:, None] for t in self.tangents])
-        nx = over.shape[-1]
-        reached = np.zeros((*self.alive.shape, nx, nx + 3))
-        reached[..., range(nx), range(nx)] = 1.0
-        seen = np.zeros((*self.alive.shape, 3, nx + 3))
-        for k in range(_BLOCK):
-            seen += see[:, :, k] @ reached / _BLOCK
-            reached = over[:, :, k] @ reached
-            reached[..., nx:] += push[:, :, k]
-        return reached, seen
+    def _over_blocks(self) -> tuple[Floats, Floats, Floats]:
+        """Transition, torque input and mean measurement of a block, by state and torque at its beginning."""
+        Phi = self._blocks([one.Phi for one in self.linearisations])
+        Gamma = self._blocks([one.Gamma @ one.rates_by_torque for one in self.linearisations])
+        C = self._blocks([one.C / one.record.sigma_rad[:, None] for one in self.linearisations])
+        nx = Phi.shape[-1]
+        state = np.zeros((*self.alive.shape, nx, nx + 3))
+        state[..., range(nx), range(nx)] = 1.0
+        measured = np.zeros((*self.alive.shape, 3, nx + 3))
+        for k in range(BLOCK_STEPS):
+            measured += C[:, :, k] @ state / BLOCK_STEPS
+            state = Phi[:, :, k] @ state
+            state[..., nx:] += Gamma[:, :, k]
+        return state[..., :nx], state[..., nx:], measured
 
-    def innovations(
-        self, sigma_Nm: Floats, correlation_time_s: float, columns: Sequence[Floats] = ()
-    ) -> tuple[Floats, float]:
-        """Filter the errors, what free parameters change in them, and more columns.
+    def system(self, sigma_Nm: Floats, correlation_time_s: float) -> StateSpace:
+        """State space of the simulation errors, one step a block, the torques about the three axes last.
 
         Parameters
         ----------
         sigma_Nm : ndarray (3,)
-            Standard deviation of the random torque about each axis.
+            Standard deviation of the torque about each axis.
         correlation_time_s : float
-            Its memory.
-        columns : sequence of ndarray (n, 3, s), optional
-            For each flight, as `Linearisation.answer` gives them.
+            Its correlation time.
+        """
+        return StateSpace.with_disturbance(
+            self.Phi,
+            self.Gamma,
+            self.C,
+            self.alive,
+            rho=float(np.exp(-self.step_s / correlation_time_s)),
+            sigma=sigma_Nm,
+            state_std=initial_state_std(self.Phi.shape[-1]),
+            measurement_variance=QUANTISATION_VARIANCE,
+        )
+
+    def innovations(
+        self, sigma_Nm: Floats, correlation_time_s: float, regressors: Sequence[Floats] = ()
+    ) -> tuple[Floats, float]:
+        """Filter the simulation errors, their sensitivities to the free parameters, and further regressors.
+
+        Parameters
+        ----------
+        sigma_Nm : ndarray (3,)
+            Standard deviation of the torque about each axis.
+        correlation_time_s : float
+            Its correlation time.
+        regressors : sequence of ndarray (n, 3, s), optional
+            For each flight, as `Linearisation.response` gives them.
 
         Returns
         -------
         innovations : ndarray (m, f + 1 + s)
-            Of all flights, in standard deviations: free parameters, error, columns.
-        logarithm : float
-            Logarithm of the determinant of their covariance.
+            Of all flights, in their standard deviations: free parameters, error, regressors.
+        log_determinant : float
+            Sum of log det of the innovations' covariances.
         """
-        given = self._known
-        if columns:
-            given = np.concatenate((given, self._blocks(columns).mean(axis=2)), axis=3)
-        longest, count, nx, order = self.over.shape
-        keep = float(np.exp(-self.step_s / correlation_time_s))
-        noise = np.zeros((order, order))
-        noise[nx:, nx:] = np.diag((1.0 - keep**2) * sigma_Nm**2)
-        first = np.concatenate((np.full(3, FREE_ANGLE_rad), np.full(nx - 3, FREE_RATE_rad_s), sigma_Nm))
-        spread = np.broadcast_to(np.diag(first**2), (count, order, order)).copy()
-        mean = np.zeros((count, order, given.shape[3]))
-        out = np.empty_like(given)
-        logarithm = 0.0
-        over = np.zeros((count, order, order))
-        over[:, range(nx, order), range(nx, order)] = keep
-        for k in range(longest):
-            see = self.see[k]
-            cross = spread @ see.transpose(0, 2, 1)
-            root = np.linalg.cholesky(see @ cross + _NOISE * np.eye(3))
-            inverse = np.linalg.inv(root)
-            out[k] = inverse @ (given[k] - see @ mean)
-            gain = cross @ inverse.transpose(0, 2, 1)
-            diagonal = np.diagonal(root, axis1=1, axis2=2)[self.alive[k]]
-            logarithm += 2.0 * float(np.log(diagonal).sum())
-            mean = mean + gain @ out[k]
-            spread = spread - gain @ gain.transpose(0, 2, 1)
-            over[:, :nx] = self.over[k]
-            mean = over @ mean
-            spread = over @ spread @ over.transpose(0, 2, 1) + noise
-        return out[self.alive].reshape(-1, given.shape[3]), logarithm
+        outputs = self._outputs
+        if regressors:
+            outputs = np.concatenate((outputs, self._blocks(regressors).mean(axis=2)), axis=3)
+        filtered = filter_outputs(self.system(sigma_Nm, correlation_time_s), outputs)
+        return filtered.value[self.alive].reshape(-1, outputs.shape[3]), filtered.log_determinant
 
-    def likelihood(self, sigma_Nm: Floats, correlation_time_s: float) -> tuple[float, Floats, Floats]:
-        """Logarithm of the likelihood, the free parameters moved to where it is largest, to first order.
+    def log_likelihood(self, sigma_Nm: Floats, correlation_time_s: float) -> tuple[float, Floats, Floats]:
+        """Log-likelihood, maximised over the free parameters to first order (profile likelihood).
 
         Parameters
         ----------
         sigma_Nm : ndarray (3,)
-            Standard deviation of the random torque about each axis.
+            Standard deviation of the torque about each axis.
         correlation_time_s : float
-            Its memory.
+            Its correlation time.
 
         Returns
         -------
-        likelihood : float
-            Its logarithm, up to a constant, and with what the priors say.
+        log_likelihood : float
+            In nats, up to a constant, the priors of the free parameters included.
         move, std : ndarray (f,)
-            Change of the free parameters, and their standard errors.
+            Change of the free parameters that maximises it, and their standard errors.
         """
-        filtered, logarithm = self.innovations(sigma_Nm, correlation_time_s)
-        left, right = filtered[:, :-1], filtered[:, -1]
-        matrix = left.T @ left + np.diag(self._weight)
-        inverse = np.linalg.inv(matrix)
-        move: Floats = inverse @ (left.T @ right - self._weight * self._off)
-        error = right - left @ move
-        off = self._off + move
-        return (
-            float(-0.5 * (error @ error + off @ (self._weight * off) + logarithm)),
-            move,
-            np.sqrt(np.diag(inverse)),
-        )
+        filtered, log_determinant = self.innovations(sigma_Nm, correlation_time_s)
+        sensitivity, innovation = filtered[:, :-1], filtered[:, -1]
+        information = sensitivity.T @ sensitivity + np.diag(self._prior_precision)
+        covariance = np.linalg.inv(information)
+        move: Floats = covariance @ (sensitivity.T @ innovation - self._prior_precision * self._prior_offset)
+        error = innovation - sensitivity @ move
+        offset = self._prior_offset + move
+        neg2_log_likelihood = error @ error + offset @ (self._prior_precision * offset) + log_determinant
+        return float(-0.5 * neg2_log_likelihood), move, np.sqrt(np.diag(covariance))
 
-    def gains(
+    def score(
         self,
         disturbance: DisturbanceModel,
-        columns: Sequence[Floats],
+        regressors: Sequence[Floats],
         sizes: Sequence[int],
         priors: Sequence[Floats] | None = None,
     ) -> list[float]:
-        """Score candidates beside random torques, to first order.
+        """Score test of each candidate under the coloured-noise model, the free parameters projected out.
 
         Parameters
         ----------
         disturbance : DisturbanceModel
-            The random torques.
-        columns : sequence of ndarray (n, 3, s)
-            For each flight the columns of all candidates side by side, as `Linearisation.answer` gives them.
+            The torques of the null hypothesis.
+        regressors : sequence of ndarray (n, 3, s)
+            For each flight those of all candidates side by side, as `Linearisation.response` gives them.
         sizes : sequence of int
-            Number of columns of each candidate.
+            Number of regressors of each candidate.
         priors : sequence of ndarray, optional
-            For each candidate standard deviations of its coefficients about 0; without them these are held
-            to what its columns can measure.
+            For each candidate standard deviations of its coefficients about 0; without them a ridge.
 
         Returns
         -------
         list of float
-            Logarithm of the likelihood ratio that each adds.
+            Log-likelihood ratio that each would add, to first order, nats.
         """
-        filtered, _ = self.innovations(disturbance.sigma_Nm, disturbance.correlation_time_s, columns)
-        free = len(self._weight)
-        left, error, rest = filtered[:, :free], filtered[:, free], filtered[:, free + 1 :]
-        inverse = np.linalg.inv(left.T @ left + np.diag(self._weight))
-        error = error - left @ (inverse @ (left.T @ error - self._weight * self._off))
-        rest = rest - left @ (inverse @ (left.T @ rest))
+        filtered, _ = self.innovations(disturbance.sigma_Nm, disturbance.correlation_time_s, regressors)
+        free = len(self._prior_precision)
+        nuisance, error, rest = filtered[:, :free], filtered[:, free], filtered[:, free + 1 :]
+        covariance = np.linalg.inv(nuisance.T @ nuisance + np.diag(self._prior_precision))
+        error = error - nuisance @ (
+            covariance @ (nuisance.T @ error - self._prior_precision * self._prior_offset)
+        )
+        rest = rest - nuisance @ (covariance @ (nuisance.T @ rest))
         found = []
         low = 0
         for number, size in enumerate(sizes):
             own = rest[:, low : low + size]
             low += size
-            normal_matrix, cross = own.T @ own, own.T @ error
-            known = _RIDGE * np.diag(normal_matrix).mean() if priors is None else priors[number] ** -2.0
-            normal_matrix[range(size), range(size)] += known
-            found.append(float(0.5 * cross @ np.linalg.pinv(normal_matrix, hermitian=True) @ cross))
+            information, score = own.T @ own, own.T @ error
+            prior = _RIDGE * np.diag(information).mean() if priors is None else priors[number] ** -2.0
+            information[range(size), range(size)] += prior
+            found.append(float(0.5 * score @ np.linalg.pinv(information, hermitian=True) @ score))
         return found
 
-    def likeliest(self, start: DisturbanceModel | None = None) -> DisturbanceModel:
-        """Find the random torques that make the flights likeliest.
+    def estimate(self, start: DisturbanceModel | None = None) -> DisturbanceModel:
+        """Estimate the torques' standard deviations and correlation time by maximum likelihood.
 
         Parameters
         ----------
         start : DisturbanceModel, optional
-            Where to start.
-
-        Returns
-        -------
-        DisturbanceModel
-            The torques.
+            Where to start, such as the estimate of a similar model.
         """
-        sigma_Nm = np.array([3e-3, 1e-3, 3e-3]) if start is None else start.sigma_Nm
-        correlation_time_s = _START_s if start is None else start.correlation_time_s
+        sigma_Nm = np.array(_START_SIGMA_Nm) if start is None else start.sigma_Nm
+        correlation_time_s = _START_CORRELATION_s if start is None else start.correlation_time_s
 
-        low = np.log([_LEAST_Nm, _LEAST_Nm, _LEAST_Nm, self.step_s])
-        high = np.log([_MOST_Nm, _MOST_Nm, _MOST_Nm, _LONGEST_s])
+        low = np.log([_MIN_SIGMA_Nm, _MIN_SIGMA_Nm, _MIN_SIGMA_Nm, self.step_s])
+        high = np.log([_MAX_SIGMA_Nm, _MAX_SIGMA_Nm, _MAX_SIGMA_Nm, _MAX_CORRELATION_s])
 
         def cost(point: Floats) -> float:
-            return -self.likelihood(np.exp(point[:3]), float(np.exp(point[3])))[0]
+            return -self.log_likelihood(np.exp(point[:3]), float(np.exp(point[3])))[0]
 
-        first = np.log([*np.maximum(sigma_Nm, _LEAST_START_Nm), correlation_time_s])
-        spread = _FIRST_STEP if start is None else _NEXT_STEP
+        first = np.log([*np.maximum(sigma_Nm, _MIN_START_SIGMA_Nm), correlation_time_s])
+        size = _FIRST_SIMPLEX if start is None else _NEXT_SIMPLEX
         options = {
             "maxfev": _EVALUATIONS if start is None else _EVALUATIONS // 3,
-            "initial_simplex": np.clip(np.vstack([first, *(first + spread * np.eye(4))]), low, high),
+            "initial_simplex": np.clip(np.vstack([first, *(first + size * np.eye(4))]), low, high),
             "fatol": _TOLERANCE_NATS,
             "xatol": np.inf,
         }
@@ -276,8 +271,38 @@ class InnovationsFilter:
         return DisturbanceModel(-float(found.fun), best[:3], float(best[3]))
 
 
+@dataclass(frozen=True)
+class DisturbanceFit:
+    """The coloured-noise model of a hypothesis, and the filter about the parameters that it was reached at.
+
+    Parameters
+    ----------
+    model : DisturbanceModel
+        Torques and log-likelihood.
+    innovations_filter : InnovationsFilter
+        The filter.
+    relinearisations : int
+        How often the parameters were allowed to move, at most.
+    """
+
+    model: DisturbanceModel
+    innovations_filter: InnovationsFilter
+    relinearisations: int
+
+
+def initial_state_std(states: int) -> Floats:
+    """Standard deviations of a window's initial state about the fitted one, angles first, then all others.
+
+    Parameters
+    ----------
+    states : int
+        Number of states of the model, at least 3.
+    """
+    return np.array([INITIAL_ANGLE_STD_rad] * 3 + [INITIAL_RATE_STD_rad_s] * (states - 3))
+
+
 def pooled(comparison: Comparison, hypothesis: Hypothesis) -> Fit:
-    """See all flights as one fit, those held out too.
+    """Take the flights fitted and those held out as one fit of the same parameters, without refitting.
 
     Parameters
     ----------
@@ -285,31 +310,26 @@ def pooled(comparison: Comparison, hypothesis: Hypothesis) -> Fit:
         The flights.
     hypothesis : Hypothesis
         Its fits.
-
-    Returns
-    -------
-    Fit
-        The same numbers and windows; nothing is fitted.
     """
-    fit, held = hypothesis.fit, hypothesis.held_fit
-    if held is None:
+    fit, held_out = hypothesis.fit, hypothesis.held_out_fit
+    if held_out is None:
         return fit
     old = fit.problem
     problem = Problem(
         old.model,
         old.rig,
-        (*comparison.train, *comparison.held),
+        (*comparison.train, *comparison.held_out),
         window_s=old.window_s,
         step_s=old.step_s,
-        state_std=old.tied,
+        state_std=old.state_std_by_name,
     )
     known = {(one.quantity, one.record): v for one, v in zip(old.free, fit.theta, strict=True)}
-    for one, value in zip(held.problem.free, held.theta, strict=True):
+    for one, value in zip(held_out.problem.free, held_out.theta, strict=True):
         known[one.quantity, None if one.record is None else one.record + len(comparison.train)] = value
     theta = [
         known.get((one.quantity, one.record), v) for one, v in zip(problem.free, problem.start, strict=True)
     ]
-    states = (*fit.states, *held.states)
+    states = (*fit.states, *held_out.states)
     return replace(fit, problem=problem, theta=np.array(theta), states=states)
 
 
@@ -317,38 +337,32 @@ def fit_disturbance(
     comparison: Comparison,
     hypothesis: Hypothesis,
     start: DisturbanceModel | None = None,
-    rounds: int = MOST_ROUNDS,
-) -> tuple[DisturbanceModel, InnovationsFilter]:
-    """Find how likely a hypothesis makes all flights.
+    relinearisations: int = MAX_RELINEARISATIONS,
+) -> DisturbanceFit:
+    """Estimate the coloured-noise model of a hypothesis on all flights.
 
     Parameters
     ----------
     comparison : Comparison
         The flights.
     hypothesis : Hypothesis
-        The model with its numbers, which are moved to where the flights are likeliest.
+        The model; its parameters are moved to where the likelihood is largest.
     start : DisturbanceModel, optional
         Where to start.
-    rounds : int
-        How often the numbers may be moved, at most.
-
-    Returns
-    -------
-    disturbance : DisturbanceModel
-        Its random torques, and the likelihood.
-    filter : InnovationsFilter
-        The filter around the numbers that were reached.
+    relinearisations : int
+        How often the parameters may be moved, at most.
     """
     reached = InnovationsFilter(pooled(comparison, hypothesis))
-    disturbance = reached.likeliest(start)
+    disturbance = reached.estimate(start)
     best = disturbance, reached
-    # A free run that misses a torque pulls the numbers along: again around where the filter says they are.
-    for _ in range(rounds):
-        _, move, std = reached.likelihood(disturbance.sigma_Nm, disturbance.correlation_time_s)
+    # The free-run fit is biased by the torque: linearise again about the parameters that the filter
+    # estimates.
+    for _ in range(relinearisations):
+        _, move, std = reached.log_likelihood(disturbance.sigma_Nm, disturbance.correlation_time_s)
         if np.all(np.abs(move) < _SMALL_MOVE * std):
             break
         theta = np.clip(reached.fit.theta + move, *reached.fit.problem.bounds)
         reached = InnovationsFilter(replace(reached.fit, theta=theta))
-        disturbance = reached.likeliest(disturbance)
-        best = max(best, (disturbance, reached), key=lambda one: one[0].likelihood)
-    return best
+        disturbance = reached.estimate(disturbance)
+        best = max(best, (disturbance, reached), key=lambda one: one[0].log_likelihood)
+    return DisturbanceFit(*best, relinearisations)

@@ -1,4 +1,4 @@
-"""A report for someone who looks before reading: one HTML page that needs nothing else, and its figures."""
+"""The report of a diagnosis: one HTML page that needs no other file, and its figures as PNG."""
 
 from __future__ import annotations
 
@@ -17,10 +17,12 @@ from heli_lab.diagnose.figures import (
 )
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.result import Diagnosis
+from heli_lab.diagnose.serialize import to_json
+from heli_lab.diagnose.summary import summary
 from heli_lab.identify.result import rounded
 from heli_lab.page import escaped, folder_with, image, table
 
-_WORDS: Final = {
+_TITLES: Final = {
     "explained": "Nothing is missing",
     "cause_found": "Cause found",
     "ambiguous": "Cause found, but not told apart from others",
@@ -57,15 +59,15 @@ def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
     Path
         The page.
     """
-    numbers = diagnosis.json()
+    numbers = to_json(diagnosis)
     folder = folder_with(numbers, folder)
     before, after = diagnosis.search.baseline, diagnosis.extended
     size = figure_of_size(diagnosis)
-    judged = "a flight that no fit saw" if after.held_fit else "the flight that was fitted"
-    word = diagnosis.verdict.word
+    judged = "a flight that no fit saw" if after.held_out_fit else "the flight that was fitted"
+    label = diagnosis.verdict.label
     sections = [
-        f"<h1>{_WORDS[word]}</h1>",
-        f'<p class="verdict {word}">{escaped(diagnosis.summary)}{escaped(_gained(diagnosis))}</p>',
+        f"<h1>{_TITLES[label]}</h1>",
+        f'<p class="verdict {label}">{escaped(summary(diagnosis))}{escaped(_gained(diagnosis))}</p>',
         f"<h2>Measured against simulated, on {judged}</h2>",
         _gain(numbers["gain"]),
         image(figure_of_windows(before, after), folder / "windows.png", "worst windows"),
@@ -84,16 +86,16 @@ def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
         "<h2>What was used</h2>",
         _used(numbers),
     ]
-    return _page(folder, _WORDS[word], sections)
+    return _page(folder, _TITLES[label], sections)
 
 
-def write_silence(result: InsufficientExcitation, folder: str | Path) -> Path:
-    """Write the page of flights that show nothing, and result.json.
+def write_insufficient_excitation(result: InsufficientExcitation, folder: str | Path) -> Path:
+    """Write the page of flights without excitation, and result.json.
 
     Parameters
     ----------
     result : InsufficientExcitation
-        The answer to them.
+        The result.
     folder : str or Path
         Where to; made if it is missing.
 
@@ -102,15 +104,15 @@ def write_silence(result: InsufficientExcitation, folder: str | Path) -> Path:
     Path
         The page.
     """
-    numbers = result.json()
+    numbers = to_json(result)
     folder = folder_with(numbers, folder)
-    title = "These flights show nothing"
+    title = "These flights excite nothing"
     sections = [
         f"<h1>{title}</h1>",
-        f'<p class="verdict ambiguous">{escaped(result.summary)}</p>',
+        f'<p class="verdict ambiguous">{escaped(summary(result))}</p>',
         "<h2>What cannot be known from them</h2>",
-        f"<p>Any of these effects, or none, may be there: {escaped(', '.join(result.unseen))}.</p>",
-        f"<p>Nothing was learned of these numbers of the rig: {escaped(', '.join(result.unlearned))}.</p>",
+        f"<p>Any of these effects, or none, may be there: {escaped(', '.join(result.undetectable))}.</p>",
+        f"<p>Parameters that they do not identify: {escaped(', '.join(result.unidentifiable))}.</p>",
         *_next(numbers["next_flight"]),
     ]
     return _page(folder, title, sections)
@@ -140,7 +142,7 @@ def _gain(gain: dict[str, Any]) -> str:
     heads = ["axis", "before [deg]", "after [deg]", "ratio", "95 % interval of the ratio"]
     return (
         table(heads, rows)
-        + f'<p class="note">{escaped(gain["metric"])}; intervals by drawing windows anew.</p>'
+        + f'<p class="note">{escaped(gain["metric"])}; bootstrap intervals, windows resampled.</p>'
     )
 
 
@@ -150,7 +152,7 @@ def _gained(diagnosis: Diagnosis) -> str:
         return ""
     axis, best = min(diagnosis.gains.items(), key=lambda one: one[1].ratio)
     low, high = best.interval95
-    where = "on flights that no fit saw" if diagnosis.extended.held_fit else "on the flights fitted"
+    where = "on flights that no fit saw" if diagnosis.extended.held_out_fit else "on the flights fitted"
     return (
         f" With it the 2 s free run is off by {best.after_deg:.2g} deg in {axis} instead of "
         f"{best.before_deg:.2g} {where}: {best.ratio:.2f} times as much ({low:.2f} to {high:.2f})."
@@ -185,7 +187,7 @@ def _causes(causes: Sequence[dict[str, Any]], folder: Path) -> str:
             f"<h3>{escaped(one['effect'])}</h3><p><b>{escaped(sentence)}.</b> Confidence "
             f"{one['confidence']:.2f}.{unclear}</p>"
             + _equation(one["equation"], folder / f"equation-{one['effect']}.png")
-            + table(["number", "value ± std", "unit"], rows)
+            + table(["parameter", "value ± std", "unit"], rows)
             + f'<p class="note">Evidence: {evidence}.</p>'
         )
     return "".join(parts)
@@ -213,8 +215,9 @@ def _residual(residual: dict[str, Any]) -> str:
     rows.append(["all, held out", *(f"{whole[f'held_out_{when}']:.3f}" for when in _WHEN), "", "", ""])
     where = "held out" if role == "held_out" else "fitted"
     note = (
-        "Root mean square error of the flight fitted in standard deviations of the rounding: 1 when "
-        f"nothing is left. Autocorrelation over 0.1 s in the flight {where}; white when chance gives as much."
+        "Root mean square error of the flight fitted in standard deviations of the quantisation: 1 when "
+        f"nothing is left. Autocorrelation over 0.1 s in the flight {where}; white when it is "
+        "within three standard deviations of that of white noise."
     )
     heads = ["axis", "before", "after", "autocorrelation before", "after", "white after"]
     return table(heads, rows) + f'<p class="note">{note}</p>'
@@ -222,7 +225,7 @@ def _residual(residual: dict[str, Any]) -> str:
 
 def _remains(diagnosis: Diagnosis, numbers: dict[str, Any], folder: Path) -> str:
     missing = numbers["unexplained"]
-    left = diagnosis.residual_analysis
+    remaining = diagnosis.residual_analysis
     curves = diagnosis.curves
     text = ""
     if missing is not None:
@@ -237,13 +240,14 @@ def _remains(diagnosis: Diagnosis, numbers: dict[str, Any], folder: Path) -> str
         text += (
             f"<p>In its place the model was given a plain curve: {escaped(said)}. It is in no rig. "
             "With it the free run would be off by this much:</p>"
-            + _gain({"axis": missing["gain_with_curves"], "metric": numbers["gain"]["metric"]})
+            + _gain({"axis": missing["gain_with_splines"], "metric": numbers["gain"]["metric"]})
             + image(figure_of_curves(curves), folder / "curves.png", "curve in the place of the cause")
         )
     after = "Beyond what was found" + (" and that curve" if curves else "")
     return text + (
-        f"<p>{after}, the plainest torque that is still missing is about {left.axis}: "
-        f"{1e3 * left.sigma_Nm:.2g} mN m, {left.over_error:.2g} times what its estimate is unsure by.</p>"
+        f"<p>{after}, the most significant missing torque is about {remaining.axis}: "
+        f"{1e3 * remaining.sigma_Nm:.2g} mN m, {remaining.sigma_over_std:.2g} times the "
+        "standard error of its estimate.</p>"
     )
 
 
@@ -257,14 +261,16 @@ def _ranking(ranking: Sequence[dict[str, Any]]) -> str:
             cell(one["score"]),
             cell(one["train"]),
             cell(one["held_out"]),
-            cell(one["price"]),
+            cell(one["penalty"]),
         ]
         for one in ranking
         if one["train"] is not None or one["score"] > 3.0
     ]
-    note = "Logarithms of likelihood ratios. The price pays for parameters and for all that was tried."
+    note = (
+        "Log-likelihood ratios, nats. The penalty (BIC) is for parameters and for the number of candidates."
+    )
     return (
-        table(["round: candidate", "screened", "refitted", "held out", "price"], rows)
+        table(["round: candidate", "screened", "refitted", "held out", "penalty"], rows)
         + f'<p class="note">{note}</p>'
     )
 

@@ -1,4 +1,4 @@
-"""What remains when nothing of the catalogue explains it: chance, or what depends on things before it."""
+"""Describes what the final model leaves: a disturbance, or torques that depend on states and inputs."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ from typing import Final
 import numpy as np
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose.model_comparison import Hypothesis
-from heli_lab.diagnose.noise_model import DisturbanceModel, InnovationsFilter
+from heli_lab.diagnose.noise_model import DisturbanceFit
 from heli_lab.diagnose.screening import Scored, Screening
-from heli_lab.diagnose.whiteness import Dependence, dependences, one_axis
+from heli_lab.diagnose.thresholds import CORRELATE_MIN, CORRELATE_SHARE
+from heli_lab.diagnose.whiteness import Dependence, best_single_axis, score_dependences
 from heli_lab.identify.functions import Floats
 
-_CORRELATE_SHARE: Final = 0.3
-"""A quantity is named when its pattern gains this share of the best one's."""
-_MOST_CORRELATES: Final = 4
+_MAX_CORRELATES: Final = 4
+"""Length of a list for people."""
 
 
 @dataclass(frozen=True)
@@ -27,78 +26,73 @@ class ResidualAnalysis:
     Parameters
     ----------
     axis : str
-        The axis on which it is plainest.
+        The axis on which it is most significant.
     sigma_Nm : float
         Its standard deviation.
-    over_error : float
-        The same over what the estimate is unsure by.
+    sigma_over_std : float
+        Standard deviation of its estimate over the estimate's standard error.
     correlation_time_s : float
         Time over which its autocorrelation falls to 1/e.
-    gained : float
-        Logarithm of the likelihood ratio of a random torque about this axis alone over none.
-    lost : float
-        The same of random torques about all axes over one about this axis alone.
-    depends : tuple of Dependence
-        What foretells more of it than chance would, most first; empty where nothing is missing.
+    gain_over_none : float
+        Log-likelihood ratio of a disturbance about this axis alone over none, nats.
+    loss_to_all_axes : float
+        Log-likelihood ratio of disturbances about all axes over one about this axis alone, nats.
+    dependences : tuple of Dependence
+        What predicts the innovations significantly, strongest first; empty where they are white.
     """
 
     axis: str
     sigma_Nm: float
-    over_error: float
+    sigma_over_std: float
     correlation_time_s: float
-    gained: float
-    lost: float
-    depends: tuple[Dependence, ...]
+    gain_over_none: float
+    loss_to_all_axes: float
+    dependences: tuple[Dependence, ...]
 
 
-def residual_analysis(
-    final: Hypothesis, screening: Screening, chance: tuple[DisturbanceModel, InnovationsFilter] | None = None
-) -> ResidualAnalysis:
+def residual_analysis(screening: Screening, disturbance: DisturbanceFit | None = None) -> ResidualAnalysis:
     """Describe the torque that the final model lacks.
 
     Parameters
     ----------
-    final : Hypothesis
-        The final model.
     screening : Screening
-        Screening around it.
-    chance : tuple of (DisturbanceModel, Filter), optional
-        Random torques in its place; without them nothing is said about what it depends on.
+        Scores and missing torques of the final model.
+    disturbance : DisturbanceFit, optional
+        Coloured-noise model of its errors; without it nothing is tested.
 
     Returns
     -------
     ResidualAnalysis
-        On the axis where it is largest against its error.
+        On the axis of the largest torque against its error.
     """
     value = np.concatenate([torque.value_Nm for torque in screening.torques])
     std = np.concatenate([torque.std_Nm for torque in screening.torques])
-    # A predicted angle far off on one axis shows there first: the excess of its own errors breaks ties.
-    over = value.std(axis=0) / np.maximum(std.mean(axis=0), 1e-12)
-    if chance is None:
-        index = int(np.argmax(over))
+    sigma_over_std = value.std(axis=0) / np.maximum(std.mean(axis=0), 1e-12)
+    if disturbance is None:
+        index = int(np.argmax(sigma_over_std))
         sigma_Nm = float(np.sqrt(np.mean(value[:, index] ** 2 + std[:, index] ** 2)))
-        correlation_time_s = _memory_s(
-            screening.torques[0].value_Nm[:, index], screening.ground.tangents[0].path.step_s
+        correlation_time_s = _correlation_time_s(
+            screening.torques[0].value_Nm[:, index],
+            screening.score_test.linearisations[0].trajectory.step_s,
         )
-        return ResidualAnalysis(AXES[index], sigma_Nm, float(over[index]), correlation_time_s, 0.0, 0.0, ())
-    disturbance, innovations_filter = chance
-    axis, lost, gained = one_axis(innovations_filter, disturbance)
+        return ResidualAnalysis(
+            AXES[index], sigma_Nm, float(sigma_over_std[index]), correlation_time_s, 0.0, 0.0, ()
+        )
+    axis, loss, gain = best_single_axis(disturbance)
     index = AXES.index(axis)
-    depends = tuple(one for one in dependences(innovations_filter, disturbance) if one.gain > one.penalty)[
-        :_MOST_CORRELATES
-    ]
+    significant = [one for one in score_dependences(disturbance) if one.log_likelihood_gain > one.penalty]
     return ResidualAnalysis(
         axis,
-        float(disturbance.sigma_Nm[index]),
-        float(over[index]),
-        disturbance.correlation_time_s,
-        gained,
-        lost,
-        depends,
+        float(disturbance.model.sigma_Nm[index]),
+        float(sigma_over_std[index]),
+        disturbance.model.correlation_time_s,
+        gain,
+        loss,
+        tuple(significant[:_MAX_CORRELATES]),
     )
 
 
-def _memory_s(value: Floats, step_s: float) -> float:
+def _correlation_time_s(value: Floats, step_s: float) -> float:
     value = value - value.mean()
     size = 1 << int(2 * len(value) - 1).bit_length()
     products = np.fft.irfft(np.abs(np.fft.rfft(value, size)) ** 2, size)[: len(value)]
@@ -107,21 +101,22 @@ def _memory_s(value: Floats, step_s: float) -> float:
 
 
 def correlates(splines: Sequence[Scored]) -> list[str]:
-    """Name what the missing part depends on.
+    """Name the quantities on which the missing part depends.
 
     Parameters
     ----------
     splines : sequence of Scored
-        Scores of the patterns, best first.
+        Scores of the spline terms, best first.
 
     Returns
     -------
     list of str
         ``CHANNEL on QUANTITY``, strongest first.
     """
-    best = splines[0].answer.gain if splines else 0.0
+    best = splines[0].result.log_likelihood_gain if splines else 0.0
+    least = max(CORRELATE_SHARE * best, CORRELATE_MIN)
     return [
         " on ".join(one.candidate.id.split(":")[1:])
-        for one in splines[:_MOST_CORRELATES]
-        if one.answer.gain > max(_CORRELATE_SHARE * best, 5.0)
+        for one in splines[:_MAX_CORRELATES]
+        if one.result.log_likelihood_gain > least
     ]

@@ -1,4 +1,4 @@
-"""Scores of every candidate around one fit: the catalogue at all its places, and the patterns."""
+"""Screening: scores of every candidate about one fit, the catalogue on its grids and the spline terms."""
 
 from __future__ import annotations
 
@@ -17,15 +17,20 @@ from heli_lab.identify import Fit
 from heli_lab.identify.functions import Floats
 
 _BATCH: Final = 48
+"""Regressors that are scored together; the result does not depend on it, memory and time do."""
 _PEAKS: Final = 4
-"""Frequencies that are tried on each axis: the highest peaks of the missing torque's spectrum."""
-_LOWEST_Hz, _HIGHEST_Hz = 0.03, 12.0
-_MOST_PLACES: Final = 16
-"""Values of one number that are tried before the best one's surroundings are."""
-_REFINED: Final = 6
-"""Times that the distance of searched values is halved about the best one."""
+"""Frequencies that are tried on each axis: the highest peaks of the missing torque's spectrum. Fewer: a
+periodic torque beside larger disturbances is lost. More: time."""
+_MIN_Hz, _MAX_Hz = 0.03, 12.0
+"""Below, a period is longer than half a minute of flight; above, the arm does not move by a count."""
+_MAX_GRID: Final = 16
+"""Points of one parameter's grid, before the best one's neighbourhood is refined."""
+_BISECTIONS: Final = 6
+"""Times that the grid's distance is halved about the best point: to a sixty-fourth."""
 _SIZES: Final = (0.2, 0.6, 1.2)
 """Shares of the typical size at which an effect with states of its own is tried: it is not linear in it."""
+_DIFFERENCE_STD: Final = 0.5
+"""Prior standard deviation of the coefficient of a regressor that is the effect at such a size."""
 
 
 @dataclass(frozen=True)
@@ -35,15 +40,15 @@ class Scored:
     Parameters
     ----------
     candidate : Candidate
-        The candidate at its best place.
-    answer : ScoreResult
-        What it would gain.
+        The candidate at the best point of its grid.
+    result : ScoreResult
+        Its score there.
     tried : int
-        Number of places that were tried.
+        Number of points that were tried.
     """
 
     candidate: Candidate
-    answer: ScoreResult
+    result: ScoreResult
     tried: int
 
 
@@ -57,24 +62,24 @@ class Screening:
     """
 
     def __init__(self, fit: Fit) -> None:
-        self.ground = ScoreTest(fit)
-        self.columns = tuple(Regressors(tangent) for tangent in self.ground.tangents)
+        self.score_test = ScoreTest(fit)
+        self.regressors = tuple(Regressors(linearisation) for linearisation in self.score_test.linearisations)
         self.torques: tuple[DisturbanceTorque, ...] = tuple(
-            estimate_disturbance(t) for t in self.ground.tangents
+            estimate_disturbance(t) for t in self.score_test.linearisations
         )
-        self.seconds = max(float(t.path.t_s[-1]) for t in self.ground.tangents)
+        self.seconds = max(float(t.trajectory.t_s[-1]) for t in self.score_test.linearisations)
 
     def effects(
         self, kinds: Iterable[EffectKind], on_each: Callable[[str], None] | None = None
     ) -> list[Scored]:
-        """Score effects of the catalogue, each at its best place.
+        """Score effects of the catalogue, each at the best point of its grid.
 
         Parameters
         ----------
         kinds : iterable of EffectKind
             The effects.
         on_each : callable, optional
-            Told the id of each effect when it begins.
+            Called with the id of each effect when it begins.
 
         Returns
         -------
@@ -88,43 +93,43 @@ class Screening:
             best = self._effect(kind)
             if best is not None:
                 found.append(best)
-        return sorted(found, key=lambda one: -one.answer.gain)
+        return sorted(found, key=lambda one: -one.result.log_likelihood_gain)
 
     def splines(self, number: int = 0) -> list[Scored]:
-        """Score every pattern.
+        """Score every spline term.
 
         Parameters
         ----------
         number : int
-            Tells patterns of one model apart.
+            Distinguishes the spline terms of one model.
 
         Returns
         -------
         list of Scored
             The highest score first.
         """
-        candidates = spline_candidates(self.ground.tangents, number)
-        answers = self._answers(candidates)
-        found = [Scored(candidate, answer, 1) for candidate, answer in zip(candidates, answers, strict=True)]
-        return sorted(found, key=lambda one: -one.answer.gain)
+        candidates = spline_candidates(self.score_test.linearisations, number)
+        results = self._score(candidates)
+        found = [Scored(candidate, result, 1) for candidate, result in zip(candidates, results, strict=True)]
+        return sorted(found, key=lambda one: -one.result.log_likelihood_gain)
 
     def _effect(self, kind: EffectKind) -> Scored | None:
         candidates = self._places(kind)
-        answers = self._answers(candidates)
+        results = self._score(candidates)
         tried = len(candidates)
         allowed = [
-            (answer.gain, number)
-            for number, (candidate, answer) in enumerate(zip(candidates, answers, strict=True))
-            if _possible(candidate, answer)
+            (result.log_likelihood_gain, number)
+            for number, (candidate, result) in enumerate(zip(candidates, results, strict=True))
+            if _possible(candidate, result)
         ]
         if not allowed:
             return None
         best = max(allowed)[1]
-        candidate, answer = candidates[best], answers[best]
-        if candidate.scanned and len(candidates) > 1 and answer.gain > 0.0:
-            candidate, answer, more = self._refined(kind, candidates, best, candidate, answer)
+        candidate, result = candidates[best], results[best]
+        if candidate.grid and len(candidates) > 1 and result.log_likelihood_gain > 0.0:
+            candidate, result, more = self._refined(kind, candidates, best, candidate, result)
             tried += more
-        return Scored(candidate, answer, tried)
+        return Scored(candidate, result, tried)
 
     def _places(self, kind: EffectKind) -> list[Candidate]:
         frequency = next((q.name for q in kind.parameters if q.unit == "Hz" and q.name in kind.grid), None)
@@ -144,7 +149,7 @@ class Screening:
             candidates = effect_candidates(_thinned(kind, self.seconds), self.seconds)
         if kind.states or kind.delay:
             candidates = [
-                Candidate(candidate.id, kind.make(_scaled(kind, candidate, share)), (), candidate.scanned)
+                Candidate(candidate.id, kind.make(_scaled(kind, candidate, share)), (), candidate.grid)
                 for candidate in candidates
                 for share in _SIZES
             ]
@@ -156,71 +161,75 @@ class Screening:
         candidates: Sequence[Candidate],
         best: int,
         candidate: Candidate,
-        answer: ScoreResult,
+        result: ScoreResult,
     ) -> tuple[Candidate, ScoreResult, int]:
-        """Halve the distance of searched values about the best, where they are many."""
+        """Halve the grid's distance about its best point, in parameters of three values and more."""
         tried = 0
-        for name in candidate.scanned:
-            values = sorted({one.scanned[name] for one in candidates})
+        for name in candidate.grid:
+            values = sorted({one.grid[name] for one in candidates})
             if len(values) < 3:
                 continue
             prior = kind.priors.get(name)
             if prior is None:
                 continue
             gaps = np.diff(values)
-            place = int(np.argmin(np.abs(np.array(values) - candidate.scanned[name])))
+            place = int(np.argmin(np.abs(np.array(values) - candidate.grid[name])))
             step = float(gaps[min(place, len(gaps) - 1)])
             if name.endswith("Hz"):
                 step = 0.25 / self.seconds
-            for _ in range(_REFINED):
+            for _ in range(_BISECTIONS):
                 step *= 0.5
                 near = []
-                for value in (candidate.scanned[name] - step, candidate.scanned[name] + step):
+                for value in (candidate.grid[name] - step, candidate.grid[name] + step):
                     if prior.low <= value <= prior.high:
-                        scanned = {**candidate.scanned, name: value}
+                        grid = {**candidate.grid, name: value}
                         values_now = {**candidate.effect.values, name: value}
-                        near.append(Candidate(candidate.id, kind.make(values_now), candidate.size, scanned))
+                        near.append(
+                            Candidate(candidate.id, kind.make(values_now), candidate.linear_parameters, grid)
+                        )
                 tried += len(near)
-                for other, result in zip(near, self._answers(near), strict=True):
-                    if result.gain > answer.gain and _possible(other, result):
-                        candidate, answer = other, result
-        return candidate, answer, tried
+                for other, score in zip(near, self._score(near), strict=True):
+                    if score.log_likelihood_gain > result.log_likelihood_gain and _possible(other, score):
+                        candidate, result = other, score
+        return candidate, result, tried
 
     def _peaks(self, axis: str) -> tuple[float, ...]:
-        """Frequencies of the highest peaks of the missing torque of an axis."""
+        """Frequencies of the highest peaks of the missing torque's spectrum about an axis."""
         index = AXES.index(axis)
         torque = self.torques[0]
         value = torque.value_Nm[:, index]
         step_s = float(np.median(np.diff(torque.t_s)))
         frequency_Hz = np.fft.rfftfreq(4 * len(value), step_s)
         power = np.abs(np.fft.rfft((value - value.mean()) * np.hanning(len(value)), 4 * len(value)))
-        power[(frequency_Hz < _LOWEST_Hz) | (frequency_Hz > _HIGHEST_Hz)] = 0.0
+        power[(frequency_Hz < _MIN_Hz) | (frequency_Hz > _MAX_Hz)] = 0.0
         top = [i for i in range(1, len(power) - 1) if power[i] >= power[i - 1] and power[i] > power[i + 1]]
         top.sort(key=lambda i: -power[i])
         return tuple(float(frequency_Hz[i]) for i in top[:_PEAKS]) or (0.5,)
 
-    def _answers(self, candidates: Sequence[Candidate]) -> list[ScoreResult]:
-        answers: list[ScoreResult] = []
+    def _score(self, candidates: Sequence[Candidate]) -> list[ScoreResult]:
+        results: list[ScoreResult] = []
         group: list[Candidate] = []
         width = 0
         for candidate in [*candidates, None]:
-            size = 0 if candidate is None else max(1, len(candidate.size))
+            size = 0 if candidate is None else max(1, len(candidate.linear_parameters))
             if group and (candidate is None or width + size > _BATCH):
-                answers += self._group(group)
+                results += self._score_group(group)
                 group, width = [], 0
             if candidate is not None:
                 group.append(candidate)
                 width += size
-        return answers
+        return results
 
-    def _group(self, candidates: Sequence[Candidate]) -> list[ScoreResult]:
-        every = answers(self.columns, candidates)
-        sizes = [max(1, len(candidate.size)) for candidate in candidates]
-        return self.ground.score_each(every, sizes, [spread(candidate) for candidate in candidates])
+    def _score_group(self, candidates: Sequence[Candidate]) -> list[ScoreResult]:
+        every = responses(self.regressors, candidates)
+        sizes = [max(1, len(candidate.linear_parameters)) for candidate in candidates]
+        return self.score_test.score_each(
+            every, sizes, [coefficient_std(candidate) for candidate in candidates]
+        )
 
 
-def answers(makers: Sequence[Regressors], candidates: Sequence[Candidate]) -> list[Floats]:
-    """Predict what candidates change in the angles, side by side.
+def responses(makers: Sequence[Regressors], candidates: Sequence[Candidate]) -> list[Floats]:
+    """First-order responses of the predicted angles to candidates, side by side.
 
     Parameters
     ----------
@@ -232,45 +241,40 @@ def answers(makers: Sequence[Regressors], candidates: Sequence[Candidate]) -> li
     Returns
     -------
     list of ndarray (n, 3, s)
-        One for each flight, as `Linearisation.answer` gives them.
+        One for each flight, as `Linearisation.response` gives them.
     """
     every: list[Floats] = []
-    for columns in makers:
-        pairs = [columns.signals(candidate) for candidate in candidates]
+    for maker in makers:
+        pairs = [maker.signals(candidate) for candidate in candidates]
         signals = np.concatenate([rates for rates, _ in pairs], axis=2)
-        seen = None
+        measured = None
         if any(one is not None for _, one in pairs):
             shape = len(signals), 3
-            seen = np.concatenate(
+            measured = np.concatenate(
                 [np.zeros((*shape, r.shape[2])) if one is None else one for r, one in pairs], axis=2
             )
-        every.append(columns.tangent.answer(signals, seen))
+        every.append(maker.linearisation.response(signals, measured))
     return every
 
 
-def spread(candidate: Candidate) -> Floats:
-    """Say what is known of a candidate's coefficients before any flight.
+def coefficient_std(candidate: Candidate) -> Floats:
+    """Prior standard deviations of a candidate's coefficients about 0, shape (g,).
 
     Parameters
     ----------
     candidate : Candidate
         The candidate.
-
-    Returns
-    -------
-    ndarray (g,)
-        Their standard deviations about 0.
     """
-    if not candidate.size:
-        return np.array([0.5])
-    return np.array([candidate.effect.priors[name].std for name in candidate.size])
+    if not candidate.linear_parameters:
+        return np.array([_DIFFERENCE_STD])
+    return np.array([candidate.effect.priors[name].std for name in candidate.linear_parameters])
 
 
 def _thinned(kind: EffectKind, seconds: float) -> EffectKind:
-    """The effect with fewer values to search over: the best one's surroundings are searched finely later."""
+    """The effect with coarser grids: the neighbourhood of the best point is refined later."""
 
     def thin(values: tuple[float, ...]) -> tuple[float, ...]:
-        return values[:: -(-len(values) // _MOST_PLACES)]
+        return values[:: -(-len(values) // _MAX_GRID)]
 
     scan = kind.grid_values(seconds)
     numbers = tuple(
@@ -287,10 +291,10 @@ def _scaled(kind: EffectKind, candidate: Candidate, share: float) -> Mapping[str
     }
 
 
-def _possible(candidate: Candidate, answer: ScoreResult) -> bool:
-    """Whether the size that a score asks for has a sign that it may have."""
-    for name, change in zip(candidate.size, answer.size, strict=False):
+def _possible(candidate: Candidate, result: ScoreResult) -> bool:
+    """Whether the coefficients that a score estimates have signs that their priors allow."""
+    for name, change in zip(candidate.linear_parameters, result.coefficients, strict=False):
         prior = candidate.effect.priors[name]
         if prior.low >= 0.0 and change + candidate.effect.values[name] <= 0.0:
             return False
-    return bool(candidate.size) or float(answer.size[0]) > 0.0
+    return bool(candidate.linear_parameters) or float(result.coefficients[0]) > 0.0

@@ -1,24 +1,79 @@
-"""The parts of a diagnosis as other programs read them: plain lists, names and numbers for JSON."""
+"""A diagnosis as JSON for other programs; docs/diagnosing.md describes the keys."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.error_reduction import ErrorReduction
+from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.model_comparison import Errors
 from heli_lab.diagnose.residual_analysis import correlates
-from heli_lab.diagnose.verdict import CONFIDENCE_BESIDE_UNKNOWN, CONFIDENCE_CHANCE, ambiguous_with, confidence
+from heli_lab.diagnose.result import METRIC, Diagnosis
+from heli_lab.diagnose.thresholds import CONFIDENCE_BESIDE_UNKNOWN, CONFIDENCE_GUST, MIN_UNEXPLAINED
+from heli_lab.diagnose.verdict import ambiguous_with, confidence
 from heli_lab.identify import check
 
-if TYPE_CHECKING:
-    from heli_lab.diagnose.result import Diagnosis
+
+def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
+    """Write a result as lists, dicts and numbers.
+
+    Parameters
+    ----------
+    result : Diagnosis or InsufficientExcitation
+        The result; where nothing was excited, numbers are null.
+
+    Returns
+    -------
+    dict
+        verdict, causes, residual, gain, unexplained, next_flight and more.
+    """
+    if isinstance(result, InsufficientExcitation):
+        return _of_insufficient_excitation(result)
+    asked = result.next_flight
+    return {
+        "verdict": result.label,
+        "causes": causes(result),
+        "residual": residual(result),
+        "gain": {"metric": result.metric, "axis": gains(result.gains)},
+        "unexplained": unexplained(result),
+        "next_flight": {"why": asked.why, "plan": asked.plan} if asked else None,
+        "undetectable": list(result.undetectable),
+        "unidentifiable": list(result.unidentifiable),
+        "cautions": result.cautions,
+        "flights": flights(result),
+        "ranking": ranking(result),
+        "seconds_taken": result.seconds,
+        "complete": result.search.complete,
+    }
+
+
+def _of_insufficient_excitation(result: InsufficientExcitation) -> dict[str, Any]:
+    unknown = {"before": None, "after": None}
+    return {
+        "verdict": result.label,
+        "causes": [],
+        "residual": {"axis": dict.fromkeys(AXES, unknown), "normalised": unknown, "white": {}},
+        "gain": {
+            "metric": METRIC,
+            "axis": {axis: {**unknown, "ratio": None, "interval95": None} for axis in AXES},
+        },
+        "unexplained": None,
+        "next_flight": {"why": result.next_flight.why, "plan": result.next_flight.plan},
+        "why": result.why,
+        "undetectable": list(result.undetectable),
+        "unidentifiable": list(result.unidentifiable),
+        "cautions": [],
+        "flights": [],
+        "ranking": [],
+        "complete": True,
+    }
 
 
 def causes(found: Diagnosis) -> list[dict[str, Any]]:
-    """Spell the causes.
+    """Write the causes.
 
     Parameters
     ----------
@@ -28,63 +83,64 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        Effect, numbers, confidence, sentence, equation, evidence and rivals of each, strongest first.
+        Effect, parameters, confidence, sentence, equation, evidence and alternatives of each, strongest
+        first.
     """
     causes: list[dict[str, Any]] = []
-    unexplained = found.verdict.word == "unexplained"
+    unexplained = found.verdict.label == "unexplained"
     beside = CONFIDENCE_BESIDE_UNKNOWN if unexplained else 1.0
     for one in found.verdict.causes:
         causes.append(
             {
                 "effect": one.candidate.id,
-                "parameters": _spelled(found.values(one)),
+                "parameters": _parameters(found.values(one)),
                 "confidence": round(confidence(one, found.search, unexplained), 3),
                 "sentence": found.sentence(one),
                 "equation": found.kinds[one.candidate.id].equation,
                 "evidence": {
                     "log_likelihood_ratio_train": one.evidence.train,
-                    "log_likelihood_ratio_held_out": one.evidence.held,
-                    "held_out_5_percent": one.evidence.held_low,
-                    "price": one.penalty,
-                    "variance_drop": one.evidence.variance_reduction,
-                    "rivals": {rival.id: rival.behind for rival in one.rivals},
+                    "log_likelihood_ratio_held_out": one.evidence.held_out,
+                    "held_out_5_percent": one.evidence.held_out_low,
+                    "penalty": one.penalty,
+                    "variance_reduction": one.evidence.variance_reduction,
+                    "alternatives": {other.id: other.log_likelihood_ratio for other in one.alternatives},
                 },
                 "ambiguous_with": ambiguous_with(one),
             }
         )
-    if found.verdict.chance:
+    if found.verdict.gust:
         id_ = f"random_torque.{found.residual_analysis.axis}"
         causes.append(
             {
                 "effect": id_,
-                "parameters": _spelled(found.random_torque),
-                "confidence": CONFIDENCE_CHANCE,
+                "parameters": _parameters(found.random_torque),
+                "confidence": CONFIDENCE_GUST,
                 "sentence": found.kinds[id_].describe(
                     {key: value for key, (value, _, _) in found.random_torque.items()},
                     {key: std for key, (_, std, _) in found.random_torque.items()},
                 ),
                 "equation": found.kinds[id_].equation,
                 "evidence": {
-                    "over_error": found.residual_analysis.over_error,
-                    "log_likelihood_ratio": found.residual_analysis.gained,
-                    "lost_against_all_axes": found.residual_analysis.lost,
+                    "sigma_over_std": found.residual_analysis.sigma_over_std,
+                    "log_likelihood_ratio": found.residual_analysis.gain_over_none,
+                    "log_likelihood_ratio_to_all_axes": found.residual_analysis.loss_to_all_axes,
                 },
                 "ambiguous_with": [],
             }
         )
-    for term in found.removed:
+    for term in found.absent:
         kind = found.kinds[term.id]
         (name,) = kind.size
         causes.append(
             {
                 "effect": term.id,
-                "parameters": _spelled({name: (term.share, term.std, "1")}),
+                "parameters": _parameters({name: (term.share, term.std, "1")}),
                 "confidence": round(term.confidence * beside, 3),
                 "sentence": kind.describe({name: term.share}, {name: term.std}),
                 "equation": kind.equation,
                 "evidence": {
-                    "standard_errors_from_nothing": term.from_nothing,
-                    "standard_errors_from_the_rig": term.from_rig,
+                    "standard_errors_from_zero": term.z_from_zero,
+                    "standard_errors_from_rig": term.z_from_rig,
                 },
                 "ambiguous_with": [],
             }
@@ -93,7 +149,7 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
 
 
 def residual(found: Diagnosis) -> dict[str, Any]:
-    """Spell the errors before and after.
+    """Write the errors before and after.
 
     Parameters
     ----------
@@ -103,13 +159,13 @@ def residual(found: Diagnosis) -> dict[str, Any]:
     Returns
     -------
     dict
-        Normalised errors by axis and of all, and how white they are.
+        Normalised errors by axis and of all, and whether they are white.
     """
     before, after = found.search.baseline, found.extended
     white, correlation = {}, {}
     for role, before_fit, after_fit in (
         ("train", before.fit, after.fit),
-        ("held_out", before.held_fit, after.held_fit),
+        ("held_out", before.held_out_fit, after.held_out_fit),
     ):
         if before_fit is not None and after_fit is not None:
             checks = {"before": check(before_fit), "after": check(after_fit)}
@@ -126,8 +182,8 @@ def residual(found: Diagnosis) -> dict[str, Any]:
         "normalised": {
             "before": before.train.normalised,
             "after": after.train.normalised,
-            "held_out_before": before.held.normalised,
-            "held_out_after": after.held.normalised,
+            "held_out_before": before.held_out.normalised,
+            "held_out_after": after.held_out.normalised,
         },
         "white": white,
         "correlation": correlation,
@@ -135,7 +191,7 @@ def residual(found: Diagnosis) -> dict[str, Any]:
 
 
 def unexplained(found: Diagnosis) -> dict[str, Any] | None:
-    """Spell what no effect explains.
+    """Write what no effect explains.
 
     Parameters
     ----------
@@ -145,21 +201,21 @@ def unexplained(found: Diagnosis) -> dict[str, Any] | None:
     Returns
     -------
     dict or None
-        Axis, what it goes with and its share; None when nothing is.
+        Axis, what it correlates with and its share; None when nothing is.
     """
     after = found.extended.train
     excess = float(1.0 - 1.0 / max(after.normalised**2, 1.0))
     if not found.verdict.off_list:
-        if found.verdict.word in ("explained",) or excess < 0.1 or found.verdict.chance:
+        if found.verdict.label in ("explained",) or excess < MIN_UNEXPLAINED or found.verdict.gust:
             return None
-        named = [one.what for one in found.residual_analysis.depends] or correlates(
-            found.search.last.splines()
+        named = [one.what for one in found.residual_analysis.dependences] or correlates(
+            found.search.screening.splines()
         )
         return {
             "axis": found.residual_analysis.axis,
             "correlates_with": named,
             "share_of_variance": round(excess, 4),
-            "size_Nm": found.residual_analysis.sigma_Nm,
+            "sigma_Nm": found.residual_analysis.sigma_Nm,
         }
     strongest = found.verdict.off_list[0]
     _, channel, on = strongest.candidate.id.split(":")
@@ -173,13 +229,13 @@ def unexplained(found: Diagnosis) -> dict[str, Any] | None:
         "channel": channel,
         "correlates_with": [f"{channel} on {on}", *others],
         "share_of_variance": round(_share(base, final, axis), 4),
-        "all": [one.candidate.id.removeprefix("pattern:") for one in found.verdict.off_list],
-        "gain_with_curves": gains(found.curve_gains),
+        "splines": [one.candidate.id.removeprefix("spline:") for one in found.verdict.off_list],
+        "gain_with_splines": gains(found.spline_gains),
     }
 
 
 def flights(found: Diagnosis) -> list[dict[str, Any]]:
-    """Spell which parts of the flights were used.
+    """Write which parts of the flights were used.
 
     Parameters
     ----------
@@ -192,8 +248,8 @@ def flights(found: Diagnosis) -> list[dict[str, Any]]:
         One a flight.
     """
     flights = []
-    held = found.search.baseline.held_fit
-    for role, fit in (("train", found.search.baseline.fit), ("held_out", held)):
+    held_out = found.search.baseline.held_out_fit
+    for role, fit in (("train", found.search.baseline.fit), ("held_out", held_out)):
         for record in fit.problem.records if fit is not None else ():
             flights.append(
                 {
@@ -209,7 +265,7 @@ def flights(found: Diagnosis) -> list[dict[str, Any]]:
 
 
 def ranking(found: Diagnosis) -> list[dict[str, Any]]:
-    """Spell the candidates with their scores.
+    """Write the candidates with their scores.
 
     Parameters
     ----------
@@ -223,29 +279,29 @@ def ranking(found: Diagnosis) -> list[dict[str, Any]]:
     """
     rows = []
     for number, one in enumerate(found.search.rounds, 1):
-        tried = {step.candidate.id: step for step in one.steps}
+        tried = {refit.candidate.id: refit for refit in one.refits}
         for scored in (*one.screened[:8], *one.splines[:3]):
-            step = tried.get(scored.candidate.id)
+            refit = tried.get(scored.candidate.id)
             rows.append(
                 {
                     "round": number,
                     "candidate": scored.candidate.id,
-                    "score": scored.answer.gain,
-                    "train": step.evidence.train if step else None,
-                    "held_out": step.evidence.held if step else None,
-                    "price": step.penalty if step else None,
+                    "score": scored.result.log_likelihood_gain,
+                    "train": refit.evidence.train if refit else None,
+                    "held_out": refit.evidence.held_out if refit else None,
+                    "penalty": refit.penalty if refit else None,
                     "taken": scored.candidate.id == one.taken,
                 }
             )
     return rows
 
 
-def _spelled(values: Mapping[str, tuple[float, float, str]]) -> dict[str, dict[str, float | str]]:
+def _parameters(values: Mapping[str, tuple[float, float, str]]) -> dict[str, dict[str, float | str]]:
     return {name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in values.items()}
 
 
 def gains(measured: Mapping[str, ErrorReduction]) -> dict[str, dict[str, Any]]:
-    """Spell free-run errors before and after.
+    """Write free-run errors before and after.
 
     Parameters
     ----------

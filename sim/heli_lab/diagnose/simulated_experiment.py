@@ -1,4 +1,6 @@
-"""A plan flown beforehand: by the flight code on the simulated board, on the rig as a fit has it."""
+"""Simulated experiments: a plan flown by the flight code on the simulated board, on the rig as a fit has
+it.
+"""
 
 from __future__ import annotations
 
@@ -25,10 +27,10 @@ from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.identify import Fit, Record, prepare
 from heli_lab.identify.result import Identification
 
-_EVERY: Final = 2
-"""The board logs each millisecond; fits are as good with every second one."""
-_LOST: Final = 1.1
-"""Normalised error from which on a fit of what is true has lost its way, and tells nothing."""
+_DECIMATION: Final = 2
+"""The board logs each millisecond; fits take half the time with every second one and come out the same."""
+_FAILED_FIT: Final = 1.1
+"""Normalised error from which on a fit of the true model has failed, so that the comparison means nothing."""
 
 
 def simulate_experiment(fit: Fit, plan: str, seed: int = 0) -> Record | None:
@@ -37,7 +39,7 @@ def simulate_experiment(fit: Fit, plan: str, seed: int = 0) -> Record | None:
     Parameters
     ----------
     fit : Fit
-        Model, its effects and the rig's numbers.
+        Model, its effects and the rig's parameters.
     plan : str
         The plan, TOML.
     seed : int
@@ -48,7 +50,7 @@ def simulate_experiment(fit: Fit, plan: str, seed: int = 0) -> Record | None:
     Record or None
         The flight, ready for fitting; None when this rig cannot fly the plan.
     """
-    rig = Identification(fit, (), (), (), ()).rig("rehearsed")
+    rig = Identification(fit, (), (), (), ()).rig("simulated")
     values = fit.values
     model = fit.problem.model
     effects = tuple(
@@ -62,28 +64,29 @@ def simulate_experiment(fit: Fit, plan: str, seed: int = 0) -> Record | None:
         session = Session(InProcessTransport(world))
         session.connect()
         with tempfile.TemporaryDirectory() as folder, Heli(session) as heli:
-            # What one who flies this rig would have set already: its lift, and how its arm lies at rest.
+            # What the operator of this rig would have set: its hover voltage, and how far off its arm may
+            # rest.
             heli.params["hover_V"] = float(sum(volts_V)) - 2.0 * rig["dead_zone"].value
             heli.params["arm_elevation_tolerance_deg"] = 20.0
             path = Path(folder) / "flight.mcap"
             summary = fly(heli, Plan.parse(plan, "next flight"), log_path=path)
             if not summary.completed and "landing" not in summary.outcome:
                 return None
-            return prepare(_thinned(read_flight(path)), rig, "rehearsed")
+            return prepare(_thinned(read_flight(path)), rig, "simulated")
     except (HeliError, SimError):
         return None
 
 
-def separation(
-    truth: Hypothesis, rival: Hypothesis, comparison: Comparison, plan: str, seed: int = 0
+def expected_log_likelihood_ratio(
+    truth: Hypothesis, alternative: Hypothesis, comparison: Comparison, plan: str, seed: int = 0
 ) -> float | None:
-    """By how much a plan would tell two hypotheses apart, were one of them true.
+    """Log-likelihood ratio of two hypotheses expected of a plan, with one of them true.
 
     Parameters
     ----------
-    truth, rival : Hypothesis
-        The one that is flown, and the one that is fitted to the flight in its place. All numbers of both are
-        refitted, held by what was known before any flight: this is what the new flight tells by itself.
+    truth, alternative : Hypothesis
+        The one that is flown, and the one that is fitted to the flight in its place. All parameters of both
+        are refitted with the rig's priors: this is what the new flight tells by itself.
     comparison : Comparison
         Model and rig.
     plan : str
@@ -94,8 +97,7 @@ def separation(
     Returns
     -------
     float or None
-        Logarithm of the likelihood ratio, correlated errors counted once, as a diagnosis weighs it; None when
-        the plan cannot be flown or fitted.
+        In nats, with the effective number of rows; None when the plan cannot be flown or fitted.
     """
     record = simulate_experiment(truth.fit, plan, seed)
     if record is None:
@@ -103,14 +105,14 @@ def separation(
     new = Comparison(comparison.model, comparison.rig, [record], (), comparison.window_s, comparison.seed)
     try:
         more = new.refit(truth.candidates, truth.fit.values)
-        less = new.refit(rival.candidates, rival.fit.values)
+        less = new.refit(alternative.candidates, alternative.fit.values)
     except SimError:
         return None
-    return None if more.train.normalised > _LOST else new.evidence(more, less).train
+    return None if more.train.normalised > _FAILED_FIT else new.evidence(more, less).train
 
 
 def _thinned(flight: Flight) -> Flight:
-    rows = len(flight) // _EVERY * _EVERY
-    mean_V = flight.voltages_V[:rows].reshape(-1, _EVERY, 2).mean(axis=1)
-    keep = slice(0, rows, _EVERY)
-    return Flight(flight.t_s[keep], mean_V[:, 0], mean_V[:, 1], *flight.angles_rad[keep].T)
+    rows = len(flight) // _DECIMATION * _DECIMATION
+    mean_V = flight.voltages_V[:rows].reshape(-1, _DECIMATION, 2).mean(axis=1)
+    kept = slice(0, rows, _DECIMATION)
+    return Flight(flight.t_s[kept], mean_V[:, 0], mean_V[:, 1], *flight.angles_rad[kept].T)

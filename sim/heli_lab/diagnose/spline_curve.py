@@ -1,4 +1,4 @@
-"""The curves that stand in the place of a cause that is on no list, as people read them."""
+"""Spline terms of a fit as curves in units for people."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from heli_lab.identify import Fit
 from heli_lab.identify.functions import Floats
 
 _DRAWN: Final = 200
+"""Points that a curve is drawn with."""
 _SHOWN: Final = {
     "rad": (180.0 / np.pi, "deg"),
     "rad/s": (180.0 / np.pi, "deg/s"),
@@ -29,10 +30,9 @@ class SplineCurve:
     channel : str
         Where it acts, such as ``torque.pitch``.
     on : str
-        What it depends on, such as ``elevation``.
+        The quantity that it depends on, such as ``elevation``.
     place, value, std : ndarray (n,)
-        The quantity over what the flights fitted have of it, the curve about its mean, and its standard
-        error.
+        The quantity over its range in the flights fitted, the curve about its mean, and its standard error.
     place_unit, value_unit : str
         Their units: degrees, mN m, per cent.
     """
@@ -47,7 +47,7 @@ class SplineCurve:
 
     @property
     def what(self) -> str:
-        """The curve in words with its range and its size."""
+        """The curve in words with its range and its values."""
         return (
             f"{self.channel} on {self.on}, seen from {self.place[0]:.3g} to {self.place[-1]:.3g} "
             f"{self.place_unit}: {self.value.min():.2g} to {self.value.max():.2g} {self.value_unit}"
@@ -55,29 +55,24 @@ class SplineCurve:
 
 
 def spline_curve_of(effect: SplineTerm, fit: Fit) -> SplineCurve:
-    """Read a curve off a fit.
+    """Evaluate a spline term with the coefficients of a fit.
 
     Parameters
     ----------
     effect : SplineTerm
-        The pattern.
+        The term.
     fit : Fit
         A fit with it.
-
-    Returns
-    -------
-    SplineCurve
-        The curve with its standard error.
     """
     low, step = effect.values[f"{effect.name}_low"], effect.values[f"{effect.name}_step"]
     place = np.linspace(low, low + step * (KNOTS - 3), _DRAWN)
     weights = bspline_basis(place, low, step)
-    # A constant torque, thrust or angle is a number of the rig: only what varies is the curve's own.
+    # A constant torque, thrust or angle is a parameter of the rig: only what varies is the curve's own.
     weights -= weights.mean(axis=0)
     names = [one.name for one in fit.problem.free]
     columns = [names.index(f"{effect.name}_{i}") for i in range(KNOTS)]
-    spread = fit.covariance[np.ix_(columns, columns)]
-    variance = np.einsum("ni,ij,nj->n", weights, spread, weights)
+    covariance = fit.covariance[np.ix_(columns, columns)]
+    variance = np.einsum("ni,ij,nj->n", weights, covariance, weights)
     unit = next(q.unit for q in effect.parameters if q.name == f"{effect.name}_0")
     on_unit = QUANTITIES[effect.on][1]
     factor, value_unit = _SHOWN.get(unit, (1.0, unit))

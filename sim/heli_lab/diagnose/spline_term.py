@@ -1,8 +1,8 @@
-"""Patterns: what a candidate has to beat, and what is reported when none of the catalogue does.
+"""Spline terms: alternative hypotheses without an equation, for what is not in the catalogue.
 
-A pattern says no more than that a torque, the thrust or a measured angle depends on one quantity, as a smooth
-curve through a few points. A named cause that explains the flight must do at least as well as such a curve on
-any quantity; where a curve does much better, the cause is none of the catalogue's.
+A spline term lets a torque, the thrust or a measured angle depend on one quantity as a cubic B-spline. An
+effect that explains the flights must predict at least as well as such a curve on any quantity; where a curve
+does much better, the cause is not in the catalogue, and the curve is what is reported of it.
 """
 
 from __future__ import annotations
@@ -19,13 +19,15 @@ from heli_sim.model.parts import AXES
 from heli_sim.model.parts import thrust_N as static_thrust_N
 from heli_sim.rig.quantity import Prior, Quantity
 
-from heli_lab.diagnose.linearisation import MapEvaluator, Path
+from heli_lab.diagnose.linearisation import MapEvaluator, Trajectory
 from heli_lab.identify.functions import Floats
 
 KNOTS: Final = 8
-"""Points of a curve: enough for a bump or a kink, few enough to be paid for."""
-_EDGE: Final = 0.005
-"""Share of the flight that may lie beyond each end of the curve."""
+"""Basis functions of a curve. By judgement: 4 do not follow a kink or a bump, 16 lose their BIC penalty."""
+_TAIL: Final = 0.005
+"""Share of the flight beyond each end of the curve, where it is constant: a few samples do not stretch it."""
+# Prior standard deviations of a coefficient: about what holds the arm up, and what no machine exceeds by
+# judgement. Smaller: large unlisted effects are not followed. Larger: badly covered coefficients run away.
 _TORQUE_Nm: Final = 0.3
 _SHARE: Final = 0.2
 _ANGLE_rad: Final = 0.02
@@ -36,10 +38,10 @@ _UNITS: Final = {
     "measurement": ("rad", _ANGLE_rad),
 }
 
-_Look = Callable[[Operands], ca.SX]
+_Expression = Callable[[Operands], ca.SX]
 
 
-def _state(name: str) -> _Look:
+def _state(name: str) -> _Expression:
     return lambda at: at.state[name]
 
 
@@ -48,7 +50,7 @@ def _static(at: Operands) -> ca.SX:
     return static_thrust_N(at.volts_V, p["thrust_gain"], p["dead_zone"], p["reverse_thrust"])
 
 
-QUANTITIES: Final[Mapping[str, tuple[_Look, str]]] = {
+QUANTITIES: Final[Mapping[str, tuple[_Expression, str]]] = {
     "elevation": (_state("elevation_rad"), "rad"),
     "pitch": (_state("pitch_rad"), "rad"),
     "travel": (_state("travel_rad"), "rad"),
@@ -61,14 +63,14 @@ QUANTITIES: Final[Mapping[str, tuple[_Look, str]]] = {
     "back_thrust": (lambda at: _static(at)[1], "N"),
     "time": (lambda at: at.time_s, "s"),
 }
-"""What a pattern may depend on: how to compute it, and its unit."""
+"""What a spline term may depend on: its expression and its unit."""
 
 CHANNELS: Final = (
     *(f"torque.{axis}" for axis in AXES),
     *("thrust.both", "thrust.difference"),
     *(f"measurement.{axis}" for axis in AXES),
 )
-"""Where a pattern may act."""
+"""Where a spline term may act."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ class SplineTerm(Effect):
     Parameters
     ----------
     name, parameters, values, states, priors, delay, stage, noise_inputs, measured_as, multimodal
-        As of `Effect`; `spline_term` makes them.
+        Inherited from `Effect`; `spline_term` makes them.
     channel : str
         One of `CHANNELS`; ``torque`` in N m, ``thrust`` as a share of itself, ``measurement`` in rad.
     on : str
@@ -111,7 +113,7 @@ class SplineTerm(Effect):
         return ca.vertcat(*(self._curve(at) if kind == "torque" and where == axis else 0 for axis in AXES))
 
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        """Change the thrust by the curve's share; see `Effect.thrust_N`.
+        """Scale the thrust by the curve; see `Effect.thrust_N`.
 
         Parameters
         ----------
@@ -123,7 +125,7 @@ class SplineTerm(Effect):
         Returns
         -------
         casadi.SX
-            Thrust with the pattern, shape (2, 1).
+            Thrust with the curve's share, shape (2, 1).
         """
         kind, where = self.channel.split(".")
         if kind != "thrust":
@@ -144,7 +146,7 @@ class SplineTerm(Effect):
         Returns
         -------
         casadi.SX
-            Angles with the pattern, shape (3, 1).
+            Angles with the curve, shape (3, 1).
         """
         kind, where = self.channel.split(".")
         if kind != "measurement":
@@ -153,17 +155,17 @@ class SplineTerm(Effect):
 
 
 def bspline(distance: ca.SX) -> ca.SX:
-    """Cubic B-spline over points at distance 1.
+    """Cubic B-spline with knots at distance 1.
 
     Parameters
     ----------
     distance : casadi.SX
-        Distance from the point.
+        Distance from its middle.
 
     Returns
     -------
     casadi.SX
-        2/3 at the point, 0 from distance 2 on.
+        2/3 in the middle, 0 from distance 2 on.
     """
     far = ca.fmax(2.0 - ca.fabs(distance), 0.0)
     near = ca.fmax(1.0 - ca.fabs(distance), 0.0)
@@ -171,7 +173,7 @@ def bspline(distance: ca.SX) -> ca.SX:
 
 
 def spline_term(channel: str, on: str, low: float, step: float, number: int = 0) -> SplineTerm:
-    """Make a pattern that does nothing yet.
+    """Make a spline term with all coefficients at 0.
 
     Parameters
     ----------
@@ -180,34 +182,29 @@ def spline_term(channel: str, on: str, low: float, step: float, number: int = 0)
     on : str
         One of `QUANTITIES`.
     low, step : float
-        Where the curve begins, which is at its second point, and distance of the points.
+        Where the curve begins, at the middle of its second basis function, and distance of the knots.
     number : int
-        Tells patterns of one model apart.
-
-    Returns
-    -------
-    SplineTerm
-        With all points at 0, and priors that let them be found.
+        Distinguishes the spline terms of one model.
     """
-    name = f"pattern{number}"
+    name = f"spline{number}"
     unit, std = _UNITS[channel.partition(".")[0]]
-    points = [Quantity(f"{name}_{i}", unit, f"point {i} of the curve") for i in range(KNOTS)]
+    coefficients = [Quantity(f"{name}_{i}", unit, f"coefficient {i} of the curve") for i in range(KNOTS)]
     span = [
-        Quantity(f"{name}_low", QUANTITIES[on][1], "second point of the curve, where it begins"),
-        Quantity(f"{name}_step", QUANTITIES[on][1], "distance of its points"),
+        Quantity(f"{name}_low", QUANTITIES[on][1], "second knot of the curve, where it begins"),
+        Quantity(f"{name}_step", QUANTITIES[on][1], "distance of its knots"),
     ]
     return SplineTerm(
         name,
-        parameters=(*points, *span),
-        values={q.name: 0.0 for q in points} | {f"{name}_low": low, f"{name}_step": step},
-        priors={q.name: Prior(0.0, std) for q in points},
+        parameters=(*coefficients, *span),
+        values={q.name: 0.0 for q in coefficients} | {f"{name}_low": low, f"{name}_step": step},
+        priors={q.name: Prior(0.0, std) for q in coefficients},
         channel=channel,
         on=on,
     )
 
 
-def span_of(values: Floats) -> tuple[float, float]:
-    """Lay the points of a curve over the values that a flight has.
+def knot_span(values: Floats) -> tuple[float, float]:
+    """Lay the knots of a curve over the values of a quantity in a flight.
 
     Parameters
     ----------
@@ -217,27 +214,27 @@ def span_of(values: Floats) -> tuple[float, float]:
     Returns
     -------
     low, step : float
-        Second point, and distance of the points.
+        Second knot, and distance of the knots.
     """
-    low, high = np.quantile(values, [_EDGE, 1.0 - _EDGE])
+    low, high = np.quantile(values, [_TAIL, 1.0 - _TAIL])
     step = max(float(high - low), 1e-9) / (KNOTS - 3)
     return float(low), step
 
 
 def bspline_basis(values: Floats, low: float, step: float) -> Floats:
-    """How much each point of a curve counts at each value.
+    """Evaluate the B-spline basis of a curve.
 
     Parameters
     ----------
     values : ndarray (n,)
         Values of the quantity.
     low, step : float
-        As `span_of` gives them.
+        As `knot_span` gives them.
 
     Returns
     -------
     ndarray (n, KNOTS)
-        They sum to 1.
+        Each row sums to 1.
     """
     place = np.clip(1.0 + (values - low) / step, 1.0, KNOTS - 2.0)
     distance = np.abs(place[:, None] - np.arange(KNOTS))
@@ -245,15 +242,15 @@ def bspline_basis(values: Floats, low: float, step: float) -> Floats:
     return result
 
 
-def quantity_values(model: Model, path: Path) -> dict[str, Floats]:
-    """Values of every quantity along a flight.
+def quantity_values(model: Model, trajectory: Trajectory) -> dict[str, Floats]:
+    """Values of every quantity along a free run.
 
     Parameters
     ----------
     model : Model
         The model.
-    path : Path
-        The predicted flight.
+    trajectory : Trajectory
+        The free run.
 
     Returns
     -------
@@ -264,22 +261,22 @@ def quantity_values(model: Model, path: Path) -> dict[str, Floats]:
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
     at = model.operands(x, u, p, t)
     values = ca.vertcat(*(evaluation(at) for evaluation, _ in QUANTITIES.values()))
-    (result,) = MapEvaluator(ca.Function("quantities", [x, u, t, p], [ca.densify(values)]), len(path.t_s))(
-        path
-    )
+    (result,) = MapEvaluator(
+        ca.Function("quantities", [x, u, t, p], [ca.densify(values)]), len(trajectory.t_s)
+    )(trajectory)
     return dict(zip(QUANTITIES, result[:, :, 0].T, strict=True))
 
 
-def choices() -> list[tuple[str, str]]:
-    """Every pattern that is tried.
+def channel_quantity_pairs() -> list[tuple[str, str]]:
+    """Every spline term that is tried.
 
     Returns
     -------
     list of (str, str)
         Channel and quantity.
     """
-    # The controller answers to the rounding of the angles, so voltages go with the rounding's errors in any
-    # flight: a measurement that depends on thrust would always be found.
+    # The controller feeds the quantisation error back, so voltages are correlated with it in any flight: a
+    # measurement that depends on thrust would always be found.
     return [
         (channel, on)
         for channel, on in itertools.product(CHANNELS, QUANTITIES)
@@ -287,18 +284,18 @@ def choices() -> list[tuple[str, str]]:
     ]
 
 
-def named(candidate: str) -> str:
-    """Name a trial for people.
+def readable_id(candidate: str) -> str:
+    """Write a candidate's id for people.
 
     Parameters
     ----------
     candidate : str
-        Id of a trial.
+        Its id.
 
     Returns
     -------
     str
-        ``a curve: CHANNEL on QUANTITY`` for a pattern; an effect's id as it is.
+        ``a curve: CHANNEL on QUANTITY`` for a spline term; an effect's id as it is.
     """
     kind, _, rest = candidate.partition(":")
-    return f"a curve: {rest.replace(':', ' on ')}" if kind == "pattern" else candidate
+    return f"a curve: {rest.replace(':', ' on ')}" if kind == "spline" else candidate

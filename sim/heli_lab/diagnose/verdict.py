@@ -1,116 +1,99 @@
-"""From what was found to what is said: the verdict, and how sure it is. All thresholds of it are here."""
+"""From what a search found to the verdict and its confidence; the thresholds are in `thresholds.py`."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
 
 from heli_lab.diagnose.residual_analysis import ResidualAnalysis
-from heli_lab.diagnose.search import AMBIGUOUS
-from heli_lab.diagnose.search_record import SETTLED, Cause, Search
-
-LEFT_SHARE: Final = 0.01
-"""Share of the excess of the mean square that causes may leave: models of large causes are not exact."""
-CHANCE_ELSEWHERE: Final = 0.003
-"""Share of its evidence that a random torque about one axis alone may lose against torques about all."""
-CHANCE_LOSES: Final = 15.0
-"""The same as a logarithm of a likelihood ratio, for small torques."""
-CHANCE_OVER_ERROR: Final = 1.0
-"""It must stand out of its estimate's error by this factor."""
-OFF_LIST_SHARE: Final = 0.3
-"""Patterns that account for more than this share of what was explained make the verdict `unexplained`."""
-CONFIDENCE_CHANCE: Final = 0.8
-"""Of a random torque: a rare structure is foretold by nothing that is tried."""
-CONFIDENCE_BESIDE_UNKNOWN: Final = 0.5
-"""Factor on the confidence of causes beside which something unknown remains, which they may imitate."""
-CONFIDENCE_NATS: Final = 15.0
-"""Lead, as a logarithm of a likelihood ratio, over which the doubt falls by a factor e."""
+from heli_lab.diagnose.search_record import Cause, Search
+from heli_lab.diagnose.thresholds import (
+    AMBIGUOUS,
+    AT_NOISE_FLOOR,
+    CONFIDENCE_BESIDE_UNKNOWN,
+    CONFIDENCE_NATS,
+    GUST_MAX_LOSS,
+    GUST_MAX_LOSS_SHARE,
+    GUST_MIN_SIGMA_OVER_STD,
+    MAX_CONFIDENCE,
+    OFF_LIST_SHARE,
+    UNEXPLAINED_SHARE,
+)
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is said.
+    """The verdict.
 
     Parameters
     ----------
-    word : str
+    label : str
         ``explained``, ``cause_found``, ``ambiguous`` or ``unexplained``.
     causes : tuple of Cause
         Effects of the catalogue, strongest first.
     off_list : tuple of Cause
-        Patterns in their place.
-    chance : bool
+        Spline terms, in the place of causes that are not in the catalogue.
+    gust : bool
         Whether a random torque was found.
     """
 
-    word: str
+    label: str
     causes: tuple[Cause, ...]
     off_list: tuple[Cause, ...]
-    chance: bool
+    gust: bool
 
 
-def judge(search: Search, left: ResidualAnalysis, removed: bool = False) -> Verdict:
-    """Decide what to say.
+def judge(search: Search, remaining: ResidualAnalysis, absent: bool = False) -> Verdict:
+    """Decide the verdict.
 
     Parameters
     ----------
     search : Search
         What was found.
-    left : ResidualAnalysis
-        What remains.
-    removed : bool
-        Whether the fit itself found a term of the baseline to be gone: a cause like any other.
-
-    Returns
-    -------
-    Verdict
-        The decision.
+    remaining : ResidualAnalysis
+        What the final model leaves.
+    absent : bool
+        Whether the fit estimated a term of the baseline as zero, which is a cause as well.
     """
-    causes = tuple(one for one in search.found if not one.candidate.is_spline)
-    off_list = tuple(one for one in search.found if one.candidate.is_spline)
-    chance = (
+    causes = tuple(one for one in search.causes if not one.candidate.is_spline)
+    off_list = tuple(one for one in search.causes if one.candidate.is_spline)
+    gust = (
         remains(search)
         and not off_list
-        and not left.depends
-        and left.over_error > CHANCE_OVER_ERROR
-        and left.lost < max(CHANCE_LOSES, CHANCE_ELSEWHERE * left.gained)
+        and not remaining.dependences
+        and remaining.sigma_over_std > GUST_MIN_SIGMA_OVER_STD
+        and remaining.loss_to_all_axes < max(GUST_MAX_LOSS, GUST_MAX_LOSS_SHARE * remaining.gain_over_none)
     )
     if off_list:
-        spline_term, effect = (sum(one.evidence.raw for one in group) for group in (off_list, causes))
-        if not causes or spline_term > OFF_LIST_SHARE * (spline_term + effect):
+        spline, effect = (sum(one.evidence.iid for one in group) for group in (off_list, causes))
+        if not causes or spline > OFF_LIST_SHARE * (spline + effect):
             return Verdict("unexplained", causes, off_list, False)
-    if remains(search) and not chance:
+    if remains(search) and not gust:
         return Verdict("unexplained", causes, off_list, False)
     if causes:
         unclear = any(ambiguous_with(one) for one in causes)
-        return Verdict("ambiguous" if unclear else "cause_found", causes, off_list, chance)
-    return Verdict("cause_found" if chance or removed else "explained", (), off_list, chance)
+        return Verdict("ambiguous" if unclear else "cause_found", causes, off_list, gust)
+    return Verdict("cause_found" if gust or absent else "explained", (), off_list, gust)
 
 
 def remains(search: Search) -> bool:
-    """Whether the final model leaves more than rounding.
+    """Whether the final model leaves more than quantisation.
 
     Parameters
     ----------
     search : Search
         What was found.
-
-    Returns
-    -------
-    bool
-        Whether something is still missing.
     """
-    train, held = search.final.train.normalised, search.final.held.normalised
-    # The held-out flight alone may be worse by what differs from flight to flight.
-    if min(train, held) < SETTLED:
+    train, held_out = search.final.train.normalised, search.final.held_out.normalised
+    # The held-out flights alone may be worse by what differs from flight to flight.
+    if min(train, held_out) < AT_NOISE_FLOOR:
         return False
-    before = search.baseline.train.normalised**2 + search.baseline.held.normalised**2 - 2.0
-    return train**2 + held**2 - 2.0 > LEFT_SHARE * before
+    before = search.baseline.train.normalised**2 + search.baseline.held_out.normalised**2 - 2.0
+    return train**2 + held_out**2 - 2.0 > UNEXPLAINED_SHARE * before
 
 
 def ambiguous_with(found: Cause) -> list[str]:
-    """Other effects that would do as well.
+    """Other effects that the flights do not tell from a cause.
 
     Parameters
     ----------
@@ -122,11 +105,13 @@ def ambiguous_with(found: Cause) -> list[str]:
     list of str
         Their ids, closest first.
     """
-    return [rival.id for rival in found.rivals if rival.behind < AMBIGUOUS]
+    return [
+        alternative.id for alternative in found.alternatives if alternative.log_likelihood_ratio < AMBIGUOUS
+    ]
 
 
 def confidence(found: Cause, search: Search, unexplained: bool = False) -> float:
-    """How sure a cause is.
+    """How sure the name of a cause is, of the closest alternative and of what remains.
 
     Parameters
     ----------
@@ -135,17 +120,22 @@ def confidence(found: Cause, search: Search, unexplained: bool = False) -> float
     search : Search
         Everything that was found.
     unexplained : bool
-        Whether something remains that is none of the causes known: it may be all of this one, too.
+        Whether something remains that no effect explains, and that this cause may imitate.
 
     Returns
     -------
     float
         Between 0 and 1.
     """
-    margin = min([found.evidence.total - found.penalty, *(rival.behind for rival in found.rivals)])
+    margin = min(
+        [
+            found.evidence.total - found.penalty,
+            *(alternative.log_likelihood_ratio for alternative in found.alternatives),
+        ]
+    )
     sure = 1.0 - 0.5 * math.exp(-max(margin, 0.0) / CONFIDENCE_NATS)
-    before = max(search.baseline.held.normalised**2 - 1.0, 1e-9)
-    after = max(search.final.held.normalised**2 - 1.0, 0.0)
+    before = max(search.baseline.held_out.normalised**2 - 1.0, 1e-9)
+    after = max(search.final.held_out.normalised**2 - 1.0, 0.0)
     open_share = min(1.0, after / before)
     beside = CONFIDENCE_BESIDE_UNKNOWN if unexplained else 1.0
-    return float(min(0.99, sure) * (1.0 - 0.5 * open_share) * beside)
+    return float(min(MAX_CONFIDENCE, sure) * (1.0 - 0.5 * open_share) * beside)

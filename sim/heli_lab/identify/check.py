@@ -1,23 +1,22 @@
-"""How good a fit is: on the flights that it saw, and on others."""
+"""Free-run errors of a fit, on its own flights and on others (cross-validation)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from heli_host.flight import Flight
 from heli_sim.model.parts import AXES
 
+from heli_lab.identify.fit import Fit
 from heli_lab.identify.free import PER_FLIGHT
 from heli_lab.identify.functions import Floats
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import Record
 from heli_lab.identify.residual_noise import correlation_at, normalised
-from heli_lab.identify.solve import Fit, solve
-
-_WHITE_LAG_S: Final = 0.1
+from heli_lab.identify.solve import solve
+from heli_lab.identify.thresholds import WHITE_LAG_S
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ class Check:
     window_s : float
         Mean length of the windows, each predicted from its own initial state.
     normalised : float
-        Root mean square of all errors, in standard deviations of the rounding to counts.
+        Root mean square of all errors, in standard deviations of the quantisation.
     axis_normalised : dict of float
         The same for each axis.
     rms_deg : dict of float
@@ -39,7 +38,7 @@ class Check:
     correlation : dict of float
         Autocorrelation of each axis' error over 0.1 s.
     white : dict of bool
-        Whether that is within what chance gives.
+        Whether that is within three standard deviations of a white error's.
     seconds_used : float
         Free flight in the windows.
     """
@@ -67,11 +66,11 @@ class Trace:
     measured_rad, predicted_rad : ndarray (m, 3)
         Angles.
     residual : ndarray (m, 3)
-        Measured minus predicted, in standard deviations of the rounding.
+        Measured minus predicted, in standard deviations of the quantisation.
     windows : tuple of slice
         Rows of each window.
     sigma_rad : ndarray (3,)
-        Standard deviation of the rounding.
+        Standard deviation of the quantisation.
     """
 
     label: str
@@ -130,7 +129,7 @@ def check(fit: Fit, index: int = 0) -> Check:
     """
     seen = trace(fit, index)
     step_s = fit.problem.records[index].step_s
-    correlation, bound = correlation_at(seen.residual, seen.windows, max(1, round(_WHITE_LAG_S / step_s)))
+    correlation, bound = correlation_at(seen.residual, seen.windows, max(1, round(WHITE_LAG_S / step_s)))
     rms = np.sqrt(np.mean(seen.residual**2, axis=0))
     return Check(
         seen.label,
@@ -147,8 +146,8 @@ def check(fit: Fit, index: int = 0) -> Check:
 def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str] | None = None) -> Fit:
     """Predict flights that a fit has not seen.
 
-    Only what no other flight can tell is found from them: the windows' initial states, and the encoders'
-    zeros, which differ each time the board starts.
+    Only what differs from flight to flight is estimated from them: the windows' initial states, and the
+    encoders' zeros, which are set each time the board starts.
 
     Parameters
     ----------
@@ -162,8 +161,8 @@ def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str]
     Returns
     -------
     Fit
-        The same parameters on these flights; `check` and `trace` measure it. How sure the zeros are is not
-        asked in full.
+        The same parameters on these flights, for `check` and `trace`. Standard errors of the zeros leave the
+        effect of quantisation out.
     """
     problem = fit.problem
     shared = {
@@ -181,7 +180,7 @@ def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str]
         step_s=problem.step_s,
         priors=local,
         values=dict(zip((q.name for q in problem.model.parameters), problem.base, strict=True)) | shared,
-        state_std=problem.tied,
+        state_std=problem.state_std_by_name,
     )
     return solve(held_out, robust=False, scatter=False)
 

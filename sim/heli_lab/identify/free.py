@@ -1,4 +1,4 @@
-"""Which parameters are to be found, and what is known of them beforehand."""
+"""Which parameters are estimated, and their priors."""
 
 from __future__ import annotations
 
@@ -12,25 +12,23 @@ from heli_sim.model.base import Model
 from heli_sim.rig import Prior, Rig
 
 from heli_lab.errors import IdentifyError
+from heli_lab.identify.thresholds import LEAST_OF_PRIOR
 
 NOT_FREE: Final = frozenset({"g"})
-"""Numbers with a tolerance that no flight needs to find: gravity is known better than any of the masses."""
+"""Numbers with a tolerance that are never estimated: gravity is known better than any of the masses."""
 
 PER_FLIGHT: Final = ("offset_elevation", "offset_pitch")
-"""Numbers that are another in each flight, because encoders are zeroed each time the board starts."""
-
-_LEAST_SHARE: Final = 1e-3
-"""Of a number's value beforehand; what is left of a friction there is none."""
+"""Numbers that differ from flight to flight, because encoders are zeroed each time the board starts."""
 
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A parameter to be found.
+    """A parameter to be estimated.
 
     Parameters
     ----------
     name : str
-        Its name; one that is another in each of several flights has the flight's label in brackets.
+        Its name; one that differs between several flights has the flight's label in brackets.
     unit : str
         Its unit.
     prior : Prior
@@ -97,7 +95,7 @@ def free_parameters(
     return tuple(parameters)
 
 
-def loose(model: Model, rig: Rig, free: Sequence[str] | None, fixed: Sequence[str]) -> list[str]:
+def estimated_names(model: Model, rig: Rig, free: Sequence[str] | None, fixed: Sequence[str]) -> list[str]:
     """Take fixed parameters out of the free ones.
 
     Parameters
@@ -109,7 +107,7 @@ def loose(model: Model, rig: Rig, free: Sequence[str] | None, fixed: Sequence[st
     free : sequence of str or None
         As for `free_parameters`.
     fixed : sequence of str
-        Names of parameters that are not to be found.
+        Names of parameters that are not to be estimated.
 
     Returns
     -------
@@ -157,5 +155,5 @@ def rig_prior(rig: Rig, name: str) -> Prior:
         bounded just above 0, because a rig without a length or a gain cannot be.
     """
     number = rig[name]
-    low = -np.inf if rig.may_be_negative(name) else _LEAST_SHARE * abs(number.value)
+    low = -np.inf if rig.may_be_negative(name) else LEAST_OF_PRIOR * abs(number.value)
     return Prior(number.value, 0.5 * number.tolerance, low)

@@ -1,4 +1,4 @@
-"""What every kernel starts from: rates, measurement and Jacobians of a model, and inputs of windows."""
+"""Input of every kernel: rates, measurement and Jacobians of a model, and voltages of the windows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The kernel without a compiler, and the witness of the compiled one: NumPy on CasADi's virtual machine."""
+"""The kernel without a compiler: NumPy on CasADi's virtual machine; the compiled one is tested by it."""
 
 from __future__ import annotations
 

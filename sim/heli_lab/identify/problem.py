@@ -1,4 +1,4 @@
-"""What is fitted to what: a model with its free parameters, and the windows of the flights."""
+"""The estimation problem: a model with its free parameters, and the windows of the flights."""
 
 from __future__ import annotations
 
@@ -6,41 +6,29 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from heli_host.flight import Flight
 from heli_sim.model.base import Model
-from heli_sim.model.parts import AXES
 from heli_sim.rig import Prior, Rig
 
 from heli_lab.errors import IdentifyError
+from heli_lab.identify import thresholds
 from heli_lab.identify.free import PER_FLIGHT, FreeParameter, free_parameters
 from heli_lab.identify.functions import Floats
 from heli_lab.identify.grid import Grid, make_grid, window_starts
 from heli_lab.identify.kernel import kernel
 from heli_lab.identify.record import Record, prepare
 
-_STATE_FIT_S: Final = 0.15
-_SHORT_FIT_S: Final = 0.05
-_LEAD_IN_S: Final = 1.0
-_STATE_STD: Final[Mapping[str, float]] = {"rad": 0.02, "N m": 0.1}
-_STATE_STD_V: Final = 0.15
-"""How surely the voltages before a window tell its rotors' thrust. Left open, each window of a measured
-flight took the thrust that suited it, and a lag of 0.12 s came out as 0.13 to 0.35 s."""
-BLOCK_S: Final = 0.01
-"""Windows are whole numbers of blocks about this long, whatever the step, so that means over blocks exist."""
-
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Residuals of one record at one guess, with their derivatives.
+    """Residuals of one record for one guess, with the products of their derivatives.
 
     Parameters
     ----------
     residual : ndarray (m, 3)
-        Measured minus predicted angle, in standard deviations of the rounding to counts.
+        Measured minus predicted angle, in standard deviations of the quantisation.
     normal_matrix : ndarray (w, 3, z + 1, z + 1) or None
         For each window and axis, products of the columns of [Jacobian | residual], z being the number of
         states and of the free parameters that the record depends on.
@@ -53,9 +41,9 @@ class Evaluation:
 class Problem:
     """A model with free parameters, and windows of flights that it is to predict.
 
-    Each window is predicted freely from its own initial state, with nothing but the voltages. The error is
-    measured against the rounding to encoder counts; numbers of the rig have normal priors whose standard
-    deviation is half their tolerance.
+    Each window is simulated from its own initial state, with nothing but the voltages. Residuals are in units
+    of the encoders' quantisation; numbers of the rig have normal priors whose standard deviation is half
+    their tolerance.
 
     Parameters
     ----------
@@ -81,8 +69,8 @@ class Problem:
     values : Mapping[str, float], optional
         Values of fixed parameters instead of the rig's and the effects'.
     state_std : Mapping[str, float], optional
-        Standard deviation of a state of an effect at the beginning of a window about what the flight before
-        it says, in the state's unit; where not given, by its unit: what 0.15 V change, 0.02 rad, 0.1 N m.
+        Prior standard deviation of an effect's state at the beginning of a window about what a free run over
+        the flight before it gives, in the state's unit; else that of `thresholds.STATE_STD`.
 
     Raises
     ------
@@ -135,11 +123,12 @@ class Problem:
         self.window_s = window_s
         self.step_s = step_s
         self.state_count = len(model.states)
-        thrust_N = _STATE_STD_V * rig["thrust_gain"].value
-        usual = {**_STATE_STD, "V": _STATE_STD_V, "N": thrust_N}
-        self.tied = {s.name: usual.get(s.unit, 1.0) for s in model.states[6:]} | dict(state_std or {})
-        """By name, how surely the flight before a window tells an effect's state."""
-        self.state_std: Floats = np.array([self.tied[s.name] for s in model.states[6:]])
+        thrust_N = thresholds.STATE_STD_V * rig["thrust_gain"].value
+        usual = {**thresholds.STATE_STD, "V": thresholds.STATE_STD_V, "N": thrust_N}
+        usual_std = {s.name: usual.get(s.unit, 1.0) for s in model.states[6:]}
+        self.state_std_by_name = usual_std | dict(state_std or {})
+        """Prior standard deviation of each effect's state about what the flight before its window gives."""
+        self.state_std: Floats = np.array([self.state_std_by_name[s.name] for s in model.states[6:]])
         names = [quantity.name for quantity in model.parameters]
         self.base: Floats = model.parameter_values(rig)
         for name, value in (values or {}).items():
@@ -238,7 +227,7 @@ class Problem:
         Grid
             Windows with inputs. Both grids have the same windows.
         """
-        delay, dead_zone_V = self._shape(self.parameters(theta, index))
+        delay, dead_zone_V = self.input_shape(self.parameters(theta, index))
         key = (index, fine)
         shape = (delay, None if fine else dead_zone_V)
         if key not in self._grids or self._grids[key][0] != shape:
@@ -271,12 +260,12 @@ class Problem:
         Grid
             Windows with inputs.
         """
-        delay, dead_zone_V = self._shape(self.parameters(theta, index))
+        delay, dead_zone_V = self.input_shape(self.parameters(theta, index))
         record = self.records[index]
         return make_grid(
             record,
             self.windows(index),
-            max(1, int(BLOCK_S / record.step_s + 1e-6)),
+            max(1, int(thresholds.BLOCK_S / record.step_s + 1e-6)),
             delay=delay,
             dead_zone_V=dead_zone_V,
         )
@@ -296,97 +285,8 @@ class Problem:
         """
         record = self.records[index]
         coarse = max(1, int(self.step_s / record.step_s + 1e-6))
-        block = max(1, int(BLOCK_S / record.step_s + 1e-6))
+        block = max(1, int(thresholds.BLOCK_S / record.step_s + 1e-6))
         return window_starts(record, self.window_s, math.lcm(coarse, block))
-
-    def first_states(self, theta: Floats) -> list[Floats]:
-        """Initial states of all windows, as the angles around their beginnings suggest.
-
-        Angles and rates come from a parabola through the first samples. States of effects come from a second
-        of free run before the window, where there is one.
-
-        Parameters
-        ----------
-        theta : ndarray (f,)
-            Free parameters.
-
-        Returns
-        -------
-        list of ndarray (w, states)
-            One array a record.
-        """
-        return [
-            self.states_at(index, self._starts(index, theta), theta) for index in range(len(self.records))
-        ]
-
-    def states_at(self, index: int, rows: npt.NDArray[np.int64], theta: Floats) -> Floats:
-        """States at given rows, from the angles around them.
-
-        Parameters
-        ----------
-        index : int
-            Which record.
-        rows : ndarray of int64 (w,)
-            Rows.
-        theta : ndarray (f,)
-            Free parameters.
-
-        Returns
-        -------
-        ndarray (w, states)
-            Angles and rates of parabolas through the samples around each row; states of effects after a
-            second of free run that ends there, or what the encoder shows where that is what they are.
-        """
-        record = self.records[index]
-        states = np.zeros((len(rows), self.state_count))
-        states[:, :6] = [_parabola(record, int(row)) for row in rows]
-        if self.state_count == 6:
-            return states
-        states[:, 6:] = self._led_in(index, rows, states, theta)
-        shown = {state: axis for effect in self.model.effects for state, axis in effect.measured_as.items()}
-        for place, state in enumerate(self.model.states):
-            if state.name in shown:
-                states[:, place] = record.angles_rad[rows, AXES.index(shown[state.name])]
-        return states
-
-    def other_starts(self, index: int, theta: Floats, states: Floats) -> list[Floats]:
-        """Other initial states of the windows of a record, for those whose own lead to a wrong valley.
-
-        Parameters
-        ----------
-        index : int
-            Which record.
-        theta : ndarray (f,)
-            Free parameters.
-        states : ndarray (w, states)
-            Initial states.
-
-        Returns
-        -------
-        list of ndarray (w, states)
-            Where the window before ends, as long as nothing lies between: friction and play remember how
-            the arm came there. Then rates of a few samples alone, which no jump of the torque nearby bends,
-            and the sides that effects know.
-        """
-        record, windows = self.records[index], self.windows(index)
-        grid = self.grid(index, False, theta)
-        ends = self.kernel.end(grid.inputs, states, self.parameters(theta, index))
-        before, near = states.copy(), states.copy()
-        for number, (first, _) in enumerate(windows):
-            if number and sum(windows[number - 1]) == first and np.isfinite(ends[number - 1]).all():
-                before[number] = ends[number - 1]
-            near[number, :6] = _parabola(record, first, _SHORT_FIT_S)
-        places = {state.name: place for place, state in enumerate(self.model.states)}
-        values = dict(
-            zip((q.name for q in self.model.parameters), self.parameters(theta, index), strict=True)
-        )
-        sides = []
-        for side in (side for effect in self.model.effects for side in effect.alternative_starts(values)):
-            shifted = self.states_at(index, self._starts(index, theta), theta)
-            for name, shift in side.items():
-                shifted[:, places[name]] += shift
-            sides.append(shifted)
-        return [before, near, *sides]
 
     def evaluation(
         self, index: int, theta: Floats, states: Floats, *, fine: bool = False, derivatives: bool = True
@@ -452,45 +352,20 @@ class Problem:
         assert jacobian is not None
         return (grid.measured_rad - angles) / sigma, jacobian / sigma[:, None]
 
-    def _shape(self, parameters: Floats) -> tuple[tuple[str, float] | None, float | None]:
-        """Delay, and the voltage below which there is no thrust."""
+    def input_shape(self, parameters: Floats) -> tuple[tuple[str, float] | None, float | None]:
+        """What shapes the voltages before they act.
+
+        Parameters
+        ----------
+        parameters : ndarray (p,)
+            All parameters of the model.
+
+        Returns
+        -------
+        delay : (str, float) or None
+            Name and value in s of the parameter that delays the voltages.
+        dead_zone_V : float or None
+            Voltage below which there is no thrust; None where rotors push backwards too.
+        """
         delay = None if self._delay is None else (self.model.delay, float(parameters[self._delay]))
         return delay, float(parameters[self._dead_zone]) if self._one_way else None
-
-    def _starts(self, index: int, theta: Floats) -> npt.NDArray[np.int64]:
-        grid = self.grid(index, False, theta)
-        return grid.rows[grid.inputs.first]
-
-    def _led_in(self, index: int, rows: npt.NDArray[np.int64], states: Floats, theta: Floats) -> Floats:
-        """States of effects after a second of free run that ends at each row, shape (w, states - 6).
-
-        Voltages count from before the free segment too: there the arm may stand on its table, but what its
-        rotors do next depends on them all the same. Its run then starts as the segment does.
-        """
-        record, parameters = self.records[index], self.parameters(theta, index)
-        led = np.zeros((len(rows), self.state_count - 6))
-        begun = np.array([0, *(gap + 1 for gap in record.gaps)])
-        first = begun[np.searchsorted(begun, rows, side="right") - 1]
-        back = np.minimum(rows - first, round(_LEAD_IN_S / record.step_s))
-        some = np.flatnonzero(back > 0)
-        if len(some):
-            windows = [(int(rows[i] - back[i]), int(back[i])) for i in some]
-            grid = make_grid(record, windows, 1, delay=self._shape(parameters)[0])
-            start = np.zeros((len(some), self.state_count))
-            for number, i in enumerate(some):
-                begins = next(low for low, high in record.segments if low <= rows[i] < high)
-                begin = windows[number][0]
-                start[number, :6] = _parabola(record, begin) if begin >= begins else states[i, :6]
-            led[some] = self.kernel.end(grid.inputs, start, parameters)[:, 6:]
-        return np.where(np.isfinite(led), led, 0.0)
-
-
-def _parabola(record: Record, row: int, reach_s: float = _STATE_FIT_S) -> Floats:
-    """Angles and rates at a row, from the samples around it in the same segment."""
-    start, stop = next(segment for segment in record.segments if segment[0] <= row < segment[1])
-    reach = max(3, round(reach_s / record.step_s))
-    low, high = max(start, row - reach), min(stop, row + reach + 1)
-    time_s = (np.arange(low, high) - row) * record.step_s
-    fit: Floats = np.polynomial.polynomial.polyfit(time_s, record.angles_rad[low:high], 2)
-    result: Floats = np.concatenate((fit[0], fit[1]))
-    return result

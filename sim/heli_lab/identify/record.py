@@ -1,4 +1,4 @@
-"""A flight made ready for fitting: which rows are free flight, what a count is, and the windows over it."""
+"""A flight prepared for fitting: which rows are free flight, and the size of an encoder count."""
 
 from __future__ import annotations
 
@@ -15,26 +15,23 @@ from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError, NotExcited
 from heli_lab.identify.functions import Floats
+from heli_lab.identify.thresholds import (
+    AROUND_STOP_S,
+    BEYOND_STOP_DEG,
+    JUMP_RAD,
+    LEAST_COUNTS,
+    LEAST_SEGMENT_S,
+    MOST_STRAY_STEPS,
+    MOST_UNSURE_DEG,
+    STOP_MARGIN_DEG,
+    TABLE_MARGIN_DEG,
+    TAKE_OFF_DEG,
+    TAKE_OFF_TAIL_S,
+    ROTOR_m,
+)
 
 ON_GROUND: Final = frozenset({"idle", "armed", "fault"})
 """States of the board's supervisor in which the motors are off."""
-
-_TABLE_MARGIN_DEG: Final = 1.5
-_TAKE_OFF_DEG: Final = 10.0
-"""A take-off or landing is over only this far above the table."""
-_SETTLE_S: Final = 1.0
-_ROTOR_m: Final = 0.1
-"""How far a rotor reaches beyond its axle: propellers of rigs of this kind are 0.2 m and more across."""
-_STOP_MARGIN_DEG: Final = 1.0
-_MOST_UNSURE_DEG: Final = 3.0
-"""A stop that is less sure than this is taken to be where the rig file has it."""
-_AROUND_STOP_S: Final = 0.3
-_LEAST_COUNTS: Final = 10
-"""An axis that moved less than this has not moved."""
-_LEAST_SEGMENT_S: Final = 1.0
-_JUMP_RAD: Final = 1.0
-_MOST_STRAY_STEPS: Final = 5.0
-"""Five steps of 2 ms at the fastest travel are half a degree: far more than any other error."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +53,7 @@ class Cut:
 
 @dataclass(frozen=True)
 class Record:
-    """A flight ready for fitting.
+    """A flight prepared for fitting.
 
     Parameters
     ----------
@@ -95,7 +92,7 @@ class Record:
 
     @property
     def sigma_rad(self) -> Floats:
-        """Standard deviation of the rounding to counts, shape (3,)."""
+        """Standard deviation of the quantisation to counts, count / sqrt(12), shape (3,)."""
         return self.count_rad / math.sqrt(12.0)
 
     @property
@@ -122,7 +119,7 @@ def prepare(
     flight : Flight
         The flight, as `read_flight` checked it; gaps are allowed.
     rig : Rig
-        Gives table, stops and, for angles that are not rounded, the encoders' counts.
+        Gives table, stops and, for angles that are not quantised, the encoders' counts.
     label : str
         Name for messages and reports.
     start_s, stop_s : float, optional
@@ -162,7 +159,7 @@ def prepare(
     gap = np.zeros(len(t_s), bool)
     gap[gaps] = True
 
-    segments, cuts = _segments(reasons, gap, t_s, max(2, round(_LEAST_SEGMENT_S / step_s)))
+    segments, cuts = _segments(reasons, gap, t_s, max(2, round(LEAST_SEGMENT_S / step_s)))
     _refuse_jumps(flight, label, segments)
     record = Record(
         label, t_s, angles, volts, step_s, count_rad, segments, cuts, tuple(notes), tuple(map(int, gaps))
@@ -183,7 +180,7 @@ def _step_s(flight: Flight, label: str) -> float:
     step_s = float(steps_s.mean())
     stray = np.abs(np.cumsum(steps_s - step_s)) / step_s
     worst = int(np.argmax(stray))
-    if stray[worst] > _MOST_STRAY_STEPS:
+    if stray[worst] > MOST_STRAY_STEPS:
         raise IdentifyError(
             f"{label}: t_s strays by {stray[worst]:.0f} steps of {step_s:.4g} s from even steps by data row "
             f"{worst + 2}; log with an even clock, or resample the flight"
@@ -208,7 +205,7 @@ def _refuse_jumps(flight: Flight, label: str, segments: tuple[tuple[int, int], .
     for index, axis in enumerate(AXES):
         for start, stop in segments:
             moves = np.abs(np.diff(flight.angles_rad[start:stop, index]))
-            if moves.size and moves.max() > _JUMP_RAD:
+            if moves.size and moves.max() > JUMP_RAD:
                 row = start + int(np.argmax(moves)) + 2
                 raise IdentifyError(
                     f"{label}: {axis}_rad jumps by {moves.max():.3g} in data row {row}; unwrap the angle, or "
@@ -223,7 +220,7 @@ def _counts(angles_rad: Floats, rig: Rig) -> tuple[Floats, list[str]]:
         moves = moves[moves > 1e-7]
         count = float(moves.min()) if moves.size else 0.0
         if count:
-            # Printed angles are rounded once more; the mean over single counts is better than the least.
+            # Printed angles are rounded to decimals; the mean over single counts is better than the least.
             count = float(moves[moves < 1.5 * count].mean())
             multiples = moves[moves < 50 * count] / count
             if np.mean(np.abs(multiples - np.round(multiples)) < 0.05) < 0.95:
@@ -239,7 +236,7 @@ def _counts(angles_rad: Floats, rig: Rig) -> tuple[Floats, list[str]]:
 def _refuse_dead_columns(flight: Flight, label: str, count_rad: Floats) -> None:
     rows = len(flight)
     moved = np.ptp(flight.angles_rad, axis=0) / count_rad
-    if np.all(moved < _LEAST_COUNTS):
+    if np.all(moved < LEAST_COUNTS):
         most = int(np.argmax(moved))
         raise NotExcited(
             f"{label}: the rig never moves: {AXES[most]}_rad varies by {moved[most]:.0f} counts "
@@ -270,26 +267,26 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> npt.NDArray[np.bool_
     if at_rest and start_deg < elevation_deg.min() + 1.0 and start_deg < np.median(elevation_deg) - 10.0:
         table_deg = max(table_deg, start_deg)
     contact = (
-        elevation_deg < table_deg + min(rig["elevation_min"].tolerance, _MOST_UNSURE_DEG) + _TABLE_MARGIN_DEG
+        elevation_deg < table_deg + min(rig["elevation_min"].tolerance, MOST_UNSURE_DEG) + TABLE_MARGIN_DEG
     )
     # An arm that leans far reaches the table with its lower rotor long before it stands on it.
-    share = (rig["L_h"].value + _ROTOR_m) / rig["L_a"].value
+    share = (rig["L_h"].value + ROTOR_m) / rig["L_a"].value
     low = np.sin(flight.elevation_rad) - share * np.abs(np.sin(flight.pitch_rad)) * np.cos(
         flight.elevation_rad
     )
     contact |= low < math.sin(math.radians(table_deg))
     if not contact.any():
         return contact
-    clear = elevation_deg > table_deg + _TAKE_OFF_DEG
+    clear = elevation_deg > table_deg + TAKE_OFF_DEG
     typical_deg = float(np.median(elevation_deg[clear])) if clear.any() else 0.0
-    up = elevation_deg > max(table_deg + _TAKE_OFF_DEG, typical_deg - 5.0)
+    up = elevation_deg > max(table_deg + TAKE_OFF_DEG, typical_deg - 5.0)
     cut = contact.copy()
-    reoptimise_states = round(_SETTLE_S / step_s)
+    tail = round(TAKE_OFF_TAIL_S / step_s)
     edges = np.flatnonzero(np.diff(contact.astype(int)))
     for edge in edges:
         if contact[edge]:
             above = np.flatnonzero(up[edge:])
-            cut[edge : edge + (int(above[0]) + reoptimise_states if above.size else len(cut))] = True
+            cut[edge : edge + (int(above[0]) + tail if above.size else len(cut))] = True
         else:
             before = np.flatnonzero(up[: edge + 1])
             cut[int(before[-1]) if before.size else 0 : edge + 1] = True
@@ -298,15 +295,15 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> npt.NDArray[np.bool_
 
 def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, npt.NDArray[np.bool_], list[str]]]:
     found: list[tuple[str, npt.NDArray[np.bool_], list[str]]] = []
-    around = round(_AROUND_STOP_S / step_s)
+    around = round(AROUND_STOP_S / step_s)
     names = ("elevation_max", "pitch_max", "travel_max")
     for index, (axis, name) in enumerate(zip(AXES, names, strict=True)):
         stop, degrees = rig[name], np.rad2deg(angles_rad[:, index])
         beyond = degrees if axis == "elevation" else np.abs(degrees)
-        at_stop = beyond > stop.value - min(stop.tolerance, _MOST_UNSURE_DEG) - _STOP_MARGIN_DEG
+        at_stop = beyond > stop.value - min(stop.tolerance, MOST_UNSURE_DEG) - STOP_MARGIN_DEG
         if not at_stop.any():
             continue
-        if beyond.max() > stop.value + stop.tolerance + 5.0:
+        if beyond.max() > stop.value + stop.tolerance + BEYOND_STOP_DEG:
             note = f"{axis} reaches {beyond.max():.0f} degrees, beyond the rig's {name} of {stop.value:g}"
             found.append((axis, np.zeros_like(at_stop), [f"{note}: taken to be free there"]))
             continue

@@ -10,11 +10,10 @@ from heli_sim.model.parts import AXES
 from heli_lab.identify.check import Check
 from heli_lab.identify.figures import figure_of_correlations, figure_of_flight, figure_of_parameters
 from heli_lab.identify.result import Identification, rounded
+from heli_lab.identify.thresholds import NOTHING_LEFT
 from heli_lab.identify.uncertainty import Combination
 from heli_lab.page import escaped, folder_with, image, table
 
-_GOOD: Final = 1.05
-"""A normalised error up to here is nothing but rounding."""
 _STYLE: Final = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222 }
 body { max-width: 62rem; margin: 2rem auto; padding: 0 1rem }
@@ -62,7 +61,7 @@ def write_report(identification: Identification, folder: str | Path) -> Path:
         "<h2>What was found</h2>",
         _parameters(identification),
         parameters,
-        "<h2>What the flights cannot tell apart</h2>",
+        "<h2>What the flights cannot identify</h2>",
         _combinations(identification),
         correlations,
         "<h2>What was used</h2>",
@@ -79,7 +78,7 @@ def write_report(identification: Identification, folder: str | Path) -> Path:
 
 
 def verdict(identification: Identification) -> str:
-    """Say in two sentences how good the model is.
+    """Summarise in two sentences how good the model is.
 
     Parameters
     ----------
@@ -98,12 +97,12 @@ def verdict(identification: Identification) -> str:
     where = "flights that it never saw" if held_out else "the flights that it was fitted to"
     window_s = identification.fit.problem.window_s
     errors = ", ".join(f"{axis} {numbers['free_run_rms_deg'][axis]:.3g}" for axis in AXES)
-    if judged <= _GOOD:
-        first = f"Nothing but the encoders' rounding is left on {where}: normalised error {judged:.3f}."
+    if judged <= NOTHING_LEFT:
+        first = f"Nothing but the encoders' quantisation is left on {where}: normalised error {judged:.3f}."
     else:
         first = (
-            f"The model is wrong by {judged:.3g} times the encoders' rounding on {where}: something is "
-            "missing in it, and its numbers are a compromise."
+            f"The model is wrong by {judged:.3g} times the encoders' quantisation on {where}: something is "
+            "missing in it, and its parameters are biased."
         )
     return f"{first} Free-run error over {window_s:g} s, rms in degrees: {errors}."
 
@@ -117,7 +116,7 @@ def _errors(identification: Identification) -> str:
     heads = ["flight", "used for", *(f"{axis} [deg]" for axis in AXES), "normalised"]
     note = (
         "Root mean square error of the free run: each window is predicted from its own initial state with "
-        "nothing but the voltages. Normalised: in standard deviations of the rounding to counts, 1 if "
+        "nothing but the voltages. Normalised: in standard deviations of the quantisation, 1 if "
         "nothing else is left. A star marks an axis whose error is not white over 0.1 s."
     )
     return table(heads, rows) + f'<p class="note">{note}</p>'
@@ -132,13 +131,11 @@ def _parameters(identification: Identification) -> str:
     rows = []
     for one, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True):
         remark = "on its bound" if one.name in fit.at_bound else ""
-        remark = remark or (
-            "as before the flight" if one.name in identification.uninformed_parameters else ""
-        )
+        remark = remark or ("uninformed" if one.name in identification.uninformed_parameters else "")
         prior = f"{one.prior.mean:g} ± {2 * one.prior.std:g}"
         found = f"{rounded(value, std)} ± {rounded(2 * std, std)}"
         rows.append([one.name, found, one.unit, prior, f"{std / one.prior.std:.2g}", remark])
-    heads = ["parameter", "found ± 2 std", "unit", "before", "std over prior's", ""]
+    heads = ["parameter", "found ± 2 std", "unit", "prior ± 2 std", "std over prior's", ""]
     return table(heads, rows)
 
 
@@ -146,18 +143,16 @@ def _combinations(identification: Identification) -> str:
     found = identification.combinations
     lines = [f"<li>{_combination(one)}</li>" for one in found]
     text = (
-        f"<p>{len(found)} combinations may change without the flights noticing; each line is one, by its "
-        "standard deviation after the flight. Only what the rig file says of them beforehand holds them.</p>"
+        f"<p>{len(found)} combinations of parameters are informed less by the flights than by the rig file's "
+        "tolerances; each line is one, by its standard deviation after the flights.</p>"
         f"<ul>{''.join(lines)}</ul>"
         if found
-        else "<p>Every combination of the free parameters is seen.</p>"
+        else "<p>Every combination of the free parameters is identified.</p>"
     )
     pairs = identification.strong_correlations
     if pairs:
         rows = [[a, b, f"{value:.3f}"] for a, b, value in pairs]
-        text += "<p>Pairs that can hardly be told apart:</p>" + table(
-            ["parameter", "and", "correlation"], rows
-        )
+        text += "<p>Strongly correlated pairs:</p>" + table(["parameter", "and", "correlation"], rows)
     return text
 
 
@@ -180,7 +175,7 @@ def _used(identification: Identification) -> str:
             parts.append(table(["left out from [s]", "to [s]", "because"], rows))
         lowered = sum(1 for weight in identification.fit.weights[index] if weight < 1.0)
         if lowered:
-            parts.append(f"<p>{lowered} windows fall out of line with the others and have less weight.</p>")
+            parts.append(f"<p>{lowered} windows are outliers and have less weight.</p>")
     fit = identification.fit
     end = "converged" if fit.converged else "stopped by its budget before it had converged"
     parts.append(f"<p>The fit {end} in {fit.seconds:.1f} s and {fit.evaluations} evaluations.</p>")

@@ -1,22 +1,13 @@
-"""What residuals say about themselves: how large, how coloured, which windows fall out of line."""
+"""The noise that residuals show: variance, autocorrelation, outlying windows."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
 from heli_lab.identify.functions import Floats
-
-LONGEST_LAG_S: Final = 0.5
-LEAST_SHARE: Final = 0.5
-LEAST_VARIANCE: Final = 0.05
-"""Mean square over a block that rounding alone leaves at least; keeps an axis at rest from weighing all."""
-OUTLIER: Final = 3.0
-"""A window whose rms residual is this many times the median window's loses weight."""
-GROSS: Final = 10.0
-"""Beyond this many times the median, a window counts less the more it is off: somebody touched the arm."""
+from heli_lab.identify.thresholds import GROSS, LEAST_SHARE, LEAST_VARIANCE, LONGEST_LAG_S, OUTLIER
 
 
 def autocovariance(residual: Floats, windows: Sequence[slice], lags: int) -> Floats:
@@ -49,16 +40,16 @@ def autocovariance(residual: Floats, windows: Sequence[slice], lags: int) -> Flo
 
 
 def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float) -> Floats:
-    """Variance that a sum over many neighbouring residuals has, for each residual in it.
+    """Long-run (HAC) variance: that of a sum over many neighbouring residuals, for each residual in it.
 
     Parameters of the rig move the prediction slowly, so what counts for their standard errors is not the
-    residuals' variance but their spectrum at low frequencies: larger when a count stays for several samples,
-    and much larger when the model is wrong.
+    residuals' variance but their spectral density at low frequencies (Newey and West, with Bartlett's
+    weights): larger when a count stays for several samples, and much larger when the model is wrong.
 
     Parameters
     ----------
     residual : ndarray (m, 3)
-        Residuals in standard deviations of the rounding.
+        Residuals in standard deviations of the quantisation.
     windows : sequence of slice
         Rows of each window.
     step_s : float
@@ -78,12 +69,12 @@ def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float)
 
 
 def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floats:
-    """Keep a wrong model from being bent to the axis that it fits best.
+    """Bound the axes' variances from below, so that a wrong model is not fitted to one axis alone.
 
     Where a model is wrong, dividing each axis by its own error rewards the axis that the free initial states
     can hide the error in (travel) and gives up the one that shows it (pitch): on measured flights pitch came
     out twice as far off. So no axis' variance, in rad^2, is taken to be less than half of the largest
-    that is not explained by rounding.
+    that quantisation does not explain.
 
     Parameters
     ----------
@@ -92,12 +83,12 @@ def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floa
     mean_square : ndarray (..., 3)
         Mean square of the residuals.
     sigma_rad : ndarray (3,)
-        Standard deviation of the rounding of each axis.
+        Standard deviation of the quantisation of each axis.
 
     Returns
     -------
     ndarray (..., 3)
-        Variances, none smaller than given; unchanged where nothing but rounding is left.
+        Variances, none smaller than given; unchanged where only quantisation is left.
     """
     wrong = np.maximum(0.0, 1.0 - 2.0 / np.maximum(mean_square, 1e-12))
     least_rad2 = LEAST_SHARE * np.max(variance * wrong * sigma_rad**2, axis=-1, keepdims=True)
@@ -106,17 +97,17 @@ def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floa
 
 
 def floored_mean_square(mean_square: Floats, sigma_rad: Floats) -> Floats:
-    """Variances to judge a model's axes with, as `floor_axes` as a fit weighs them.
+    """Variances of the axes from mean squares, bounded as a fit bounds them.
 
-    Where travel was given all the freedom that its fine encoder asks for, pitch stayed wrong, and what a
-    refit finds at once on measured flights came 27th of all candidates.
+    Without the bound a score test let travel, whose encoder is fine, decide alone: a candidate that a refit
+    accepts at once on measured flights came 27th.
 
     Parameters
     ----------
     mean_square : ndarray (..., 3)
-        Mean square of the residuals, in units of the rounding's variance.
+        Mean square of the residuals, in units of the quantisation's variance.
     sigma_rad : ndarray (3,)
-        Standard deviation of the rounding of each axis.
+        Standard deviation of the quantisation of each axis.
 
     Returns
     -------
@@ -127,7 +118,7 @@ def floored_mean_square(mean_square: Floats, sigma_rad: Floats) -> Floats:
 
 
 def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats) -> Floats:
-    """Weights that keep a few disturbed windows from deciding the fit.
+    """Robust weights, which keep a few disturbed windows from deciding the fit.
 
     Parameters
     ----------
@@ -141,7 +132,7 @@ def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats)
     Returns
     -------
     ndarray (w,)
-        1 for a window in line with the others; less for one whose rms is over `OUTLIER` times the median, so
+        1 for a window like the others; less for one whose rms is over `OUTLIER` times the median, so
         that it counts as one at that limit, and next to nothing far beyond `GROSS` times.
     """
     rms = np.sqrt([np.mean(residual[window] ** 2 / variance) for window in windows])
@@ -156,18 +147,18 @@ def normalised(residual: Floats) -> float:
     Parameters
     ----------
     residual : ndarray
-        Residuals in standard deviations of the rounding.
+        Residuals in standard deviations of the quantisation.
 
     Returns
     -------
     float
-        1 when nothing but the rounding is left.
+        1 when only quantisation is left.
     """
     return float(np.sqrt(np.mean(residual**2)))
 
 
 def correlation_at(residual: Floats, windows: Sequence[slice], lag: int) -> tuple[Floats, float]:
-    """Autocorrelation at one lag, and what it may be by chance.
+    """Autocorrelation at one lag, and its bound for white residuals.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What identification hands on: as JSON, and as a rig that can be flown."""
+"""The result of an identification: as JSON, and as a rig that can be flown."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ from heli_sim.model.parts import AXES
 from heli_sim.rig import Number, Rig
 
 from heli_lab.identify.check import Check, Trace
-from heli_lab.identify.solve import Fit
+from heli_lab.identify.fit import Fit
+from heli_lab.identify.thresholds import STRONG_CORRELATION
 from heli_lab.identify.uncertainty import Combination, combinations, uninformed_parameters
-
-_STRONG = 0.9
 
 
 @dataclass(frozen=True)
@@ -27,9 +26,9 @@ class Identification:
     fit : Fit
         The fit.
     training : tuple of Check
-        Errors on the flights that it saw.
+        Errors on the flights that it was fitted to.
     validation : tuple of Check
-        Errors on flights that it did not see; empty when none were given.
+        Errors on other flights; empty when none were given.
     training_traces, validation_traces : tuple of Trace
         Measured against predicted, of each.
     """
@@ -42,24 +41,24 @@ class Identification:
 
     @property
     def combinations(self) -> list[Combination]:
-        """Combinations of parameters about which the flights say less than the priors."""
+        """Combinations of parameters that the flights inform less than the priors."""
         problem = self.fit.problem
         return combinations(problem.names, self.fit.information, problem.prior_std)
 
     @property
     def uninformed_parameters(self) -> list[str]:
-        """Parameters about which the flights say nothing of their own."""
+        """Parameters that the flights do not inform."""
         return uninformed_parameters(self.fit.problem.names, self.fit.covariance, self.fit.problem.prior_std)
 
     @property
     def strong_correlations(self) -> list[tuple[str, str, float]]:
-        """Pairs of parameters that can hardly be told apart, strongest first."""
+        """Strongly correlated pairs of parameters, strongest first."""
         names, correlation = self.fit.problem.names, self.fit.correlation
         pairs = [
             (names[i], names[j], float(correlation[i, j]))
             for i in range(len(names))
             for j in range(i)
-            if abs(correlation[i, j]) > _STRONG
+            if abs(correlation[i, j]) > STRONG_CORRELATION
         ]
         return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
@@ -109,12 +108,12 @@ class Identification:
                 what = own.name.removeprefix(f"{effect.name.replace('.', '_')}_")
                 value = float(found.get(own.name, values[own.name]))
                 free = own.name in found
-                source = f"identified from {labels}" if free else "not looked for"
+                source = f"identified from {labels}" if free else "not estimated"
                 numbers[what] = Number(value, own.unit, 2.0 * self.fit.std[own.name] if free else 0.0, source)
         return effects
 
     def json(self) -> dict[str, Any]:
-        """Spell the result for other programs.
+        """The result as JSON has it.
 
         Returns
         -------
@@ -153,10 +152,11 @@ class Identification:
                 name: {other: round(float(value), 4) for other, value in zip(problem.names, row, strict=True)}
                 for name, row in zip(problem.names, fit.correlation, strict=True)
             },
-            "cannot_tell_apart": [
-                {"change": combination.change, "kept": combination.kept} for combination in self.combinations
+            "unidentified_combinations": [
+                {"change": combination.change, "std_over_prior": combination.std_over_prior}
+                for combination in self.combinations
             ],
-            "nothing_learned_of": self.uninformed_parameters,
+            "uninformed_parameters": self.uninformed_parameters,
             "flights": [self._flight(check, "train") for check in self.training]
             + [self._flight(check, "validation") for check in self.validation],
             "seconds_used": sum(check.seconds_used for check in self.training),
@@ -174,7 +174,7 @@ class Identification:
             "normalised_residual_axis": check.axis_normalised,
             "free_run_rms_deg": check.rms_deg,
             "white": check.white,
-            "correlation_over_0.1_s": check.correlation,
+            "autocorrelation_0.1_s": check.correlation,
         }
         if role == "train":
             record = records[check.label]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Final
 
 import numpy as np
 from heli_host.flight import Flight
@@ -13,16 +12,14 @@ from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError
 from heli_lab.identify.check import check, trace, validate
-from heli_lab.identify.free import loose
+from heli_lab.identify.fit import Budget, Progress
+from heli_lab.identify.free import estimated_names
+from heli_lab.identify.initial_states import first_states
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import Record, prepare
 from heli_lab.identify.result import Identification
-from heli_lab.identify.solve import Budget, Progress, solve
-
-_FAR_RAD: Final = 0.1
-_SHORT_WINDOW_S: Final = 0.4
-"""From 0.7 standard deviations of the rig file `quanser-course`, one fit in four of measured flights diverged
-in windows of 2 s; with these before them, none of forty did."""
+from heli_lab.identify.solve import solve
+from heli_lab.identify.thresholds import FAR_RAD, SHORT_WINDOW_S
 
 
 def identify(
@@ -41,7 +38,7 @@ def identify(
     seconds: float = float("inf"),
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Identification:
-    """Find a model's parameters from flights, and measure how good they are.
+    """Estimate a model's parameters from flights, and validate them on others.
 
     Parameters
     ----------
@@ -86,11 +83,11 @@ def identify(
     if any(record is other or record.label == other.label for record in records for other in others):
         raise IdentifyError("a flight is both fitted and validated on; give another to --validate")
     say(Progress("compiling the model, once for each", 0.05, 0.0))
-    names = loose(model, rig, free, fixed)
+    names = estimated_names(model, rig, free, fixed)
     problem = Problem(model, rig, records, free=names, window_s=window_s)
     fit = solve(
         problem,
-        start=_nearer(problem),
+        start=_start_values(problem),
         budget=Budget(seconds=seconds - (time.perf_counter() - started_s)),
         on_progress=lambda p: say(Progress(p.stage, 0.1 + 0.7 * p.done, p.cost)),
     )
@@ -106,15 +103,15 @@ def identify(
     )
 
 
-def _nearer(problem: Problem) -> dict[str, float] | None:
+def _start_values(problem: Problem) -> dict[str, float] | None:
     """Start values from short windows, where those of the rig file are so far off that long ones diverge."""
-    evaluations = zip(problem.records, problem.first_states(problem.start), strict=True)
+    evaluations = zip(problem.records, first_states(problem, problem.start), strict=True)
     for index, (record, states) in enumerate(evaluations):
         evaluation = problem.evaluation(index, problem.start, states, derivatives=False)
         with np.errstate(all="ignore"):
             off_rad = np.sqrt(np.mean(evaluation.residual**2, axis=0)) * record.sigma_rad
-        if not np.all(off_rad < _FAR_RAD):
-            short = problem.with_windows(_SHORT_WINDOW_S)
+        if not np.all(off_rad < FAR_RAD):
+            short = problem.with_windows(SHORT_WINDOW_S)
             return solve(short, budget=Budget(evaluations=30), fine=False).values
     return None
 

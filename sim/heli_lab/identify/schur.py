@@ -1,4 +1,4 @@
-"""The normal equations: windows' states eliminated, bounds kept."""
+"""The normal equations: block elimination by the Schur complement, and steps that keep bounds."""
 
 from __future__ import annotations
 
@@ -8,6 +8,70 @@ import numpy as np
 
 from heli_lab.identify.functions import Floats
 from heli_lab.identify.problem import Evaluation, Problem
+from heli_lab.identify.thresholds import SINGULAR_GUARD
+
+
+def eliminate(matrices: Floats, count: int, guard: float = 0.0) -> tuple[Floats, Floats]:
+    """Eliminate the leading unknowns of symmetric systems [[A, B], [B', C]].
+
+    A right-hand side may stand as the last row and column: then the last column of the complement is the
+    right-hand side of what is left, and the last column of the gain is A^-1 times the eliminated one.
+
+    Parameters
+    ----------
+    matrices : ndarray (..., m, m)
+        The systems.
+    count : int
+        Number of leading unknowns, the order of A.
+    guard : float
+        Added to the diagonal of A, as a share of its largest entry, so that an unknown that no data show
+        does not make A singular.
+
+    Returns
+    -------
+    complement : ndarray (..., m - count, m - count)
+        C - B' A^-1 B.
+    gain : ndarray (..., count, m - count)
+        A^-1 B: minus the change of the eliminated unknowns for each unit of the others.
+    """
+    leading = matrices[..., :count, :count].copy()
+    coupling = matrices[..., :count, count:]
+    diagonal = np.arange(count)
+    if guard:
+        leading[..., diagonal, diagonal] += guard * leading[..., diagonal, diagonal].max(
+            axis=-1, keepdims=True
+        )
+    gain: Floats = np.linalg.solve(leading, coupling).astype(np.float64, copy=False)
+    return matrices[..., count:, count:] - np.swapaxes(coupling, -1, -2) @ gain, gain
+
+
+def add_state_prior(
+    problem: Problem, normal: Floats, states: Floats, reference: Floats, damping: float | Floats = 0.0
+) -> None:
+    """Add the prior of the effects' initial states to the windows' normal equations, and damp the states.
+
+    Parameters
+    ----------
+    problem : Problem
+        What is fitted.
+    normal : ndarray (w, m, m)
+        Normal matrices whose leading unknowns are the initial states and whose last column is the right-hand
+        side; changed in place.
+    states : ndarray (w, states)
+        Initial states.
+    reference : ndarray (w, states)
+        Prior means of the initial states of effects.
+    damping : float or ndarray (w,)
+        What the diagonal of the states grows by, as a share of itself.
+    """
+    nx = problem.state_count
+    diagonal, own = np.arange(nx), np.arange(6, nx)
+    precision = 1.0 / problem.state_std**2
+    normal[:, own, own] += precision
+    pull = precision * (reference - states)[:, 6:]
+    normal[:, 6:nx, -1] += pull
+    normal[:, -1, 6:nx] += pull
+    normal[:, diagonal, diagonal] *= 1.0 + np.reshape(damping, (-1, 1))
 
 
 def eliminate_states(
@@ -31,7 +95,7 @@ def eliminate_states(
     states : sequence of ndarray (w, states)
         Initial states.
     reference : sequence of ndarray (w, states)
-        What the initial states of effects are tied to.
+        Prior means of the initial states of effects.
     variance, weights : sequence of ndarray
         As in `Fit`.
     damping : float
@@ -44,8 +108,8 @@ def eliminate_states(
     gradient : ndarray (f,)
         Negative gradient of half the sum of squares, without priors.
     follow : list of (ndarray (w, states), ndarray (w, states, k))
-        For each record: the step of the states with the parameters fixed, and how the states follow the
-        parameters that the record depends on.
+        For each record: the step of the states with the parameters fixed, and minus the change of the states
+        for each unit of the parameters that the record depends on.
     """
     nx, count = problem.state_count, len(problem.free)
     information, gradient = np.zeros((count, count)), np.zeros(count)
@@ -54,22 +118,12 @@ def eliminate_states(
         assert evaluation.normal_matrix is not None
         scale = weights[index][:, None] / variance[index]
         normal = np.einsum("wa,waij->wij", scale, evaluation.normal_matrix)
-        diagonal = np.arange(nx)
-        own = normal[:, :nx, :nx].copy()
-        coupling = normal[:, :nx, nx:].copy()  # to the parameters, and the gradient as last column
-        if nx > 6:
-            state_prior = 1.0 / problem.state_std**2
-            own[:, diagonal[6:], diagonal[6:]] += state_prior
-            coupling[:, 6:, -1] += state_prior * (reference[index] - states[index])[:, 6:]
-        # A state that a window does not show at all must not make its block singular.
-        own[:, diagonal, diagonal] *= 1.0 + damping
-        own[:, diagonal, diagonal] += 1e-12 * own[:, diagonal, diagonal].max(axis=1, keepdims=True)
-        answer = np.linalg.solve(own, coupling)
-        schur = normal[:, nx:, nx:] - coupling.transpose(0, 2, 1) @ answer
+        add_state_prior(problem, normal, states[index], reference[index], damping)
+        complement, gain = eliminate(normal, nx, SINGULAR_GUARD)
         columns = problem.columns[index]
-        information[np.ix_(columns, columns)] += schur[:, :-1, :-1].sum(axis=0)
-        gradient[columns] += schur[:, :-1, -1].sum(axis=0)
-        follow.append((answer[:, :, -1], answer[:, :, :-1]))
+        information[np.ix_(columns, columns)] += complement[:, :-1, :-1].sum(axis=0)
+        gradient[columns] += complement[:, :-1, -1].sum(axis=0)
+        follow.append((gain[:, :, -1], gain[:, :, :-1]))
     return information, gradient, follow
 
 

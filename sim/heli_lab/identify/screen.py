@@ -1,8 +1,8 @@
-"""Cheap looks at what a fitted model may lack: one prediction tells about any number of candidates.
+"""Rao's score test of candidate parameters: one prediction scores any number of them.
 
 Candidates are effects of an extended model, each at a value at which it does nothing or next to nothing. The
-derivatives of the prediction to their parameters, less everything that the baseline can adapt to, say how
-much each would lower the sum of squares and which value it would take: Rao's score statistic.
+derivatives of the prediction to their parameters, with the baseline's parameters and the initial states
+projected out, give to first order how much each would lower the sum of squares, and its estimate.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from heli_lab.errors import IdentifyError
+from heli_lab.identify.fit import Fit
+from heli_lab.identify.initial_states import first_states
 from heli_lab.identify.problem import Problem
-from heli_lab.identify.schur import eliminate_states
-from heli_lab.identify.solve import Fit
+from heli_lab.identify.schur import eliminate, eliminate_states
 
 
 @dataclass(frozen=True)
 class Score:
-    """What one candidate, or several together, would gain.
+    """Score statistic of one candidate, or of several together.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ def screen(fit: Fit, extended: Problem, groups: Sequence[Sequence[str]]) -> list
     theta = extended.start
     for index, name in enumerate(extended.names):
         theta[index] = fit.values.get(name, theta[index])
-    states = extended.first_states(theta)
+    states = first_states(extended, theta)
     for own, old in zip(states, fit.states, strict=True):
         own[:, : old.shape[1]] = old
     evaluations = [extended.evaluation(index, theta, start) for index, start in enumerate(states)]
@@ -85,11 +86,15 @@ def screen(fit: Fit, extended: Problem, groups: Sequence[Sequence[str]]) -> list
     scores = []
     for group in groups:
         freed = np.array([places[name] for name in group])
-        inner = information[np.ix_(base, base)] + np.diag(prior)
-        coupling = information[np.ix_(base, freed)]
-        answer = np.linalg.solve(inner, np.column_stack((coupling, gradient[base] + pull)))
-        left = information[np.ix_(freed, freed)] - coupling.T @ answer[:, :-1]
-        right = gradient[freed] - coupling.T @ answer[:, -1]
+        order = np.concatenate((base, freed))
+        system = np.zeros((len(order) + 1, len(order) + 1))
+        system[:-1, :-1] = information[np.ix_(order, order)]
+        system[:-1, -1] = system[-1, :-1] = gradient[order]
+        system[: len(base), : len(base)] += np.diag(prior)
+        system[: len(base), -1] += pull
+        system[-1, : len(base)] += pull
+        complement, _ = eliminate(system, len(base))
+        left, right = complement[:-1, :-1], complement[:-1, -1]
         # A candidate that the flight does not excite has no information: it gains nothing.
         inverse = np.linalg.pinv(left, rcond=1e-10, hermitian=True)
         change = inverse @ right

@@ -1,27 +1,25 @@
-"""Initial states of single windows, each on its own way, with the free parameters as they are.
+"""Initial states of single windows, optimised one by one with the free parameters fixed.
 
-A step of all windows and parameters together is taken or not as a whole. Where the model has kinks, as dry
-friction and play have, there is nearly always some window that the step throws out of its valley, and then
-no step is taken at all. A window alone finds its way back in a few damped steps.
+A joint Gauss-Newton step of all windows and parameters is accepted or rejected as a whole. Where the model
+has kinks, as with dry friction and backlash, it may leave the basin of attraction of a window, and every
+joint step would be rejected. Such a window returns in a few damped steps of its own.
 """
 
 from __future__ import annotations
-
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from heli_lab.identify.functions import Floats, Integers
 from heli_lab.identify.problem import Evaluation, Problem
-
-_FIRST_DAMPING: Final = 1e-3
-_WORTH: Final = 0.01
-"""Steps go on while they take this share off the cost of the windows together."""
-_IDLE: Final = 2
-"""Or did so one step before."""
-_PATIENCE: Final = 5
-"""The same for windows that start from elsewhere: damping has to grow before they find a way."""
+from heli_lab.identify.schur import add_state_prior, eliminate
+from heli_lab.identify.thresholds import (
+    RESTART_PATIENCE,
+    SINGULAR_GUARD,
+    WINDOW_DAMPING,
+    WINDOW_GAIN,
+    WINDOW_PATIENCE,
+)
 
 
 def window_cost(
@@ -43,7 +41,7 @@ def window_cost(
     states : ndarray (w, states)
         Initial states.
     reference : ndarray (w, states)
-        What the initial states of effects are tied to.
+        Prior means of the initial states of effects.
     variance : ndarray (3,)
         What the squared residuals of each axis are divided by.
     weights : ndarray (w,)
@@ -52,7 +50,7 @@ def window_cost(
     Returns
     -------
     ndarray (w,)
-        Weighted sums of squares, with what ties the states of effects; infinite where a prediction diverges.
+        Weighted sums of squares with the states' prior; infinite where a prediction diverges.
     """
     assert evaluation.normal_matrix is not None
     cost = weights * (evaluation.normal_matrix[:, :, -1, -1] / variance).sum(axis=1)
@@ -62,7 +60,7 @@ def window_cost(
     return result
 
 
-def relax(
+def refine_states(
     problem: Problem,
     index: int,
     theta: Floats,
@@ -76,7 +74,7 @@ def relax(
     fine: bool = False,
     most: int = 4,
 ) -> tuple[Floats, Evaluation]:
-    """Improve the initial states of some windows, each by Levenberg and Marquardt's rule for itself.
+    """Improve the initial states of some windows, each by Levenberg-Marquardt steps of its own.
 
     Parameters
     ----------
@@ -91,7 +89,7 @@ def relax(
     evaluation : Evaluation
         Predictions from them with their derivatives.
     reference : ndarray (w, states)
-        What the initial states of effects are tied to.
+        Prior means of the initial states of effects.
     variance : ndarray (3,)
         What the squared residuals of each axis are divided by.
     which : ndarray of int64 (k,)
@@ -113,11 +111,11 @@ def relax(
     some = _Windows(problem, index, theta, states, evaluation, reference, variance, which, fine)
     if before is not None:
         some.offer(before[which])
-    some.descend(most, _IDLE)
-    return some.among(states, evaluation)
+    some.descend(most, WINDOW_PATIENCE)
+    return some.inserted(states, evaluation)
 
 
-def restart(
+def restart_states(
     problem: Problem,
     index: int,
     theta: Floats,
@@ -131,14 +129,14 @@ def restart(
     fine: bool = False,
     most: int = 12,
 ) -> tuple[Floats, Evaluation]:
-    """Start some windows from elsewhere, and keep what they come to where it is better.
+    """Optimise some windows from other initial states, and keep the result where it is better.
 
     Parameters
     ----------
-    problem, index, theta, states, look, reference, variance, which, fine, most
-        As in `relax`.
+    problem, index, theta, states, evaluation, reference, variance, which, fine, most
+        As in `refine_states`.
     other : ndarray (w, states)
-        Where to start.
+        Initial states to start from, of all windows of the record.
 
     Returns
     -------
@@ -151,9 +149,9 @@ def restart(
     again = _Windows(problem, index, theta, states, evaluation, reference, variance, which, fine)
     again.cost[:] = np.inf
     again.offer(other[which])
-    again.descend(most, _PATIENCE)
+    again.descend(most, RESTART_PATIENCE)
     some.take(again)
-    return some.among(states, evaluation)
+    return some.inserted(states, evaluation)
 
 
 class _Windows:
@@ -198,7 +196,7 @@ class _Windows:
         return better
 
     def take(self, other: _Windows) -> None:
-        """Take what other states of the same windows came to, where that is better."""
+        """Take the states of another optimisation of the same windows where they are better."""
         better = other.cost < self.cost
         self.states[better], self.normal_matrix[better] = other.states[better], other.normal_matrix[better]
         self.cost[better] = other.cost[better]
@@ -206,33 +204,28 @@ class _Windows:
         self.residual[rows] = other.residual[rows]
 
     def descend(self, most: int, patience: int) -> None:
-        """Take damped steps while they are worth it."""
-        damping, idle = np.full(len(self.which), _FIRST_DAMPING), 0
+        """Take damped steps while the cost falls enough."""
+        damping, idle = np.full(len(self.which), WINDOW_DAMPING), 0
         for _ in range(most):
             if not np.isfinite(self.cost).all() or idle == patience:
                 break
             total = float(self.cost.sum())
             better = self.offer(self.step(damping))
             damping = np.where(better, 0.2 * damping, 30.0 * damping)
-            idle = 0 if total - float(self.cost.sum()) > _WORTH * total else idle + 1
+            idle = 0 if total - float(self.cost.sum()) > WINDOW_GAIN * total else idle + 1
 
     def step(self, damping: Floats) -> Floats:
         """States after a damped Gauss-Newton step, each window's damping in units of its own diagonal."""
         nx = self.problem.state_count
-        diagonal = np.arange(nx)
-        state_prior = np.concatenate((np.zeros(6), 1.0 / self.problem.state_std**2))
         normal = np.einsum("a,waij->wij", 1.0 / self.variance, self.normal_matrix)
-        own = normal[:, :nx, :nx] + np.diag(state_prior)
-        pull = normal[:, :nx, -1] + state_prior * (self.reference - self.states)
-        own_diagonal = own[:, diagonal, diagonal]
-        own[:, diagonal, diagonal] += damping[:, None] * own_diagonal
-        # A state that a window does not show at all must not make its block singular.
-        own[:, diagonal, diagonal] += 1e-12 * own_diagonal.max(axis=1, keepdims=True)
-        result: Floats = self.states + np.linalg.solve(own, pull[:, :, None])[:, :, 0]
+        add_state_prior(self.problem, normal, self.states, self.reference, damping)
+        residual = [*range(nx), normal.shape[1] - 1]
+        _, gain = eliminate(normal[:, residual][:, :, residual], nx, SINGULAR_GUARD)
+        result: Floats = self.states + gain[:, :, 0]
         return result
 
-    def among(self, states: Floats, evaluation: Evaluation) -> tuple[Floats, Evaluation]:
-        """Put them back among all windows."""
+    def inserted(self, states: Floats, evaluation: Evaluation) -> tuple[Floats, Evaluation]:
+        """States and evaluation of all windows, these ones replaced."""
         assert evaluation.normal_matrix is not None
         all_states, normal_matrix, residual = (
             states.copy(),

@@ -1,4 +1,4 @@
-"""What every kernel does: free runs over many windows, with exact derivatives."""
+"""The interface of the kernels: free runs over many windows, with exact derivatives."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from heli_lab.identify.functions import Floats, Inputs
 
 
 class Kernel(ABC):
-    """Runs windows; compiled and interpreted kernels agree to rounding."""
+    """Runs windows; compiled and interpreted kernels agree to the rounding of doubles."""
 
     def run(
         self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool = True
@@ -38,7 +38,7 @@ class Kernel(ABC):
     def products(
         self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
     ) -> tuple[Floats, Floats]:
-        """Run every window and multiply up what the normal equations need.
+        """Run every window and sum the products that the normal equations need.
 
         Parameters
         ----------

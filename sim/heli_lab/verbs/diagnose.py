@@ -41,17 +41,23 @@ def diagnose(
     json: NumbersOption = None,
     out: FoundRigOption = None,
     seed: Annotated[
-        int, typer.Option("--seed", metavar="N", min=0, help="Seed of the resampling behind the intervals.")
+        int, typer.Option("--seed", metavar="N", min=0, help="Seed of the bootstrap behind the intervals.")
     ] = 0,
     budget_s: Annotated[
         float,
-        typer.Option("--budget", metavar="S", min=5.0, help="Most time, nearly; what it cut short is said."),
+        typer.Option(
+            "--budget",
+            metavar="S",
+            min=5.0,
+            help="Time limit, nearly kept; the result says whether everything was tried.",
+        ),
     ] = 120.0,
 ) -> None:
     """Show what a model gets wrong in flights, name the cause, extend the model, measure the gain.
 
-    The baseline is refitted first. Every effect of the catalogue is tried, one after the other, paid for and
-    confirmed on the flights given with --validate. What none of them explains is said to be unexplained.
+    The baseline is refitted first. Every effect of the catalogue is scored; one is named if its
+    log-likelihood ratio exceeds its penalty and the flights given with --validate confirm it. What no effect
+    explains is `unexplained`.
 
     Example: `heli-host diagnose a.mcap --validate b.mcap --rig makki2024 --report why --out extended.toml`
     """
@@ -68,7 +74,9 @@ def diagnose(
 
     from heli_lab.diagnose import diagnose as find
     from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation, insufficient_excitation
-    from heli_lab.diagnose.report import write_report, write_silence
+    from heli_lab.diagnose.report import write_insufficient_excitation, write_report
+    from heli_lab.diagnose.serialize import to_json
+    from heli_lab.diagnose.summary import summary
     from heli_lab.errors import NotExcited
     from heli_lab.identify.result import short_names
 
@@ -102,17 +110,17 @@ def diagnose(
             found = insufficient_excitation(str(nothing), equations, chosen, kinds)
         if out is not None and not isinstance(found, InsufficientExcitation):
             write_rig(
-                found.rig(out.stem), out, f"Found by heli-host diagnose, model {named}. {found.summary}"
+                found.rig(out.stem), out, f"Found by heli-host diagnose, model {named}. {summary(found)}"
             )
             written.append(out)
         if report is not None:
             bar.show("drawing", 0.95)
             if isinstance(found, InsufficientExcitation):
-                written.append(write_silence(found, report))
+                written.append(write_insufficient_excitation(found, report))
             else:
                 written.append(write_report(found, report))
         if json is not None:
-            json.write_text(text.dumps(found.json(), indent=2) + "\n", encoding="utf-8")
+            json.write_text(text.dumps(to_json(found), indent=2) + "\n", encoding="utf-8")
             written.append(json)
     _print(found)
     if written:
@@ -121,8 +129,10 @@ def diagnose(
 
 def _print(found: Diagnosis | InsufficientExcitation) -> None:
     """Print the verdict, the causes and the gain."""
-    print(f"{found.word}: {found.summary}")
-    for line in found.lines:
+    from heli_lab.diagnose.summary import lines, summary
+
+    print(f"{found.label}: {summary(found)}")
+    for line in lines(found):
         print(f"  {line}")
 
 

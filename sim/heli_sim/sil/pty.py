@@ -52,6 +52,7 @@ class PtyEndpoint(Endpoint):
     @override
     @property
     def ready(self) -> bool:
+        """Whether a host has the port open and takes its bytes."""
         return self._open and not self._kept
 
     @override

@@ -81,6 +81,7 @@ class Rfc2217Endpoint(TcpEndpoint):
     @override
     @property
     def ready(self) -> bool:
+        """Whether a host is connected, has raised DTR, and takes its bytes."""
         return super().ready and self._lines is not None and self._lines.dtr
 
     @override

@@ -50,6 +50,7 @@ class TcpEndpoint(Endpoint):
     @override
     @property
     def ready(self) -> bool:
+        """Whether a host is connected and takes its bytes."""
         return self._peer is not None and not self._kept
 
     @override

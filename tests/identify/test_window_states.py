@@ -1,4 +1,4 @@
-"""Windows that a step leaves behind, or that start in a wrong state, find their own way."""
+"""Windows that a joint step leaves behind, or that start in a wrong basin, are optimised alone."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import pytest
 from heli_host.flight import Flight
 from heli_lab.identify import Problem, check, prepare, solve, validate
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.window_states import relax, restart, window_cost
+from heli_lab.identify.initial_states import alternative_states, first_states
+from heli_lab.identify.window_states import refine_states, restart_states, window_cost
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig
@@ -44,10 +45,10 @@ def test_hard_dry_friction_of_the_light_axis_is_found_from_a_start_without_any()
     assert check(validate(fit, [dry_flight(8)], labels=["other"])).normalised < 1.05
 
 
-def test_a_window_in_a_wrong_state_finds_back_and_leaves_the_others_alone() -> None:
+def test_a_window_in_a_wrong_state_returns_and_leaves_the_others_alone() -> None:
     problem = posed(DRY_Nm)
     theta = problem.start
-    (states,) = problem.first_states(theta)
+    (states,) = first_states(problem, theta)
     ones: Floats = np.ones(3)
 
     def costs(at: Floats) -> Floats:
@@ -55,14 +56,14 @@ def test_a_window_in_a_wrong_state_finds_back_and_leaves_the_others_alone() -> N
         return window_cost(problem, evaluation, at, at, ones, np.ones(len(at)))
 
     every = np.arange(len(states))
-    there, _ = relax(
+    there, _ = refine_states(
         problem, 0, theta, states, problem.evaluation(0, theta, states), states, ones, every, most=20
     )
     wrong = there.copy()
     wrong[3, 4] += 0.3
     assert costs(wrong)[3] > 100.0 * costs(there)[3]
     evaluation = problem.evaluation(0, theta, wrong)
-    back, seen = relax(problem, 0, theta, wrong, evaluation, wrong, ones, np.array([3]), most=20)
+    back, seen = refine_states(problem, 0, theta, wrong, evaluation, wrong, ones, np.array([3]), most=20)
     assert costs(back)[3] < 1.05 * costs(there)[3]
     np.testing.assert_array_equal(np.delete(back, 3, axis=0), np.delete(wrong, 3, axis=0))
     np.testing.assert_allclose(seen.residual, problem.evaluation(0, theta, back).residual, atol=1e-9)
@@ -79,21 +80,21 @@ def test_a_lost_window_starts_again_from_elsewhere_as_well_from_either_side_of_a
         state_std={"backlash_travel_shaft_rad": 0.02},
     )
     theta, ones, first = problem.start, np.ones(3), np.array([0])
-    (seen,) = problem.first_states(theta)
+    (seen,) = first_states(problem, theta)
     every = np.arange(len(seen))
     weights = np.ones(len(seen))
-    there, evaluation = relax(
+    there, evaluation = refine_states(
         problem, 0, theta, seen, problem.evaluation(0, theta, seen), seen, ones, every, most=20
     )
     right = window_cost(problem, evaluation, there, seen, ones, weights)
     lost = there.copy()
     lost[0, 3:6] += 5.0
-    others = problem.other_starts(0, theta, lost)
+    others = alternative_states(problem, 0, theta, lost)
     # Nothing but the play itself ties the arm's travel to what its encoder shows.
     assert sorted(float(other[0, 2] - seen[0, 2]) for other in others[2:]) == pytest.approx([-0.01, 0.01])
     states, evaluation = lost, problem.evaluation(0, theta, lost)
     for other in others:
-        states, evaluation = restart(problem, 0, theta, states, evaluation, seen, ones, first, other)
+        states, evaluation = restart_states(problem, 0, theta, states, evaluation, seen, ones, first, other)
     found = window_cost(problem, evaluation, states, seen, ones, weights)
     assert found[0] < 1.05 * right[0]
     np.testing.assert_array_equal(states[1:], lost[1:])
@@ -114,10 +115,12 @@ def test_a_frequency_waits_until_its_torque_is_found() -> None:
 def test_a_better_state_from_before_is_taken() -> None:
     problem = posed(DRY_Nm)
     theta = problem.start
-    (states,) = problem.first_states(theta)
+    (states,) = first_states(problem, theta)
     lost = states.copy()
     lost[2, 3:] = np.nan
     evaluation = problem.evaluation(0, theta, lost)
     ones: Floats = np.ones(3)
-    back, _ = relax(problem, 0, theta, lost, evaluation, states, ones, np.array([2]), before=states, most=0)
+    back, _ = refine_states(
+        problem, 0, theta, lost, evaluation, states, ones, np.array([2]), before=states, most=0
+    )
     np.testing.assert_array_equal(back[2], states[2])

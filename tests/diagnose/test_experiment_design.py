@@ -6,7 +6,7 @@ from functools import cache
 
 from heli_host.flight import Flight
 from heli_host.fly.plan import Plan
-from heli_lab.diagnose import Diagnosis, diagnose
+from heli_lab.diagnose import Diagnosis, diagnose, to_json
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, parse_effects
 from heli_sim.rig import load_rig
@@ -51,8 +51,8 @@ def among_two(flights: list[Flight], validation: list[Flight]) -> Diagnosis:
 
 
 def test_gentle_flights_leave_lag_and_delay_open_and_the_flight_asked_for_settles_it() -> None:
-    fit, held = gentle()
-    unclear = among_two([fit], [held]).json()
+    fit, held_out = gentle()
+    unclear = to_json(among_two([fit], [held_out]))
     assert unclear["verdict"] == "ambiguous"
     (cause,) = unclear["causes"]
     assert {cause["effect"], *cause["ambiguous_with"]} == {"rotor_lag", "input_delay"}
@@ -60,7 +60,7 @@ def test_gentle_flights_leave_lag_and_delay_open_and_the_flight_asked_for_settle
     assert "their log-likelihoods differ by" in asked["why"]
     assert "this plan alone sets them apart by" in asked["why"]
 
-    clear = among_two([lagging(asked["plan"], 3)], [held]).json()
+    clear = to_json(among_two([lagging(asked["plan"], 3)], [held_out]))
     assert clear["verdict"] == "cause_found"
     (cause,) = clear["causes"]
     assert cause["effect"] == "rotor_lag"
