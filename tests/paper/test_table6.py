@@ -70,16 +70,16 @@ def test_corrected_a_step_of_15_degrees_overshoots_to_20_and_printed_as_u3_it_ta
 ) -> None:
     corrected, printed = on_30["corrected", "degrees", "measurement"], on_30["printed", "u3", "error"]
     assert corrected.peak_deg == pytest.approx(20.4, abs=0.1)
-    assert corrected.settled_s == pytest.approx(12.7, abs=0.2)
-    assert printed.settled_s > 100.0
-    assert math.isinf(on_30["printed", "degrees", "error"].settled_s)
+    assert corrected.settling_time_s == pytest.approx(12.7, abs=0.2)
+    assert printed.settling_time_s > 100.0
+    assert math.isinf(on_30["printed", "degrees", "error"].settling_time_s)
 
 
 def test_verdicts_that_are_infinite_are_null_in_json(tmp_path: Path) -> None:
     target = tmp_path / "gains.json"
     assert CliRunner().invoke(app, ["paper", "gains", "--json", str(target)]).exit_code == 0
     rows = json.loads(target.read_text())["paper"]
-    assert [row["settled_s"] is None for row in rows] == [row["growth_1_per_s"] > 0.0 for row in rows]
+    assert [row["settling_time_s"] is None for row in rows] == [row["growth_1_per_s"] > 0.0 for row in rows]
 
 
 def test_both_analyses_of_table_6_agree_where_they_overlap(

@@ -191,7 +191,7 @@ def demanding_path_deg(t_s: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Marks:
+class StepMetrics:
     """What the project promises of a flight along `demanding_path_deg`.
 
     Parameters
@@ -202,7 +202,7 @@ class Marks:
         From when on the elevation stays within half a degree of level, until the step.
     overshoot : float
         Of the travel step, as a share of it; the worse of both steps.
-    settled_s : float
+    settling_time_s : float
         From when on travel stays within half a degree of the step; the worse of both.
     travel_rms_deg, elevation_rms_deg : float
         Error to the path over the sines.
@@ -213,19 +213,19 @@ class Marks:
     fault: d.Fault
     take_off_s: float
     overshoot: float
-    settled_s: float
+    settling_time_s: float
     travel_rms_deg: float
     elevation_rms_deg: float
     pitch_setpoint_ripple_deg: float
     volts_ripple_V: float
 
 
-def marks_of(flown: Flown) -> Marks:
+def step_metrics(flown: Flown) -> StepMetrics:
     elevation, travel = flown.angle_deg[:, 0], flown.angle_deg[:, 2]
     climb, there = flown.between(TAKE_OFF_S, STEP_S), flown.between(STEP_S, BACK_S)
     back, sine = flown.between(BACK_S, SINE_S), flown.between(SINE_S, END_S)
     error = flown.angle_deg - flown.path_deg
-    return Marks(
+    return StepMetrics(
         flown.first_fault,
         last_outside_s(flown.t_s[climb], elevation[climb]),
         float(max(travel[there].max() - STEP_DEG, -travel[back].min()) / STEP_DEG) if sine.any() else np.inf,

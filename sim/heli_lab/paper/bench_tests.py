@@ -40,7 +40,7 @@ class BenchTest:
     locked : tuple of bool
         Which of elevation, pitch and travel are locked throughout.
     elevation_deg : float
-        Elevation at the start; a hand holds all axes until then.
+        Elevation at the start; all axes are locked until then.
     pitch_deg : float
         Pitch at the start.
     front_V, back_V : float

@@ -27,7 +27,7 @@ class Distance:
         Root mean square error of free runs, for elevation, pitch and travel; each begins at the state that
         suits it best.
     normalised : float
-        Of all axes, in standard deviations of the rounding to counts: 1 when nothing else is left.
+        Of all axes, in standard deviations of the quantisation: 1 when nothing else is left.
     """
 
     model: str

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _BOOT_S = 0.5
 _SETTLE_S = 1.0
 _FREE_TICKS = 20
-"""Left out after the release and before the end: there a hand and a voltage change at once."""
+"""Left out after the release and before the end, where locks and voltages change at once."""
 _ALL_LOCKED = [True, True, True]
 TABLE_DEG = -25.0
 
@@ -73,7 +73,7 @@ duration_s = 60
 
 @contextlib.contextmanager
 def board_on(plant: Plant, seed: int, elevation_deg: float) -> Iterator[tuple[Heli, SilWorld]]:
-    """Start a simulated board on a rig that a hand holds still, level in pitch.
+    """Start a simulated board on a rig whose axes are locked, level in pitch.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ def fly_plan(
     with board_on(plant, seed, TABLE_DEG) as (heli, world), tempfile.TemporaryDirectory() as folder:
 
         def tell(progress: Progress) -> None:
-            # Table 2 as point masses balances above the table: a hand holds the arm until the loops close.
+            # Table 2 as point masses balances above the table: the axes stay locked until the loops close.
             if progress.sample.state is State.CLOSED_LOOP:
                 world.native.locked = [False, False, False]
             if on_progress is not None:

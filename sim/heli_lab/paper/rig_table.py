@@ -21,8 +21,8 @@ from heli_lab.paper.coefficients import printed_inertias_kg_m2
 from heli_lab.paper.tables import TESTS_OF_TABLE, WINDOW_S, free_axes_normalised
 from heli_lab.paper.thrust import Line
 
-_TOLD: Final = 0.5
-"""A number counts as told by the tests when they leave less than this share of its tolerance."""
+_IDENTIFIED: Final = 0.5
+"""A number counts as identified when the tests leave less than this share of its tolerance."""
 
 PRINTED: Final[Mapping[str, float]] = {
     "L_h": 0.275,
@@ -57,7 +57,7 @@ class RigRow:
     value, tolerance : float
         What the rig file says.
     found, half : float or None
-        From the tests that tell it best, with half its 95 % interval; None when none does.
+        From the tests that identify it best, with half its 95 % interval; None when none does.
     note : str
         Which tests, or what the number should be.
     """
@@ -82,7 +82,7 @@ class RigTable:
         The rig's numbers.
     normalised : dict of int to float
         Root mean square error of the multibody model on the tests of Tables 3 to 5, free axes only, in
-        standard deviations of the rounding to counts.
+        standard deviations of the quantisation.
     """
 
     rows: tuple[RigRow, ...]
@@ -111,7 +111,7 @@ def fit_rig(
     Returns
     -------
     RigTable
-        Each number from the tests that tell it best.
+        Each number from the tests that identify it best.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def _may_show(name: str, tests: Sequence[BenchTest]) -> bool:
 def _row(name: str, rig: Rig, best: Mapping[str, tuple[float, float, str]]) -> RigRow:
     number = rig[name]
     note = "printed as a second L_h" if name == "L_b" else ""
-    if name in best and best[name][1] < _TOLD * number.tolerance:
+    if name in best and best[name][1] < _IDENTIFIED * number.tolerance:
         value, half, source = best[name]
         text = ", ".join(filter(None, (note, source)))
         return RigRow(name, number.unit, PRINTED.get(name), number.value, number.tolerance, value, half, text)

@@ -1,4 +1,4 @@
-"""Fig. 19: what the elevation's response makes of changes of its parameters, P_1 to P_6 of (30)."""
+"""Fig. 19: sensitivity of the elevation's step response to its parameters, P_1 to P_6 of (30)."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ class Sensitivity:
     ----------
     name : str
         The coefficient.
-    settled_deg : float
-        Change of the elevation at which the arm settles, for + 1 %.
+    equilibrium_deg : float
+        Change of the equilibrium elevation, for + 1 %.
     rms_deg : float
         Root mean square change of the whole response, for + 1 %.
     """
 
     name: str
-    settled_deg: float
+    equilibrium_deg: float
     rms_deg: float
 
 
@@ -108,7 +108,7 @@ def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats
     return np.degrees(out)
 
 
-def settled_deg(coefficients: Mapping[str, float], test: BenchTest) -> float:
+def equilibrium_deg(coefficients: Mapping[str, float], test: BenchTest) -> float:
     """Elevation at which thrust and gravity balance.
 
     Parameters
@@ -148,10 +148,12 @@ def sensitivities(rig: Rig, test: BenchTest = ELEVATION_STEPS[0]) -> list[Sensit
         The strongest first.
     """
     base, t_s = analytic(rig), np.arange(0.0, 20.0, 0.02)
-    path, rest = response_deg(base, test, t_s), settled_deg(base, test)
+    path, rest = response_deg(base, test, t_s), equilibrium_deg(base, test)
     out = []
     for name in _NAMES:
         changed = base | {name: 1.01 * base[name]}
         moved = response_deg(changed, test, t_s) - path
-        out.append(Sensitivity(name, settled_deg(changed, test) - rest, float(np.sqrt(np.mean(moved**2)))))
+        out.append(
+            Sensitivity(name, equilibrium_deg(changed, test) - rest, float(np.sqrt(np.mean(moved**2))))
+        )
     return sorted(out, key=lambda one: -one.rms_deg)

@@ -1,4 +1,4 @@
-"""Table 6 in every reading: whether travel holds still, and how much lag of the thrust it stands.
+"""Table 6 in every reading: whether pitch and travel are stable, and up to which lag of the thrust.
 
 The paper prints gains without units, and two statements of what the travel PID gives out: U_3 is a "virtual
 control signal" u_3 = sin(phi) U+ (33), so that the pitch to ask for is asin(U_3 / U+); and the cascade of
@@ -52,15 +52,15 @@ class Verdict:
     derivative : str
         Of the ``error``, as (34) says, or of the ``measurement``.
     growth_1_per_s : float
-        Rate at which the slowest motion grows; negative: it dies.
+        Real part of the dominant pole, 1/s; negative where it decays.
     period_s : float
-        Its period; infinite when it does not swing.
+        Period of the dominant pole; infinite when it is real.
     lag_s : float
         Longest thrust lag that is stable; 0 when none is.
     peak_deg : float
-        Where travel's setpoint stepping to `STEP_DEG` takes travel, without limits; infinite when unstable.
-    settled_s : float
-        When travel has settled to within half a degree of it; infinite when unstable.
+        Peak of travel after a step of its setpoint to `STEP_DEG`, without limits; infinite when unstable.
+    settling_time_s : float
+        From then until travel stays within half a degree of it; infinite when unstable.
     """
 
     gains: str
@@ -70,7 +70,7 @@ class Verdict:
     period_s: float
     lag_s: float
     peak_deg: float
-    settled_s: float
+    settling_time_s: float
 
 
 def verdicts(model: Model, rig: Rig) -> list[Verdict]:
@@ -99,7 +99,7 @@ def verdicts(model: Model, rig: Rig) -> list[Verdict]:
         law = _Law.of(gains, plant.pitch_per_unit(reading), derivative)
         closed = plant.closed(law, 0.0)
         slowest = _slowest(closed)
-        peak_deg, settled_s = _step(closed) if slowest.real < 0.0 else (math.inf, math.inf)
+        peak_deg, settling_time_s = _step(closed) if slowest.real < 0.0 else (math.inf, math.inf)
         out.append(
             Verdict(
                 gains,
@@ -109,7 +109,7 @@ def verdicts(model: Model, rig: Rig) -> list[Verdict]:
                 2.0 * math.pi / abs(slowest.imag) if abs(slowest.imag) > 1e-9 else math.inf,
                 _longest_lag_s(plant, law) if slowest.real < 0.0 else 0.0,
                 peak_deg,
-                settled_s,
+                settling_time_s,
             )
         )
     return out

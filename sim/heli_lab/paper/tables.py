@@ -1,8 +1,8 @@
 """Tables 3 to 5 from the bench tests: (30) fitted to them, coefficient by coefficient, with intervals.
 
-Only what a table's tests can tell is fitted. With pitch locked at 0, cos phi is 1, and P_1 and P_5 are one
-constant; with the motors off, P_11 moves nothing; two travel tests at constant voltages give one factor of
-sin phi each, for the three unknowns P_15, P_17 and P_18.
+Only what a table's tests can identify is fitted. With pitch locked at 0, cos phi is 1, and P_1 and P_5 are
+one constant; with the motors off, P_11 moves nothing; two travel tests at constant voltages give one factor
+of sin phi each, for the three unknowns P_15, P_17 and P_18.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from heli_lab.paper.bench_tests import ELEVATION_STEPS, PITCH_RELEASES, TRAVEL_S
 from heli_lab.paper.coefficients import PRINTED, analytic
 from heli_lab.paper.lumped import Coefficients, LumpedModel
 
-# Far wider than any coefficient that a rig of this size can have: what is found, the tests have told.
+# Far wider than any coefficient that a rig of this size can have: what is found comes from the tests.
 _PRIOR_STD: Final = {
     **dict.fromkeys(("P_1", "P_2", "P_3", "P_7", "P_8", "P_10", "P_14", "P_15"), 20.0),
     **dict.fromkeys(("P_4", "P_9", "P_12"), 5.0),
@@ -51,23 +51,25 @@ class _Plan:
     free: tuple[str, ...]
     absorbed: tuple[str, ...]
     offset: str
-    untold: Mapping[str, str]
+    unidentified: Mapping[str, str]
     per_test: tuple[str, ...] = ()
 
 
 _PLANS: Final[Mapping[int, _Plan]] = {
-    3: _Plan(("P_7", "P_8", "P_9", "P_10"), (), "offset_pitch", {"P_11": "not told: the motors are off"}),
+    3: _Plan(
+        ("P_7", "P_8", "P_9", "P_10"), (), "offset_pitch", {"P_11": "not identified: the motors are off"}
+    ),
     4: _Plan(
         ("P_1", "P_2", "P_3", "P_4", "P_6"),
         ("P_5",),
         "offset_elevation",
-        dict.fromkeys(("P_1", "P_5"), "told only as P_1 + P_5: pitch is locked at 0"),
+        dict.fromkeys(("P_1", "P_5"), "identified only as P_1 + P_5: pitch is locked at 0"),
     ),
     5: _Plan(
         ("P_12", "P_13", "P_14", "P_16", "P_15", "P_8", "P_9", "P_10", "P_11"),
         ("P_7", "P_17", "P_18"),
         "offset_pitch",
-        dict.fromkeys(("P_15", "P_17", "P_18"), "not told apart: two tests, three unknowns"),
+        dict.fromkeys(("P_15", "P_17", "P_18"), "not identified: two tests, three unknowns"),
         ("P_15",),
     ),
 }
@@ -88,7 +90,7 @@ class Row:
     analytic : float
         From the rig's masses, lengths and friction, by the formulas below (30).
     found, half : float or None
-        From the bench tests, with half its 95 % interval; None where they cannot tell.
+        From the bench tests, with half its 95 % interval; None where they cannot identify it.
     note : str
         Why not, or where it comes from.
     """
@@ -112,10 +114,10 @@ class Table:
     number : int
         3, 4 or 5.
     rows : tuple of Row
-        Its coefficients, then what is told instead of those that are not.
+        Its coefficients, then what is identified instead of those that are not.
     normalised : float
         Root mean square error of (30) over windows of four seconds, free axes only, in standard deviations of
-        the rounding to counts; 1 when nothing but the rounding is left.
+        the quantisation; 1 when nothing else is left.
     fit : Fit
         The fit.
     """
@@ -186,7 +188,7 @@ def free_axes_normalised(fit: Fit, locked: tuple[bool, bool, bool]) -> float:
     Returns
     -------
     float
-        In standard deviations of the rounding to counts.
+        In standard deviations of the quantisation.
     """
     free = [axis for axis, held in zip(AXES, locked, strict=True) if not held]
     checks = [check(fit, index) for index in range(len(fit.problem.records))]
@@ -198,7 +200,7 @@ def _printed_rows(number: int, plan: _Plan, fit: Fit, by_masses: Mapping[str, fl
     for one in PRINTED:
         if one.table != number:
             continue
-        value, half = (None, None) if one.name in plan.untold else _found(fit, one.name, one.per_si)
+        value, half = (None, None) if one.name in plan.unidentified else _found(fit, one.name, one.per_si)
         rows.append(
             Row(
                 one.name,
@@ -208,7 +210,7 @@ def _printed_rows(number: int, plan: _Plan, fit: Fit, by_masses: Mapping[str, fl
                 one.per_si * by_masses[one.name],
                 value,
                 half,
-                plan.untold.get(one.name, ""),
+                plan.unidentified.get(one.name, ""),
             )
         )
     return rows

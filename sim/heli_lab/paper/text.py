@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def table_lines(line: Line, by_rig: RigTable, found: Sequence[Table]) -> list[str]:
-    """Spell Tables 2 to 5 for a terminal.
+    """Format Tables 2 to 5 for a terminal.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def table_lines(line: Line, by_rig: RigTable, found: Sequence[Table]) -> list[st
         f"Fig. 15: F = {line.gain_N_per_V:.4f} +- {line.gain_half:.4f} N/V "
         f"(V - {line.dead_zone_V:.3f} +- {line.dead_zone_half:.3f} V); printed: 0.5839 (V - 1)",
         "",
-        "Table 2 (intervals hold 95 %; the bench tests are read by the multibody model)",
+        "Table 2 (intervals hold 95 %; the bench tests are fitted by the multibody model)",
         f"  {'':19} {'printed':>8} {'rig file':>18} {'bench tests':>23}",
     ]
     for row in by_rig.rows:
@@ -63,14 +63,14 @@ def table_lines(line: Line, by_rig: RigTable, found: Sequence[Table]) -> list[st
             numbers = f"{printed:>18} {own.analytic:>10.4g} {told:>23}"
             out.append(f"  {own.name:22} {numbers} {own.unit:14} {own.note}".rstrip())
         out.append(
-            f"  error of a 4 s prediction over the encoder's rounding: (30) {table.normalised:.2f}, "
+            f"  error of a 4 s prediction over the encoder's quantisation: (30) {table.normalised:.2f}, "
             f"multibody {error:.2f}"
         )
     return out
 
 
 def model_lines(found: Sequence[Distance]) -> list[str]:
-    """Spell the models' errors for a terminal.
+    """Format the models' errors for a terminal.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def model_lines(found: Sequence[Distance]) -> list[str]:
     """
     out = [
         "Free runs of 2 s over a multibody rig's sines, rig file's numbers, rms error",
-        f"  {'model':14} {' '.join(f'{axis:>10}' for axis in AXES)}      over the encoder's rounding",
+        f"  {'model':14} {' '.join(f'{axis:>10}' for axis in AXES)}      over the encoder's quantisation",
     ]
     for one in found:
         errors = " ".join(f"{one.rms_deg[axis]:>10.3f}" for axis in AXES)
@@ -93,7 +93,7 @@ def model_lines(found: Sequence[Distance]) -> list[str]:
 
 
 def gain_lines(found: dict[str, list[Verdict]]) -> list[str]:
-    """Spell the readings of Table 6 for a terminal.
+    """Format the readings of Table 6 for a terminal.
 
     Parameters
     ----------
@@ -106,25 +106,23 @@ def gain_lines(found: dict[str, list[Verdict]]) -> list[str]:
         Lines.
     """
     reading = {"degrees": "pitch in deg", "u3": "u3 in V"}
-    out = [
-        "Table 6 on the linearised rig: do pitch and travel hold still, and up to which lag (399 ms: any)?"
-    ]
+    out = ["Table 6 on the linearised rig: are pitch and travel stable, and up to which lag (399 ms: any)?"]
     for model, rows in found.items():
         out += ["", f"model {model}"]
         for one in rows:
             if one.growth_1_per_s < 0.0:
-                step = f"15 deg step peaks at {one.peak_deg:.1f}, settles in {one.settled_s:.0f} s"
+                step = f"15 deg step peaks at {one.peak_deg:.1f}, settles in {one.settling_time_s:.0f} s"
                 lag = f"to {1e3 * one.lag_s:3.0f} ms of thrust lag"
-                text = f"stable,   dies at {-one.growth_1_per_s:.3f} 1/s, {lag}; {step}"
+                text = f"stable,   decays at {-one.growth_1_per_s:.3f} 1/s, {lag}; {step}"
             else:
-                text = f"unstable, grows at {one.growth_1_per_s:5.3f} 1/s, swinging in {one.period_s:.2f} s"
+                text = f"unstable, grows at {one.growth_1_per_s:5.3f} 1/s, period {one.period_s:.2f} s"
             law = f"{one.gains:10} {reading[one.reading]:13} derivative of {one.derivative:12}"
             out.append(f"  {law} {text}")
     return out
 
 
 def tables_json(plant: Plant, line: Line, by_rig: RigTable, found: Sequence[Table]) -> dict[str, Any]:
-    """Spell Tables 2 to 5 for other programs.
+    """Tables 2 to 5 as JSON has them.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Gains for a rig: the least error on the board's own path, and no plant of its spread near instability.
+"""Gains for a rig: least tracking error on the board's own path, under a bound on the peak sensitivity.
 
 One principle for all loops. The setpoint of a take-off and of a travel step is the board's own shaped path;
 the feed-forward follows from the rig's numbers; and the gains are those that make the squared error along
@@ -26,7 +26,7 @@ from heli_lab.tune import loops
 from heli_lab.tune.loops import Law, Pid
 from heli_lab.tune.plants import Known, LinearPlant, Spread, spread_plants
 from heli_lab.tune.shaping import shaped_step
-from heli_lab.tune.simulate import STEP_s, march, zero_state_step_response
+from heli_lab.tune.simulate import STEP_s, simulate, zero_state_step_response
 
 Floats = npt.NDArray[np.float64]
 
@@ -190,7 +190,7 @@ def _design_elevation(
         given[:, 5, 1] = 1.0
         moved_V = forward_V + pid.kp * path[:, 0] + pid.kd * path[:, 1]
         inputs = np.column_stack((moved_V, path[:, 0], np.ones(len(path))))
-        return march(closed, given, inputs)[:, :, 0] - path[:, :1]
+        return simulate(closed, given, inputs)[:, :, 0] - path[:, :1]
 
     def cost(gains: Floats) -> float:
         pid = _pid(gains, _FILTERS_Hz[0])
@@ -245,7 +245,7 @@ def _design_tilt(
             given[index, :5, 0] = plant.tilt_B * (pitch.kp + hold)
         given[:, 9, 0], given[:, 10, 1] = 1.0, 1.0
         setpoint = travel.kp * path[:, 0] + travel.kd * path[:, 1] + acceleration_ff * path[:, 2]
-        states = march(closed, given, np.column_stack((setpoint, path[:, 0])))
+        states = simulate(closed, given, np.column_stack((setpoint, path[:, 0])))
         error = states[:, :, 1] - path[:, :1]
         asked = np.einsum("tpn,n->tp", states[:, :own_count], loops.tilt_output(11, pitch, travel, hold))
         largest_V = float(np.radians(np.abs(asked + (pitch.kp + hold) * setpoint[:, None]).max()))
@@ -257,7 +257,7 @@ def _design_tilt(
             torque = np.zeros((len(corners), 11, 1))
             torque[:, state] = load_deg_s2
             trimmed = zero_state_step_response(corners, torque, _HOVER_s)
-            left = march(corners, torque, np.ones((len(path) // 2, 1)), trimmed)[:, :, 1]
+            left = simulate(corners, torque, np.ones((len(path) // 2, 1)), trimmed)[:, :, 1]
             step[own_count:] += weight * np.mean(left**2, axis=0)
         return np.asarray(step), largest_V
 

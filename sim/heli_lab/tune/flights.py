@@ -1,4 +1,4 @@
-"""A demanding flight that judges gains: take-off, a step of travel and back, sines on both."""
+"""A demanding flight to measure gains by: take-off, a step of travel and back, sines on both."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from heli_host.flight import Flight
     from heli_sim.plant import Plant
 
-    from heli_lab.tune.step_metrics import Marks
+    from heli_lab.tune.step_metrics import StepMetrics
 
 PLAN: Final = """
 title = "Take-off, a step of travel and back, sines"
@@ -42,7 +42,7 @@ _STEP_S, _SINE_S = 8.0, 60.0
 
 
 @dataclass(frozen=True)
-class Tried:
+class Trial:
     """A flight with the gains that are to be judged.
 
     Parameters
@@ -51,13 +51,13 @@ class Tried:
         What it flew on, in a few words.
     flight : Flight
         From the moment at which the loops closed, time 0.
-    marks : Marks
-        What it says of the gains.
+    metrics : StepMetrics
+        Overshoot, settling time and tracking errors.
     """
 
     label: str
     flight: Flight
-    marks: Marks
+    metrics: StepMetrics
 
 
 def try_gains(
@@ -66,7 +66,7 @@ def try_gains(
     label: str,
     seed: int = 1,
     on_progress: Callable[[float], None] | None = None,
-) -> Tried:
+) -> Trial:
     """Fly a set of parameters on a simulated rig, through the flight code and the whole link.
 
     Parameters
@@ -84,7 +84,7 @@ def try_gains(
 
     Returns
     -------
-    Tried
+    Trial
         Also when a fault ended it.
 
     Raises
@@ -102,7 +102,7 @@ def try_gains(
     from heli_sim.sil.options import SilOptions
     from heli_sim.sil.world import SilWorld
 
-    from heli_lab.tune.step_metrics import Phases, marks_of
+    from heli_lab.tune.step_metrics import Phases, step_metrics
 
     plan = Plan.parse(PLAN, "plan of the trial", "trial")
     length_s = plan.duration_s + plan.start.settle_s
@@ -128,8 +128,8 @@ def try_gains(
     step_s = start_s + route.duration_s - plan.duration_s
     phases = Phases(start_s, step_s, step_s + _STEP_S, step_s + 2 * _STEP_S, step_s + 2 * _STEP_S + _SINE_S)
     cut = flight.between(start_s, stop_s)
-    marks = marks_of(cut, lambda t_s: route.evaluate(t_s - start_s), phases, summary.outcome)
-    return Tried(label, _from_zero(cut, start_s), marks)
+    metrics = step_metrics(cut, lambda t_s: route.evaluate(t_s - start_s), phases, summary.outcome)
+    return Trial(label, _from_zero(cut, start_s), metrics)
 
 
 def _from_zero(flight: Flight, start_s: float) -> Flight:

@@ -1,4 +1,4 @@
-"""Gains of a parameter set, as the analysis of loops takes them."""
+"""From the board's parameters to gains in the units of the loops' analysis."""
 
 from __future__ import annotations
 

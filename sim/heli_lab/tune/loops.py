@@ -71,7 +71,8 @@ class Law:
     elevation, pitch, travel : Pid
         Gains of the three loops.
     pitch_hold : float
-        Differential for each unit of pitch's setpoint, V/rad: what holds it against masses that hang.
+        Feed-forward from pitch's setpoint to the differential, V/rad: holds a tilt against masses that hang
+        below the axis.
     """
 
     elevation: Pid
@@ -82,7 +83,7 @@ class Law:
 
 @dataclass(frozen=True)
 class Margin:
-    """How far one loop is from instability, all else unchanged.
+    """Stability margins of one loop, all else unchanged.
 
     Parameters
     ----------
@@ -195,7 +196,7 @@ def open_loops(
     Returns
     -------
     dict of str to ndarray (n,)
-        Loop gain L; the loop is stable up to L = -1.
+        Loop gain L; a Nyquist curve through -1 is marginally stable.
     """
     s = 1j * frequency_rad_s
     # The matrices have the delay of the voltages as more lag: out with that, and in with the delay itself.
@@ -220,7 +221,7 @@ def open_loops(
 
 
 def peak_sensitivity(loop: Complexes) -> float:
-    """How much closing a loop amplifies what disturbs it, at most.
+    """Peak sensitivity Ms: the largest amplification of a disturbance by the closed loop.
 
     Parameters
     ----------
@@ -290,7 +291,7 @@ def is_stable(plant: LinearPlant, law: Law) -> bool:
 
 
 def _with_filters(A: Floats, measured: tuple[int, ...], pids: tuple[Pid, ...]) -> Floats:
-    """LinearPlant, two filter states for each measured angle, and room for one integral each."""
+    """The plant, two filter states for each measured angle, and room for one integral each."""
     count, loops = A.shape[0], len(measured)
     closed = np.zeros((count + 3 * loops, count + 3 * loops))
     closed[:count, :count] = A

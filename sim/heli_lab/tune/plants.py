@@ -1,4 +1,4 @@
-"""The linear plants that one set of gains has to fly."""
+"""The linear plants that one set of gains has to stabilise: the rig and the corners of its uncertainty."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Floats = npt.NDArray[np.float64]
 # A rotor without lag is one with a lag too short for any loop here to see: all plants then have the same
 # states.
 NO_LAG_s: Final = 0.004
-# What no linear plant has, what happens later, and what only biases a zero.
+# Nonlinear effects, those that happen during a flight, and those that only bias a zero.
 _NOT_LINEAR: Final = (
     "backlash",
     "coulomb_friction",
@@ -66,7 +66,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Known:
-    """What the effects of a rig say about its loops.
+    """Effects of a rig as the design of its loops takes them.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class Known:
     linear : tuple of Effect
         Effects that change the linear plant otherwise.
     left_out : tuple of str
-        Names of those that no linear plant has: dry friction, play, what happens later.
+        Names of those that no linear plant has: dry friction, backlash, what happens during a flight.
     """
 
     lag_s: float | None = None

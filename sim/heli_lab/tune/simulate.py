@@ -1,4 +1,4 @@
-"""Many linear plants marched along a path at once."""
+"""Simulates many linear plants along a path at once."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ STEP_s: Final = 0.04
 """Between two points of a path; inputs are held as long."""
 
 
-def march(closed: Floats, given: Floats, inputs: Floats, start: Floats | None = None) -> Floats:
-    """March along a path.
+def simulate(closed: Floats, given: Floats, inputs: Floats, start: Floats | None = None) -> Floats:
+    """Simulate plants along a path, by exact discretisation with inputs held.
 
     Parameters
     ----------
@@ -32,17 +32,17 @@ def march(closed: Floats, given: Floats, inputs: Floats, start: Floats | None = 
     ndarray (times, plants, n)
         States.
     """
-    keep, take = _held(closed, given, STEP_s)
+    transition, input_matrix = _discretised(closed, given, STEP_s)
     state = np.zeros((*closed.shape[:2], 1)) if start is None else start
     states = np.empty((len(inputs), *closed.shape[:2]))
-    for index, pushed in enumerate(np.einsum("pnm,tm->tpn", take, inputs)):
+    for index, forced in enumerate(np.einsum("pnm,tm->tpn", input_matrix, inputs)):
         states[index] = state[:, :, 0]
-        state = keep @ state + pushed[:, :, None]
+        state = transition @ state + forced[:, :, None]
     return states
 
 
 def zero_state_step_response(closed: Floats, given: Floats, duration_s: float) -> Floats:
-    """State that a unit input leads to.
+    """Zero-state step response at one time.
 
     Parameters
     ----------
@@ -51,18 +51,18 @@ def zero_state_step_response(closed: Floats, given: Floats, duration_s: float) -
     given : ndarray (plants, n, 1)
         Input matrices.
     duration_s : float
-        How long the input lasts, s.
+        Time T since the step of a unit input, s.
 
     Returns
     -------
     ndarray (plants, n, 1)
-        States at its end.
+        States at T, from rest.
     """
-    return _held(closed, given, duration_s)[1]
+    return _discretised(closed, given, duration_s)[1]
 
 
-def _held(closed: Floats, given: Floats, duration_s: float) -> tuple[Floats, Floats]:
-    """Exact step of all plants: what is kept of the state, and what a held input adds to it."""
+def _discretised(closed: Floats, given: Floats, duration_s: float) -> tuple[Floats, Floats]:
+    """State transition and input matrices of all plants over a step with a held input, exactly."""
     count, size, width = given.shape
     both = np.zeros((count, size + width, size + width))
     both[:, :size, :size], both[:, :size, size:] = closed, given
@@ -71,7 +71,7 @@ def _held(closed: Floats, given: Floats, duration_s: float) -> tuple[Floats, Flo
 
 
 def _exponential(matrices: Floats) -> Floats:
-    """Exponentials of small matrices, (n, m, m), by Taylor's series of a fraction, squared up again.
+    """Exponentials of small matrices, (n, m, m), by scaling and squaring of a Taylor series.
 
     scipy's hands every matrix to a threaded solver: 3 ms instead of 0.1 for fifteen, on a busy machine.
     """

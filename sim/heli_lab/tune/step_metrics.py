@@ -1,4 +1,7 @@
-"""What a flight says of the gains that flew it: take-off, a step of travel and back, sines."""
+"""Step metrics of a flight with given gains: take-off, a step of travel and back, sines.
+
+Overshoot and settling time are those of `control.step_info`, with a band of half a degree.
+"""
 
 from __future__ import annotations
 
@@ -34,36 +37,39 @@ class Phases:
 
 
 @dataclass(frozen=True)
-class Marks:
-    """How a set of gains flew.
+class StepMetrics:
+    """Performance of a set of gains in flight.
 
     Parameters
     ----------
     outcome : str
         ``completed``, or what ended the flight.
     take_off_s : float
-        From the take-off until elevation stays within half a degree of level; infinite if it never does.
+        Settling time of the take-off: until elevation stays within half a degree of level; infinite if it
+        never does.
     overshoot_percent : float
         Of the travel step, the worse of both ways.
-    settled_s : float
-        From the step until travel stays within half a degree of it, the worse of both ways.
+    settling_time_s : float
+        From the step until travel stays within half a degree of its setpoint, the worse of both ways.
     travel_rms_deg, elevation_rms_deg : float
-        Error to the path of the sines.
+        Tracking error along the sines.
     pitch_max_deg : float
-        Largest pitch.
+        Largest absolute pitch.
     """
 
     outcome: str
     take_off_s: float
     overshoot_percent: float
-    settled_s: float
+    settling_time_s: float
     travel_rms_deg: float
     elevation_rms_deg: float
     pitch_max_deg: float
 
 
-def marks_of(flight: Flight, path_deg: Callable[[Floats], Floats], phases: Phases, outcome: str) -> Marks:
-    """Judge a flight.
+def step_metrics(
+    flight: Flight, path_deg: Callable[[Floats], Floats], phases: Phases, outcome: str
+) -> StepMetrics:
+    """Measure a flight.
 
     Parameters
     ----------
@@ -78,7 +84,7 @@ def marks_of(flight: Flight, path_deg: Callable[[Floats], Floats], phases: Phase
 
     Returns
     -------
-    Marks
+    StepMetrics
         Infinite where the flight did not get so far.
     """
     t_s, angles_deg = flight.t_s, np.rad2deg(flight.angles_rad)
@@ -87,15 +93,15 @@ def marks_of(flight: Flight, path_deg: Callable[[Floats], Floats], phases: Phase
     back, sine = _between(t_s, phases.back_s, phases.sine_s), _between(t_s, phases.sine_s, phases.end_s)
     error_deg = angles_deg[sine] - path_deg(t_s[sine])
     beyond = max(_most(travel[there] - STEP_DEG), _most(-travel[back]))
-    settled_s = max(
+    settling_time_s = max(
         _last_outside_s(t_s[there] - phases.step_s, travel[there] - STEP_DEG),
         _last_outside_s(t_s[back] - phases.back_s, travel[back]),
     )
-    return Marks(
+    return StepMetrics(
         outcome=outcome,
         take_off_s=_last_outside_s(t_s[rise] - phases.take_off_s, elevation[rise]),
         overshoot_percent=100.0 * max(beyond, 0.0) / STEP_DEG,
-        settled_s=settled_s,
+        settling_time_s=settling_time_s,
         travel_rms_deg=_rms(error_deg[:, 2]),
         elevation_rms_deg=_rms(error_deg[:, 0]),
         pitch_max_deg=float(np.abs(pitch).max(initial=0.0)),

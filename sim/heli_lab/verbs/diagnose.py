@@ -11,7 +11,6 @@ from heli_host.cli.simulated import DEFAULT_RIG
 from heli_host.cli.verb import Verb
 
 from heli_lab.fit_options import (
-    DEFAULT_MODEL,
     EquationsOption,
     FlightsArgument,
     FoundRigOption,
@@ -63,14 +62,10 @@ def diagnose(
     """
     # Matrices here are small: more threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    import json as text
-
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
-    from heli_host.log.flight_file import read_flight
-    from heli_sim.model.effects import catalogue, effects_of
-    from heli_sim.model.named import model_named
-    from heli_sim.rig import load_rig, write_rig
+    from heli_sim.model.effects import catalogue
+    from heli_sim.rig import write_rig
 
     from heli_lab.diagnose import diagnose as find
     from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation, insufficient_excitation
@@ -78,28 +73,25 @@ def diagnose(
     from heli_lab.diagnose.serialize import to_json
     from heli_lab.diagnose.summary import summary
     from heli_lab.errors import NotExcited
-    from heli_lab.identify.result import short_names
+    from heli_lab.fit_inputs import fit_inputs, read_flights, write_numbers
 
     others = validate or []
     check_result_places(out, json, report=report)
-    chosen = load_rig(rig)
+    given = fit_inputs(flights, others, rig, model, effects or ())
     kinds = catalogue(effects or ())
-    named = model or chosen.model or DEFAULT_MODEL
-    equations = model_named(named, effects_of(chosen, effects or ()))
     found: Diagnosis | InsufficientExcitation
     written: list[Path] = []
     with WorkBar() as bar:
         bar.show("reading", 0.0)
-        fitted = [read_flight(path) for path in flights]
-        held_out = [read_flight(path) for path in others]
+        fitted, held_out = read_flights(flights), read_flights(others)
         try:
             found = find(
-                equations,
-                chosen,
+                given.model,
+                given.rig,
                 fitted,
                 held_out,
                 kinds=kinds,
-                labels=short_names([*flights, *others]),
+                labels=given.labels,
                 start_s=start_s,
                 stop_s=stop_s,
                 seed=seed,
@@ -107,10 +99,12 @@ def diagnose(
                 say=bar.show,
             )
         except NotExcited as nothing:
-            found = insufficient_excitation(str(nothing), equations, chosen, kinds)
+            found = insufficient_excitation(str(nothing), given.model, given.rig, kinds)
         if out is not None and not isinstance(found, InsufficientExcitation):
             write_rig(
-                found.rig(out.stem), out, f"Found by heli-host diagnose, model {named}. {summary(found)}"
+                found.rig(out.stem),
+                out,
+                f"Found by heli-host diagnose, model {given.model.name}. {summary(found)}",
             )
             written.append(out)
         if report is not None:
@@ -119,9 +113,7 @@ def diagnose(
                 written.append(write_insufficient_excitation(found, report))
             else:
                 written.append(write_report(found, report))
-        if json is not None:
-            json.write_text(text.dumps(to_json(found), indent=2) + "\n", encoding="utf-8")
-            written.append(json)
+        written += write_numbers(json, to_json(found))
     _print(found)
     if written:
         print(f"files: {', '.join(str(path) for path in written)}")

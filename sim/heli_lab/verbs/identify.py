@@ -10,7 +10,6 @@ from heli_host.cli.simulated import DEFAULT_RIG
 from heli_host.cli.verb import Verb
 
 from heli_lab.fit_options import (
-    DEFAULT_MODEL,
     EquationsOption,
     FlightsArgument,
     FoundRigOption,
@@ -33,15 +32,15 @@ def identify(
     model: EquationsOption = None,
     effect: Annotated[
         list[str] | None,
-        typer.Option("--effect", metavar="ID...", help="Effects to find as well, such as rotor_lag."),
+        typer.Option("--effect", metavar="ID...", help="Effects to estimate as well, such as rotor_lag."),
     ] = None,
     effects: OwnEffectsOption = None,
     free: Annotated[
         list[str] | None,
-        typer.Option("--free", metavar="NAME...", help="Find only these numbers; else all with a tolerance."),
+        typer.Option("--free", metavar="NAME...", help="Estimate only these; else all with a tolerance."),
     ] = None,
     fix: Annotated[
-        list[str] | None, typer.Option("--fix", metavar="NAME...", help="Do not look for these numbers.")
+        list[str] | None, typer.Option("--fix", metavar="NAME...", help="Do not estimate these parameters.")
     ] = None,
     validate: ValidateOption = None,
     start_s: FromOption = None,
@@ -56,47 +55,35 @@ def identify(
     report: ReportOption = None,
     json: NumbersOption = None,
 ) -> None:
-    """Find a rig's numbers from flights, and say how sure they are.
+    """Estimate a rig's parameters from flights, with standard errors.
 
-    Each window of a flight is predicted from its voltages alone; the numbers that predict best are the
-    result, held by the tolerances of the rig file. --validate tries them on other flights.
+    Each window of a flight is simulated from its voltages alone; the parameters with the least squared errors
+    are the result, with the tolerances of the rig file as priors. --validate tries them on other flights.
 
     Example: `heli-host identify a.mcap --validate b.mcap --rig makki2024 --out mine.toml --report mine`
     """
-    import json as text
-
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
-    from heli_host.log.flight_file import read_flight
-    from heli_sim.model.effects import effects_of, parse_effects
-    from heli_sim.model.named import model_named
-    from heli_sim.rig import load_rig, write_rig
+    from heli_sim.rig import write_rig
 
+    from heli_lab.fit_inputs import fit_inputs, read_flights, write_numbers
     from heli_lab.identify.report import verdict, write_report
-    from heli_lab.identify.result import short_names
     from heli_lab.identify.run import identify as find
 
     others = validate or []
     check_result_places(out, json, report=report)
-    chosen = load_rig(rig)
-    asked = parse_effects(effect or (), effects or ())
-    names = {one.name for one in asked}
-    stated = tuple(one for one in effects_of(chosen, effects or ()) if one.name not in names)
-    equations = model_named(model or chosen.model or DEFAULT_MODEL, stated + asked)
-    labels = short_names([*flights, *others])
+    given = fit_inputs(flights, others, rig, model, effects or (), effect or ())
     with WorkBar() as bar:
         bar.show("reading", 0.0)
-        fitted = [read_flight(path, allow_gaps=allow_gaps) for path in flights]
-        held_out = [read_flight(path, allow_gaps=allow_gaps) for path in others]
         found = find(
-            equations,
-            chosen,
-            fitted,
-            validation=held_out,
+            given.model,
+            given.rig,
+            read_flights(flights, allow_gaps),
+            validation=read_flights(others, allow_gaps),
             free=free or None,
             fixed=fix or (),
-            labels=labels[: len(flights)],
-            validation_labels=labels[len(flights) :],
+            labels=given.labels[: len(flights)],
+            validation_labels=given.labels[len(flights) :],
             start_s=start_s,
             stop_s=stop_s,
             window_s=window_s,
@@ -110,9 +97,7 @@ def identify(
         if report is not None:
             bar.show("drawing", 0.9)
             written.append(write_report(found, report))
-        if json is not None:
-            json.write_text(text.dumps(found.json(), indent=2) + "\n", encoding="utf-8")
-            written.append(json)
+        written += write_numbers(json, found.json())
     _print(found)
     print(verdict(found))
     if written:
@@ -120,13 +105,13 @@ def identify(
 
 
 def _print(found: Identification) -> None:
-    """Print what was found, beside what was known."""
+    """Print estimates beside priors."""
     from heli_lab.identify.result import rounded
 
     fit = found.fit
-    rows = [("number", "found", "+- 2 std", "before", "+- 2 std", "unit", "")]
+    rows = [("parameter", "found", "+- 2 std", "prior", "+- 2 std", "unit", "")]
     for one, value, std in zip(fit.problem.free, fit.theta, fit.std.values(), strict=True):
-        remark = "nothing learned" if one.name in found.uninformed_parameters else ""
+        remark = "uninformed" if one.name in found.uninformed_parameters else ""
         remark = "on its bound" if one.name in fit.at_bound else remark
         known = f"{one.prior.mean:g}", f"{2 * one.prior.std:g}"
         rows.append((one.name, rounded(value, std), rounded(2 * std, std), *known, one.unit, remark))

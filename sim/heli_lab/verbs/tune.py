@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from heli_sim.rig import Rig
 
     from heli_lab.tune import Design, Known, Margin
-    from heli_lab.tune.flights import Tried
+    from heli_lab.tune.flights import Trial
 
 DEFAULT_MODEL = "multibody"
 LAG_TRIED_s = 0.12
@@ -95,7 +95,7 @@ def tune(
     name = model or loaded.model or DEFAULT_MODEL
     equations = model_named(name, all_effects)
     known = known_of(all_effects)
-    tried: list[Tried] = []
+    tried: list[Trial] = []
     with WorkBar() as bar:
         design = find_gains(
             loaded,
@@ -198,17 +198,18 @@ def _margins(design: Design) -> list[dict[str, Margin]]:
     return [margins(plant, design.law) for plant in design.plants]
 
 
-def _flight_lines(tried: Sequence[Tried]) -> list[str]:
+def _flight_lines(tried: Sequence[Trial]) -> list[str]:
     lines = ["flown by the flight code, encoders and drivers included:"]
     for one in tried:
-        marks = one.marks
-        if marks.outcome != "completed":
-            lines.append(f"  {one.label}: {marks.outcome}")
+        metrics = one.metrics
+        if metrics.outcome != "completed":
+            lines.append(f"  {one.label}: {metrics.outcome}")
             continue
         lines.append(
-            f"  {one.label}: level after {marks.take_off_s:.1f} s; step of travel overshoots by "
-            f"{marks.overshoot_percent:.0f} %, settles in {marks.settled_s:.1f} s; sines followed to "
-            f"{marks.travel_rms_deg:.2f} deg of travel, {marks.elevation_rms_deg:.2f} of elevation, rms"
+            f"  {one.label}: level after {metrics.take_off_s:.1f} s; step of travel overshoots by "
+            f"{metrics.overshoot_percent:.0f} %, settles in {metrics.settling_time_s:.1f} s; "
+            "sines followed to "
+            f"{metrics.travel_rms_deg:.2f} deg of travel, {metrics.elevation_rms_deg:.2f} of elevation, rms"
         )
     return lines
 
@@ -219,7 +220,7 @@ def _numbers(
     design: Design,
     known: Known,
     parameters: Mapping[str, float],
-    tried: Sequence[Tried],
+    tried: Sequence[Trial],
 ) -> dict[str, Any]:
     from dataclasses import asdict
 
@@ -240,7 +241,7 @@ def _numbers(
         "sensitivity": design.sensitivity,
         "parameters": dict(parameters),
         "plants": plants,
-        "flights": [{"on": one.label, **asdict(one.marks)} for one in tried],
+        "flights": [{"on": one.label, **asdict(one.metrics)} for one in tried],
     }
 
 
