@@ -89,3 +89,10 @@ def test_smoothed_states_are_the_conditional_distribution(system: StateSpace, ou
             place = slice(ORDER * k, ORDER * (k + 1))
             assert np.allclose(mean[k, window, :, 0], expected[place], atol=1e-9)
             assert np.allclose(covariance[k, window], left[place, place], atol=1e-9)
+
+
+def test_disturbances_keep_their_standard_deviation_and_forget_by_rho(system: StateSpace) -> None:
+    moved = system.Phi[0, 0] @ system.P0
+    after = (moved @ system.Phi[0, 0].T + system.Q)[2:, 2:]
+    assert np.allclose(after, np.diag([0.5**2, 1.5**2]))
+    assert np.allclose(moved[2:, 2:], 0.8 * after)

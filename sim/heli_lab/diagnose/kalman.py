@@ -186,8 +186,6 @@ def smooth(system: StateSpace, filtered: Innovations) -> tuple[Floats, Floats]:
         Phi, P = system.Phi[k], covariances[k]
         ahead = Phi @ P @ Phi.transpose(0, 2, 1) + system.Q
         gain = np.linalg.solve(ahead, Phi @ P).transpose(0, 2, 1)
-        # A window's last step has nothing after it to learn from.
-        inside = system.alive[k + 1][:, None, None]
-        means[k] += np.where(inside, gain @ (means[k + 1] - Phi @ means[k]), 0.0)
-        covariances[k] += np.where(inside, gain @ (covariances[k + 1] - ahead) @ gain.transpose(0, 2, 1), 0.0)
+        means[k] += gain @ (means[k + 1] - Phi @ means[k])
+        covariances[k] += gain @ (covariances[k + 1] - ahead) @ gain.transpose(0, 2, 1)
     return means, covariances

@@ -22,7 +22,7 @@ from heli_lab.identify.functions import Floats, Inputs, Integers
 
 _BATCH: Final = 48
 """Signals that are propagated together. Any number gives the same result; a step's matrices and so many
-columns stay in a processor's first cache."""
+columns fit in a processor's cache."""
 
 
 @dataclass(frozen=True)

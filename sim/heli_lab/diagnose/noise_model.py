@@ -24,8 +24,8 @@ from heli_lab.identify import Fit, Problem
 from heli_lab.identify.functions import Floats
 
 BLOCK_STEPS: Final = 4
-"""Steps of 10 ms that make one measurement: 40 ms, short beside the correlation time of gusts (0.2 to 0.8 s),
-and a quarter of the work. Longer blocks blur the response to voltages."""
+"""Steps of 10 ms that make one measurement: 40 ms, short beside the correlation times of the blind cases'
+gusts (0.2 to 0.8 s), and a quarter of the work. Longer blocks blur the response to voltages."""
 QUANTISATION_VARIANCE: Final = 0.3
 """Variance that quantisation leaves in the mean residual of a block, in units of a sample's: samples within
 40 ms are not independent, as counts stay for several of them. Smaller: quantisation is taken for a torque."""

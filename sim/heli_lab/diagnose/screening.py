@@ -22,7 +22,7 @@ _PEAKS: Final = 4
 """Frequencies that are tried on each axis: the highest peaks of the missing torque's spectrum. Fewer: a
 periodic torque beside larger disturbances is lost. More: time."""
 _MIN_Hz, _MAX_Hz = 0.03, 12.0
-"""Below, a period is longer than half a minute of flight; above, the arm does not move by a count."""
+"""Below, a period is longer than half a minute of flight; above, the arm hardly moves."""
 _MAX_GRID: Final = 16
 """Points of one parameter's grid, before the best one's neighbourhood is refined."""
 _BISECTIONS: Final = 6

@@ -28,7 +28,7 @@ from heli_lab.identify import Fit, Record, prepare
 from heli_lab.identify.result import Identification
 
 _DECIMATION: Final = 2
-"""The board logs each millisecond; fits take half the time with every second one and come out the same."""
+"""The board logs each millisecond; fits are as good with every second one, in half the time."""
 _FAILED_FIT: Final = 1.1
 """Normalised error from which on a fit of the true model has failed, so that the comparison means nothing."""
 

@@ -23,7 +23,7 @@ from heli_lab.diagnose.linearisation import MapEvaluator, Trajectory
 from heli_lab.identify.functions import Floats
 
 KNOTS: Final = 8
-"""Basis functions of a curve. By judgement: 4 do not follow a kink or a bump, 16 lose their BIC penalty."""
+"""Basis functions of a curve. By judgement: fewer follow no kink or bump, more pay a higher penalty."""
 _TAIL: Final = 0.005
 """Share of the flight beyond each end of the curve, where it is constant: a few samples do not stretch it."""
 # Prior standard deviations of a coefficient: about what holds the arm up, and what no machine exceeds by

@@ -1,5 +1,4 @@
-"""Thresholds that decide what a diagnosis names and says: unit, origin, and what breaks on either side of
-each.
+"""Thresholds of a diagnosis: unit, origin, and what breaks on either side of each.
 
 Three sets of flights set or checked them. **Simulated flights**: the simulated board flies rigs with one
 known effect hidden, 34 s to fit and 26 s held out, as `tests/diagnose` does. **Blind cases**: MuJoCo flies
@@ -57,7 +56,7 @@ scores are off by more than a factor 4, the true effect is not refitted."""
 
 CLOSE_ALTERNATIVE: Final = 0.5
 """Share of the round's best score from which on an effect is refitted although another one has already
-reached the noise floor. By judgement: first-order scores are wrong by up to a factor 2. Higher:
+reached the noise floor. By judgement: first-order scores may be wrong by a factor 2. Higher:
 `ambiguous_with` stays empty where two effects do as well. Lower: time."""
 
 SECOND_CHANCE: Final = 2
@@ -176,7 +175,7 @@ and still be called `random_torque`. By judgement, with the whiteness test. Lowe
 
 GUST_MAX_LOSS_SHARE: Final = 0.003
 """The same as a share of what the disturbance gains, for large ones, whose Gauss-Markov model is not
-exact."""
+exact. By judgement; sides as for `GUST_MAX_LOSS`."""
 
 GUST_MIN_SIGMA_OVER_STD: Final = 1.0
 """Standard deviation of a gust over the standard error of its estimate. By judgement: below it nothing is
@@ -192,7 +191,8 @@ answers given with 0.7 to 0.85, most of them gusts, 12 of 14 were right."""
 
 CONFIDENCE_BESIDE_UNKNOWN: Final = 0.5
 """Factor on the confidence of causes beside which something unexplained remains that they may imitate. By
-judgement; 2 of 9 blind answers below 0.7, most of them such, were right, so it is still too high."""
+judgement; 2 of 9 blind answers below 0.7, most of them such, were right, so it may still be too high. 1:
+false causes beside unlisted ones pass for sure. Lower: true ones beside them are not believed."""
 
 CONFIDENCE_NATS: Final = 15.0
 """Log-likelihood ratio over the closest alternative by which the doubt falls by a factor e, nats. By
@@ -201,14 +201,15 @@ of clear ones."""
 
 CORRELATE_SHARE: Final = 0.3
 """Share of the best spline's score from which on a quantity is named in `correlates_with`. By judgement; it
-decides the length of a list."""
+decides the length of a list: lower, a longer one."""
 
 CORRELATE_MIN: Final = 5.0
-"""Least score of a quantity that is named there, nats. By judgement."""
+"""Least score of a quantity that is named there, nats. By judgement. Lower: correlations by chance are
+named."""
 
 MIN_UNEXPLAINED: Final = 0.1
 """Share of the mean square beyond quantisation from which on `unexplained` is filled in without a spline. By
-judgement: less cannot be attributed."""
+judgement. Lower: correlates are named that are none. Higher: the verdict stands without its details."""
 
 DETECTION_STD_ERRORS: Final = 5.0
 """Standard errors that an effect of typical size must measure to count as detectable. By judgement: its
@@ -217,11 +218,11 @@ missed. Higher: more are listed as undetectable."""
 
 FEW_WINDOWS: Final = 5
 """Held-out windows of 2 s below which a caution is given: quantiles of the resampled ratio mean nothing
-then."""
+then. By judgement; only the caution depends on it."""
 
 SHORT_s: Final = 15.0
-"""Free flight below which another experiment is proposed, s. By judgement: fewer than eight windows of 2
-s."""
+"""Free flight below which another experiment is proposed, s. By judgement: fewer than eight windows
+of 2 s. Lower: short flights get no proposal. Higher: the experiment is simulated for good flights, time."""
 
 MANY_UNDETECTABLE: Final = 12
 """Undetectable effects above which another experiment is proposed: a third of the catalogue. By judgement; a
@@ -235,10 +236,12 @@ twice. By judgement, as the blind cases' frictions are drawn. Larger: small term
 deviating ones."""
 
 ABSENT_PRIOR: Final = 0.1
-"""Probability before any flight that a term is absent. By judgement. Enters as ln(0.1/0.9) = -2.2 nats."""
+"""Probability before any flight that a term is absent. By judgement. Enters as ln(0.1/0.9) = -2.2 nats: 0.5
+in its place would add 2.2."""
 
 ABSENT_MIN_CONFIDENCE: Final = 0.5
-"""Probability from which on a term is named as absent: more likely than not."""
+"""Probability from which on a term is named as absent: more likely than not, by judgement. Lower: frictions
+that are only small are called absent. Higher: absent terms that the flight hardly shows go unnamed."""
 
 ABSENT_MIN_STD: Final = 1e-3
 """Least standard error of a parameter, as a share of the rig's: a fit keeps parameters that cannot be
