@@ -118,8 +118,6 @@ def run_controller(
 
     Parameters
     ----------
-    heli : Vehicle
-        The helicopter.
     law : callable taking Sample, returning (front_V, back_V)
         The control law; voltages beyond the board's limits are brought back to them.
     rate_Hz : float

@@ -31,11 +31,6 @@ class Parameters(Mapping[str, float]):
     ``heli.params["hover_V"]`` reads, ``heli.params["hover_V"] = 1.5`` sets, and ``save`` makes it last beyond
     a restart of the board.
 
-    Parameters
-    ----------
-    session : Session
-        An open session.
-
     Attributes
     ----------
     revision : int
@@ -76,7 +71,7 @@ class Parameters(Mapping[str, float]):
         Parameters
         ----------
         name : str
-            Its name.
+            As declared in link.toml.
 
         Returns
         -------
@@ -96,7 +91,7 @@ class Parameters(Mapping[str, float]):
         Parameters
         ----------
         name : str
-            Its name.
+            As declared in link.toml.
         value : float
             New value, in the unit of the declaration.
 
@@ -211,7 +206,7 @@ def spec_of(name: str) -> ParamSpec:
     Parameters
     ----------
     name : str
-        Its name.
+        As declared in link.toml.
 
     Returns
     -------

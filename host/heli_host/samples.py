@@ -83,11 +83,6 @@ class Scales:
             Device time [tick].
         raw : ndarray of int32, shape (channels,)
             Channels in the declaration's order.
-
-        Returns
-        -------
-        Sample
-            The same in units.
         """
         values: dict[str, Any] = {}
         for spec, number, scale in zip(CHANNELS, raw.tolist(), self._scale, strict=True):
@@ -107,11 +102,6 @@ class Scales:
             Device time [tick].
         raw : ndarray of int32, shape (n, channels)
             Channels in the declaration's order.
-
-        Returns
-        -------
-        Samples
-            The same in units.
         """
         columns: dict[str, npt.NDArray[Any]] = {}
         for channel, scale in zip(Channel, self._scale, strict=True):
@@ -167,11 +157,6 @@ class SampleRing:
         ----------
         count : int or None
             How many at most; None for all that are kept.
-
-        Returns
-        -------
-        Ticks
-            Copies.
         """
         with self._lock:
             capacity = len(self._tick)

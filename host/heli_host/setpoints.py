@@ -37,11 +37,6 @@ def setpoint_bounds(parameters: Mapping[str, float]) -> dict[str, Bounds]:
     ----------
     parameters : Mapping of str to float
         The board's parameters.
-
-    Returns
-    -------
-    dict of str to Bounds
-        By axis.
     """
     pitch_deg = parameters["pitch_setpoint_max_deg"]
     travel_deg = parameters["travel_max_deg"] - _TRAVEL_MARGIN_DEG

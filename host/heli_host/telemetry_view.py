@@ -59,8 +59,6 @@ class TelemetryView:
 
     Parameters
     ----------
-    session : Session
-        Connected.
     history_s : float
         How much `samples` keeps [s].
 
@@ -222,11 +220,6 @@ class TelemetryView:
             The condition.
         timeout_s : float
             Longest wait in device time [s].
-
-        Returns
-        -------
-        Sample
-            The one that fulfils it.
 
         Raises
         ------

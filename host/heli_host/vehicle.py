@@ -45,8 +45,6 @@ class Vehicle(OpenLoopCommands):
 
     Parameters
     ----------
-    session : Session
-        Connected; closed by `close`.
     keep_alive : bool
         Send the last setpoint again ten times a second. The board's failsafe is there for a host that died or
         hangs, and a person between two cells of a notebook is neither. False: after ``setpoint_hold_s``

@@ -57,11 +57,6 @@ def fit_inputs(
     effects : sequence of str
         Effects as the command line spells them; they come before those that the rig states.
 
-    Returns
-    -------
-    FitInputs
-        Checked.
-
     Raises
     ------
     SimError
@@ -90,11 +85,6 @@ def read_flights(paths: Sequence[Path], allow_gaps: bool = False) -> list[Flight
         Their files.
     allow_gaps : bool
         Whether rows may be missing.
-
-    Returns
-    -------
-    list of Flight
-        In the order given.
 
     Raises
     ------

@@ -47,11 +47,6 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
         Cells of its first row.
     rows : iterable of sequence of str
         Cells of the others.
-
-    Returns
-    -------
-    str
-        HTML.
     """
     head = "".join(f"<th>{escaped(cell)}</th>" for cell in heads)
     body = "".join(f"<tr>{''.join(f'<td>{escaped(cell)}</td>' for cell in row)}</tr>" for row in rows)
@@ -64,7 +59,7 @@ def image(figure: Figure, path: Path, meaning: str) -> str:
     Parameters
     ----------
     figure : matplotlib.figure.Figure
-        The figure.
+        Drawn; it is written at 110 dots per inch.
     path : Path
         File to write.
     meaning : str

@@ -40,13 +40,7 @@ def check_core() -> Finding:
 
 
 def check_compiler() -> Finding:
-    """Check that a C compiler is there; the simulated helicopter's equations are compiled with it.
-
-    Returns
-    -------
-    Finding
-        Bad without one.
-    """
+    """Check that a C compiler is there; the simulated helicopter's equations are compiled with it."""
     wanted = [name for name in (os.environ.get("CC"), "cc", "gcc", "clang") if name]
     for name in wanted:
         path = shutil.which(name)

@@ -84,11 +84,6 @@ def c_source(*functions: ca.Function) -> str:
     ----------
     *functions : casadi.Function
         Functions; their names are the symbols.
-
-    Returns
-    -------
-    str
-        One C file.
     """
     generator = ca.CodeGenerator(functions[0].name(), {"with_header": False})
     for function in functions:

@@ -49,8 +49,6 @@ def extras(model: Model, late_s: float = 0.0) -> Extras:
 
     Parameters
     ----------
-    model : Model
-        The model.
     late_s : float
         By how much the voltages act late.
 
@@ -80,8 +78,6 @@ def step_function(model: Model, late_s: float = 0.0) -> ca.Function:
 
     Parameters
     ----------
-    model : Model
-        Gives the dynamics and the measurement.
     late_s : float
         By how much the voltages act late.
 
@@ -171,10 +167,6 @@ class Plant:
 
     Parameters
     ----------
-    model : Model
-        Equations of motion.
-    rig : Rig
-        Their numbers.
     seed : int
         Seed of what effects leave to chance.
     """

@@ -20,32 +20,12 @@ DUE_NATIVE_PID = 0x003E
 
 
 def is_due(port: PortInfo) -> bool:
-    """Say whether a port is the programming port of a Due, which this link uses.
-
-    Parameters
-    ----------
-    port : PortInfo
-        A port of this computer.
-
-    Returns
-    -------
-    bool
-    """
+    """Say whether a port is the programming port of a Due, which this link uses."""
     return (port.vendor_id, port.product_id) == (ARDUINO_VID, DUE_PROGRAMMING_PID)
 
 
 def is_due_native(port: PortInfo) -> bool:
-    """Say whether a port is a Due's other port, which this link does not use.
-
-    Parameters
-    ----------
-    port : PortInfo
-        A port of this computer.
-
-    Returns
-    -------
-    bool
-    """
+    """Say whether a port is a Due's other port, which this link does not use."""
     return (port.vendor_id, port.product_id) == (ARDUINO_VID, DUE_NATIVE_PID)
 
 
@@ -118,11 +98,6 @@ def open_board(port: str | None, sil: str | None = None) -> Iterator[Heli]:
 def clear_latched_fault(heli: Heli) -> None:
     """Clear a fault that an earlier flight has left; no fault is no error.
 
-    Parameters
-    ----------
-    heli : Heli
-        A connected board.
-
     Raises
     ------
     CommandRefused
@@ -139,11 +114,6 @@ def clear_latched_fault(heli: Heli) -> None:
 def board_text(heli: Heli) -> str:
     """Say which board it is.
 
-    Parameters
-    ----------
-    heli : Heli
-        A connected board.
-
     Returns
     -------
     str
@@ -158,11 +128,6 @@ def board_text(heli: Heli) -> str:
 
 def board_versions(info: BoardInfo) -> str:
     """Say what a board runs, for the head of a file that came from it.
-
-    Parameters
-    ----------
-    info : BoardInfo
-        What the board said of itself.
 
     Returns
     -------

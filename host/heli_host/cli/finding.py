@@ -27,8 +27,6 @@ class Finding:
 
     Parameters
     ----------
-    verdict : Verdict
-        Whether it is all right.
     what : str
         What was looked at and found.
     remedy : str

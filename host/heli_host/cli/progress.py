@@ -63,10 +63,6 @@ class LiveLine:
 
         Parameters
         ----------
-        sample : Sample
-            The newest sample.
-        counters : LinkCounters
-            All counts of the link.
         t_s : float
             Device time since the beginning [s].
         phase : str
@@ -110,8 +106,6 @@ def heading(sample: Sample, t_s: float, phase: str, left_s: float | None) -> str
 
     Parameters
     ----------
-    sample : Sample
-        The newest sample.
     t_s : float
         Device time since the beginning [s].
     phase : str
@@ -135,11 +129,6 @@ def heading(sample: Sample, t_s: float, phase: str, left_s: float | None) -> str
 def angles_text(sample: Sample) -> str:
     """Say the three angles, each with its setpoint, in degrees.
 
-    Parameters
-    ----------
-    sample : Sample
-        The newest sample.
-
     Returns
     -------
     str
@@ -159,11 +148,6 @@ def angles_text(sample: Sample) -> str:
 
 def link_text(counters: LinkCounters) -> str:
     """Say how the link fares.
-
-    Parameters
-    ----------
-    counters : LinkCounters
-        All counts of the link.
 
     Returns
     -------

@@ -126,12 +126,7 @@ def which_board(board: str | None, elf: Path | None) -> str:
     board : str or None
         ``--board``; None for the native one, or the Due when there is an `elf`.
     elf : Path or None
-        ``--elf``.
-
-    Returns
-    -------
-    str
-        One of `BOARDS`.
+        ``--elf``; None where it was not given.
 
     Raises
     ------
@@ -178,11 +173,6 @@ def sil_address(
         Effects beyond the model, as typed.
     effect_files : sequence of Path or None
         Python files with more effects.
-
-    Returns
-    -------
-    str
-        The address.
 
     Raises
     ------

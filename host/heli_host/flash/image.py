@@ -43,11 +43,6 @@ def read_image(path: Path) -> FirmwareImage:
     path : Path
         A flat binary.
 
-    Returns
-    -------
-    FirmwareImage
-        The file, checked.
-
     Raises
     ------
     ImageError

@@ -28,11 +28,6 @@ def data_row(row: int) -> str:
     ----------
     row : int
         Row, counted from 0.
-
-    Returns
-    -------
-    str
-        ``"data row 1"`` for row 0.
     """
     return f"data row {row + 1}"
 
@@ -44,8 +39,6 @@ def check(
 
     Parameters
     ----------
-    flight : Flight
-        The flight to check.
     source : str
         File name for the message.
     allow_gaps : bool

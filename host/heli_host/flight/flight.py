@@ -76,8 +76,6 @@ class Flight:
         The board's supervisor state, fault code and flag bits; None when the file has none.
     state_names, fault_names : Mapping[int, str]
         Names of these numbers, as declared by the board that flew.
-    events : tuple of FlightEvent
-        In order of time.
     parameters : Mapping[str, float]
         The board's parameters during the flight; empty when unknown.
     plan : str

@@ -51,10 +51,6 @@ class Limits:
         ----------
         parameters : Mapping[str, float], optional
             The board's parameters by name; the declared defaults stand for what is missing.
-
-        Returns
-        -------
-        Limits
         """
         known = {spec.name: spec.default for spec in PARAMS}
         known.update(parameters or {})
@@ -80,12 +76,8 @@ def check_motion(segment: Segment, at_deg: Floats, limits: Limits) -> None:
 
     Parameters
     ----------
-    segment : Segment
-        The segment.
     at_deg : ndarray (axes,)
         Setpoints at which it begins.
-    limits : Limits
-        What the board allows.
 
     Raises
     ------

@@ -56,10 +56,6 @@ class Progress:
         Device time left until the landing; None during it.
     phase : str
         ``take-off``, the name of a plan, or ``landing``.
-    sample : Sample
-        The newest sample.
-    counters : LinkCounters
-        Counts of the link.
     """
 
     t_s: float
@@ -74,8 +70,6 @@ class Pilot:
 
     Parameters
     ----------
-    heli : Vehicle
-        A connected board.
     route : Route
         Where to fly, from the table on; checked against the board.
     axes : tuple of str

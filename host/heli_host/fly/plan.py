@@ -81,10 +81,6 @@ class Plan:
         What it is, in one line.
     axes : tuple of str
         Axes that it closes.
-    start : Start
-        Its take-off.
-    segments : tuple of Segment
-        What it flies.
     text : str
         Its TOML, as read; goes into the log.
     """
@@ -109,10 +105,6 @@ class Plan:
             Where it comes from, for messages.
         name : str
             Name of the plan; the source's stem without it.
-
-        Returns
-        -------
-        Plan
 
         Raises
         ------
@@ -228,10 +220,6 @@ def load_plan(name: str | Path) -> Plan:
     name : str or Path
         Name of a built-in plan, or path of a TOML file.
 
-    Returns
-    -------
-    Plan
-
     Raises
     ------
     PlanError
@@ -269,10 +257,6 @@ def plan_title(name: str) -> str:
     ----------
     name : str
         One of `plan_names`.
-
-    Returns
-    -------
-    str
     """
     return load_plan(name).title
 
@@ -317,19 +301,7 @@ def take_off(plans: Sequence[Plan], parameters: Mapping[str, float], start_deg: 
 
 
 def extend(route: Route, plan: Plan) -> Route:
-    """Append a plan's segments to a route.
-
-    Parameters
-    ----------
-    route : Route
-        What comes before.
-    plan : Plan
-        What to append; its start is not.
-
-    Returns
-    -------
-    Route
-    """
+    """Append a plan's segments to a route."""
     for segment in plan.segments:
         motion = segment.motion(route.end_deg)
         if motion.duration_s > 0.0:

@@ -44,8 +44,6 @@ class Recorder:
 
     Parameters
     ----------
-    heli : Vehicle
-        A connected board.
     path : str or Path
         Log to write; a file that exists is replaced.
     rig_name : str

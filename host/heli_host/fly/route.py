@@ -54,8 +54,6 @@ class Piece:
         When, on the route's axis.
     shape : callable
         Setpoints within it.
-    excitation : Excitation or None
-        What the board adds meanwhile.
     """
 
     phase: str
@@ -110,12 +108,6 @@ class Route:
             Length of the piece.
         shape : callable
             Setpoints within it.
-        excitation : Excitation, optional
-            What the board adds meanwhile.
-
-        Returns
-        -------
-        Route
         """
         piece = Piece(phase, name, self.duration_s, duration_s, shape, excitation)
         return Route(self.start_deg, (*self.pieces, piece))
@@ -186,10 +178,6 @@ def hold(at_deg: Floats) -> Shape:
     ----------
     at_deg : ndarray (axes,)
         Where.
-
-    Returns
-    -------
-    callable
     """
     return lambda t_s: np.tile(at_deg, (t_s.size, 1))
 
@@ -203,10 +191,6 @@ def ramp(from_deg: Floats, to_deg: Floats, duration_s: float) -> Shape:
         Both ends.
     duration_s : float
         Time between them.
-
-    Returns
-    -------
-    callable
     """
     return lambda t_s: from_deg + np.outer(np.clip(t_s / duration_s, 0.0, 1.0), to_deg - from_deg)
 
@@ -224,10 +208,6 @@ def sine(from_deg: Floats, amplitude_deg: Floats, period_s: Floats, duration_s: 
         Period of each axis.
     duration_s : float
         Length.
-
-    Returns
-    -------
-    callable
     """
     fades_s = fade_s(period_s, duration_s)
 
@@ -250,10 +230,6 @@ def fade_s(period_s: Floats, duration_s: float) -> Floats:
         Period of each axis.
     duration_s : float
         Length of the whole.
-
-    Returns
-    -------
-    ndarray (axes,)
     """
     return np.minimum(0.5 * period_s, 0.5 * duration_s)
 
@@ -269,10 +245,6 @@ def waypoints(at_s: Sequence[Floats], points_deg: Sequence[Floats], smooth: bool
         Their values, degrees.
     smooth : bool
         Leave and reach every point at rest (cubic blend); else straight lines.
-
-    Returns
-    -------
-    callable
     """
 
     def shape(t_s: Floats) -> Floats:

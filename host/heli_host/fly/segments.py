@@ -70,8 +70,6 @@ class Segment:
         For each axis, the key to blame when the motion leaves the limits.
     rate_key : str
         The key to blame when it is too fast.
-    excitation : Excitation or None
-        What the board adds meanwhile.
     """
 
     kind: str
@@ -93,10 +91,6 @@ def read_segment(values: Mapping[str, Any], where: str, commanded: tuple[str, ..
         File and number of the segment, for messages.
     commanded : tuple of str
         Axes that the plan's segments may move: those that it closes, but not pitch while travel commands it.
-
-    Returns
-    -------
-    Segment
 
     Raises
     ------

@@ -30,10 +30,6 @@ def is_whole(spec: ChannelSpec) -> bool:
     ----------
     spec : ChannelSpec
         The channel.
-
-    Returns
-    -------
-    bool
     """
     return spec.scale == 1.0
 

@@ -76,8 +76,6 @@ class Received:
 
     Parameters
     ----------
-    ticks : Ticks
-        New samples.
     events : list of LinkEvent
         Events of board and link, in order.
     statuses : list of StatusMessage
@@ -172,13 +170,7 @@ class Engine:
         return self.welcome is not None and self.phase is Phase.GREETING
 
     def counters(self) -> LinkCounters:
-        """Return all counts since the first welcome.
-
-        Returns
-        -------
-        LinkCounters
-            A snapshot.
-        """
+        """Return all counts since the first welcome."""
         frames_ok, frames_bad, frames_lost, received, dropped = (
             now - then for now, then in zip(self._parser_counts(), self._baseline, strict=True)
         )
@@ -211,11 +203,6 @@ class Engine:
             Host time of their arrival [s].
         wall_ns : int
             Unix time of their arrival [ns].
-
-        Returns
-        -------
-        Received
-            What they say.
         """
         received = Received()
         frames = self.parser.feed(data) if data else []
@@ -327,11 +314,6 @@ class Engine:
             Unix time [ns].
         reason : str
             What happened, for the event.
-
-        Returns
-        -------
-        LinkEvent
-            To be delivered.
         """
         self.parser.restart()
         self._greet(now_s)

@@ -44,7 +44,7 @@ def encode_frame(message_id: int, seq: int, payload: bytes) -> bytes:
     Parameters
     ----------
     message_id : int
-        Message id.
+        Second byte of the frame, 0 to 255.
     seq : int
         Sequence number; only its low byte is sent.
     payload : bytes

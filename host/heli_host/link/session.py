@@ -200,11 +200,6 @@ class Session:
         timeout_s : float
             Longest wait for the answer, retries included [s].
 
-        Returns
-        -------
-        Frame
-            The answer, as it came.
-
         Raises
         ------
         CommandRefused
@@ -232,8 +227,6 @@ class Session:
 
         Parameters
         ----------
-        command : Command
-            The command.
         timeout_s : float
             Longest wait for the answer, retries included [s].
 
@@ -347,11 +340,6 @@ class Session:
 
     def ticks_counted_on(self, ticks: Ticks) -> npt.NDArray[np.int64]:
         """Return the tick numbers of samples counted on over 2^32.
-
-        Parameters
-        ----------
-        ticks : Ticks
-            Samples of this start of the board.
 
         Returns
         -------

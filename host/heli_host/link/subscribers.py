@@ -60,8 +60,6 @@ class Subscribers:
         ----------
         ticks : Ticks
             New samples; may be empty.
-        events : list of LinkEvent
-            New events.
         statuses : list of StatusMessage
             New counters of the board.
         """

@@ -408,11 +408,6 @@ def transport_note(transport: Transport) -> str:
     ----------
     transport : Transport
         Any transport; one may say it in an attribute ``note``.
-
-    Returns
-    -------
-    str
-        A sentence, or empty.
     """
     return str(getattr(transport, "note", ""))
 

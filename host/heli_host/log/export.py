@@ -17,8 +17,6 @@ def export_mat(flight: Flight, path: str | Path) -> None:
 
     Parameters
     ----------
-    flight : Flight
-        What to write.
     path : str or Path
         ``.mat`` file to write.
 
@@ -55,8 +53,6 @@ def export_parquet(flight: Flight, path: str | Path) -> None:
 
     Parameters
     ----------
-    flight : Flight
-        What to write.
     path : str or Path
         ``.parquet`` file to write.
 

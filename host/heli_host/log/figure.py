@@ -55,10 +55,6 @@ def write_figure(flight: Flight, summary: FlightSummary, path: str | Path) -> No
 
     Parameters
     ----------
-    flight : Flight
-        What was flown.
-    summary : FlightSummary
-        Its numbers, for the titles.
     path : str or Path
         ``.png``, ``.pdf`` or ``.svg`` file to write; a missing folder is made.
 
@@ -80,13 +76,6 @@ def write_figure(flight: Flight, summary: FlightSummary, path: str | Path) -> No
 
 def draw(flight: Flight, summary: FlightSummary) -> Figure:
     """Draw a flight.
-
-    Parameters
-    ----------
-    flight : Flight
-        What was flown.
-    summary : FlightSummary
-        Its numbers, for the titles.
 
     Returns
     -------

@@ -22,10 +22,6 @@ def read_flight(path: str | Path, *, allow_gaps: bool = False) -> Flight:
     allow_gaps : bool
         Accept rows that are missing in between; `Flight.gaps` then tells where.
 
-    Returns
-    -------
-    Flight
-
     Raises
     ------
     FlightDataError

@@ -67,8 +67,6 @@ class Log:
         Where it was read from.
     ticks : structured ndarray (n,)
         One record a tick, with the fields of the log's own schema.
-    layout : MessageLayout
-        That schema.
     events : tuple of dict
         Event messages in order of time: ``t_s``, ``tick``, ``name``, ``message``, ``level``.
     link : tuple of dict
@@ -200,10 +198,6 @@ def read_log(path: str | Path) -> Log:
     ----------
     path : str or Path
         An MCAP file of this package, complete or cut short at any byte.
-
-    Returns
-    -------
-    Log
 
     Raises
     ------

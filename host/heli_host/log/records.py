@@ -129,10 +129,6 @@ def json_bytes(body: Mapping[str, Any]) -> bytes:
     ----------
     body : Mapping[str, object]
         The message; its numbers must be finite.
-
-    Returns
-    -------
-    bytes
     """
     return json.dumps(body, separators=(",", ":"), allow_nan=False).encode()
 
@@ -167,11 +163,6 @@ class McapBytes:
         ----------
         time_us : int
             Microseconds since the log's first tick.
-
-        Returns
-        -------
-        int
-            Nanoseconds.
         """
         return max(0, self._start_wall_ns + time_us * 1000)
 
@@ -189,15 +180,11 @@ class McapBytes:
         Parameters
         ----------
         name : str
-            Its name.
+            What the metadata record is called in the file.
         values : Mapping[str, str]
             Its content.
         file_offset : int
             Where in the file it will stand.
-
-        Returns
-        -------
-        bytes
         """
         builder = _Records()
         Metadata(name=name, metadata=dict(values)).write(builder)
@@ -210,14 +197,8 @@ class McapBytes:
 
         Parameters
         ----------
-        parts : iterable of TickBatch or JsonMessage
-            Its messages in order, at least one.
         file_offset : int
             Where in the file it will stand.
-
-        Returns
-        -------
-        bytes
         """
         blocks: list[bytes] = []
         index: dict[int, list[NDArray[Any]]] = {}
@@ -304,10 +285,6 @@ class McapBytes:
         ----------
         file_offset : int
             Where in the file it will stand.
-
-        Returns
-        -------
-        bytes
         """
         start = _Records()
         DataEnd(data_section_crc=0).write(start)

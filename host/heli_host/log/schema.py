@@ -115,10 +115,6 @@ class MessageLayout:
         ----------
         prefix : str
             ``STATE``, ``FAULT`` or ``FLAGS``.
-
-        Returns
-        -------
-        dict of int to str
         """
         mark = prefix + "_"
         return {
@@ -135,10 +131,6 @@ def parse_layout(text: str) -> MessageLayout:
     ----------
     text : str
         The definition, one field or constant a line.
-
-    Returns
-    -------
-    MessageLayout
 
     Raises
     ------
@@ -174,11 +166,6 @@ def parse_layout(text: str) -> MessageLayout:
 
 def tick_record(layout: MessageLayout) -> np.dtype[Any]:
     """Return the layout of a whole MCAP message record that holds one tick.
-
-    Parameters
-    ----------
-    layout : MessageLayout
-        Layout of the tick itself.
 
     Returns
     -------

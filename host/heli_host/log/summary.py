@@ -118,17 +118,7 @@ class FlightSummary:
 
 
 def summarise(log: Log) -> FlightSummary:
-    """Sum a log up.
-
-    Parameters
-    ----------
-    log : Log
-        As read from its file.
-
-    Returns
-    -------
-    FlightSummary
-    """
+    """Sum a log up."""
     session = log.metadata.get("session", {})
     result = log.metadata.get("result", {})
     plans = tuple(log.metadata.get("plan", {}))
@@ -166,17 +156,7 @@ def summarise(log: Log) -> FlightSummary:
 
 
 def flown_rows(flight: Flight) -> NDArray[np.bool_]:
-    """Return which rows count as flown: closed loop, after take-off, before landing.
-
-    Parameters
-    ----------
-    flight : Flight
-        A flight with states.
-
-    Returns
-    -------
-    ndarray of bool (n,)
-    """
+    """Return which rows count as flown: closed loop, after take-off, before landing."""
     if flight.state is None:
         return np.zeros(len(flight), np.bool_)
     closed = [number for number, name in flight.state_names.items() if name == "closed_loop"]
@@ -194,11 +174,6 @@ def flown_rows(flight: Flight) -> NDArray[np.bool_]:
 
 def tracking_errors_deg(flight: Flight) -> NDArray[np.float64]:
     """Return measured angle less setpoint in the rows that count.
-
-    Parameters
-    ----------
-    flight : Flight
-        A flight.
 
     Returns
     -------

@@ -95,8 +95,6 @@ def write_csv(flight: Flight, path: str | Path) -> None:
 
     Parameters
     ----------
-    flight : Flight
-        What to write.
     path : str or Path
         ``.csv`` or ``.csv.gz``; the same flight gives the same bytes.
 

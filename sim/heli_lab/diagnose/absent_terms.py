@@ -71,10 +71,6 @@ def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[A
     ----------
     fit : Fit
         The final model on the flights fitted.
-    rig : Rig
-        The parameters before the fit.
-    kinds : Mapping[str, EffectKind]
-        The catalogue.
 
     Returns
     -------
@@ -134,13 +130,6 @@ def absence_probability(value: float, std: float) -> float:
 def closely_stated(kind: EffectKind, rig: Rig) -> bool:
     """Whether a term's priors are so narrow that no fit would estimate its parameters as zero.
 
-    Parameters
-    ----------
-    kind : EffectKind
-        A kind that removes a term.
-    rig : Rig
-        The rig.
-
     Returns
     -------
     bool
@@ -155,15 +144,6 @@ def without_absent_terms(
     comparison: Comparison, baseline: Hypothesis, kinds: Iterable[EffectKind]
 ) -> Hypothesis:
     """Remove the one closely stated term without which the model predicts far better, if there is one.
-
-    Parameters
-    ----------
-    comparison : Comparison
-        Flights, rig and model.
-    baseline : Hypothesis
-        The model with all its terms.
-    kinds : iterable of EffectKind
-        The catalogue.
 
     Returns
     -------

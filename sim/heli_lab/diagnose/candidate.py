@@ -82,13 +82,7 @@ class Candidate:
 
 
 class Regressors:
-    """Makes the regressors of candidates about a fit.
-
-    Parameters
-    ----------
-    linearisation : Linearisation
-        The free run of one flight.
-    """
+    """Makes the regressors of candidates about a fit."""
 
     def __init__(self, linearisation: Linearisation) -> None:
         self.linearisation = linearisation
@@ -100,11 +94,6 @@ class Regressors:
 
     def spline_signals(self, candidate: Candidate) -> tuple[Floats, Floats | None]:
         """The same as `signals` for a spline term: its channel's influence times the B-spline basis.
-
-        Parameters
-        ----------
-        candidate : Candidate
-            The spline term.
 
         Returns
         -------
@@ -129,11 +118,6 @@ class Regressors:
 
     def signals(self, candidate: Candidate) -> tuple[Floats, Floats | None]:
         """Changes of the rates and of the measured angles for one unit of each coefficient.
-
-        Parameters
-        ----------
-        candidate : Candidate
-            The candidate.
 
         Returns
         -------
@@ -263,15 +247,8 @@ def effect_candidates(kind: EffectKind, seconds: float) -> list[Candidate]:
 
     Parameters
     ----------
-    kind : EffectKind
-        The effect.
     seconds : float
         Length of the flight.
-
-    Returns
-    -------
-    list of Candidate
-        One for each point of the grid.
     """
     scan = kind.grid_values(seconds)
     candidates = []
@@ -287,8 +264,6 @@ def spline_candidates(linearisations: Sequence[Linearisation], number: int = 0) 
 
     Parameters
     ----------
-    linearisations : sequence of Linearisation
-        The flights.
     number : int
         Distinguishes the spline terms of one model.
     """

@@ -15,13 +15,6 @@ from heli_lab.identify.uncertainty import uninformed_parameters
 def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectKind]) -> tuple[str, ...]:
     """Find the effects that would not be significant at a typical size.
 
-    Parameters
-    ----------
-    screened : sequence of Scored
-        Scores of the effects.
-    kinds : Mapping[str, EffectKind]
-        The catalogue.
-
     Returns
     -------
     tuple of str
@@ -40,11 +33,6 @@ def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectK
 
 def unidentifiable_parameters(fit: Fit) -> tuple[str, ...]:
     """Find the parameters of the rig whose posterior is as wide as their prior.
-
-    Parameters
-    ----------
-    fit : Fit
-        The refitted baseline.
 
     Returns
     -------

@@ -54,13 +54,7 @@ class DisturbanceTorque:
 
 
 def estimate_disturbance(linearisation: Linearisation) -> DisturbanceTorque:
-    """Estimate the torque that a prediction lacks, in the middle of each step.
-
-    Parameters
-    ----------
-    linearisation : Linearisation
-        The free run, linearised.
-    """
+    """Estimate the torque that a prediction lacks, in the middle of each step."""
     variance_N2m2 = np.full(3, _START_Nm**2)
     value = variance = np.zeros((linearisation.rows, 3))
     for _ in range(_EM_ITERATIONS):

@@ -15,8 +15,6 @@ def accelerations(fit: Fit, name: str, index: int = 0) -> tuple[Floats, Floats]:
 
     Parameters
     ----------
-    fit : Fit
-        A fit with it.
     name : str
         Id of the effect.
     index : int

@@ -43,15 +43,8 @@ def error_reduction(before: Hypothesis, after: Hypothesis, seed: int = 0) -> dic
 
     Parameters
     ----------
-    before, after : Hypothesis
-        Refitted baseline and extended model.
     seed : int
         Seed of the bootstrap.
-
-    Returns
-    -------
-    dict of ErrorReduction
-        By axis.
     """
     squares_before, rows = _squares(before)
     squares_after, _ = _squares(after)

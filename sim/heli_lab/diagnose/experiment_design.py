@@ -133,18 +133,7 @@ class ExperimentDesign:
 
 
 def segment_for(kind: EffectKind) -> str:
-    """Choose the segment of a plan that excites an effect best, by what the effect acts on.
-
-    Parameters
-    ----------
-    kind : EffectKind
-        The effect.
-
-    Returns
-    -------
-    str
-        Key of a segment.
-    """
+    """Choose the segment of a plan that excites an effect best, by what the effect acts on."""
     if any(q.name.endswith("_at_s") for q in kind.parameters) or "fade" in kind.id:
         return "time"
     axis = kind.acts_on.rpartition(".")[2]
@@ -173,8 +162,6 @@ class Pair:
 
     Parameters
     ----------
-    first, second : Hypothesis
-        The models, fitted to the flights.
     names : (str, str)
         Ids of the effects in which they differ.
     log_likelihood_ratio : float
@@ -198,12 +185,6 @@ def discriminating_experiment(
 
     Parameters
     ----------
-    pair : Pair
-        The hypotheses.
-    comparison : Comparison
-        Model and rig.
-    kinds : Mapping[str, EffectKind]
-        The catalogue.
     enough : float
         Log-likelihood ratio from which on two hypotheses count as told apart, nats.
     in_time : callable
@@ -258,8 +239,6 @@ def informative_experiment(
         Ids of the effects.
     baseline : Hypothesis
         The refitted baseline, to simulate the plan with.
-    kinds : Mapping[str, EffectKind]
-        The catalogue.
 
     Returns
     -------

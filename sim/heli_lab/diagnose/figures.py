@@ -40,8 +40,6 @@ def figure_of_flight(before: Hypothesis, after: Hypothesis, index: int = 0) -> F
 
     Parameters
     ----------
-    before, after : Hypothesis
-        Refitted baseline and extended model.
     index : int
         Which flight.
 
@@ -83,8 +81,6 @@ def figure_of_windows(before: Hypothesis, after: Hypothesis, index: int = 0) -> 
 
     Parameters
     ----------
-    before, after : Hypothesis
-        Refitted baseline and extended model.
     index : int
         Which flight.
 
@@ -119,11 +115,6 @@ def figure_of_windows(before: Hypothesis, after: Hypothesis, index: int = 0) -> 
 def figure_of_torque(diagnosis: Diagnosis) -> Figure:
     """Draw the torque that each axis lacks, before and after, over time and as a spectrum.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        The result.
-
     Returns
     -------
     matplotlib.figure.Figure
@@ -155,11 +146,6 @@ def figure_of_torque(diagnosis: Diagnosis) -> Figure:
 
 def figure_of_ranking(rounds: tuple[Round, ...]) -> Figure:
     """Draw the candidates of each round by their scores.
-
-    Parameters
-    ----------
-    rounds : tuple of Round
-        Rounds of the search.
 
     Returns
     -------
@@ -211,11 +197,6 @@ def _rank(one: Round, number: int, panel: Axes) -> None:
 def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
     """Draw the acceleration that each cause contributes along the flight.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        The result.
-
     Returns
     -------
     matplotlib.figure.Figure or None
@@ -248,11 +229,6 @@ def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
 
 def figure_of_curves(curves: Sequence[SplineCurve]) -> Figure:
     """Draw the spline terms that stand for causes outside the catalogue.
-
-    Parameters
-    ----------
-    curves : sequence of SplineCurve
-        At least one.
 
     Returns
     -------

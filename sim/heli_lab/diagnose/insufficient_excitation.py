@@ -29,8 +29,6 @@ class InsufficientExcitation:
         Effects that may be there or not: all that the model could have.
     unidentifiable : tuple of str
         Parameters of the rig that are not identified: all that are free.
-    next_flight : ExperimentDesign
-        The experiment proposed.
     """
 
     why: str
@@ -53,12 +51,6 @@ def insufficient_excitation(
     ----------
     why : str
         The message of `NotExcited`.
-    model : Model
-        The model.
-    rig : Rig
-        The rig.
-    kinds : Mapping[str, EffectKind]
-        The catalogue.
     """
     return InsufficientExcitation(
         why,

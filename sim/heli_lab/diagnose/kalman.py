@@ -125,8 +125,6 @@ def filter_outputs(system: StateSpace, outputs: Floats, *, keep: bool = False) -
 
     Parameters
     ----------
-    system : StateSpace
-        The system.
     outputs : ndarray (k, w, m, s)
         Zero after a window's end.
     keep : bool
@@ -168,8 +166,6 @@ def smooth(system: StateSpace, filtered: Innovations) -> tuple[Floats, Floats]:
 
     Parameters
     ----------
-    system : StateSpace
-        The system.
     filtered : Innovations
         Of `filter_outputs` with ``keep=True``.
 

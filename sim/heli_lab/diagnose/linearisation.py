@@ -55,8 +55,6 @@ class Linearisation:
 
     Parameters
     ----------
-    fit : Fit
-        The fit.
     index : int
         Which of its records.
 
@@ -251,8 +249,6 @@ def stack_steps(linearisations: Sequence[Linearisation], arrays: Sequence[Floats
 
     Parameters
     ----------
-    linearisations : sequence of Linearisation
-        The flights.
     arrays : sequence of ndarray (n, ...)
         For each flight one row a step.
     block : int

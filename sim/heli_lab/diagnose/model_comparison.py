@@ -101,8 +101,6 @@ class Hypothesis:
     ----------
     candidates : tuple of Candidate
         Its effects, in the order in which they were found.
-    fit : Fit
-        The refitted model.
     held_out_fit : Fit or None
         The same model on the validation flights, only their initial states and encoder zeros estimated.
     train, held_out : Errors
@@ -161,10 +159,6 @@ class Comparison:
     ----------
     model : Model
         The model, with effects that are known beforehand.
-    rig : Rig
-        Start values and priors.
-    train, held_out : sequence of Record
-        Flights to fit and flights to validate on.
     window_s : float
         Length of the free-run windows.
     seed : int
@@ -194,8 +188,6 @@ class Comparison:
 
         Parameters
         ----------
-        candidates : sequence of Candidate
-            The effects.
         start : Mapping[str, float] or Fit, optional
             Parameter values to start from.
 
@@ -249,13 +241,7 @@ class Comparison:
 
 
 def errors(fit: Fit) -> Errors:
-    """Measure the errors of a fit on its flights, window by window.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
-    """
+    """Measure the errors of a fit on its flights, window by window."""
     problem = fit.problem
     squares, rows, means, slices, every = [], [], [], [], []
     place = 0

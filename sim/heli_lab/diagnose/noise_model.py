@@ -129,7 +129,7 @@ class InnovationsFilter:
         sigma_Nm : ndarray (3,)
             Standard deviation of the torque about each axis.
         correlation_time_s : float
-            Its correlation time.
+            Time over which the torques' autocorrelation falls to 1/e.
         """
         return StateSpace.with_disturbance(
             self.Phi,
@@ -152,7 +152,7 @@ class InnovationsFilter:
         sigma_Nm : ndarray (3,)
             Standard deviation of the torque about each axis.
         correlation_time_s : float
-            Its correlation time.
+            Time over which the torques' autocorrelation falls to 1/e.
         regressors : sequence of ndarray (n, 3, s), optional
             For each flight, as `Linearisation.response` gives them.
 
@@ -177,7 +177,7 @@ class InnovationsFilter:
         sigma_Nm : ndarray (3,)
             Standard deviation of the torque about each axis.
         correlation_time_s : float
-            Its correlation time.
+            Time over which the torques' autocorrelation falls to 1/e.
 
         Returns
         -------
@@ -207,8 +207,6 @@ class InnovationsFilter:
 
         Parameters
         ----------
-        disturbance : DisturbanceModel
-            The torques of the null hypothesis.
         regressors : sequence of ndarray (n, 3, s)
             For each flight those of all candidates side by side, as `Linearisation.response` gives them.
         sizes : sequence of int
@@ -277,10 +275,6 @@ class DisturbanceFit:
 
     Parameters
     ----------
-    model : DisturbanceModel
-        Torques and log-likelihood.
-    innovations_filter : InnovationsFilter
-        The filter.
     relinearisations : int
         How often the parameters were allowed to move, at most.
     """
@@ -302,15 +296,7 @@ def initial_state_std(states: int) -> Floats:
 
 
 def pooled(comparison: Comparison, hypothesis: Hypothesis) -> Fit:
-    """Take the flights fitted and those held out as one fit of the same parameters, without refitting.
-
-    Parameters
-    ----------
-    comparison : Comparison
-        The flights.
-    hypothesis : Hypothesis
-        Its fits.
-    """
+    """Take the flights fitted and those held out as one fit of the same parameters, without refitting."""
     fit, held_out = hypothesis.fit, hypothesis.held_out_fit
     if held_out is None:
         return fit
@@ -343,12 +329,8 @@ def fit_disturbance(
 
     Parameters
     ----------
-    comparison : Comparison
-        The flights.
     hypothesis : Hypothesis
         The model; its parameters are moved to where the likelihood is largest.
-    start : DisturbanceModel, optional
-        Where to start.
     relinearisations : int
         How often the parameters may be moved, at most.
     """

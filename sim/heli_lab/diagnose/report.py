@@ -49,8 +49,6 @@ def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
 
     Parameters
     ----------
-    diagnosis : Diagnosis
-        The result.
     folder : str or Path
         Where to; made if it is missing.
 
@@ -94,8 +92,6 @@ def write_insufficient_excitation(result: InsufficientExcitation, folder: str | 
 
     Parameters
     ----------
-    result : InsufficientExcitation
-        The result.
     folder : str or Path
         Where to; made if it is missing.
 

@@ -35,10 +35,6 @@ class Diagnosis:
 
     Parameters
     ----------
-    search : Search
-        What was tried and what was found.
-    verdict : Verdict
-        What is said.
     residual_analysis : ResidualAnalysis
         What the final model still lacks.
     extended : Hypothesis
@@ -49,8 +45,6 @@ class Diagnosis:
         The same with the spline terms that stand for causes outside the catalogue; empty without any.
     absent : tuple of AbsentTerm
         Terms of the baseline whose parameters the fit estimated as zero.
-    kinds : Mapping[str, EffectKind]
-        The catalogue.
     undetectable : tuple of str
         Effects that would not be significant in these flights at a typical size.
     unidentifiable : tuple of str
@@ -80,11 +74,6 @@ class Diagnosis:
     def values(self, found: Cause) -> dict[str, tuple[float, float, str]]:
         """Parameters of a cause.
 
-        Parameters
-        ----------
-        found : Cause
-            One of the verdict's causes.
-
         Returns
         -------
         dict of (float, float, str)
@@ -103,11 +92,6 @@ class Diagnosis:
 
     def sentence(self, found: Cause) -> str:
         """A cause with its parameters, in words.
-
-        Parameters
-        ----------
-        found : Cause
-            One of the verdict's causes.
 
         Returns
         -------
@@ -171,7 +155,7 @@ class Diagnosis:
         Parameters
         ----------
         name : str
-            Its name.
+            What the new rig is called.
 
         Returns
         -------
@@ -212,11 +196,6 @@ def stds(fit: Fit) -> dict[str, float]:
 
     Voltages are held over a sample: a time constant or a delay is uncertain by a part of it, whichever way
     board and simulator count it.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
 
     Returns
     -------

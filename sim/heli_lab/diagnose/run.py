@@ -59,8 +59,6 @@ def diagnose(
         The model, with effects that are known beforehand.
     rig : Rig
         Start values and priors of its parameters.
-    flights, validation : sequence of Flight or Record
-        Flights to fit, and flights to validate on.
     kinds : Mapping[str, EffectKind], optional
         The catalogue; the package's own where not given.
     labels : sequence of str, optional

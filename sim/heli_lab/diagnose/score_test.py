@@ -52,13 +52,7 @@ class ScoreResult:
 
 
 class ScoreTest:
-    """The null hypothesis: a fit's residuals on its flights, and their normal equations.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
-    """
+    """The null hypothesis: a fit's residuals on its flights, and their normal equations."""
 
     def __init__(self, fit: Fit) -> None:
         self.fit = fit
@@ -112,11 +106,6 @@ class ScoreTest:
             Number of regressors of each.
         priors : sequence of ndarray, optional
             For each candidate, standard deviation of each coefficient about 0.
-
-        Returns
-        -------
-        list of ScoreResult
-            One a candidate.
         """
         padded = [one.stack_windows(c) for one, c in zip(self.linearisations, regressors, strict=True)]
         products = np.concatenate([of @ one for of, one in zip(self._sensitivities, padded, strict=True)])

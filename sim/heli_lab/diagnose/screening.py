@@ -41,8 +41,6 @@ class Scored:
     ----------
     candidate : Candidate
         The candidate at the best point of its grid.
-    result : ScoreResult
-        Its score there.
     tried : int
         Number of points that were tried.
     """
@@ -53,13 +51,7 @@ class Scored:
 
 
 class Screening:
-    """Scores candidates around a fit.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
-    """
+    """Scores candidates around a fit."""
 
     def __init__(self, fit: Fit) -> None:
         self.score_test = ScoreTest(fit)
@@ -76,8 +68,6 @@ class Screening:
 
         Parameters
         ----------
-        kinds : iterable of EffectKind
-            The effects.
         on_each : callable, optional
             Called with the id of each effect when it begins.
 
@@ -231,13 +221,6 @@ class Screening:
 def responses(makers: Sequence[Regressors], candidates: Sequence[Candidate]) -> list[Floats]:
     """First-order responses of the predicted angles to candidates, side by side.
 
-    Parameters
-    ----------
-    makers : sequence of Regressors
-        One for each flight.
-    candidates : sequence of Candidate
-        The candidates.
-
     Returns
     -------
     list of ndarray (n, 3, s)
@@ -258,13 +241,7 @@ def responses(makers: Sequence[Regressors], candidates: Sequence[Candidate]) -> 
 
 
 def coefficient_std(candidate: Candidate) -> Floats:
-    """Prior standard deviations of a candidate's coefficients about 0, shape (g,).
-
-    Parameters
-    ----------
-    candidate : Candidate
-        The candidate.
-    """
+    """Prior standard deviations of a candidate's coefficients about 0, shape (g,)."""
     if not candidate.linear_parameters:
         return np.array([_DIFFERENCE_STD])
     return np.array([candidate.effect.priors[name].std for name in candidate.linear_parameters])

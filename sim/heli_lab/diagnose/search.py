@@ -366,10 +366,6 @@ def search(
 
     Parameters
     ----------
-    comparison : Comparison
-        Flights, rig and model.
-    kinds : Mapping[str, EffectKind]
-        Effects to try, by id.
     removable : sequence of EffectKind
         Kinds that remove terms of the baseline which the rig states closely.
     say : callable, optional

@@ -26,8 +26,6 @@ class Refit:
 
     Parameters
     ----------
-    hypothesis : Hypothesis
-        The model with it.
     evidence : Evidence
         Log-likelihood ratios over the model before.
     penalty : float
@@ -135,8 +133,6 @@ class Cause:
 
     Parameters
     ----------
-    candidate : Candidate
-        The effect.
     evidence : Evidence
         Log-likelihood ratios of the final model over the same without it.
     penalty : float
@@ -157,12 +153,8 @@ class Search:
 
     Parameters
     ----------
-    baseline, final : Hypothesis
-        The model without and with what was found.
     causes : tuple of Cause
         Effects and splines in the final model, strongest first.
-    rounds : tuple of Round
-        What was tried.
     screening : Screening
         Scores around the final model.
     complete : bool

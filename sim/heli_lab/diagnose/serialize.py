@@ -75,11 +75,6 @@ def _of_insufficient_excitation(result: InsufficientExcitation) -> dict[str, Any
 def causes(found: Diagnosis) -> list[dict[str, Any]]:
     """Write the causes.
 
-    Parameters
-    ----------
-    found : Diagnosis
-        The result.
-
     Returns
     -------
     list of dict
@@ -151,11 +146,6 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
 def residual(found: Diagnosis) -> dict[str, Any]:
     """Write the errors before and after.
 
-    Parameters
-    ----------
-    found : Diagnosis
-        The result.
-
     Returns
     -------
     dict
@@ -192,11 +182,6 @@ def residual(found: Diagnosis) -> dict[str, Any]:
 
 def unexplained(found: Diagnosis) -> dict[str, Any] | None:
     """Write what no effect explains.
-
-    Parameters
-    ----------
-    found : Diagnosis
-        The result.
 
     Returns
     -------
@@ -237,11 +222,6 @@ def unexplained(found: Diagnosis) -> dict[str, Any] | None:
 def flights(found: Diagnosis) -> list[dict[str, Any]]:
     """Write which parts of the flights were used.
 
-    Parameters
-    ----------
-    found : Diagnosis
-        The result.
-
     Returns
     -------
     list of dict
@@ -266,11 +246,6 @@ def flights(found: Diagnosis) -> list[dict[str, Any]]:
 
 def ranking(found: Diagnosis) -> list[dict[str, Any]]:
     """Write the candidates with their scores.
-
-    Parameters
-    ----------
-    found : Diagnosis
-        The result.
 
     Returns
     -------
@@ -302,11 +277,6 @@ def _parameters(values: Mapping[str, tuple[float, float, str]]) -> dict[str, dic
 
 def gains(measured: Mapping[str, ErrorReduction]) -> dict[str, dict[str, Any]]:
     """Write free-run errors before and after.
-
-    Parameters
-    ----------
-    measured : Mapping[str, ErrorReduction]
-        By axis.
 
     Returns
     -------

@@ -87,8 +87,6 @@ def expected_log_likelihood_ratio(
     truth, alternative : Hypothesis
         The one that is flown, and the one that is fitted to the flight in its place. All parameters of both
         are refitted with the rig's priors: this is what the new flight tells by itself.
-    comparison : Comparison
-        Model and rig.
     plan : str
         The plan, TOML.
     seed : int

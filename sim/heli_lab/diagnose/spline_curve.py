@@ -55,15 +55,7 @@ class SplineCurve:
 
 
 def spline_curve_of(effect: SplineTerm, fit: Fit) -> SplineCurve:
-    """Evaluate a spline term with the coefficients of a fit.
-
-    Parameters
-    ----------
-    effect : SplineTerm
-        The term.
-    fit : Fit
-        A fit with it.
-    """
+    """Evaluate a spline term with the coefficients of a fit."""
     low, step = effect.values[f"{effect.name}_low"], effect.values[f"{effect.name}_step"]
     place = np.linspace(low, low + step * (KNOTS - 3), _DRAWN)
     weights = bspline_basis(place, low, step)

@@ -99,11 +99,6 @@ class SplineTerm(Effect):
     def torque_Nm(self, at: Operands) -> ca.SX:
         """Add the curve to its axis; see `Effect.torque_Nm`.
 
-        Parameters
-        ----------
-        at : Operands
-            Present state, voltages and parameters.
-
         Returns
         -------
         casadi.SX
@@ -117,8 +112,6 @@ class SplineTerm(Effect):
 
         Parameters
         ----------
-        at : Operands
-            Present state, voltages and parameters.
         thrust_N : casadi.SX
             Thrust before, shape (2, 1).
 
@@ -138,8 +131,6 @@ class SplineTerm(Effect):
 
         Parameters
         ----------
-        at : Operands
-            Present state, voltages and parameters.
         angles_rad : casadi.SX
             Angles before, shape (3, 1).
 
@@ -244,13 +235,6 @@ def bspline_basis(values: Floats, low: float, step: float) -> Floats:
 
 def quantity_values(model: Model, trajectory: Trajectory) -> dict[str, Floats]:
     """Values of every quantity along a free run.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    trajectory : Trajectory
-        The free run.
 
     Returns
     -------

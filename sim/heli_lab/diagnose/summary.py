@@ -13,13 +13,7 @@ _WORTH_A_LINE: Final = 0.9
 
 
 def summary(result: Diagnosis | InsufficientExcitation) -> str:
-    """What was found, in a sentence or two.
-
-    Parameters
-    ----------
-    result : Diagnosis or InsufficientExcitation
-        The result.
-    """
+    """What was found, in a sentence or two."""
     if isinstance(result, InsufficientExcitation):
         return f"Nothing can be said of what the model lacks: {result.why}."
     cut = "" if result.search.complete else " The time ran out before everything was tried."
@@ -47,13 +41,7 @@ def _found(result: Diagnosis) -> str:
 
 
 def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
-    """Numbers behind the summary, a line each.
-
-    Parameters
-    ----------
-    result : Diagnosis or InsufficientExcitation
-        The result.
-    """
+    """Numbers behind the summary, a line each."""
     if isinstance(result, InsufficientExcitation):
         return [
             f"undetectable effects: {', '.join(result.undetectable)}",

@@ -48,10 +48,6 @@ def judge(search: Search, remaining: ResidualAnalysis, absent: bool = False) -> 
 
     Parameters
     ----------
-    search : Search
-        What was found.
-    remaining : ResidualAnalysis
-        What the final model leaves.
     absent : bool
         Whether the fit estimated a term of the baseline as zero, which is a cause as well.
     """
@@ -77,13 +73,7 @@ def judge(search: Search, remaining: ResidualAnalysis, absent: bool = False) -> 
 
 
 def remains(search: Search) -> bool:
-    """Whether the final model leaves more than quantisation.
-
-    Parameters
-    ----------
-    search : Search
-        What was found.
-    """
+    """Whether the final model leaves more than quantisation."""
     train, held_out = search.final.train.normalised, search.final.held_out.normalised
     # The held-out flights alone may be worse by what differs from flight to flight.
     if min(train, held_out) < AT_NOISE_FLOOR:
@@ -94,11 +84,6 @@ def remains(search: Search) -> bool:
 
 def ambiguous_with(found: Cause) -> list[str]:
     """Other effects that the flights do not tell from a cause.
-
-    Parameters
-    ----------
-    found : Cause
-        An effect that was found.
 
     Returns
     -------
@@ -115,10 +100,6 @@ def confidence(found: Cause, search: Search, unexplained: bool = False) -> float
 
     Parameters
     ----------
-    found : Cause
-        The cause.
-    search : Search
-        Everything that was found.
     unexplained : bool
         Whether something remains that no effect explains, and that this cause may imitate.
 

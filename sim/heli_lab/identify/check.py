@@ -87,8 +87,6 @@ def trace(fit: Fit, index: int = 0) -> Trace:
 
     Parameters
     ----------
-    fit : Fit
-        The fit.
     index : int
         Which of its records.
 
@@ -117,15 +115,8 @@ def check(fit: Fit, index: int = 0) -> Check:
 
     Parameters
     ----------
-    fit : Fit
-        The fit.
     index : int
         Which of its records.
-
-    Returns
-    -------
-    Check
-        Its errors.
     """
     seen = trace(fit, index)
     step_s = fit.problem.records[index].step_s
@@ -151,10 +142,6 @@ def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str]
 
     Parameters
     ----------
-    fit : Fit
-        The fit.
-    flights : sequence of Flight or Record
-        Other flights.
     labels : sequence of str, optional
         Their names.
 

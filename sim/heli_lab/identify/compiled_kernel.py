@@ -213,11 +213,6 @@ def _nonzeros(sparsity: ca.Sparsity) -> list[tuple[int, int]]:
 def driver(functions: Functions) -> str:
     """Write the kernel.
 
-    Parameters
-    ----------
-    functions : Functions
-        Rates, measurement and Jacobians.
-
     Returns
     -------
     str
@@ -250,8 +245,6 @@ class CompiledKernel(Kernel):
 
     Parameters
     ----------
-    functions : Functions
-        What was compiled.
     library : str
         Path of the shared library.
 

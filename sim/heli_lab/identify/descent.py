@@ -51,10 +51,6 @@ class Descent:
 
     Parameters
     ----------
-    problem : Problem
-        What is fitted.
-    budget : Budget
-        What it may cost.
     robust : bool
         Whether outlying windows lose weight.
     on_progress : callable or None
@@ -79,13 +75,7 @@ class Descent:
         """Which free parameters keep their values for now, shape (f,)."""
 
     def out_of_budget(self) -> bool:
-        """Whether the fit has cost what it may.
-
-        Returns
-        -------
-        bool
-            By evaluations or by time.
-        """
+        """Whether the fit has cost what it may."""
         seconds = time.perf_counter() - self.started_s
         return self.evaluations >= self.budget.evaluations or seconds >= self.budget.seconds
 
@@ -217,11 +207,6 @@ class Descent:
     def restart_outliers(self, point: Point) -> bool:
         """Optimise outlying windows from alternative initial states.
 
-        Parameters
-        ----------
-        point : Point
-            Changed in place.
-
         Returns
         -------
         bool
@@ -263,8 +248,6 @@ class Descent:
 
         Parameters
         ----------
-        point : Point
-            Where.
         damping : float
             Of the initial states, as a share of their diagonal.
 
@@ -304,8 +287,6 @@ class Descent:
 
         Parameters
         ----------
-        point : Point
-            Where to start.
         stage : str
             What to call it, in a few words.
         share : (float, float)

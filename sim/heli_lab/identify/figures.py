@@ -24,8 +24,6 @@ def figure_of_flight(trace: Trace, role: str) -> Figure:
 
     Parameters
     ----------
-    trace : Trace
-        The flight.
     role : str
         What it was used for, for the title.
 
@@ -74,11 +72,6 @@ def figure_of_flight(trace: Trace, role: str) -> Figure:
 def figure_of_parameters(identification: Identification) -> Figure:
     """Draw every parameter as the change from its prior, in the prior's standard deviations.
 
-    Parameters
-    ----------
-    identification : Identification
-        The result.
-
     Returns
     -------
     matplotlib.figure.Figure
@@ -104,11 +97,6 @@ def figure_of_parameters(identification: Identification) -> Figure:
 
 def figure_of_correlations(identification: Identification) -> Figure:
     """Draw the correlations of the estimates.
-
-    Parameters
-    ----------
-    identification : Identification
-        The result.
 
     Returns
     -------

@@ -52,8 +52,6 @@ class Fit:
 
     Parameters
     ----------
-    problem : Problem
-        What was fitted.
     theta : ndarray (f,)
         Free parameters.
     covariance : ndarray (f, f)

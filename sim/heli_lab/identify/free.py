@@ -30,9 +30,7 @@ class FreeParameter:
     name : str
         Its name; one that differs between several flights has the flight's label in brackets.
     unit : str
-        Its unit.
-    prior : Prior
-        What is known of it before the flight.
+        As the rig file spells it, SI.
     quantity : str
         Its name in the model.
     record : int or None
@@ -53,10 +51,6 @@ def free_parameters(
 
     Parameters
     ----------
-    model : Model
-        The model.
-    rig : Rig
-        Gives priors.
     free : sequence of str or None
         Names; None for every number of the rig that the model uses and that has a tolerance, gravity
         excepted, and every parameter of the model's effects that has a prior.
@@ -100,10 +94,6 @@ def estimated_names(model: Model, rig: Rig, free: Sequence[str] | None, fixed: S
 
     Parameters
     ----------
-    model : Model
-        The model.
-    rig : Rig
-        Gives tolerances.
     free : sequence of str or None
         As for `free_parameters`.
     fixed : sequence of str
@@ -143,8 +133,6 @@ def rig_prior(rig: Rig, name: str) -> Prior:
 
     Parameters
     ----------
-    rig : Rig
-        The rig.
     name : str
         Name of the number.
 

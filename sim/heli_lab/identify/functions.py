@@ -63,8 +63,6 @@ class Functions:
 
     Parameters
     ----------
-    model : Model
-        The model.
     free : tuple of str
         Names of the parameters to differentiate to, in this order.
     """

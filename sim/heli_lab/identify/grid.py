@@ -19,10 +19,6 @@ class Grid:
 
     Parameters
     ----------
-    record : Record
-        The flight.
-    inputs : Inputs
-        Voltages of all windows.
     rows : ndarray of int64 (m,)
         Row of the flight at the beginning of each step.
     every : int
@@ -77,8 +73,6 @@ def window_starts(record: Record, window_s: float, every: int) -> list[tuple[int
 
     Parameters
     ----------
-    record : Record
-        The flight.
     window_s : float
         Wanted length, s.
     every : int
@@ -115,8 +109,6 @@ def make_grid(
 
     Parameters
     ----------
-    record : Record
-        The flight.
     windows : sequence of (int, int)
         First row and number of rows of each window.
     every : int

@@ -22,8 +22,6 @@ def first_states(problem: Problem, theta: Floats) -> list[Floats]:
 
     Parameters
     ----------
-    problem : Problem
-        What is fitted.
     theta : ndarray (f,)
         Free parameters.
 
@@ -43,12 +41,10 @@ def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Fl
 
     Parameters
     ----------
-    problem : Problem
-        What is fitted.
     index : int
         Which record.
     rows : ndarray of int64 (w,)
-        Rows.
+        Samples of the record at which windows begin.
     theta : ndarray (f,)
         Free parameters.
 
@@ -76,8 +72,6 @@ def alternative_states(problem: Problem, index: int, theta: Floats, states: Floa
 
     Parameters
     ----------
-    problem : Problem
-        What is fitted.
     index : int
         Which record.
     theta : ndarray (f,)

@@ -14,13 +14,7 @@ from heli_lab.identify.windows import Kernel
 
 
 class InterpretedKernel(Kernel):
-    """Windows run in NumPy, all of them side by side, on CasADi's virtual machine.
-
-    Parameters
-    ----------
-    functions : Functions
-        What to evaluate.
-    """
+    """Windows run in NumPy, all of them side by side, on CasADi's virtual machine."""
 
     def __init__(self, functions: Functions) -> None:
         self._functions = functions

@@ -24,8 +24,6 @@ def kernel(model: Model, free: tuple[str, ...]) -> Kernel:
 
     Parameters
     ----------
-    model : Model
-        The model.
     free : tuple of str
         Names of the parameters to differentiate to, in this order.
 

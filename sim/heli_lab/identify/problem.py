@@ -47,8 +47,6 @@ class Problem:
 
     Parameters
     ----------
-    model : Model
-        The model.
     rig : Rig
         Values of everything fixed, and priors of everything free.
     flights : sequence of Flight or Record
@@ -254,11 +252,6 @@ class Problem:
             Which record.
         theta : ndarray (f,)
             Free parameters; a delay among them shifts the voltages.
-
-        Returns
-        -------
-        Grid
-            Windows with inputs.
         """
         delay, dead_zone_V = self.input_shape(self.parameters(theta, index))
         record = self.records[index]

@@ -71,8 +71,6 @@ class Record:
         One count of each encoder.
     segments : tuple of (int, int)
         First row and last row plus one of each part in free flight.
-    cuts : tuple of Cut
-        What was left out.
     notes : tuple of str
         What else was noticed, a sentence each.
     gaps : tuple of int

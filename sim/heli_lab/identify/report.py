@@ -30,8 +30,6 @@ def write_report(identification: Identification, folder: str | Path) -> Path:
 
     Parameters
     ----------
-    identification : Identification
-        The result.
     folder : str or Path
         Where to; made if it is missing.
 
@@ -78,18 +76,7 @@ def write_report(identification: Identification, folder: str | Path) -> Path:
 
 
 def verdict(identification: Identification) -> str:
-    """Summarise in two sentences how good the model is.
-
-    Parameters
-    ----------
-    identification : Identification
-        The result.
-
-    Returns
-    -------
-    str
-        With the numbers that it rests on.
-    """
+    """Summarise in two sentences how good the model is."""
     numbers = identification.json()
     residual = numbers["normalised_residual"]
     judged = residual["train"] if residual["validation"] is None else residual["validation"]

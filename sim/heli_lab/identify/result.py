@@ -23,14 +23,8 @@ class Identification:
 
     Parameters
     ----------
-    fit : Fit
-        The fit.
-    training : tuple of Check
-        Errors on the flights that it was fitted to.
     validation : tuple of Check
         Errors on other flights; empty when none were given.
-    training_traces, validation_traces : tuple of Trace
-        Measured against predicted, of each.
     """
 
     fit: Fit
@@ -68,7 +62,7 @@ class Identification:
         Parameters
         ----------
         name : str
-            Its name.
+            What the new rig is called.
 
         Returns
         -------
@@ -216,7 +210,7 @@ def rounded(number: float, std: float) -> str:
     Parameters
     ----------
     number : float
-        The number.
+        What is to be written.
     std : float
         Its standard error.
 

@@ -42,14 +42,6 @@ def identify(
 
     Parameters
     ----------
-    model : Model
-        The model.
-    rig : Rig
-        Start values and priors.
-    flights : sequence of Flight or Record
-        Flights to fit.
-    validation : sequence of Flight or Record
-        Flights to measure the result on.
     free : sequence of str, optional
         Names of the free parameters; see `Problem`.
     fixed : sequence of str
@@ -64,11 +56,6 @@ def identify(
         Most time for the fit.
     on_progress : callable, optional
         Told where the work is.
-
-    Returns
-    -------
-    Identification
-        Fit and checks.
 
     Raises
     ------

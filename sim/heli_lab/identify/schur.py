@@ -52,8 +52,6 @@ def add_state_prior(
 
     Parameters
     ----------
-    problem : Problem
-        What is fitted.
     normal : ndarray (w, m, m)
         Normal matrices whose leading unknowns are the initial states and whose last column is the right-hand
         side; changed in place.
@@ -88,8 +86,6 @@ def eliminate_states(
 
     Parameters
     ----------
-    problem : Problem
-        What is fitted.
     evaluations : sequence of Evaluation
         Predictions of all records with their derivatives.
     states : sequence of ndarray (w, states)

@@ -47,8 +47,6 @@ def screen(fit: Fit, extended: Problem, groups: Sequence[Sequence[str]]) -> list
 
     Parameters
     ----------
-    fit : Fit
-        The baseline.
     extended : Problem
         The same flights and windows with the baseline's free parameters and those of all candidates; its
         start values are the ones at which the candidates do nothing.

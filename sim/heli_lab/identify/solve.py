@@ -36,13 +36,9 @@ def solve(
 
     Parameters
     ----------
-    problem : Problem
-        What to fit.
     start : Fit or Mapping[str, float], optional
         Where to start: an earlier fit, perhaps of another problem, or values by name; unknown names are
         passed over.
-    budget : Budget, optional
-        What it may cost.
     robust : bool
         Whether outlying windows lose weight.
     fine : bool

@@ -29,8 +29,6 @@ def quantisation_scatter(
 
     Parameters
     ----------
-    problem : Problem
-        What was fitted.
     theta : ndarray (f,)
         Free parameters.
     states : sequence of ndarray (w, states)
@@ -75,11 +73,6 @@ def timing_variance(problem: Problem) -> Floats:
     A row holds the voltage of its tick, not the moment within the tick at which the motors got it. Simulators
     differ in this by half a tick, as do explicit and exact steps of a lag, and a fit finds the time to a
     fiftieth of a tick.
-
-    Parameters
-    ----------
-    problem : Problem
-        What is fitted.
 
     Returns
     -------

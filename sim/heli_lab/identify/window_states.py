@@ -34,10 +34,6 @@ def window_cost(
 
     Parameters
     ----------
-    problem : Problem
-        What is fitted.
-    evaluation : Evaluation
-        Predictions with their derivatives.
     states : ndarray (w, states)
         Initial states.
     reference : ndarray (w, states)
@@ -78,8 +74,6 @@ def refine_states(
 
     Parameters
     ----------
-    problem : Problem
-        What is fitted.
     index : int
         Which record.
     theta : ndarray (f,)

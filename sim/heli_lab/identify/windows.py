@@ -17,8 +17,6 @@ class Kernel(ABC):
 
         Parameters
         ----------
-        inputs : Inputs
-            What drives the windows.
         start : ndarray (w, states)
             Initial states.
         parameters : ndarray (p,)
@@ -42,8 +40,6 @@ class Kernel(ABC):
 
         Parameters
         ----------
-        inputs : Inputs
-            What drives the windows.
         start : ndarray (w, states)
             Initial states.
         parameters : ndarray (p,)
@@ -67,8 +63,6 @@ class Kernel(ABC):
 
         Parameters
         ----------
-        inputs : Inputs
-            What drives the windows.
         start : ndarray (w, states)
             Initial states.
         parameters : ndarray (p,)

@@ -82,11 +82,6 @@ SCALE_N: Final = 0.00981
 def check_rig(rig: Rig) -> None:
     """Refuse a rig that the voltages of these tests do not suit.
 
-    Parameters
-    ----------
-    rig : Rig
-        The rig.
-
     Raises
     ------
     IdentifyError
@@ -105,20 +100,6 @@ def check_rig(rig: Rig) -> None:
 
 def record_of(test: BenchTest, flight: Flight, rig: Rig) -> Record:
     """Make a bench test ready for fitting: all of it counts, from the moment of release.
-
-    Parameters
-    ----------
-    test : BenchTest
-        The experiment.
-    flight : Flight
-        What was logged of it, from the release on.
-    rig : Rig
-        Gives the encoders' counts.
-
-    Returns
-    -------
-    Record
-        One segment.
 
     Raises
     ------

@@ -76,8 +76,6 @@ def printed_inertias_kg_m2(rig: Rig, elevation_rad: float = 0.0, pitch_rad: floa
 
     Parameters
     ----------
-    rig : Rig
-        Masses and lengths.
     elevation_rad, pitch_rad : float
         Angles at which to evaluate them.
 
@@ -105,8 +103,6 @@ def analytic(rig: Rig, corrected: bool = True) -> dict[str, float]:
 
     Parameters
     ----------
-    rig : Rig
-        The rig.
     corrected : bool
         Leave P_18 out, and give P_13 and P_16 the arm L_a that a torque of the drag (22) has; False is as
         printed.

@@ -40,19 +40,8 @@ def distances(models: Sequence[Model], rig: Rig, flight: Flight, window_s: float
 
     Parameters
     ----------
-    models : sequence of Model
-        The models.
-    rig : Rig
-        Numbers of all of them.
-    flight : Flight
-        The flight.
     window_s : float
         Length of a free run.
-
-    Returns
-    -------
-    list of Distance
-        In the order of the models.
 
     Raises
     ------

@@ -77,8 +77,6 @@ def board_on(plant: Plant, seed: int, elevation_deg: float) -> Iterator[tuple[He
 
     Parameters
     ----------
-    plant : Plant
-        The rig.
     seed : int
         Of the encoders' starting points.
     elevation_deg : float
@@ -116,10 +114,6 @@ def run_bench_test(test: BenchTest, plant: Plant, seed: int = 1) -> Flight:
 
     Parameters
     ----------
-    test : BenchTest
-        The experiment.
-    plant : Plant
-        The rig.
     seed : int
         Of the encoders' starting points.
 
@@ -165,8 +159,6 @@ def read_thrust(plant: Plant, seed: int = 1) -> ThrustCurve:
 
     Parameters
     ----------
-    plant : Plant
-        The rig.
     seed : int
         Of the encoders' starting points.
 
@@ -208,8 +200,6 @@ def fly_plan(
     ----------
     name : str
         A name of `PLANS`.
-    plant : Plant
-        The rig.
     label : str
         What the flight is called in the figure.
     gains : str or None

@@ -39,11 +39,6 @@ _SMALL: Final = 8
 def thrust_figure(curve: ThrustCurve) -> Figure:
     """Draw Fig. 15: thrust against voltage with the line through it.
 
-    Parameters
-    ----------
-    curve : ThrustCurve
-        Readings of the scale.
-
     Returns
     -------
     matplotlib.figure.Figure
@@ -83,15 +78,6 @@ def thrust_figure(curve: ThrustCurve) -> Figure:
 def bench_figure(table: Table, records: Sequence[Record], rig: Rig) -> Figure:
     """Draw one of Figs. 16 to 18: the bench tests of a table, measured and by (30) as identified from them.
 
-    Parameters
-    ----------
-    table : Table
-        The fit.
-    records : sequence of Record
-        The tests that it was fitted to.
-    rig : Rig
-        The rig.
-
     Returns
     -------
     matplotlib.figure.Figure
@@ -128,11 +114,6 @@ def bench_figure(table: Table, records: Sequence[Record], rig: Rig) -> Figure:
 
 def sensitivity_figure(rig: Rig) -> Figure:
     """Draw Fig. 19: the elevation's step response with parameters changed or neglected.
-
-    Parameters
-    ----------
-    rig : Rig
-        The rig.
 
     Returns
     -------

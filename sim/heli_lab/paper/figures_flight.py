@@ -61,8 +61,6 @@ def flown(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> Flow
     ----------
     label : str
         Which gains flew it.
-    flight : Flight
-        The whole log.
     desired_deg : ndarray (n, 3)
         Elevation, pitch and travel that the plan asked for at each row, pitch being ignored.
     outcome : str
@@ -100,11 +98,6 @@ def flown(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> Flow
 def hover_figure(flights: Sequence[Flown]) -> Figure:
     """Draw Fig. 21: pitch, elevation and travel while hovering.
 
-    Parameters
-    ----------
-    flights : sequence of Flown
-        The same plan with different gains.
-
     Returns
     -------
     matplotlib.figure.Figure
@@ -126,8 +119,6 @@ def response_figure(flights: Sequence[Flown], path: str, number: int) -> Figure:
 
     Parameters
     ----------
-    flights : sequence of Flown
-        The same plan with different gains.
     path : str
         Name of the path.
     number : int
@@ -155,8 +146,6 @@ def performance_figure(flights: Sequence[Flown], path: str, number: int) -> Figu
 
     Parameters
     ----------
-    flights : sequence of Flown
-        The same plan with different gains.
     path : str
         Name of the path.
     number : int
@@ -195,11 +184,6 @@ def performance_figure(flights: Sequence[Flown], path: str, number: int) -> Figu
 
 def aloft_s(one: Flown) -> float:
     """When the take-off is over: the elevation has reached what it starts its path at.
-
-    Parameters
-    ----------
-    one : Flown
-        The flight.
 
     Returns
     -------

@@ -51,13 +51,7 @@ class Coefficients(Effect):
 
 
 class LumpedModel(Model):
-    """The paper's (30).
-
-    Parameters
-    ----------
-    coefficients : Coefficients
-        P_1 to P_18.
-    """
+    """The paper's (30)."""
 
     name = "lumped"
     rig_parameters = ()

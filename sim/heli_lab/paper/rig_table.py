@@ -78,8 +78,6 @@ class RigTable:
 
     Parameters
     ----------
-    rows : tuple of RigRow
-        The rig's numbers.
     normalised : dict of int to float
         Root mean square error of the multibody model on the tests of Tables 3 to 5, free axes only, in
         standard deviations of the quantisation.
@@ -103,8 +101,6 @@ def fit_rig(
         Values and tolerances before the tests.
     records : Mapping of int to sequence of Record
         The tests of each of `TESTS_OF_TABLE`.
-    line : Line
-        The thrust curve.
     on_progress : callable, optional
         Told the share that is done.
 

@@ -73,8 +73,6 @@ def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats
     ----------
     coefficients : Mapping[str, float]
         P_1 to P_6, in rad, s and V of U+.
-    test : BenchTest
-        Gives the voltages.
     t_s : ndarray (n,)
         Times since the step, evenly spaced.
 
@@ -115,8 +113,6 @@ def equilibrium_deg(coefficients: Mapping[str, float], test: BenchTest) -> float
     ----------
     coefficients : Mapping[str, float]
         P_1 to P_6, in rad, s and V of U+.
-    test : BenchTest
-        Gives the voltages.
 
     Returns
     -------
@@ -133,20 +129,7 @@ def equilibrium_deg(coefficients: Mapping[str, float], test: BenchTest) -> float
 
 
 def sensitivities(rig: Rig, test: BenchTest = ELEVATION_STEPS[0]) -> list[Sensitivity]:
-    """One percent of every coefficient, one after the other.
-
-    Parameters
-    ----------
-    rig : Rig
-        The rig.
-    test : BenchTest
-        The voltage step.
-
-    Returns
-    -------
-    list of Sensitivity
-        The strongest first.
-    """
+    """One percent of every coefficient, one after the other."""
     base, t_s = analytic(rig), np.arange(0.0, 20.0, 0.02)
     path, rest = response_deg(base, test, t_s), equilibrium_deg(base, test)
     out = []

@@ -80,8 +80,6 @@ def verdicts(model: Model, rig: Rig) -> list[Verdict]:
     ----------
     model : Model
         Equations of motion, without any effect.
-    rig : Rig
-        Their numbers.
 
     Returns
     -------

@@ -118,8 +118,6 @@ class Table:
     normalised : float
         Root mean square error of (30) over windows of four seconds, free axes only, in standard deviations of
         the quantisation; 1 when nothing else is left.
-    fit : Fit
-        The fit.
     """
 
     number: int
@@ -139,15 +137,8 @@ def fit_table(
         3, 4 or 5.
     rig : Rig
         Gives the analytic values, from which the fit starts.
-    records : sequence of Record
-        The tests of `TESTS_OF_TABLE`, in that order.
     on_progress : callable, optional
         Told the share that is done.
-
-    Returns
-    -------
-    Table
-        The table.
 
     Raises
     ------
@@ -180,8 +171,6 @@ def free_axes_normalised(fit: Fit, locked: tuple[bool, bool, bool]) -> float:
 
     Parameters
     ----------
-    fit : Fit
-        The fit.
     locked : tuple of bool
         Which of elevation, pitch and travel are locked.
 

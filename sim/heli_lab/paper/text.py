@@ -22,15 +22,6 @@ if TYPE_CHECKING:
 def table_lines(line: Line, by_rig: RigTable, found: Sequence[Table]) -> list[str]:
     """Format Tables 2 to 5 for a terminal.
 
-    Parameters
-    ----------
-    line : Line
-        The thrust curve.
-    by_rig : RigTable
-        Table 2.
-    found : sequence of Table
-        Tables 3 to 5.
-
     Returns
     -------
     list of str
@@ -72,11 +63,6 @@ def table_lines(line: Line, by_rig: RigTable, found: Sequence[Table]) -> list[st
 def model_lines(found: Sequence[Distance]) -> list[str]:
     """Format the models' errors for a terminal.
 
-    Parameters
-    ----------
-    found : sequence of Distance
-        The models.
-
     Returns
     -------
     list of str
@@ -94,11 +80,6 @@ def model_lines(found: Sequence[Distance]) -> list[str]:
 
 def gain_lines(found: dict[str, list[Verdict]]) -> list[str]:
     """Format the readings of Table 6 for a terminal.
-
-    Parameters
-    ----------
-    found : dict of list of Verdict
-        By model.
 
     Returns
     -------
@@ -123,17 +104,6 @@ def gain_lines(found: dict[str, list[Verdict]]) -> list[str]:
 
 def tables_json(plant: Plant, line: Line, by_rig: RigTable, found: Sequence[Table]) -> dict[str, Any]:
     """Tables 2 to 5 as JSON has them.
-
-    Parameters
-    ----------
-    plant : Plant
-        What was simulated.
-    line : Line
-        The thrust curve.
-    by_rig : RigTable
-        Table 2.
-    found : sequence of Table
-        Tables 3 to 5.
 
     Returns
     -------

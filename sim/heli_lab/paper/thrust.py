@@ -18,13 +18,7 @@ Floats = npt.NDArray[np.float64]
 
 
 class Scale:
-    """A scale under each rotor of a rig that stands still, in steps of a gram.
-
-    Parameters
-    ----------
-    plant : Plant
-        The rig.
-    """
+    """A scale under each rotor of a rig that stands still, in steps of a gram."""
 
     def __init__(self, plant: Plant) -> None:
         model = plant.model

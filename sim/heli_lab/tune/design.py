@@ -88,8 +88,6 @@ def find_gains(
 
     Parameters
     ----------
-    rig : Rig
-        The rig.
     spread : Spread, optional
         How far it may be from its numbers; without it what `known` says.
     sensitivity : float
@@ -98,13 +96,6 @@ def find_gains(
         Told what is searched for.
     model : type of Model
         Equations of the rig.
-    known : Known, optional
-        Its effects.
-
-    Returns
-    -------
-    Design
-        The gains.
 
     Raises
     ------

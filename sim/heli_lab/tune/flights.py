@@ -71,8 +71,6 @@ def try_gains(
 
     Parameters
     ----------
-    plant : Plant
-        The rig.
     parameters : Mapping of str to float
         The board's parameters that differ from their defaults.
     label : str

@@ -68,8 +68,6 @@ class Law:
 
     Parameters
     ----------
-    elevation, pitch, travel : Pid
-        Gains of the three loops.
     pitch_hold : float
         Feed-forward from pitch's setpoint to the differential, V/rad: holds a tilt against masses that hang
         below the axis.
@@ -110,13 +108,6 @@ class Margin:
 def elevation_closed(plant: LinearPlant, pid: Pid) -> Floats:
     """Close the elevation loop.
 
-    Parameters
-    ----------
-    plant : LinearPlant
-        The plant.
-    pid : Pid
-        The gains.
-
     Returns
     -------
     ndarray (6, 6)
@@ -135,10 +126,6 @@ def tilt_closed(plant: LinearPlant, pitch: Pid, travel: Pid, pitch_hold: float =
 
     Parameters
     ----------
-    plant : LinearPlant
-        The plant.
-    pitch, travel : Pid
-        The gains.
     pitch_hold : float
         As in `Law`.
 
@@ -162,8 +149,6 @@ def tilt_output(size: int, pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> 
     ----------
     size : int
         Number of states, those of `tilt_closed` first.
-    pitch, travel : Pid
-        The gains.
     pitch_hold : float
         As in `Law`.
 
@@ -186,10 +171,6 @@ def open_loops(
 
     Parameters
     ----------
-    plant : LinearPlant
-        The plant.
-    law : Law
-        The gains.
     frequency_rad_s : ndarray (n,)
         Frequencies.
 
@@ -241,15 +222,8 @@ def margins(plant: LinearPlant, law: Law) -> dict[str, Margin]:
 
     Parameters
     ----------
-    plant : LinearPlant
-        The plant.
     law : Law
         Gains that stabilise it; without that no margin means anything.
-
-    Returns
-    -------
-    dict of str to Margin
-        By the names of `LOOPS`.
     """
     import control
 
@@ -273,13 +247,6 @@ def margins(plant: LinearPlant, law: Law) -> dict[str, Margin]:
 
 def is_stable(plant: LinearPlant, law: Law) -> bool:
     """Whether every closed loop of a plant decays.
-
-    Parameters
-    ----------
-    plant : LinearPlant
-        The plant.
-    law : Law
-        The gains.
 
     Returns
     -------

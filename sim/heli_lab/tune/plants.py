@@ -94,18 +94,7 @@ class Known:
 
 
 def known_of(effects: Sequence[Effect]) -> Known:
-    """Sort effects by what they mean for the loops.
-
-    Parameters
-    ----------
-    effects : sequence of Effect
-        Effects of a rig.
-
-    Returns
-    -------
-    Known
-        The same, sorted.
-    """
+    """Sort effects by what they mean for the loops."""
     lag_s, delay_s = None, 0.0
     linear: list[Effect] = []
     left_out: list[str] = []
@@ -178,8 +167,6 @@ def linear_plant(
 
     Parameters
     ----------
-    rig : Rig
-        The rig.
     lag_s : float
         Lag of the thrust, s.
     thrust : float
@@ -190,11 +177,6 @@ def linear_plant(
         Its equations.
     known : Known, optional
         Its effects; their lag is not looked at.
-
-    Returns
-    -------
-    LinearPlant
-        The linear plant.
 
     Raises
     ------
@@ -243,8 +225,6 @@ def spread_plants(
 
     Parameters
     ----------
-    rig : Rig
-        The rig in the middle.
     spread : Spread
         How far it may be from its numbers.
     model : type of Model

@@ -73,12 +73,8 @@ def step_metrics(
 
     Parameters
     ----------
-    flight : Flight
-        The flight.
     path_deg : callable
         From times on the flight's axis, (n,), to elevation, pitch and travel that were asked for, (n, 3).
-    phases : Phases
-        When it did what.
     outcome : str
         How it ended.
 

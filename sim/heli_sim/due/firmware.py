@@ -40,11 +40,6 @@ def candidates() -> list[Path]:
 def new_board(image: Image) -> DueBoard:
     """An emulated Due for the simulated world, with a program that lies in its flash and ticks like ours.
 
-    Parameters
-    ----------
-    image : Image
-        The program.
-
     Returns
     -------
     DueBoard

@@ -61,8 +61,6 @@ class GdbServer:
     ----------
     due
         The board, powered on.
-    image
-        Its program, for the message at the start.
     """
 
     def __init__(self, due: Due, image: Image) -> None:

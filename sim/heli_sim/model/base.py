@@ -91,8 +91,6 @@ class Model(ABC):
 
         Parameters
         ----------
-        at : Operands
-            Present state, voltages and parameters.
         thrust_N : casadi.SX
             Thrust of the front and the back rotor, shape (2, 1).
         torque_Nm : casadi.SX

@@ -82,8 +82,6 @@ class Effect:
     delay : str
         Name of the one of `parameters`, in s, by which the voltages act late; empty for no delay. Whoever
         integrates the model hands it voltages that are late by this much.
-    stage : Stage
-        Where it acts.
     noise_inputs : int
         Dimension of the white noise that drives its states in a simulation.
     measured_as : Mapping[str, str]
@@ -120,8 +118,6 @@ class Effect:
 
         Parameters
         ----------
-        at : Operands
-            Present state, voltages and parameters.
         what : str
             Its name after the prefix, such as ``share`` of ``thrust_step_front_share``.
 
@@ -136,11 +132,6 @@ class Effect:
     def modified_parameters(self, at: Operands) -> Mapping[str, ca.SX]:
         """Numbers of the rig as the effect modifies them, before anything is computed with them.
 
-        Parameters
-        ----------
-        at : Operands
-            Present state, voltages and parameters.
-
         Returns
         -------
         Mapping[str, casadi.SX]
@@ -153,8 +144,6 @@ class Effect:
 
         Parameters
         ----------
-        at : Operands
-            Present state, voltages and parameters.
         volts_V : casadi.SX
             Voltages of the front and the back motor before this effect, shape (2, 1).
 
@@ -170,8 +159,6 @@ class Effect:
 
         Parameters
         ----------
-        at : Operands
-            Present state, voltages and parameters.
         thrust_N : casadi.SX
             Thrust of the front and the back rotor before this effect, shape (2, 1).
 
@@ -224,11 +211,6 @@ class Effect:
     def energy_J(self, at: Operands) -> ca.SX:
         """Potential energy of a torque that has one, such as a spring's.
 
-        Parameters
-        ----------
-        at : Operands
-            Present state, voltages and parameters.
-
         Returns
         -------
         casadi.SX
@@ -241,8 +223,6 @@ class Effect:
 
         Parameters
         ----------
-        at : Operands
-            Present state, voltages and parameters.
         angles_rad : casadi.SX
             Elevation, pitch and travel before this effect, shape (3, 1).
 
@@ -255,11 +235,6 @@ class Effect:
 
     def state_rates(self, at: Operands) -> ca.SX:
         """Time derivatives of the effect's own states.
-
-        Parameters
-        ----------
-        at : Operands
-            Present state, voltages and parameters.
 
         Returns
         -------

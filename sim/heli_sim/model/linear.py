@@ -88,19 +88,10 @@ def derivatives(model: Model, rig: Rig, state: npt.ArrayLike, volts_V: npt.Array
 
     Parameters
     ----------
-    model : Model
-        The model.
-    rig : Rig
-        Its numbers.
     state : array_like (n,)
         State, in the order of the model's.
     volts_V : array_like (2,)
         Front and back voltage.
-
-    Returns
-    -------
-    Derivatives
-        At that point.
     """
     results = derivative_function(model)(np.asarray(state), np.asarray(volts_V), model.parameter_values(rig))
     f, *rest = (np.asarray(result) for result in results)
@@ -112,10 +103,6 @@ def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
 
     Parameters
     ----------
-    model : Model
-        The model.
-    rig : Rig
-        Its numbers.
     elevation_rad : float
         Elevation to hold, rad.
 
@@ -162,10 +149,6 @@ def linearise(model: Model, rig: Rig, at: Trim | None = None) -> control.StateSp
 
     Parameters
     ----------
-    model : Model
-        The model.
-    rig : Rig
-        Its numbers.
     at : Trim, optional
         Where; hovering at level by default.
 

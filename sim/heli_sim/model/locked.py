@@ -17,8 +17,6 @@ class Locked(Model):
 
     Parameters
     ----------
-    model : Model
-        The model; effects and all.
     locked : tuple of bool
         Which of elevation, pitch and travel are locked.
     """

@@ -74,11 +74,6 @@ class MultibodyModel(Model):
     def inertia_kg_m2(self, at: Operands) -> ca.SX:
         """Mass matrix M(q) at the present angles.
 
-        Parameters
-        ----------
-        at : Operands
-            Present state and parameters.
-
         Returns
         -------
         casadi.SX
@@ -88,11 +83,6 @@ class MultibodyModel(Model):
 
     def energy_J(self, at: Operands) -> ca.SX:
         """Kinetic and potential energy, effects' included; zero at rest with every mass at the axes' height.
-
-        Parameters
-        ----------
-        at : Operands
-            Present state and parameters.
 
         Returns
         -------
@@ -108,8 +98,6 @@ class MultibodyModel(Model):
 
         Parameters
         ----------
-        at : Operands
-            Present state and parameters.
         thrust_N : casadi.SX
             Thrust of the front and the back rotor, shape (2, 1).
 

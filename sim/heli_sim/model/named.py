@@ -25,14 +25,7 @@ def model_named(name: str, effects: tuple[Effect, ...] = ()) -> Model:
     Parameters
     ----------
     name : str
-        Its name.
-    effects : tuple of Effect
-        Effects on top of it.
-
-    Returns
-    -------
-    Model
-        The model.
+        A key of `MODELS`.
 
     Raises
     ------

@@ -134,11 +134,6 @@ class Rig(Mapping[str, Number]):
         **values : float
             New values by name, each in the unit of its name.
 
-        Returns
-        -------
-        Rig
-            The changed rig.
-
         Raises
         ------
         RigError
@@ -170,11 +165,6 @@ def load_rig(name_or_path: str | Path) -> Rig:
     ----------
     name_or_path : str or Path
         A name of `rig_names`, or the path of a TOML file.
-
-    Returns
-    -------
-    Rig
-        The rig, checked.
 
     Raises
     ------

@@ -25,11 +25,6 @@ class ArmSupport:
     """Locks the elevation on the table while the motors are off, and frees it when they turn.
 
     It leaves alone a rig whose arm rests by itself, and axes that somebody else has locked.
-
-    Parameters
-    ----------
-    plant : Plant
-        The rig.
     """
 
     def __init__(self, plant: Plant) -> None:

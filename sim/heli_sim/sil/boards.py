@@ -56,11 +56,6 @@ def choose(board: str, elf: str = "") -> Choice:
     elf : str
         ELF to fly; empty for the newest that is found. With ``auto`` it means ``due``.
 
-    Returns
-    -------
-    Choice
-        ``native`` or ``due``.
-
     Raises
     ------
     DueError
@@ -83,11 +78,6 @@ def choose(board: str, elf: str = "") -> Choice:
 
 def settled(options: SilOptions) -> SilOptions:
     """Options that name their board and its ELF.
-
-    Parameters
-    ----------
-    options : SilOptions
-        As asked for.
 
     Returns
     -------
@@ -184,11 +174,6 @@ SimBoard = NativeBoard | EmulatedDue
 
 def make_board(options: SilOptions) -> SimBoard:
     """Make the board of a simulation.
-
-    Parameters
-    ----------
-    options : SilOptions
-        Settled, see `settled`.
 
     Returns
     -------

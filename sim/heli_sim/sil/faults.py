@@ -155,8 +155,6 @@ class FaultyStream:
 
     Parameters
     ----------
-    plan : FaultPlan
-        Probabilities.
     seed : int
         Seed of the simulation.
     direction : int

@@ -47,8 +47,6 @@ class SilOptions:
     reset_on_open : bool or None
         Whether a rising DTR resets the board, as it does on a Due. None: behind a port it does so on ``due``,
         in process, where nobody opens anything, it does not.
-    faults : FaultPlan
-        What goes wrong on the link.
     model : str
         Name of the model; empty for the one that the rig's file names, or ``multibody``.
     effects : tuple of str

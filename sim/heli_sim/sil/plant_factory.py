@@ -15,11 +15,6 @@ def plant_of(options: SilOptions) -> Plant:
 
     The rig's file may name the model whose numbers it holds, and effects; options come before both.
 
-    Parameters
-    ----------
-    options : SilOptions
-        What to simulate.
-
     Returns
     -------
     Plant

@@ -34,10 +34,6 @@ class SilServer:
 
     Parameters
     ----------
-    endpoint : Endpoint
-        The port.
-    world : SilWorld
-        Board, line and plant.
     clock : Clock
         How fast simulated time may pass.
     now_s : callable
@@ -114,10 +110,6 @@ def serve(endpoint: Endpoint, world: SilWorld, clock: Clock, stop_fd: int | None
 
     Parameters
     ----------
-    endpoint : Endpoint
-        The port; the caller closes it.
-    world : SilWorld
-        Board, line and plant.
     clock : Clock
         How fast simulated time may pass.
     stop_fd : int or None
@@ -146,8 +138,6 @@ def run_server(
 
     Parameters
     ----------
-    options : SilOptions
-        What to simulate, and how fast.
     pty : str or Path or None
         Symbolic link to make to the pseudo-terminal.
     tcp : str or None
@@ -215,11 +205,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ----------
     arguments : sequence of str or None
         Command line without the program's name; None for that of the process.
-
-    Returns
-    -------
-    int
-        Exit status.
     """
     parser = argparse.ArgumentParser(prog="heli_sim.sil.server", description="Serve a simulated board.")
     parser.add_argument("--pty", help="symbolic link to make to the pseudo-terminal")

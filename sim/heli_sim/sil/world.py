@@ -28,8 +28,6 @@ class SilWorld:
 
     Parameters
     ----------
-    options : SilOptions
-        What to simulate.
     plant : Plant or None
         Plant to fly instead of the one that the options ask for.
 

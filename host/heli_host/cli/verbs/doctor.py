@@ -73,11 +73,6 @@ def check_python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
     ----------
     version : tuple of int
         Major, minor, micro.
-
-    Returns
-    -------
-    Finding
-        Bad below 3.11.
     """
     text = f"Python {'.'.join(map(str, version))}"
     if version >= (3, 11):
@@ -118,11 +113,6 @@ def _is_installed(name: str) -> bool:
 def check_boards(ports: list[PortInfo]) -> Iterator[Finding]:
     """Say which boards are plugged in.
 
-    Parameters
-    ----------
-    ports : list of PortInfo
-        The serial ports of this machine.
-
     Yields
     ------
     Finding
@@ -144,11 +134,6 @@ def check_boards(ports: list[PortInfo]) -> Iterator[Finding]:
 
 def check_permissions(ports: list[PortInfo]) -> Iterator[Finding]:
     """Check that this user may open the serial ports.
-
-    Parameters
-    ----------
-    ports : list of PortInfo
-        The serial ports of this machine.
 
     Yields
     ------

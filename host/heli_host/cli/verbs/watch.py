@@ -72,11 +72,6 @@ def _look(heli: Heli, for_s: float | None) -> None:
 def line(heli: Heli) -> str:
     """Say in one line what a board measures and does.
 
-    Parameters
-    ----------
-    heli : Heli
-        A connected board.
-
     Returns
     -------
     str

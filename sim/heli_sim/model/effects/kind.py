@@ -85,8 +85,6 @@ class EffectKind:
         LaTeX.
     acts_on : str
         ``input``, ``thrust``, ``torque.<axis>``, ``measurement.<axis>`` or ``parameters``.
-    stage : Stage
-        Where in the chain it acts.
     numbers : tuple of Parameter
         Its parameters. The first is the one that ``ID=VALUE`` sets.
     states : tuple of Quantity
@@ -182,11 +180,6 @@ class EffectKind:
     def suits(self, model: Model) -> bool:
         """Whether a model has what the effect changes.
 
-        Parameters
-        ----------
-        model : Model
-            The model.
-
         Returns
         -------
         bool
@@ -203,11 +196,6 @@ class EffectKind:
         ----------
         values : Mapping[str, float], optional
             Values by full name; `neutral` for those not given.
-
-        Returns
-        -------
-        Effect
-            The effect, for a model.
 
         Raises
         ------

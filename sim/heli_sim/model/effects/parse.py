@@ -44,15 +44,8 @@ def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]
 
     Parameters
     ----------
-    rig : Rig
-        The rig.
     extra : sequence of str or Path
         Users' files with more effects.
-
-    Returns
-    -------
-    tuple of Effect
-        In the order of the file.
 
     Raises
     ------
@@ -86,8 +79,6 @@ def effect_numbers(
 
     Parameters
     ----------
-    kind : EffectKind
-        The effect.
     values : Mapping[str, float]
         Values by full name; `EffectKind.neutral` for those not given.
     tolerances : Mapping[str, float]
