@@ -83,7 +83,7 @@ def test_the_page_needs_nothing_else_and_has_its_figures(terminal: Terminal, tmp
     assert sources and all(source.startswith("data:image/png;base64,") for source in sources)
     for name in ("train-1.png", "parameters.png", "correlations.png"):
         assert (folder / name).read_bytes().startswith(b"\x89PNG")
-    for word in ("Measured against predicted", "What was found", "cannot tell apart", "left out", *HIDDEN):
+    for word in ("Measured against predicted", "What was found", "cannot identify", "left out", *HIDDEN):
         assert word in page
     assert json.loads((folder / "result.json").read_text())["parameters"].keys() == HIDDEN.keys()
 

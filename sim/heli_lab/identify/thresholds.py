@@ -12,11 +12,11 @@ from typing import Final
 # --- The free flight in a log -------------------------------------------------------------------------------
 
 TABLE_MARGIN_DEG: Final = 1.5
-"""Elevation above the table that still counts as contact, deg. Set by judgement: the arm's tilt and the
-play of its bearing. Below it bounces are fitted as flight; above it low flight is lost."""
+"""Elevation above the table that still counts as contact, deg. Set by judgement. Lower, bounces are
+fitted as flight; higher, low flight is lost."""
 TAKE_OFF_DEG: Final = 10.0
-"""A take-off or landing is over only this far above the table, deg. Set by judgement: the ground effect
-reaches about this high. Below it the cushion of air is fitted as lift; above it slow climbs are lost."""
+"""A take-off or landing is over only this far above the table, deg. Set by judgement. Lower, the cushion
+of air near the table is fitted as lift; higher, slow climbs are lost."""
 TAKE_OFF_TAIL_S: Final = 1.0
 """Cut after a take-off is over, s. Set by judgement: several times the rotors' lag of 0.1 s."""
 ROTOR_m: Final = 0.1
@@ -26,9 +26,9 @@ flight."""
 STOP_MARGIN_DEG: Final = 1.0
 """Angle before a mechanical stop that counts as contact, deg. Set by judgement, as `TABLE_MARGIN_DEG`."""
 MOST_UNSURE_DEG: Final = 3.0
-"""A table or stop whose tolerance is larger is taken to be where the rig file has it, deg. Set on
-measured flights, when the Quanser rig's tolerances were widened to what two courses disagree by: without
-it their stops swallowed free flight."""
+"""Of a table's or a stop's tolerance no more than this counts, deg. Set when the Quanser rig's tolerances
+were widened to what two courses disagree by: more cuts free flight near the stops away, less keeps
+contacts."""
 BEYOND_STOP_DEG: Final = 5.0
 """Beyond a stop by more than its tolerance and this, deg, the rig file's stop is disbelieved and noted.
 Set by judgement."""
@@ -82,21 +82,20 @@ LONGEST_LAG_S: Final = 0.5
 estimates within two standard errors). Shorter, standard errors are too small where a model is wrong;
 longer, they scatter."""
 LEAST_SHARE: Final = 0.5
-"""Of the largest unexplained variance of an axis, in rad^2, that every axis is given at least. On
-measured flights 0 left pitch twice as far off as it need be; 0.25 was not enough once tolerances were as
-wide as the rig's; at 1 all axes weigh alike."""
+"""Of the largest unexplained variance of an axis, in rad^2, that every axis is given at least. At 0 pitch
+came out twice as far off on measured flights; 0.25 at first, raised when the tolerances of the Quanser
+rig were widened; at 1 all axes weigh alike."""
 LEAST_VARIANCE: Final = 0.05
 """Mean square over a block that quantisation alone leaves at least, in its variances; keeps an axis at
 rest from weighing all. Set by judgement: a constant angle would otherwise have a likelihood without
 bound."""
 OUTLIER: Final = 3.0
-"""A window whose rms residual is this many times the median window's loses weight. Set by judgement, the
-usual bound of a Huber weight being 1.3 to 3: lower discards honest windows of a wrong model, higher lets
-a hand decide."""
+"""A window whose rms residual is this many times the median window's loses weight. Set by judgement:
+lower discards honest windows of a wrong model, higher lets one disturbed window decide."""
 GROSS: Final = 10.0
 """Beyond this many times the median, a window counts less the more it is off: somebody touched the arm.
-Set on a flight whose arm was touched (tests/identify/test_bad_flights.py): without it one such window
-still moved the estimates."""
+Set on a flight with a disturbed window, which must neither decide the fit nor widen its errors; with
+`OUTLIER` alone each such window counts as one at that limit."""
 WHITE_LAG_S: Final = 0.1
 """Lag at which a residual's autocorrelation is tested, s. Set by judgement: shorter lags see the
 quantisation, which stays for several samples, longer ones only the slowest errors."""
@@ -104,7 +103,8 @@ quantisation, which stays for several samples, longer ones only the slowest erro
 # --- The solver ---------------------------------------------------------------------------------------------
 
 ROUNDS: Final = 8
-"""Most updates of the weights on the coarse grid. Set on flights with dry friction found from none."""
+"""Most updates of the weights on the coarse grid. Set when dry friction had to be found from none; fewer
+end a fit before its weights are final, more only cost time."""
 ROUGH_ROUNDS: Final = 3
 """First rounds, in which weights are rough, four steps are enough, and multimodal parameters stay where
 they are. Set on a periodic torque whose frequency ran away while its amplitude was still wrong."""
@@ -127,13 +127,13 @@ LARGEST_DAMPING: Final = 1e8
 judgement: steps are then smaller than any digit printed."""
 STATE_DAMPING: Final = 0.01
 """Damping of the initial states, as a share of their own diagonal, for each unit of the parameters'. Set
-on dry friction found from a start without any: without it the states leap while the parameters creep."""
+so that dry friction is found from a start without any: at 0 only the parameters take small steps."""
 LEAST_DAMPING: Final = 0.05
 """Damping below which it is set to 0, and Gauss-Newton steps are whole. Set by judgement."""
 LEFT_BEHIND: Final = 1.1
 """A window whose cost grows by this factor in a step did not follow it, and its states are optimised
-alone. 1.5 at first; lowered on dry friction found from none, where slightly lost windows stopped the
-whole step."""
+alone. 1.5 at first; lowered when dry friction had to be found from none. Higher, one lost window makes
+the whole step be rejected; lower costs evaluations."""
 LEFT_BEHIND_SHARE: Final = 1e-3
 """And by this share of the whole cost. Set by judgement: less is not worth an evaluation."""
 IDLE_GAIN: Final = 1e-3
@@ -152,13 +152,13 @@ on backlash of travel and sticking axes, whose windows may lie in the wrong basi
 windows, higher leaves lost ones."""
 TOO_WRONG: Final = 9.0
 """Mean square of the median window, in variances of the quantisation, above which the model is to blame
-and no window restarts. Set on models without an effect that the flight has: restarts there cost time and
-found nothing."""
+and no window restarts. Set by judgement: higher spends restarts on what they cannot mend, lower leaves
+windows lost in a model that is only somewhat wrong."""
 RESTARTS: Final = 2
 """Turns of restarts: in the second, the window before may have left its own wrong basin."""
 WEIGHT_TURNS: Final = 3
 """Turns between variances and robust weights, so that an outlier does not widen what it is measured
-against. Set on a flight whose arm was touched; three are where nothing changes any more."""
+against. Set on a flight with a disturbed window; the loop ends sooner where no weight changes."""
 SINGULAR_GUARD: Final = 1e-12
 """Added to a block's diagonal, as a share of its largest entry, so that a state that no data show keeps
 the block regular. Set by judgement, far above the rounding of doubles and far below any information."""
@@ -190,5 +190,5 @@ NOTHING_LEFT: Final = 1.05
 """A normalised error up to here is quantisation alone. Coverage saw none above 1.01 on flights that no
 fit saw; the rest is room for encoders that are not quite even."""
 LEAST_OF_PRIOR: Final = 1e-3
-"""Most updates of the weights on the coarse grid. Set when dry friction had to be found from none; fewer
-end a fit before its weights are final, more only cost time."""
+"""Lower bound of a number that cannot be negative, as a share of its value beforehand: a rig without a
+length or a gain cannot be. Set by judgement; an estimate on this bound is reported as such."""
