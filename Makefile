@@ -1,6 +1,6 @@
 # Two commands matter: `make fly` and `make test`. Everything they need is set up in .venv by .ci/setup.
 .DEFAULT_GOAL := help
-.PHONY: help setup fly test check bench blind fuzz firmware clean
+.PHONY: help setup fly quick test long check bench blind fuzz firmware clean
 
 PLANS ?= hover sine
 SPEED ?= 1
@@ -19,8 +19,15 @@ fly: ## fly the simulated helicopter: make fly [SPEED=5|max] [PLANS="hover sine"
 	@.ci/setup fly
 	@$(HELI) fly $(PLANS) --sil --board $(BOARD) --speed $(SPEED)
 
-test: ## style, types, static analysis, then all tests
+quick: ## what is quick of the tests, under 30 s of CPU: to be typed after each edit
+	@.ci/setup test
+	@.venv/bin/python -m pytest -q --numprocesses 0 -m "not slow and not emulated and not documents and not diagnosis"
+
+test: ## all tests; style, types, static analysis and a short fuzzing beside them
 	@.ci/test
+
+long: ## the same with every claim at its full length: all rigs, all random instructions
+	@HELI_LONG=1 FUZZ_S=60 .ci/test
 
 check: ## style, types and static analysis only
 	@.ci/setup test
