@@ -46,7 +46,7 @@ class Choice:
 
 
 def choose(board: str, elf: str = "") -> Choice:
-    """Settle which board is flown.
+    """Choose the board that is flown.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def choose(board: str, elf: str = "") -> Choice:
     return Choice(DUE, str(path), bool(elf), f"emulated Due, {path.name}")
 
 
-def settled(options: SilOptions) -> SilOptions:
+def resolved(options: SilOptions) -> SilOptions:
     """Options that name their board and its ELF.
 
     Parameters
@@ -188,7 +188,7 @@ def make_board(options: SilOptions) -> SimBoard:
     Parameters
     ----------
     options : SilOptions
-        Settled, see `settled`.
+        Resolved, see `resolved`.
 
     Returns
     -------
