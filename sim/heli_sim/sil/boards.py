@@ -46,7 +46,7 @@ class Choice:
 
 
 def choose(board: str, elf: str = "") -> Choice:
-    """Settle which board is flown.
+    """Choose the board that is flown.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def choose(board: str, elf: str = "") -> Choice:
     return Choice(DUE, str(path), bool(elf), f"emulated Due, {path.name}")
 
 
-def settled(options: SilOptions) -> SilOptions:
+def resolved(options: SilOptions) -> SilOptions:
     """Options that name their board and its ELF.
 
     Returns
@@ -174,6 +174,11 @@ SimBoard = NativeBoard | EmulatedDue
 
 def make_board(options: SilOptions) -> SimBoard:
     """Make the board of a simulation.
+
+    Parameters
+    ----------
+    options : SilOptions
+        Resolved, see `resolved`.
 
     Returns
     -------

@@ -88,5 +88,5 @@ def open_transport(url: str) -> InProcessTransport | ProcessTransport:
         values = dict(parse_qsl(urlsplit(url).query))
         values |= {"board": choice.name, "elf": choice.elf, "process": "0"}
         return ProcessTransport(SilProcess(options=values), choice.text, note)
-    settled = replace(options, board=choice.name, elf=choice.elf)
-    return InProcessTransport(SilWorld(settled), url, choice.text, note)
+    resolved = replace(options, board=choice.name, elf=choice.elf)
+    return InProcessTransport(SilWorld(resolved), url, choice.text, note)

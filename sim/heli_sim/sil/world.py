@@ -13,7 +13,7 @@ from heli_sim.due.errors import BoardStopped
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig
 from heli_sim.sil.arm_support import ArmSupport
-from heli_sim.sil.boards import make_board, settled
+from heli_sim.sil.boards import make_board, resolved
 from heli_sim.sil.faults import FaultyStream
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.plant_factory import plant_of
@@ -44,7 +44,7 @@ class SilWorld:
     """
 
     def __init__(self, options: SilOptions, plant: Plant | None = None) -> None:
-        self.options = options = settled(options)
+        self.options = options = resolved(options)
         self.plant = plant if plant is not None else plant_of(options)
         self.rig: Rig = self.plant.rig
         random = np.random.default_rng(options.seed)
