@@ -1,6 +1,6 @@
 # Two commands matter: `make fly` and `make test`. Everything they need is set up in .venv by .ci/setup.
 .DEFAULT_GOAL := help
-.PHONY: help setup fly test check bench blind fuzz firmware clean
+.PHONY: help setup fly quick test long check bench blind fuzz firmware clean
 
 PLANS ?= hover sine
 SPEED ?= 1
@@ -19,8 +19,14 @@ fly: ## fly the simulated helicopter: make fly [SPEED=5|max] [PLANS="hover sine"
 	@.ci/setup fly
 	@$(HELI) fly $(PLANS) --sil --board $(BOARD) --speed $(SPEED)
 
-test: ## style, types, static analysis, then all tests
+quick: ## the tests that are quick, half a minute in all: what one types after each edit
+	@.ci/test quick
+
+test: ## all tests, and beside them style, types, static analysis and a short fuzzing
 	@.ci/test
+
+long: ## the same, with every claim about many samples at its full length
+	@.ci/test long
 
 check: ## style, types and static analysis only
 	@.ci/setup test
