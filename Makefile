@@ -19,15 +19,14 @@ fly: ## fly the simulated helicopter: make fly [SPEED=5|max] [PLANS="hover sine"
 	@.ci/setup fly
 	@$(HELI) fly $(PLANS) --sil --board $(BOARD) --speed $(SPEED)
 
-quick: ## what is quick of the tests, under 30 s of CPU: to be typed after each edit
-	@.ci/setup test
-	@.venv/bin/python -m pytest -q --numprocesses 0 -m "not slow and not emulated and not documents and not diagnosis"
+quick: ## the tests that are quick, half a minute in all: what one types after each edit
+	@.ci/test quick
 
-test: ## all tests; style, types, static analysis and a short fuzzing beside them
+test: ## all tests, and beside them style, types, static analysis and a short fuzzing
 	@.ci/test
 
-long: ## the same with every claim at its full length: all rigs, all random instructions
-	@HELI_LONG=1 FUZZ_S=60 .ci/test
+long: ## the same, with every claim about many samples at its full length
+	@.ci/test long
 
 check: ## style, types and static analysis only
 	@.ci/setup test

@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 
-pytest_plugins = ["tests.running.cost", "tests.running.order"]
+pytest_plugins = ["tests.running.cost", "tests.running.order", "tests.running.quick"]
 
 # Where the environment forbids it, each worker and each of some hundred commands that tests start would
 # compile all sources anew, and pytest would rewrite the asserts of all tests: 5 s of CPU a worker.
