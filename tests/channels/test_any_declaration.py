@@ -14,6 +14,8 @@ from heli_host.log.flight_file import read_flight
 from tests.channels import through_the_host
 from tests.channels.changed_copy import DECLARATION, ChangedCopy, channel
 
+pytestmark = pytest.mark.slow
+
 PROGRAM = Path(through_the_host.__file__)
 MARK = "[[channel]]\n"
 NAMES = [spec.name for spec in CHANNELS]

@@ -21,6 +21,8 @@ from heli_host.log.reader import read_log
 from tests.channels import scripted_flight
 from tests.channels.changed_copy import ROOT, ChangedCopy, channel
 
+pytestmark = pytest.mark.slow
+
 HERE = Path(__file__).parent
 CORE = "firmware/core/core.cpp"
 LAST_PUT = "  put(Channel::flags, flags);\n"

@@ -15,6 +15,8 @@ from heli_sim.rig import load_rig
 
 from tests.diagnose.hidden import flights
 
+pytestmark = pytest.mark.diagnosis
+
 KINDS = catalogue()
 
 

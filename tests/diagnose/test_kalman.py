@@ -7,6 +7,8 @@ import pytest
 from heli_lab.diagnose.kalman import StateSpace, filter_outputs, smooth
 from scipy.stats import multivariate_normal
 
+pytestmark = pytest.mark.diagnosis
+
 STEPS, ORDER, OUTPUTS = 7, 4, 2
 LENGTHS = (7, 4)
 

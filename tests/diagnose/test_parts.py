@@ -18,6 +18,8 @@ from heli_sim.rig import load_rig
 
 from tests.diagnose.hidden import flights
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def baseline() -> Fit:

@@ -25,6 +25,8 @@ from tests.channels.groups import COUNTS
 from tests.firmware.desk import TICK_INTERRUPT, TRAVEL_INTERRUPT, Board, flying
 from tests.firmware.measures import boot_to_first_frame_ms, rx_lost_bytes, travel_counts_lost
 
+pytestmark = pytest.mark.emulated
+
 pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 

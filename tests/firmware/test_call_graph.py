@@ -12,6 +12,8 @@ from firmware.due import report
 from firmware.due.report import Image
 from tests.firmware.built import ROOT
 
+pytestmark = pytest.mark.emulated
+
 FLAGS = ROOT / "firmware" / "due" / "compile.flags"
 PROGRAMS = ROOT / "tests" / "due" / "programs"
 FIRST = {"_ZN4Idle5firstEv", "_ZN4Tick5firstEv"}

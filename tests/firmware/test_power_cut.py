@@ -21,6 +21,8 @@ from heli_host.link.session import Session
 from firmware.due.report import Image
 from tests.firmware.desk import Board
 
+pytestmark = pytest.mark.emulated
+
 pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 

@@ -15,6 +15,8 @@ from firmware.due.report import Image
 from tests.firmware.desk import ENABLE_PINS, Board, flying
 from tests.firmware.hangs import HANGS, POLL, TICK, FASTEST_Hz, Hang, SLOWEST_Hz, off_after_ms
 
+pytestmark = pytest.mark.emulated
+
 pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 

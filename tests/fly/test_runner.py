@@ -77,6 +77,7 @@ def raising(error: BaseException, at_s: float, *more_at_s: float) -> Callable[[P
     return call
 
 
+@pytest.mark.slow
 def test_a_plan_is_flown_landed_and_logged(tmp_path: Path) -> None:
     with connect("sil://?seed=3") as heli:
         summary = fly(
@@ -115,6 +116,7 @@ def test_the_same_seed_gives_the_same_log_byte_for_byte(tmp_path: Path) -> None:
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
 
 
+@pytest.mark.slow
 def test_the_boards_setpoint_is_the_plan_on_device_time(tmp_path: Path) -> None:
     plan = load_plan("sine")
     _, log, _ = flown(tmp_path / "a.mcap", plan)
@@ -320,6 +322,7 @@ def test_over_a_pseudo_terminal_it_flies_the_same(tmp_path: Path) -> None:
     assert {"take-off", "short", "landing"} <= {progress.phase for progress in seen}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="skipped: kill -9 is POSIX")
 def test_after_kill_9_of_the_host_the_board_lands_and_the_log_opens(tmp_path: Path) -> None:
     process = pytest.importorskip("heli_sim.sil.process", reason="skipped: no simulation")

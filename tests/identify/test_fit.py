@@ -22,6 +22,8 @@ from heli_sim.rig import Rig, load_rig
 from tests.identify.coverage import cover, share_within
 from tests.identify.made import encoder_zeros_deg, flown, flown_by_plan
 
+pytestmark = pytest.mark.slow
+
 PRACTICE = Path(__file__).resolve().parents[3] / "shared" / "data" / "practice" / "none"
 CHANGED = {"thrust_gain": 0.63, "friction_travel": 0.055, "friction_pitch": 0.02}
 

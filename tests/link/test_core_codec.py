@@ -92,6 +92,7 @@ def raw_ticks(draw: st.DrawFn) -> np.ndarray:
     return np.stack(columns, axis=1).astype(np.int32, order="C")
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), raw_ticks())
 @example(2**32 - 3, np.arange(10 * len(Channel), dtype=np.int32).reshape(10, -1))
 def test_packed_ticks_come_out_of_the_witness_as_they_were(first_tick: int, raw: np.ndarray) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from heli_host.declaration import PARAMS, Channel, MessageId, ParamSetMessage, PingMessage, Result
 from heli_host.link.frames import Frame
 from hypothesis import given
@@ -113,6 +114,7 @@ def test_replies_leave_before_events_and_events_before_telemetry() -> None:
     assert [frame.id for frame in harness.turn()] == [MessageId.PONG, MessageId.EVENT, MessageId.TELEMETRY]
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(0, 120), min_size=200, max_size=200))
 def test_the_board_never_sends_more_than_there_is_room_for(rooms: list[int]) -> None:
     harness = open_harness()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from heli_host.declaration import CHANNELS, ChannelSpec
 from heli_host.link.telemetry import EMPTY_TICKS, TelemetryDecoder
 from hypothesis import given, settings
@@ -34,6 +35,7 @@ def batches(draw: st.DrawFn, types: list[str] = reference.TYPES) -> Batch:
     return draw(st.integers(0, 2**32 - 33)), [list(row) for row in zip(*columns, strict=True)]
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(st.lists(batches(), max_size=5))
 def test_any_batches_decode_to_what_was_packed(sent: list[Batch]) -> None:
@@ -73,6 +75,7 @@ def test_wider_deltas_than_needed_decode_alike(sent: Batch, data: st.DataObject)
     assert TelemetryDecoder().decode([reference.telemetry_payload(first, rows, wide)]).raw.tolist() == rows
 
 
+@pytest.mark.slow
 @given(batches(), st.binary(min_size=1, max_size=8), st.booleans())
 def test_a_payload_whose_length_does_not_fit_is_refused_and_counted(
     sent: Batch, extra: bytes, longer: bool

@@ -117,6 +117,7 @@ def test_an_axis_that_was_never_closed_has_no_error(tmp_path: Path) -> None:
     json.dumps(summary.as_dict(), allow_nan=False)
 
 
+@pytest.mark.slow
 def test_a_figure_shows_angles_setpoints_voltages_and_states(tmp_path: Path, flight: Flight) -> None:
     summary = summarise(read_log(tmp_path / "a.mcap"))
     figure = draw(flight, summary)

@@ -183,6 +183,7 @@ def test_a_file_of_another_kind_or_none_is_one_line(tmp_path: Path) -> None:
         read_flight(tmp_path / "a.csv")
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(st.one_of(st.binary(max_size=300), st.text(max_size=300).map(str.encode)), st.booleans())
 def test_bytes_of_any_kind_raise_nothing_but_flight_data_errors(

@@ -287,6 +287,7 @@ def gusts(seed: int, seconds: int = 60) -> npt.NDArray[np.float64]:
     return torque_Nm
 
 
+@pytest.mark.slow
 def test_gusts_have_their_size_and_their_memory_and_come_from_the_seed() -> None:
     torque = gusts(1)
     assert torque.std() == pytest.approx(0.02, rel=0.1)

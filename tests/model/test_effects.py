@@ -123,6 +123,7 @@ def test_all_effects_fit_into_one_model_with_finite_derivatives(model: type[Mode
     assert np.isfinite(np.asarray(after)).all()
 
 
+@pytest.mark.slow
 def test_both_kernels_run_all_effects_at_once_and_agree() -> None:
     """Also where effects set their states anew after each step."""
     rig, random = load_rig("makki2024"), np.random.default_rng(6)
@@ -156,6 +157,7 @@ def test_a_rig_with_play_and_gusts_still_has_a_hover() -> None:
     assert at.volts_V == pytest.approx(trim(MultibodyModel(), load_rig("makki2024")).volts_V)
 
 
+@pytest.mark.slow
 def test_effects_may_be_given_in_any_order() -> None:
     ids = ("ground_effect", "inflow_damping", "rotor_lag", "thrust_quadratic", "supply_sag")
     rig, x = load_rig("makki2024"), np.array([0.1, 0.2, 0.3, 0.2, -0.3, 0.4, 0.5, 0.6])

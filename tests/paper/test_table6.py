@@ -18,6 +18,8 @@ from heli_sim.plant import Plant
 from heli_sim.rig import load_rig
 from typer.testing import CliRunner
 
+pytestmark = pytest.mark.slow
+
 RIG = load_rig("makki2024")
 
 

@@ -12,6 +12,8 @@ pytest.importorskip("scikit_build_core", reason="the build backend is not instal
 from scikit_build_core.settings.skbuild_model import ScikitBuildSettings
 from scikit_build_core.settings.skbuild_read_settings import SettingsReader
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 WITHOUT_TESTS = "HELI_WITHOUT_TESTS"
 

@@ -21,6 +21,8 @@ from heli_sim.rig import Rig, load_rig
 from tests.running.long import samples
 from tests.tune.pilot import END_S, SINE_S, StepMetrics, demanding_path_deg, fly, step_metrics, with_numbers
 
+pytestmark = pytest.mark.slow
+
 RIGS = samples(200, 40)
 
 
