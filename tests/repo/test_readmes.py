@@ -1,4 +1,4 @@
-"""Each room's README names every file and folder of the room, by itself or by a pattern such as `test_*.py`."""
+"""Each room's README names every file and folder of it, by itself or by a pattern such as `test_*.py`."""
 
 from __future__ import annotations
 
