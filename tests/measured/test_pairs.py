@@ -11,7 +11,10 @@ from tests.measured.pairs import MEASURED, Told, told
 HALF = 0.5
 
 
-pytestmark = pytest.mark.skipif(not MEASURED.exists(), reason="skipped: no shared data")
+pytestmark = [
+    pytest.mark.diagnosis,
+    pytest.mark.skipif(not MEASURED.exists(), reason="skipped: no shared data"),
+]
 
 
 @pytest.fixture(scope="module")
