@@ -18,6 +18,8 @@ from heli_sim.rig import load_rig
 from tests.blind.cases import every_case
 from tests.blind.run import diagnosed
 
+pytestmark = pytest.mark.diagnosis
+
 NOTHING = ("nothing-6",)
 ONE = {"rotor_lag-small": "rotor_lag", "cable_spring.travel-large": "cable_spring.travel"}
 OFF_LIST = ("off-bumpy_pitch-large",)

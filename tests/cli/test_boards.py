@@ -12,6 +12,8 @@ from heli_sim.due import firmware
 
 from tests.cli.terminal import Terminal, process
 
+pytestmark = pytest.mark.emulated
+
 MAX = ("--sil", "--speed", "max")
 
 

@@ -15,6 +15,7 @@ from tests.cli.terminal import Terminal
 SIL = ("--sil", "--speed", "max")
 
 
+@pytest.mark.slow
 def test_an_effect_changes_the_flight_and_the_seed_its_chance(terminal: Terminal, tmp_path: Path) -> None:
     gusts = ("--effect", "random_torque.travel=0.02")
     flights = {

@@ -14,6 +14,8 @@ from heli_host.log.reader import read_log
 
 from tests.cli.terminal import Terminal, command, process
 
+pytestmark = pytest.mark.slow
+
 SIL = ("--sil", "--speed", "max")
 
 

@@ -17,6 +17,8 @@ from heli_sim.rig import load_rig, write_rig
 from tests.diagnose.hidden import flights
 from tests.diagnose.schema import conforms
 
+pytestmark = pytest.mark.diagnosis
+
 
 @cache
 def diagnosed(*effects: str, off_list: bool = False) -> Diagnosis:

@@ -17,6 +17,8 @@ from scipy.stats import multivariate_normal
 
 from tests.diagnose.hidden import flights
 
+pytestmark = pytest.mark.diagnosis
+
 _GUST = "random_torque.travel=0.03"
 
 

@@ -13,6 +13,8 @@ from heli_sim.rig import load_rig, write_rig
 from tests.cli.terminal import Terminal
 from tests.diagnose.hidden import flights
 
+pytestmark = pytest.mark.diagnosis
+
 
 @pytest.fixture
 def tables(tmp_path: Path) -> tuple[Path, Path]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
+import pytest
 from heli_host.flight import Flight
 from heli_host.fly.plan import Plan
 from heli_sim.diagnose import Diagnosis, diagnose
@@ -12,6 +13,8 @@ from heli_sim.model.effects import catalogue, parse_effects
 from heli_sim.rig import load_rig
 
 from tests.identify.made import flown_by_plan, thinned
+
+pytestmark = pytest.mark.diagnosis
 
 LAG_s = 0.006
 GENTLE = """title = "Gentle"

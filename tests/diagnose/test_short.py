@@ -16,6 +16,8 @@ from tests.cli.terminal import Ended, Terminal
 from tests.diagnose.hidden import flights, hovering
 from tests.diagnose.schema import conforms
 
+pytestmark = pytest.mark.diagnosis
+
 
 def part(flight: Flight, start_s: float, stop_s: float) -> Flight:
     """Cut a part out of a flight, with a time axis of its own."""

@@ -27,6 +27,8 @@ from tests.firmware.measures import boot_to_first_frame_ms, rx_lost_bytes, trave
 pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
+pytestmark = pytest.mark.emulated
+
 EFC0_FMR, EFC1_FMR = 0x400E0A00, 0x400E0C00
 UART_MR, UART_BRGR = 0x400E0804, 0x400E0820
 

@@ -11,6 +11,8 @@ pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
 from tests.firmware.cost import Costs, measure_costs
 
+pytestmark = pytest.mark.emulated
+
 
 @pytest.fixture(scope="module")
 def costs(elf: Path) -> Costs:

@@ -9,6 +9,8 @@ import pytest
 from firmware.due import report
 from firmware.due.report import Function, Image
 
+pytestmark = pytest.mark.emulated
+
 FLASH_END = 0x00100000
 PARAMETER_PAGES = 2 * 256
 

@@ -17,6 +17,8 @@ from tests.firmware.built import ROOT
 from tests.firmware.desk import Board
 from tests.firmware.mutations import MUTATIONS, Mutation
 
+pytestmark = pytest.mark.emulated
+
 due = pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 

@@ -14,6 +14,8 @@ import pytest
 
 from tests.firmware.built import ROOT
 
+pytestmark = pytest.mark.emulated
+
 PIO = ROOT / "firmware" / "pio"
 
 

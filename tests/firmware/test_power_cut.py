@@ -24,6 +24,8 @@ from tests.firmware.desk import Board
 pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
+pytestmark = pytest.mark.emulated
+
 WRITE_PAGE = "_ZN4heli3due5flash10write_pageEjPKh"
 PAGE = 256
 PAGES_ADDRESS = 0x0010_0000 - 2 * PAGE

@@ -18,6 +18,8 @@ from tests.firmware.hangs import HANGS, POLL, TICK, FASTEST_Hz, Hang, SLOWEST_Hz
 pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
+pytestmark = pytest.mark.emulated
+
 UNDEFINED = b"\x00\xde"
 SUPERVISOR_CALL = b"\x00\xdf"
 PUSH_FOR_EVER = b"\xff\xb5\xfd\xe7"

@@ -24,6 +24,8 @@ from tests.firmware.built import ROOT
 from tests.firmware.desk import Board
 from tests.firmware.loader import RomLoader
 
+pytestmark = pytest.mark.emulated
+
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals on this system")
 def test_upload_writes_the_image_that_was_built(elf: Path, tmp_path: Path) -> None:

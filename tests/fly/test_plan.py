@@ -342,6 +342,7 @@ def toml(value: Any) -> str:
     return repr(value)
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(
     head=st.dictionaries(st.sampled_from(KEYS), VALUES, max_size=2),

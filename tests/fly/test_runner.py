@@ -28,6 +28,8 @@ from heli_host.log.summary import FlightSummary
 
 pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not built")
 
+pytestmark = pytest.mark.slow
+
 SHORT = """
 title = "Short"
 [start]

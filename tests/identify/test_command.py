@@ -15,6 +15,8 @@ from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Terminal
 
+pytestmark = pytest.mark.slow
+
 HIDDEN = {"thrust_gain": 0.63, "friction_travel": 0.055, "friction_pitch": 0.02}
 SHORT = """
 title = "A short excited flight"

@@ -20,6 +20,9 @@ from heli_sim.rig import Rig, load_rig
 
 from tests.identify.coverage import cover, share_within
 from tests.identify.made import encoder_zeros_deg, flown, flown_by_plan
+from tests.running.long import samples
+
+pytestmark = pytest.mark.slow
 
 PRACTICE = Path(__file__).resolve().parents[3] / "shared" / "data" / "practice" / "none"
 CHANGED = {"thrust_gain": 0.63, "friction_travel": 0.055, "friction_pitch": 0.02}
@@ -60,7 +63,7 @@ def test_what_the_identification_plan_flies_finds_the_rig_again() -> None:
 
 
 def test_standard_errors_cover_the_truth_on_flights_of_random_rigs() -> None:
-    flights = [cover(seed) for seed in (1, 5, 7)]
+    flights = [cover(seed) for seed in (1, 5, 7)[: samples(3, 1)]]
     assert share_within(flights) >= 0.90
     assert max(flight.held_out for flight in flights) <= 1.05
 

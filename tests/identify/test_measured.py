@@ -17,6 +17,8 @@ from heli_sim.identify.run import identify
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 
+pytestmark = pytest.mark.slow
+
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "measured"
 
 # Rms errors measured in degrees, elevation, pitch and travel, and a tenth.

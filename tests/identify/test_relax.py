@@ -16,6 +16,8 @@ from heli_sim.rig import load_rig
 
 from tests.identify.made import flown, thinned
 
+pytestmark = pytest.mark.slow
+
 FLIGHT_S = 24.0
 DRY_Nm = 0.04
 RIG = load_rig("makki2024")

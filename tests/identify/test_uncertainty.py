@@ -19,6 +19,8 @@ from heli_sim.rig import load_rig
 
 from tests.identify.made import flown
 
+pytestmark = pytest.mark.slow
+
 STEP_S = 0.002
 WINDOWS = [slice(1000 * k, 1000 * (k + 1)) for k in range(20)]
 ROWS = WINDOWS[-1].stop

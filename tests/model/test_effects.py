@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -64,15 +65,21 @@ def flown(model: Model, seconds: float = 5.0) -> Vector:
     return np.asarray(measured).T
 
 
+@cache
+def flown_without() -> Vector:
+    return flown(MultibodyModel())
+
+
 @pytest.mark.parametrize(("model", "kind"), PAIRS)
 def test_an_effect_does_nothing_at_its_neutral_values(model: type[Model], kind: EffectKind) -> None:
     rig, random = load_rig("makki2024"), np.random.default_rng(1)
     plain, neutral = model(), model((kind.make(),))
+    without, within = functions(plain), functions(neutral)
     for _ in range(5):
         x, volts_V, t = states(random), random.uniform(1.2, 3.0, 2), random.uniform(0.0, 60.0)
         own = np.zeros(len(neutral.states) - 6)
-        before = functions(plain)(x, volts_V, plain.parameter_values(rig), t)
-        after = functions(neutral)(np.append(x, own), volts_V, neutral.parameter_values(rig), t)
+        before = without(x, volts_V, plain.parameter_values(rig), t)
+        after = within(np.append(x, own), volts_V, neutral.parameter_values(rig), t)
         np.testing.assert_allclose(np.asarray(after[0])[:6], before[0], atol=1e-12)
         # An encoder without any play has no side on which its shaft lies: 1 microradian is the least.
         np.testing.assert_allclose(after[1], before[1], atol=5.1e-7 if "backlash" in kind.id else 1e-12)
@@ -81,7 +88,7 @@ def test_an_effect_does_nothing_at_its_neutral_values(model: type[Model], kind: 
 @pytest.mark.parametrize("kind", MULTIBODY)
 def test_an_effect_of_typical_size_shows_in_five_seconds(kind: EffectKind) -> None:
     effect = kind.make({**kind.typical, **{name: 1.0 for name in kind.neutral if name.endswith("at_s")}})
-    differs_rad = np.abs(flown(MultibodyModel((effect,))) - flown(MultibodyModel())).max()
+    differs_rad = np.abs(flown(MultibodyModel((effect,))) - flown_without()).max()
     assert differs_rad > COUNT_RAD
 
 
@@ -123,6 +130,7 @@ def test_all_effects_fit_into_one_model_with_finite_derivatives(model: type[Mode
     assert np.isfinite(np.asarray(after)).all()
 
 
+@pytest.mark.slow
 def test_both_kernels_run_all_effects_at_once_and_agree() -> None:
     """Also where effects set their states anew after each step."""
     rig, random = load_rig("makki2024"), np.random.default_rng(6)
@@ -156,6 +164,7 @@ def test_a_rig_with_play_and_gusts_still_has_a_hover() -> None:
     assert at.volts_V == pytest.approx(trim(MultibodyModel(), load_rig("makki2024")).volts_V)
 
 
+@pytest.mark.slow
 def test_effects_may_be_given_in_any_order() -> None:
     ids = ("ground_effect", "inflow_damping", "rotor_lag", "thrust_quadratic", "supply_sag")
     rig, x = load_rig("makki2024"), np.array([0.1, 0.2, 0.3, 0.2, -0.3, 0.4, 0.5, 0.6])

@@ -7,6 +7,8 @@ from heli_sim.model.effects import catalogue
 
 from tests.model.flown import find
 
+pytestmark = pytest.mark.slow
+
 SHARE = ("rotor_lag", "thrust_step.front", "ground_effect", "coulomb_friction.elevation", "backlash.pitch")
 
 

@@ -16,6 +16,8 @@ from heli_sim.paper.tables import TESTS_OF_TABLE, Row, Table, fit_table
 from heli_sim.plant import Plant
 from heli_sim.rig import load_rig
 
+pytestmark = pytest.mark.slow
+
 RIG = load_rig("makki2024")
 
 

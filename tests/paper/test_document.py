@@ -12,6 +12,8 @@ from heli_sim.paper.sensitivity import sensitivities
 from heli_sim.rig import load_rig
 from typer.testing import CliRunner
 
+pytestmark = pytest.mark.slow
+
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "paper.md"
 BLOCK = re.compile(r"^```console\n\$ heli-host (paper [a-z]+)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")

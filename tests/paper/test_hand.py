@@ -13,6 +13,8 @@ from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
+pytestmark = pytest.mark.slow
+
 RIG = load_rig("makki2024")
 TABLE_RAD = np.deg2rad(-25.0)
 

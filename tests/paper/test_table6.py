@@ -17,6 +17,8 @@ from heli_sim.rig import load_rig
 from heli_sim.tune import is_stable, law_of, linear_plant, paper_gains
 from typer.testing import CliRunner
 
+pytestmark = pytest.mark.slow
+
 RIG = load_rig("makki2024")
 
 

@@ -12,6 +12,7 @@ from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig, load_rig
 
 from tests.mujoco_rig import JOINTS, mujoco_rig
+from tests.running.long import samples
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -52,7 +53,7 @@ def runge_kutta(f: ca.Function, x: ca.SX, u: ca.SX, step_s: float) -> ca.Functio
     return ca.Function("step", [x, u], [ca.cse(x + step_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4))])
 
 
-@pytest.mark.parametrize("seed", range(50))
+@pytest.mark.parametrize("seed", range(samples(50, 10)))
 def test_angles_agree_with_mujoco_over_ten_seconds(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rig = load_rig("makki2024")

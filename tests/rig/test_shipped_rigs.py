@@ -36,6 +36,7 @@ def test_every_rig_can_hover_within_its_supply(name: str, model: PaperModel) -> 
     assert (trim(model, rig).volts_V < rig["supply"].value).all()
 
 
+@pytest.mark.slow
 def test_identified_elevation_gives_back_table_4() -> None:
     rig = load_rig("makki2024-identified")
     at = trim(PaperModel(), rig)

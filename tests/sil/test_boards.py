@@ -37,6 +37,8 @@ from heli_sim.sil.world import SilWorld
 
 from tests.sil.desk import Host, world
 
+pytestmark = pytest.mark.emulated
+
 Board = dict[str, str]
 # Steps of the duty over its whole range, as in firmware/core/board.hpp.
 FULL_DUTY = 2100

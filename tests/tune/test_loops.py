@@ -52,6 +52,7 @@ def with_gain(loop: str, factor: float) -> Law:
     return replace(LAW, elevation=scaled(LAW.elevation, factor))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loop", ["elevation", "travel", "differential"])
 def test_a_loop_is_stable_up_to_its_gain_margin_and_not_beyond(lagging: LinearPlant, loop: str) -> None:
     most = margins(lagging, LAW)[loop].gain_up

@@ -21,6 +21,8 @@ from heli_sim.tune.plants import spread_plants
 from tests.running.long import samples
 from tests.tune.pilot import END_S, SINE_S, Marks, demanding_path_deg, fly, marks_of, with_numbers
 
+pytestmark = pytest.mark.slow
+
 RIGS = samples(200, 40)
 
 

@@ -12,6 +12,8 @@ from heli_host.cli.params import read_dump
 from heli_host.parameters import checked
 from heli_sim.rig import load_rig, write_rig
 
+pytestmark = pytest.mark.slow
+
 
 def tuned(rig: str, folder: Path, *more: str) -> dict[str, Any]:
     files = [f"--{name}={folder / name}.{end}" for name, end in (("out", "toml"), ("json", "json"))]
