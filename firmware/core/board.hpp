@@ -15,16 +15,13 @@ inline constexpr std::size_t kPitch = 1;
 inline constexpr std::size_t kTravel = 2;
 inline constexpr std::size_t kAxisCount = 3;
 
-// Full duty. 84 MHz / (2 * 20 kHz) on the Due, centre-aligned; every board counts in these steps.
-inline constexpr std::int16_t kDutyFull = 2100;
-
 struct EncoderReading {
   std::int32_t count[kAxisCount];     // free-running raw counts, x4
   std::uint16_t illegal[kAxisCount];  // illegal transitions since power-up, saturating
 };
 
 struct MotorCommand {
-  std::int16_t front_duty;  // -kDutyFull ... kDutyFull; the sign is the direction
+  std::int16_t front_duty;  // -duty_full() ... duty_full(); the sign is the direction
   std::int16_t back_duty;
   bool enable;  // false: both bridges off (coast), whatever the duties
 };
@@ -39,8 +36,9 @@ struct BootReport {
 
 class Board {
  public:
-  // Pages are kPageBytes each; the parameter store owns pages 0 and 1.
-  static constexpr std::size_t kPageBytes = 256;
+  // The duty that is the whole supply: 1 to 10,000 steps, the most that the core can tell apart at
+  // the lowest supply. Always the same.
+  virtual std::int16_t duty_full() = 0;
 
   virtual EncoderReading read_encoders() = 0;
   virtual void write_motors(const MotorCommand& command) = 0;
@@ -54,9 +52,13 @@ class Board {
   // Queues bytes; the caller has asked transmit_free() before.
   virtual void transmit(const std::uint8_t* bytes, std::size_t count) = 0;
 
-  virtual void read_page(std::size_t page, std::uint8_t* to) = 0;
-  // Erases and writes one page. May stop the processor for milliseconds: only while motors are off.
-  virtual bool write_page(std::size_t page, const std::uint8_t* from) = 0;
+  // A page of flash is what is erased at once; how large it is, is the board's own business. The
+  // parameter store owns pages 0 and 1 and uses the first params::kSetBytes of each: a board whose
+  // flash has smaller pages joins some. `count` is a multiple of 4.
+  virtual void read_page(std::size_t page, std::uint8_t* to, std::size_t count) = 0;
+  // Erases one page and writes its first `count` bytes; false when that did not work or they do
+  // not fit. May stop the processor for milliseconds: only while motors are off.
+  virtual bool write_page(std::size_t page, const std::uint8_t* from, std::size_t count) = 0;
 
   virtual BootReport boot_report() = 0;
 

@@ -1,12 +1,13 @@
 #include "core.hpp"
 
+#include "control/math.hpp"
+
 namespace heli {
 
-using control::Constants;
+using control::Bank;
 using control::ControlInput;
 using control::ControlOutput;
 using control::Fixed;
-using control::Gain;
 using control::product;
 using control::Quantity;
 using control::Whole;
@@ -20,10 +21,9 @@ namespace {
 
 constexpr std::uint8_t kAllAxes = link::axes::elevation | link::axes::pitch | link::axes::travel;
 
-std::int16_t duty_of(Quantity voltage_V, Gain duty_per_V) {
-  const std::int32_t duty = product<0>(voltage_V, duty_per_V).raw();
-  const std::int32_t full = kDutyFull;
-  return static_cast<std::int16_t>(duty > full ? full : (duty < -full ? -full : duty));
+std::int16_t duty_of(Quantity voltage_V, const MotorConversion& motor) {
+  const std::int32_t duty = product<0>(voltage_V, motor.duty_per_V).raw();
+  return static_cast<std::int16_t>(control::clamp(duty, motor.least_duty, motor.most_duty));
 }
 
 // Units on the wire per unit.
@@ -38,24 +38,25 @@ std::int32_t wire(Quantity value, Wire per_unit) { return product<0>(value, per_
 
 }  // namespace
 
-Core::Core(Board& board)
-    : board_(board), store_(board), link_(board, params_, store_), supervisor_(link_) {
-  refresh_constants();
+Core::Core(Board& board, control::Controller& law)
+    : board_(board), law_(law), store_(board), link_(board, params_, store_), supervisor_(link_) {
+  refresh_derived();
 }
 
 void Core::start() {
   store_.load(params_);
-  refresh_constants();
+  refresh_derived();
   const BootReport report = board_.boot_report();
   link_.push_event({0, static_cast<std::uint8_t>(Event::boot), report.reset, report.boot_fault,
                     static_cast<float>(report.boot_count)});
 }
 
-void Core::refresh_constants() {
+void Core::refresh_derived() {
   const std::uint32_t revision = params_.revision();
-  const auto spare = static_cast<std::uint8_t>(1U - active_.load(std::memory_order_relaxed));
-  derived_[spare] = {control::constants_of(params_), flight::limits_of(params_),
+  const auto spare = static_cast<Bank>(1U - active_.load(std::memory_order_relaxed));
+  derived_[spare] = {conversion_of(params_, board_.duty_full()), flight::limits_of(params_),
                      flight::setpoint_limits_of(params_)};
+  law_.derive(params_, spare);
   derived_revision_ = revision;
   active_.store(spare, std::memory_order_release);
 }
@@ -63,7 +64,7 @@ void Core::refresh_constants() {
 void Core::poll() {
   link_.poll();
   if (params_.revision() != derived_revision_) {
-    refresh_constants();
+    refresh_derived();
   }
 }
 
@@ -77,7 +78,7 @@ void Core::zero(const EncoderReading& reading, std::uint8_t axes) {
   link_.push_event({tick_, static_cast<std::uint8_t>(Event::zeroed), axes, 0, 0.0F});
 }
 
-void Core::measure(const EncoderReading& reading, const Constants& c) {
+void Core::measure(const EncoderReading& reading, const Conversion& c) {
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     // Unsigned, because a free-running counter may wrap.
     const std::uint32_t turned = static_cast<std::uint32_t>(reading.count[axis]) -
@@ -128,7 +129,7 @@ Reply Core::execute(const link::Request& request, const EncoderReading& reading)
   }
 }
 
-ControlOutput Core::drive(const Constants& c) {
+ControlOutput Core::drive(Bank bank) {
   if (!supervisor_.motors_enabled() || supervisor_.state() == State::armed) {
     law_.reset();
     ControlOutput off{};
@@ -157,19 +158,19 @@ ControlOutput Core::drive(const Constants& c) {
   in.open_back_V = supervisor_.open_voltages().back_V;
   in.excitation_front_V = excitation.front_V;
   in.excitation_back_V = excitation.back_V;
-  return law_.update(in, c);
+  return law_.update(in, bank);
 }
 
-void Core::actuate(const ControlOutput& out, const Constants& c) {
+void Core::actuate(const ControlOutput& out, const Conversion& c) {
   MotorCommand command{};
   command.enable = supervisor_.motors_enabled();
   if (command.enable) {
-    command.front_duty = duty_of(out.front_V, c.front_duty_per_V);
-    command.back_duty = duty_of(out.back_V, c.back_duty_per_V);
+    command.front_duty = duty_of(out.front_V, c.front);
+    command.back_duty = duty_of(out.back_V, c.back);
   }
   board_.write_motors(command);
-  acted_ = {product<24>(Whole::from_raw(command.front_duty), c.front_V_per_duty),
-            product<24>(Whole::from_raw(command.back_duty), c.back_V_per_duty)};
+  acted_ = {product<24>(Whole::from_raw(command.front_duty), c.front.V_per_duty),
+            product<24>(Whole::from_raw(command.back_duty), c.back.V_per_duty)};
 }
 
 void Core::log_tick(const ControlOutput& out, TickTiming timing) {
@@ -218,8 +219,9 @@ void Core::tick(TickTiming timing) {
     zeroed_ = true;
     zero(reading, kAllAxes);
   }
-  const Derived& derived = derived_[active_.load(std::memory_order_acquire)];
-  measure(reading, derived.control);
+  const Bank bank = active_.load(std::memory_order_acquire);
+  const Derived& derived = derived_[bank];
+  measure(reading, derived.conversion);
 
   flight::Observation seen{};
   seen.tick = tick_;
@@ -244,8 +246,8 @@ void Core::tick(TickTiming timing) {
   }
   supervisor_.advance();
   excited_ = false;
-  const ControlOutput out = drive(derived.control);
-  actuate(out, derived.control);
+  const ControlOutput out = drive(bank);
+  actuate(out, derived.conversion);
   log_tick(out, timing);
   ++tick_;
 }

@@ -5,9 +5,9 @@
 #include <cstdint>
 
 #include "board.hpp"
-#include "control/cascade.hpp"
-#include "control/constants.hpp"
+#include "control/controller.hpp"
 #include "control/rate_filter.hpp"
+#include "conversion.hpp"
 #include "flight/limits.hpp"
 #include "flight/setpoints.hpp"
 #include "flight/supervisor.hpp"
@@ -25,7 +25,7 @@ struct TickTiming {
 
 class Core {
  public:
-  explicit Core(Board& board);
+  Core(Board& board, control::Controller& law);
 
   // Once, before the first tick: loads the parameters, announces the boot.
   void start();
@@ -39,33 +39,33 @@ class Core {
   link::State state() const { return supervisor_.state(); }
 
  private:
-  // All that the tick needs of the parameters.
+  // All that the tick needs of the parameters, the law's own constants apart.
   struct Derived {
-    control::Constants control;
+    Conversion conversion;
     flight::Limits limits;
     flight::SetpointLimits bounds;
   };
 
-  void refresh_constants();
-  void measure(const EncoderReading& reading, const control::Constants& c);
+  void refresh_derived();
+  void measure(const EncoderReading& reading, const Conversion& c);
   void zero(const EncoderReading& reading, std::uint8_t axes);
   link::Reply execute(const link::Request& request, const EncoderReading& reading);
-  control::ControlOutput drive(const control::Constants& c);
-  void actuate(const control::ControlOutput& out, const control::Constants& c);
+  control::ControlOutput drive(control::Bank bank);
+  void actuate(const control::ControlOutput& out, const Conversion& c);
   void log_tick(const control::ControlOutput& out, TickTiming timing);
 
   Board& board_;
+  control::Controller& law_;
   params::Params params_;
   params::Store store_;
   link::Link link_;
   flight::Supervisor supervisor_;
-  control::Cascade law_;
   control::RateFilter filters_[kAxisCount];
 
-  // The idle loop fills the one that is not active, then switches; a tick never runs half-way
-  // through a switch, because it is one byte.
-  Derived derived_[2]{};
-  std::atomic<std::uint8_t> active_{0};
+  // The idle loop fills the bank that is not active, the law's too, then switches; a tick never
+  // runs half-way through a switch, because it is one byte.
+  Derived derived_[control::kBanks]{};
+  std::atomic<control::Bank> active_{0};
   std::uint32_t derived_revision_ = 0;
 
   std::uint32_t tick_ = 0;

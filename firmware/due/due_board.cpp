@@ -7,6 +7,8 @@
 
 namespace heli::due {
 
+std::int16_t DueBoard::duty_full() { return motors::kDutyFull; }
+
 EncoderReading DueBoard::read_encoders() { return encoders::read(); }
 
 void DueBoard::write_motors(const MotorCommand& command) { motors::write(command); }
@@ -23,10 +25,12 @@ void DueBoard::transmit(const std::uint8_t* bytes, std::size_t count) {
   uart::transmit(bytes, count);
 }
 
-void DueBoard::read_page(std::size_t page, std::uint8_t* to) { flash::read_page(page, to); }
+void DueBoard::read_page(std::size_t page, std::uint8_t* to, std::size_t count) {
+  flash::read_page(page, to, count);
+}
 
-bool DueBoard::write_page(std::size_t page, const std::uint8_t* from) {
-  return flash::write_page(page, from);
+bool DueBoard::write_page(std::size_t page, const std::uint8_t* from, std::size_t count) {
+  return flash::write_page(page, from, count);
 }
 
 }  // namespace heli::due

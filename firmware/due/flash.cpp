@@ -2,7 +2,6 @@
 
 #include <cstring>
 
-#include "board.hpp"
 #include "registers.hpp"
 
 namespace heli::due::flash {
@@ -10,7 +9,8 @@ namespace {
 
 constexpr std::uint32_t kBank = 0x000C0000;
 constexpr std::uint32_t kBankBytes = 256 * 1024;
-constexpr std::uint32_t kBankPages = kBankBytes / Board::kPageBytes;
+constexpr std::uint32_t kPageBytes = 256;
+constexpr std::uint32_t kBankPages = kBankBytes / kPageBytes;
 constexpr std::uint32_t kParameterPages = 2;
 // due.ld keeps the program out of these pages.
 constexpr std::uint32_t kFirstPage = kBankPages - kParameterPages;
@@ -25,7 +25,7 @@ constexpr std::uint32_t kProgrammingWaitStates = EEFC_FMR_FWS(6);
 constexpr std::uint32_t kPatience = 1000000;
 
 volatile std::uint32_t* words_of(std::size_t page) {
-  return reinterpret_cast<volatile std::uint32_t*>(kBank + (kFirstPage + page) * Board::kPageBytes);
+  return reinterpret_cast<volatile std::uint32_t*>(kBank + (kFirstPage + page) * kPageBytes);
 }
 
 // Reading the status clears its error bits, so they are gathered on the way. 0 when the flash stays
@@ -41,23 +41,23 @@ std::uint32_t status_when_ready() {
 
 }  // namespace
 
-void read_page(std::size_t page, std::uint8_t* to) {
+void read_page(std::size_t page, std::uint8_t* to, std::size_t count) {
   const volatile std::uint32_t* from = words_of(page);
-  for (std::size_t i = 0; i < Board::kPageBytes / 4; ++i) {
+  for (std::size_t i = 0; i < count / 4; ++i) {
     const std::uint32_t word = from[i];
     std::memcpy(to + 4 * i, &word, sizeof word);
   }
 }
 
-bool write_page(std::size_t page, const std::uint8_t* from) {
-  if (page >= kParameterPages || status_when_ready() == 0U) return false;
+bool write_page(std::size_t page, const std::uint8_t* from, std::size_t count) {
+  if (page >= kParameterPages || count > kPageBytes || status_when_ready() == 0U) return false;
   const std::uint32_t reading_mode = EFC1->EEFC_FMR.read();
   EFC1->EEFC_FMR.write(kProgrammingWaitStates);
-  // The page buffer takes whole words in ascending order.
+  // The page buffer takes whole words in ascending order, and erased ones where none was written.
   volatile std::uint32_t* to = words_of(page);
-  for (std::size_t i = 0; i < Board::kPageBytes / 4; ++i) {
-    std::uint32_t word = 0;
-    std::memcpy(&word, from + 4 * i, sizeof word);
+  for (std::size_t i = 0; i < kPageBytes / 4; ++i) {
+    std::uint32_t word = 0xffffffff;
+    if (4 * i < count) std::memcpy(&word, from + 4 * i, sizeof word);
     to[i] = word;
   }
   EFC1->EEFC_FCR.write(kKey | kEraseAndWritePage |

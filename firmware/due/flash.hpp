@@ -6,10 +6,11 @@
 
 namespace heli::due::flash {
 
-void read_page(std::size_t page, std::uint8_t* to);
+// `count` is a multiple of 4 and at most a page, in both.
+void read_page(std::size_t page, std::uint8_t* to, std::size_t count);
 
 // Waits for the flash, about 5 ms; interrupts go on meanwhile, because they run from the other
 // bank.
-bool write_page(std::size_t page, const std::uint8_t* from);
+bool write_page(std::size_t page, const std::uint8_t* from, std::size_t count);
 
 }  // namespace heli::due::flash

@@ -5,11 +5,11 @@
 #include <cstdint>
 
 #include "clock.hpp"
-#include "core.hpp"
 #include "cortex_m3.hpp"
 #include "due_board.hpp"
 #include "encoders.hpp"
 #include "faults.hpp"
+#include "flight_code.hpp"
 #include "motors.hpp"
 #include "stack.hpp"
 #include "tick_timer.hpp"
@@ -42,14 +42,14 @@ void sleep_unless_ticked(std::uint32_t seen) {
   uart::start();
 
   static DueBoard board(boot);
-  static Core core(board);
-  core.start();
-  flying = &core;
+  static FlightCode code(board);
+  code.core.start();
+  flying = &code.core;
   tick_timer::start();
 
   for (;;) {
     const std::uint32_t seen = ticks.load(std::memory_order_relaxed);
-    core.poll();
+    code.core.poll();
     uart::service();
     watchdog::check_in(seen);
     sleep_unless_ticked(seen);

@@ -20,7 +20,6 @@ constexpr std::uint32_t kGroup = kChannelMask | 1U;
 constexpr unsigned kChannels[] = {0, kFrontForward, kFrontReverse, kBackForward, kBackReverse};
 
 constexpr std::uint32_t kPeriod = kDutyFull;
-static_assert(clock::kMck_Hz / (2 * kPwm_Hz) == kPeriod, "centre-aligned: up and down again");
 
 // With CPOL = 1 the output PWMH is high while the counter is below CDTY and while the channel is
 // disabled; PWML, its complement, is then low. CDTY = period - duty makes PWML high for duty.

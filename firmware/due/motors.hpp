@@ -1,11 +1,16 @@
 // Two motor drivers of two half bridges each: PWM on four pins, enables on four more.
 #pragma once
 
+#include <cstdint>
+
 #include "board.hpp"
+#include "clock.hpp"
 
 namespace heli::due::motors {
 
 inline constexpr std::uint32_t kPwm_Hz = 20000;
+// Centre-aligned: the counter runs up and down again.
+inline constexpr std::int16_t kDutyFull = clock::kMck_Hz / (2 * kPwm_Hz);
 
 // Before anything else after a reset: enables low, PWM pins low.
 void hold_off();

@@ -11,7 +11,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,6 +37,11 @@ SLOW = re.compile(
 _FUNCTION = re.compile(r"^([0-9a-f]+) <(.+)>:$")
 _INSTRUCTION = re.compile(r"^\s*([0-9a-f]+):\s+(\S+)(?:\s+(.*))?$")
 _TARGET = re.compile(r"\b([0-9a-f]+) <([^>+]+)(?:\+0x[0-9a-f]+)?>")
+_REGISTER = re.compile(r"\b(r\d+|sb|sl|fp|ip|lr)\b")
+_LOAD = re.compile(r"^(\w+), \[(\w+)(?:, #(\d+))?\]$")
+_VIRTUAL_TABLE = "_ZTV"
+# Before the first function of a virtual table stand its offset in the object and a type that nobody asks for.
+_TABLE_HEAD_WORDS = 2
 _BRANCH = re.compile(r"^(bl|b|cbn?z|b(eq|ne|cs|cc|mi|pl|vs|vc|hi|ls|ge|lt|gt|le|hs|lo))(\.[nw])?$")
 
 
@@ -54,15 +59,16 @@ class Function:
         Linker symbol.
     calls : frozenset of str
         Functions that it calls or jumps to by name.
-    indirect : bool
-        Whether it calls through a pointer.
+    slots : frozenset of int or None
+        Calls through a pointer: the byte offset of a virtual call's function in its table, None for a
+        pointer from elsewhere.
     stack_bytes : int
         What it puts on the stack itself, at most.
     """
 
     name: str
     calls: frozenset[str]
-    indirect: bool
+    slots: frozenset[int | None]
     stack_bytes: int
 
 
@@ -81,7 +87,10 @@ class Image:
     functions : dict of str to Function
         The call graph.
     pointed_at : frozenset of str
-        Functions whose address is stored somewhere, vectors apart: what a call through a pointer may reach.
+        Functions whose address is stored somewhere, vectors and virtual tables apart: what any call through
+        a pointer may reach.
+    virtual : dict of int to frozenset of str
+        Functions in the virtual tables, by their byte offset there: what a virtual call may reach besides.
     vectors : tuple of int
         The vector table as linked.
     """
@@ -92,6 +101,7 @@ class Image:
     symbols: dict[str, int]
     functions: dict[str, Function]
     pointed_at: frozenset[str]
+    virtual: Mapping[int, frozenset[str]]
     vectors: tuple[int, ...]
 
     def callees(self, name: str) -> frozenset[str]:
@@ -108,7 +118,11 @@ class Image:
             Their names.
         """
         function = self.functions[name]
-        return function.calls | self.pointed_at if function.indirect else function.calls
+        called = function.calls
+        for slot in function.slots:
+            tables = self.virtual.values() if slot is None else [self.virtual.get(slot, frozenset())]
+            called = called.union(self.pointed_at, *tables)
+        return called
 
     def reachable(self, name: str) -> frozenset[str]:
         """Every function that may run below one.
@@ -209,26 +223,59 @@ def _pushed_bytes(mnemonic: str, operands: str) -> int:
 
 
 def _goes_to_pointer(mnemonic: str, operands: str) -> bool:
-    if mnemonic in ("blx", "bx"):
-        return operands != "lr"
+    if mnemonic.startswith(("blx", "bx")):
+        return mnemonic.startswith("blx") or operands != "lr"
     return mnemonic.startswith(("ldr", "mov")) and operands.startswith("pc,") and "[sp]" not in operands
 
 
-def _function(name: str, body: Iterable[tuple[str, str]]) -> tuple[Function, set[int]]:
+def _slots(body: list[tuple[int, str, str]]) -> frozenset[int | None]:
+    """How a function calls through pointers; see `Function.slots`.
+
+    A virtual call loads the object's first word, then a word of the table that it points to. What a register
+    holds is known only as long as nothing else may have touched it: up to a call, a label or any other
+    mention of it.
+    """
+    targets = {
+        int(target[1], 16)
+        for _, mnemonic, operands in body
+        if _BRANCH.match(mnemonic) and (target := _TARGET.search(operands))
+    }
+    # A table of branches jumps to labels that are not read here.
+    hidden_labels = any(mnemonic.startswith(("tbb", "tbh")) for _, mnemonic, _ in body)
+    slots: set[int | None] = set()
+    tables: set[str] = set()
+    functions: dict[str, int] = {}
+    for address, mnemonic, operands in body:
+        if address in targets:
+            tables, functions = set(), {}
+        if _goes_to_pointer(mnemonic, operands):
+            slots.add(None if hidden_labels else functions.get(operands))
+        load = _LOAD.match(operands) if mnemonic in ("ldr", "ldr.w") else None
+        slot = int(load[3] or 0) if load and load[2] in tables else None
+        if mnemonic.startswith("bl") or "{" in operands:
+            tables, functions = set(), {}
+        for register in _REGISTER.findall(operands):
+            tables.discard(register)
+            functions.pop(register, None)
+        if load and slot is not None:
+            functions[load[1]] = slot
+        if load and not int(load[3] or 0):
+            tables.add(load[1])
+    return frozenset(slots)
+
+
+def _function(name: str, body: list[tuple[int, str, str]]) -> tuple[Function, set[int]]:
     """One function, and the constants in its code that may be addresses."""
     calls: set[str] = set()
     constants: set[int] = set()
     lower: dict[str, int] = {}
-    indirect = False
     stack_bytes = 0
-    for mnemonic, operands in body:
+    for _, mnemonic, operands in body:
         stack_bytes += _pushed_bytes(mnemonic, operands)
         if _BRANCH.match(mnemonic):
             target = _TARGET.search(operands)
             if target and target[2] != name:
                 calls.add(target[2])
-        elif _goes_to_pointer(mnemonic, operands):
-            indirect = True
         elif mnemonic == ".word":
             constants.add(int(operands.split()[0], 16))
         elif mnemonic in ("movw", "movt"):
@@ -238,18 +285,19 @@ def _function(name: str, body: Iterable[tuple[str, str]]) -> tuple[Function, set
                 lower[register] = half
             else:
                 constants.add(half << 16 | lower.get(register, 0))
-    return Function(name, frozenset(calls), indirect, stack_bytes), constants
+    return Function(name, frozenset(calls), _slots(body), stack_bytes), constants
 
 
-def _disassembled(text: str) -> Iterable[tuple[str, list[tuple[str, str]]]]:
+def _disassembled(text: str) -> Iterable[tuple[str, list[tuple[int, str, str]]]]:
     name = ""
-    body: list[tuple[str, str]] = []
+    body: list[tuple[int, str, str]] = []
     for line in text.splitlines():
         if head := _FUNCTION.match(line):
             yield name, body
             name, body = head[2], []
         elif instruction := _INSTRUCTION.match(line):
-            body.append((instruction[2], re.split(r"\s*[;@]\s", instruction[3] or "")[0].strip()))
+            operands = re.split(r"\s*[;@]\s", instruction[3] or "")[0].strip()
+            body.append((int(instruction[1], 16), instruction[2], operands))
     yield name, body
 
 
@@ -273,15 +321,15 @@ def read_symbols(elf: Path, cross: str = "arm-none-eabi-") -> dict[str, int]:
     ReportError
         When a tool is missing or does not take the file.
     """
-    return {name: address for name, _, address in _symbols(elf, cross)}
+    return {name: address for name, _, address, _ in _symbols(elf, cross)}
 
 
-def _symbols(elf: Path, cross: str) -> Iterable[tuple[str, str, int]]:
-    """Name, kind and address of each."""
-    for line in _run(cross, "nm", elf).splitlines():
-        address, kind, name = line.split()[-3:] if len(line.split()) == 3 else ("0", "?", "")
-        if name and not name.startswith("$"):
-            yield name, kind, int(address, 16)
+def _symbols(elf: Path, cross: str) -> Iterable[tuple[str, str, int, int]]:
+    """Name, kind, address and length in bytes of each; length 0 where the linker states none."""
+    for line in _run(cross, "nm", "-S", elf).splitlines():
+        words = line.split()
+        if len(words) in (3, 4) and not words[-1].startswith("$"):
+            yield words[-1], words[-2], int(words[0], 16), int(words[1], 16) if len(words) == 4 else 0
 
 
 def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
@@ -311,10 +359,14 @@ def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
     }
     symbols = {}
     code_at: dict[int, str] = {}
-    for name, kind, address in _symbols(elf, cross):
+    table_words: dict[str, range] = {}
+    for name, kind, address, size in _symbols(elf, cross):
         symbols[name] = address
         if kind in "tTwW":
             code_at.setdefault(address & ~1, name)
+        if name.startswith(_VIRTUAL_TABLE) and size:
+            first = (address - FLASH_START) // 4
+            table_words[name] = range(first + _TABLE_HEAD_WORDS, first + size // 4)
 
     functions = {}
     constants: set[int] = set()
@@ -328,7 +380,7 @@ def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
         name: Function(
             name,
             frozenset(by_address.get(symbols.get(callee, -1), callee) for callee in function.calls) - {name},
-            function.indirect,
+            function.slots,
             function.stack_bytes,
         )
         for name, function in functions.items()
@@ -339,12 +391,17 @@ def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
         _run(cross, "objcopy", "-O", "binary", elf, flat)
         image = flat.read_bytes()
     words = [int.from_bytes(image[at : at + 4], "little") for at in range(0, len(image) - 3, 4)]
-    constants |= set(words[VECTORS:])
+    in_tables = {index for indices in table_words.values() for index in indices}
+    constants |= {word for index, word in enumerate(words) if index >= VECTORS and index not in in_tables}
     pointed_at = frozenset(
         name
         for name, address in symbols.items()
         if address | 1 in constants and name in functions and address & ~1 in code_at
     )
+    virtual: dict[int, set[str]] = {}
+    for indices in table_words.values():
+        for slot, index in enumerate(indices):
+            virtual.setdefault(4 * slot, set()).add(by_address[words[index] & ~1])
     return Image(
         flash_bytes=len(image),
         ram_bytes=sum(sizes.get(section, 0) for section in (".stack", ".data", ".bss")),
@@ -352,6 +409,7 @@ def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
         symbols=symbols,
         functions=functions,
         pointed_at=pointed_at,
+        virtual={slot: frozenset(names) for slot, names in virtual.items()},
         vectors=tuple(words[:VECTORS]),
     )
 

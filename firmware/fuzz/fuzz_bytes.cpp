@@ -1,14 +1,15 @@
 // Any bytes on the line: what the flight code does with a stream that no host would send.
-#include "desk.hpp"
+#include "harness.hpp"
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t count) {
-  heli_fuzz::Desk desk;
-  for (std::size_t at = 0; at < count; at += heli_fuzz::Desk::kLineBytes) {
+  heli_fuzz::Harness harness;
+  for (std::size_t at = 0; at < count; at += heli_fuzz::Harness::kLineBytes) {
     const std::size_t left = count - at;
-    const std::size_t now = left < heli_fuzz::Desk::kLineBytes ? left : heli_fuzz::Desk::kLineBytes;
-    desk.board.will_receive(bytes + at, now);
-    desk.tick();
+    const std::size_t now =
+        left < heli_fuzz::Harness::kLineBytes ? left : heli_fuzz::Harness::kLineBytes;
+    harness.board.will_receive(bytes + at, now);
+    harness.tick();
   }
-  desk.require_rest_without_host();
+  harness.require_rest_without_host();
   return 0;
 }

@@ -5,12 +5,12 @@
 #include <iterator>
 #include <vector>
 
-#include "desk.hpp"
+#include "harness.hpp"
 
 namespace {
 
 using heli::link::State;
-using heli_fuzz::Desk;
+using heli_fuzz::Harness;
 using heli_fuzz::Input;
 using heli_fuzz::require;
 
@@ -41,10 +41,10 @@ class Story {
     prologue(input_.byte() % 5U);
     while (!input_.empty()) {
       step(static_cast<Step>(input_.byte() % static_cast<unsigned>(Step::count)));
-      desk_.tick();
+      harness_.tick();
     }
-    desk_.board.stop_input = false;
-    desk_.require_rest_without_host();
+    harness_.board.stop_input = false;
+    harness_.require_rest_without_host();
     host_returns();
   }
 
@@ -53,20 +53,20 @@ class Story {
     if (chapters > 0) hello(1);
     if (chapters > 1) {
       command(heli::link::ArmMessage{});
-      require(desk_.core->state() == State::armed, "a board at rest with a host can be armed");
+      require(harness_.state() == State::armed, "a board at rest with a host can be armed");
     }
     heli::link::ControlMessage control;
     if (chapters == 3) {
       control.axes =
           heli::link::axes::elevation | heli::link::axes::pitch | heli::link::axes::travel;
       command(control);
-      require(desk_.core->state() == State::closed_loop, "an armed board closes its loops");
+      require(harness_.state() == State::closed_loop, "an armed board closes its loops");
     }
     if (chapters == 4) {
       control.front_V = 1.0F;
       control.back_V = 1.0F;
       command(control);
-      require(desk_.core->state() == State::open_loop, "an armed board takes fixed voltages");
+      require(harness_.state() == State::open_loop, "an armed board takes fixed voltages");
     }
   }
 
@@ -74,56 +74,56 @@ class Story {
     switch (what) {
       case Step::frame: {
         const std::uint8_t id = input_.byte();
-        return desk_.send(id, input_.take(input_.byte() % (heli::link::kMaxCommandPayload + 1)));
+        return harness_.send(id, input_.take(input_.byte() % (heli::link::kMaxCommandPayload + 1)));
       }
       case Step::command: {
         const std::size_t id = 1U + input_.byte() % (std::size(kCommandSizes) - 1);
         std::vector<std::uint8_t> payload = input_.take(kCommandSizes[id]);
         payload[0] = ++request_;
-        return desk_.send(static_cast<std::uint8_t>(id), payload);
+        return harness_.send(static_cast<std::uint8_t>(id), payload);
       }
       case Step::setpoint: {
         heli::link::SetpointMessage setpoint;
         setpoint.elevation_rad = small(0.01F);
         setpoint.pitch_rad = small(0.01F);
         setpoint.travel_rad = small(0.01F);
-        return desk_.send(setpoint);
+        return harness_.send(setpoint);
       }
       case Step::voltages: {
         heli::link::VoltagesMessage voltages;
         voltages.front_V = small(0.1F);
         voltages.back_V = small(0.1F);
         voltages.valid_ms = input_.byte();
-        return desk_.send(voltages);
+        return harness_.send(voltages);
       }
       case Step::hello:
         return hello(input_.byte() % 4U);
       case Step::wait:
       case Step::busy:
-        for (std::size_t k = input_.byte(); k > 0; --k) desk_.tick(what == Step::wait);
+        for (std::size_t k = input_.byte(); k > 0; --k) harness_.tick(what == Step::wait);
         return;
       case Step::move:
-        for (std::int32_t& count : desk_.board.encoders.count) {
+        for (std::int32_t& count : harness_.board.encoders.count) {
           // Small steps for most bytes, the ends of the counter for some.
           const std::uint8_t by = input_.byte();
           count = by == 0x80 ? INT32_MIN : by == 0x7f ? INT32_MAX : count / 2 + (by - 128);
         }
         return;
       case Step::hardware:
-        desk_.board.stop_input = !desk_.board.stop_input;
+        harness_.board.stop_input = !harness_.board.stop_input;
         return;
       case Step::noise: {
         const auto bytes = input_.take(input_.byte() % 100U);
-        return desk_.board.will_receive(bytes.data(), bytes.size());
+        return harness_.board.will_receive(bytes.data(), bytes.size());
       }
       case Step::line_full:
-        desk_.board.room = 0;
+        harness_.board.room = 0;
         return;
       case Step::boot:
-        return desk_.boot();
+        return harness_.boot();
       default: {
-        const std::size_t page = input_.byte() % desk_.board.pages.size();
-        desk_.board.pages[page][input_.byte()] = input_.byte();
+        const std::size_t page = input_.byte() % harness_.board.pages.size();
+        harness_.board.pages[page][input_.byte()] = input_.byte();
         return;
       }
     }
@@ -139,26 +139,26 @@ class Story {
   template <class Message>
   void command(Message message) {
     message.request = ++request_;
-    desk_.send(message);
-    for (int k = 0; k < 3; ++k) desk_.tick();
+    harness_.send(message);
+    for (int k = 0; k < 3; ++k) harness_.tick();
   }
 
   float small(float unit) { return static_cast<float>(input_.byte() - 128) * unit; }
 
   // A board that has been through all this still hears a new host.
   void host_returns() {
-    desk_.board.forget_received();
-    desk_.board.room = 1024;
+    harness_.board.forget_received();
+    harness_.board.room = 1024;
     const std::uint8_t delimiter = 0;
-    desk_.board.will_receive(&delimiter, 1);
-    for (int k = 0; k < 3; ++k) desk_.tick();
-    const std::size_t before = desk_.board.auditor.welcomes();
+    harness_.board.will_receive(&delimiter, 1);
+    for (int k = 0; k < 3; ++k) harness_.tick();
+    const std::size_t before = harness_.board.auditor.welcomes();
     hello(99);
-    require(desk_.board.auditor.welcomes() == before + 1, "a new host is welcomed");
+    require(harness_.board.auditor.welcomes() == before + 1, "a new host is welcomed");
   }
 
   Input input_;
-  Desk desk_;
+  Harness harness_;
   std::uint8_t request_ = 0;
 };
 

@@ -20,9 +20,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from heli_host.declaration import Axes, Excitation, Fault, Flags, State
     from heli_host.errors import HeliError
+    from heli_host.flight import Flight
     from heli_host.heli import Heli, connect
-    from heli_host.link.declaration import Axes, Excitation, Fault, Flags, State
+    from heli_host.log.flight_file import read_flight
     from heli_host.samples import Sample, Samples
 
 __all__ = [
@@ -30,23 +32,27 @@ __all__ = [
     "Excitation",
     "Fault",
     "Flags",
+    "Flight",
     "Heli",
     "HeliError",
     "Sample",
     "Samples",
     "State",
     "connect",
+    "read_flight",
 ]
 
 _WHERE = {
     "HeliError": "heli_host.errors",
     "Heli": "heli_host.heli",
     "connect": "heli_host.heli",
-    "Axes": "heli_host.link.declaration",
-    "Excitation": "heli_host.link.declaration",
-    "Fault": "heli_host.link.declaration",
-    "Flags": "heli_host.link.declaration",
-    "State": "heli_host.link.declaration",
+    "Flight": "heli_host.flight",
+    "read_flight": "heli_host.log.flight_file",
+    "Axes": "heli_host.declaration",
+    "Excitation": "heli_host.declaration",
+    "Fault": "heli_host.declaration",
+    "Flags": "heli_host.declaration",
+    "State": "heli_host.declaration",
     "Sample": "heli_host.samples",
     "Samples": "heli_host.samples",
 }

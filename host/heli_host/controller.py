@@ -16,14 +16,15 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import numpy.typing as npt
 
+from heli_host.declaration import PARAMS, Channel, Param, State
 from heli_host.errors import ControllerError, FlightAborted, HeliError, fault_text
+from heli_host.link.channels import physical
 from heli_host.link.clock import TICK_S
-from heli_host.link.declaration import CHANNELS, PARAMS, Param, State
 from heli_host.link.telemetry import Ticks
 from heli_host.samples import Sample
 
 if TYPE_CHECKING:
-    from heli_host.heli import Heli
+    from heli_host.vehicle import Vehicle
 
 ControlLaw = Callable[[Sample], tuple[float, float]]
 After = Literal["hold", "land", "stop"]
@@ -32,8 +33,6 @@ _READ_INTERVAL_S = 0.001
 _LEAST_PERIOD_TICKS = int(PARAMS[Param.TELEMETRY_BATCH_TICKS].min)
 _MOST_BATCH_TICKS = int(PARAMS[Param.TELEMETRY_BATCH_TICKS].max)
 _MOST_TAKEOVERS = 5
-_NAMES = [channel.name for channel in CHANNELS]
-_FRONT, _BACK = _NAMES.index("front"), _NAMES.index("back")
 # A duty of 1/2100 of a supply of at most 24 V, and the rounding of telemetry.
 _SAME_V = 0.02
 _DIFFERENT_V = 0.05
@@ -103,7 +102,7 @@ class _Run:
 
 
 def run_controller(
-    heli: Heli,
+    heli: Vehicle,
     law: ControlLaw,
     *,
     rate_Hz: float = 200.0,
@@ -119,8 +118,6 @@ def run_controller(
 
     Parameters
     ----------
-    heli : Heli
-        The helicopter.
     law : callable taking Sample, returning (front_V, back_V)
         The control law; voltages beyond the board's limits are brought back to them.
     rate_Hz : float
@@ -176,7 +173,7 @@ def run_controller(
     return _report(run, session.ticks_counted_on, acted)
 
 
-def _loop(heli: Heli, law: ControlLaw, run: _Run) -> None:
+def _loop(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
     session = heli.session
     low_V, high_V = heli.params["motor_min_V"], heli.params["motor_max_V"]
     heli.stream()
@@ -237,7 +234,8 @@ def _report(
     count = 0
     if acted and run.tick:
         tick = np.concatenate([counted_on(ticks) for ticks in acted])
-        volts = np.concatenate([ticks.raw[:, (_FRONT, _BACK)] for ticks in acted]) * CHANNELS[_FRONT].scale
+        raw = np.concatenate([ticks.raw for ticks in acted])
+        volts = np.column_stack([physical(raw, motor) for motor in (Channel.FRONT, Channel.BACK)])
         found = _latencies_ticks(run, tick, volts)
         count = len(found)
         if count:

@@ -1,8 +1,8 @@
-"""Every error that this package raises on purpose.
+"""Every error that this package raises on purpose, and the base of those of all packages above it.
 
 ::
 
-    HeliError                   cause and remedy, one line
+    HeliError                   cause and remedy, one line; exit code
     ├── LinkError               the serial link
     │   ├── PortError           the port cannot be opened: missing, no permission, busy
     │   ├── BadBaud             a rate that cannot work; 1200 baud would erase a Due
@@ -26,12 +26,17 @@
         ├── TruncatedLog        it ends in the middle; what is before can be read
         └── LogWriteError       it cannot be written: disk full, folder missing, no permission
 
+Packages above hang their own branches into it, printed at the top of their ``errors.py``: ``SimError`` of the
+simulation, and ``IdentifyError`` of the laboratory below that.
+
 ``str(error)`` is always one line for a person: the cause, then what to do about it.
 """
 
 from __future__ import annotations
 
-from heli_host.link.declaration import FAULTS, PARAMS, Fault, FaultSpec, MessageId, Param, Result, State
+from typing import ClassVar
+
+from heli_host.declaration import FAULTS, PARAMS, Fault, FaultSpec, MessageId, Param, Result, State
 
 
 class HeliError(Exception):
@@ -45,6 +50,9 @@ class HeliError(Exception):
         What to do about it; may be empty where nothing can be done.
     """
 
+    exit_code: ClassVar[int] = 2
+    """What ``heli-host`` ends with: 2 asked for what cannot be done, 3 link, 4 flight ended early, 5 file."""
+
     def __init__(self, cause: str, remedy: str = "") -> None:
         self.cause = " ".join(cause.split())
         self.remedy = " ".join(remedy.split())
@@ -53,6 +61,8 @@ class HeliError(Exception):
 
 class LinkError(HeliError):
     """Something about the serial link."""
+
+    exit_code = 3
 
 
 class PortError(LinkError):
@@ -235,13 +245,19 @@ class PlanError(HeliError):
 class FlightAborted(HeliError):
     """A flight ended before its plan did."""
 
+    exit_code = 4
+
 
 class FlightDataError(HeliError):
     """A flight file without the columns, the units or the order that it needs."""
 
+    exit_code = 5
+
 
 class LogError(HeliError):
     """Something about a log file."""
+
+    exit_code = 5
 
 
 class TruncatedLog(LogError):

@@ -9,8 +9,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from heli_host.errors import CommandRefused, HeliError, LinkError, ParameterError, range_text
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     PARAMS,
     Param,
     ParamsDefaultMessage,
@@ -19,14 +18,11 @@ from heli_host.link.declaration import (
     ParamsSaveMessage,
     Result,
 )
+from heli_host.errors import CommandRefused, HeliError, LinkError, ParameterError, range_text
 from heli_host.link.events import BOARD_RESTARTED, LinkEvent
 from heli_host.link.session import Session
 
 _INDEX = {spec.name: spec.index for spec in PARAMS}
-
-# The board keeps these distances between setpoints and the limits that cut the motors.
-ELEVATION_MARGIN_DEG = 2.0
-TRAVEL_MARGIN_DEG = 5.0
 
 
 class Parameters(Mapping[str, float]):
@@ -34,11 +30,6 @@ class Parameters(Mapping[str, float]):
 
     ``heli.params["hover_V"]`` reads, ``heli.params["hover_V"] = 1.5`` sets, and ``save`` makes it last beyond
     a restart of the board.
-
-    Parameters
-    ----------
-    session : Session
-        An open session.
 
     Attributes
     ----------
@@ -80,7 +71,7 @@ class Parameters(Mapping[str, float]):
         Parameters
         ----------
         name : str
-            Its name.
+            As declared in link.toml.
 
         Returns
         -------
@@ -100,7 +91,7 @@ class Parameters(Mapping[str, float]):
         Parameters
         ----------
         name : str
-            Its name.
+            As declared in link.toml.
         value : float
             New value, in the unit of the declaration.
 
@@ -215,7 +206,7 @@ def spec_of(name: str) -> ParamSpec:
     Parameters
     ----------
     name : str
-        Its name.
+        As declared in link.toml.
 
     Returns
     -------

@@ -1,60 +1,28 @@
-"""Samples in units: one of them, many as arrays, and the ring that keeps the last minutes."""
+"""Samples in units: one of them, many as arrays, and the ring that keeps the last minutes.
+
+Which channels a sample has, and their names and units, the declaration says: the table in docs/link.md.
+"""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from heli_host.declaration import CHANNELS, Channel, ChannelArrays, ChannelValues
+from heli_host.link.channels import Floats, is_whole, numbers, rad_per_count
 from heli_host.link.clock import TICK_S
-from heli_host.link.declaration import CHANNELS, Fault, Flags, State
 from heli_host.link.telemetry import CHANNEL_COUNT, Ticks
 
-Floats = npt.NDArray[np.float64]
 
-_AXES = ("elevation", "pitch", "travel")
-_CHANNEL = {channel.name: index for index, channel in enumerate(CHANNELS)}
-_STATE, _FAULT, _FLAGS = _CHANNEL["state"], _CHANNEL["fault"], _CHANNEL["flags"]
-_SCALE: Floats = np.array([channel.scale for channel in CHANNELS])  # (11,)
+class Sample(ChannelValues):
+    """What the board measured and did in one tick: a `ChannelValues`.
 
-
-@dataclass(frozen=True)
-class Sample:
-    """What the board measured and did in one tick.
-
-    Parameters
-    ----------
-    tick : int
-        Device time [tick of 1 ms], counted on over 2^32.
-    elevation_rad, pitch_rad, travel_rad : float
-        Angles at the beginning of the tick [rad]; level is 0.
-    elevation_setpoint_rad, pitch_setpoint_rad, travel_setpoint_rad : float
-        Setpoints that the on-board control law used [rad].
-    front_V, back_V : float
-        Voltages that acted on the motors during the tick [V].
-    state : State
-        Supervisor state.
-    fault : Fault
-        Fault, or none.
-    flags : Flags
-        Flag bits.
+    Angles are those at the beginning of the tick, level is 0; voltages acted during it.
     """
-
-    tick: int
-    elevation_rad: float
-    pitch_rad: float
-    travel_rad: float
-    elevation_setpoint_rad: float
-    pitch_setpoint_rad: float
-    travel_setpoint_rad: float
-    front_V: float
-    back_V: float
-    state: State
-    fault: Fault
-    flags: Flags
 
     @property
     def t_s(self) -> float:
@@ -77,39 +45,13 @@ class Sample:
         return float(np.degrees(self.travel_rad))
 
 
-@dataclass(frozen=True)
-class Samples:
-    """Consecutive samples as arrays, one entry a tick; a gap in ``tick`` is a loss.
+class Samples(ChannelArrays):
+    """Consecutive samples as arrays, one entry a tick: a `ChannelArrays`."""
 
-    Parameters
-    ----------
-    tick : ndarray of int64, shape (n,)
-        Device time [tick of 1 ms], counted on over 2^32.
-    t_s : ndarray, shape (n,)
-        Device time [s].
-    elevation_rad, pitch_rad, travel_rad : ndarray, shape (n,)
-        Angles [rad].
-    elevation_setpoint_rad, pitch_setpoint_rad, travel_setpoint_rad : ndarray, shape (n,)
-        Setpoints that the on-board control law used [rad].
-    front_V, back_V : ndarray, shape (n,)
-        Voltages that acted on the motors [V].
-    state, fault, flags : ndarray of uint8, shape (n,)
-        Supervisor state, fault code and flag bits.
-    """
-
-    tick: npt.NDArray[np.int64]
-    t_s: Floats
-    elevation_rad: Floats
-    pitch_rad: Floats
-    travel_rad: Floats
-    elevation_setpoint_rad: Floats
-    pitch_setpoint_rad: Floats
-    travel_setpoint_rad: Floats
-    front_V: Floats
-    back_V: Floats
-    state: npt.NDArray[np.uint8]
-    fault: npt.NDArray[np.uint8]
-    flags: npt.NDArray[np.uint8]
+    @property
+    def t_s(self) -> Floats:
+        """Device time [s], shape (n,)."""
+        return np.asarray(self.tick * TICK_S, np.float64)
 
     def __len__(self) -> int:
         return len(self.tick)
@@ -125,9 +67,12 @@ class Scales:
     """
 
     def __init__(self, params: Mapping[str, float]) -> None:
-        self._scale = _SCALE.copy()
-        for axis in _AXES:
-            self._scale[_CHANNEL[f"{axis}_count"]] = 2.0 * np.pi / abs(params[f"{axis}_counts_per_rev"])
+        rad: list[float] = rad_per_count(params).tolist()
+        # Of a raw 1, in the unit of the column; None where the raw number itself is the value.
+        self._scale = [
+            rad[spec.axis] if spec.axis is not None else None if is_whole(spec) else spec.scale
+            for spec in CHANNELS
+        ]
 
     def sample(self, tick: int, raw: npt.NDArray[np.int32]) -> Sample:
         """Convert one sample.
@@ -136,29 +81,17 @@ class Scales:
         ----------
         tick : int
             Device time [tick].
-        raw : ndarray of int32, shape (11,)
+        raw : ndarray of int32, shape (channels,)
             Channels in the declaration's order.
-
-        Returns
-        -------
-        Sample
-            The same in units.
         """
-        value = dict(zip(_CHANNEL, (raw * self._scale).tolist(), strict=True))
-        return Sample(
-            tick,
-            value["elevation_count"],
-            value["pitch_count"],
-            value["travel_count"],
-            value["elevation_setpoint"],
-            value["pitch_setpoint"],
-            value["travel_setpoint"],
-            value["front"],
-            value["back"],
-            State(int(raw[_STATE])),
-            Fault(int(raw[_FAULT])),
-            Flags(int(raw[_FLAGS])),
-        )
+        values: dict[str, Any] = {}
+        for spec, number, scale in zip(CHANNELS, raw.tolist(), self._scale, strict=True):
+            whole = number & 0xFFFFFFFF if spec.code.isupper() else number
+            if scale is not None:
+                values[spec.column] = whole * scale
+            else:
+                values[spec.column] = whole if spec.kind is None else spec.kind(whole)
+        return Sample(tick, **values)
 
     def samples(self, tick: npt.NDArray[np.int64], raw: npt.NDArray[np.int32]) -> Samples:
         """Convert many samples.
@@ -167,31 +100,14 @@ class Scales:
         ----------
         tick : ndarray of int64, shape (n,)
             Device time [tick].
-        raw : ndarray of int32, shape (n, 11)
+        raw : ndarray of int32, shape (n, channels)
             Channels in the declaration's order.
-
-        Returns
-        -------
-        Samples
-            The same in units.
         """
-        columns = np.asarray(raw.T * self._scale[:, None], np.float64)  # (11, n)
-        value = {name: columns[index] for name, index in _CHANNEL.items()}
-        return Samples(
-            tick,
-            np.asarray(tick * TICK_S, np.float64),
-            value["elevation_count"],
-            value["pitch_count"],
-            value["travel_count"],
-            value["elevation_setpoint"],
-            value["pitch_setpoint"],
-            value["travel_setpoint"],
-            value["front"],
-            value["back"],
-            raw[:, _STATE].astype(np.uint8),
-            raw[:, _FAULT].astype(np.uint8),
-            raw[:, _FLAGS].astype(np.uint8),
-        )
+        columns: dict[str, npt.NDArray[Any]] = {}
+        for channel, scale in zip(Channel, self._scale, strict=True):
+            whole = numbers(raw, channel)
+            columns[CHANNELS[channel].column] = whole if scale is None else whole.astype(np.float64) * scale
+        return Samples(tick, **columns)
 
 
 class SampleRing:
@@ -241,11 +157,6 @@ class SampleRing:
         ----------
         count : int or None
             How many at most; None for all that are kept.
-
-        Returns
-        -------
-        Ticks
-            Copies.
         """
         with self._lock:
             capacity = len(self._tick)

@@ -1,10 +1,6 @@
 """Types of the extension; source in sim/native."""
 
 from collections.abc import Callable, Sequence
-from types import ModuleType
-
-control: ModuleType
-link: ModuleType
 
 class PlantStep: ...
 
@@ -90,13 +86,3 @@ class World:
     def host_reading(self) -> bool: ...
     @host_reading.setter
     def host_reading(self, reading: bool) -> None: ...
-
-def encoder_edges(
-    from_rad: Sequence[float],
-    to_rad: Sequence[float],
-    counts_per_rad: Sequence[float],
-    offset_count: Sequence[float],
-) -> list[tuple[float, int, int]]: ...
-def encoder_counts(
-    angle_rad: Sequence[float], counts_per_rad: Sequence[float], offset_count: Sequence[float]
-) -> list[int]: ...

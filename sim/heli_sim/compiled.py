@@ -85,11 +85,6 @@ def c_source(*functions: ca.Function) -> str:
     ----------
     *functions : casadi.Function
         Functions; their names are the symbols.
-
-    Returns
-    -------
-    str
-        One C file.
     """
     generator = ca.CodeGenerator(functions[0].name(), {"with_header": False})
     for function in functions:
@@ -134,6 +129,6 @@ def compile_source(name: str, source: str) -> Path | None:
         result = subprocess.run(command, capture_output=True, text=True, check=False)
         if result.returncode != 0:
             reason = (result.stderr.strip().splitlines() or ["no message"])[0]
-            raise PlantError(f"{cc} cannot compile the plant: {reason}; set CC to a working C compiler")
+            raise PlantError(f"{cc} cannot compile the plant: {reason}", "set CC to a working C compiler")
         so_file.replace(library)
     return library

@@ -49,8 +49,6 @@ def extras(model: Model, late_s: float = 0.0) -> Extras:
 
     Parameters
     ----------
-    model : Model
-        The model.
     late_s : float
         By how much the voltages act late.
 
@@ -59,7 +57,7 @@ def extras(model: Model, late_s: float = 0.0) -> Extras:
     Extras
         Nothing for a model without effects.
     """
-    timed, random = _depends_on_time(model), model.shaken > 0
+    timed, random = _depends_on_time(model), model.noise_inputs > 0
     states = [Quantity("time_s", "s", "time since the motors first turned")] if timed else []
     states += [Quantity("random", "1", "state of the random generator")] if random else []
     ticks = math.ceil(late_s / STEP_s - 1e-9)
@@ -76,12 +74,10 @@ def step_function(model: Model, late_s: float = 0.0) -> ca.Function:
 
     A stop is inelastic: the angle stays at it and the rate outwards becomes 0. The table is the lower stop of
     the elevation; while the arm rests on it, pitch and travel rates die out with table_damping. A locked axis
-    (pinned for a bench test) keeps its angle with rate 0, and its pin gives the reaction that this takes.
+    (as in a bench test) keeps its angle with rate 0, and its lock gives the reaction that this takes.
 
     Parameters
     ----------
-    model : Model
-        Gives the dynamics and the measurement.
     late_s : float
         By how much the voltages act late.
 
@@ -104,7 +100,7 @@ def step_function(model: Model, late_s: float = 0.0) -> ca.Function:
     u = _late(commanded, past_V, late_s)
 
     def rates(at: ca.SX, later_s: float) -> ca.SX:
-        return free * model.dynamics(at, u, p_model, t + later_s, pinned=locked)
+        return free * model.dynamics(at, u, p_model, t + later_s, locked=locked)
 
     k1 = rates(x, 0.0)
     k2 = rates(x + STEP_s / 2 * k1, STEP_s / 2)
@@ -124,9 +120,9 @@ def step_function(model: Model, late_s: float = 0.0) -> ca.Function:
 
     turning = ca.fmax(t > 0, ca.fmax(ca.fabs(commanded[0]), ca.fabs(commanded[1])) > 0)
     t_after = t + STEP_s * turning
-    normal, chance = _drawn(chance, model.shaken)
-    after = model.settled(after, u, p_model, t_after)
-    after = after + model.pushed(after, u, p_model, t_after, STEP_s, normal)
+    normal, chance = _drawn(chance, model.noise_inputs)
+    after = model.reset_map(after, u, p_model, t_after)
+    after = after + model.diffusion(after, u, p_model, t_after, STEP_s, normal)
     measured = model.measurement(after, u, p_model, t_after)
     kept_V = ca.vertcat(commanded, past_V)[: past_V.numel()]
     whole_after = ca.vertcat(
@@ -139,7 +135,7 @@ def step_function(model: Model, late_s: float = 0.0) -> ca.Function:
 def _depends_on_time(model: Model) -> bool:
     x, u, t = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2), ca.SX.sym("t")
     p = ca.SX.sym("p", len(model.parameters))
-    timed = (model.dynamics(x, u, p, t), model.measurement(x, u, p, t), model.settled(x, u, p, t))
+    timed = (model.dynamics(x, u, p, t), model.measurement(x, u, p, t), model.reset_map(x, u, p, t))
     return bool(ca.depends_on(ca.vertcat(*timed), t))
 
 
@@ -171,10 +167,6 @@ class Plant:
 
     Parameters
     ----------
-    model : Model
-        Equations of motion.
-    rig : Rig
-        Their numbers.
     seed : int
         Seed of what effects leave to chance.
     """
@@ -223,7 +215,7 @@ class Plant:
         volts_V : array_like
             Voltages that act on the front and the back motor, shape (2,).
         locked : tuple of bool
-            Which of elevation, pitch and travel are pinned.
+            Which of elevation, pitch and travel are locked.
 
         Returns
         -------

@@ -4,7 +4,6 @@
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
-#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
@@ -12,7 +11,6 @@
 #include <memory>
 #include <stdexcept>
 #include <string>
-#include <tuple>
 #include <vector>
 
 #include "bindings.hpp"
@@ -25,9 +23,7 @@ using namespace nb::literals;
 namespace {
 
 using heli_sim::CompiledStep;
-using heli_sim::Edge;
 using heli_sim::EncoderConfig;
-using heli_sim::Encoders;
 using heli_sim::NativeBoard;
 using heli_sim::PlantStep;
 using heli_sim::SimBoard;
@@ -112,29 +108,6 @@ nb::dict line_counters(World& world) {
   return result;
 }
 
-std::vector<std::tuple<double, int, int>> encoder_edges(const Axes& from_rad, const Axes& to_rad,
-                                                        const Axes& counts_per_rad,
-                                                        const Axes& offset_count) {
-  Encoders encoders(encoder_config(counts_per_rad, offset_count));
-  encoders.move(from_rad.data());
-  encoders.move(to_rad.data());
-  std::vector<std::tuple<double, int, int>> edges;
-  for (const Edge& edge : encoders.edges()) {
-    edges.emplace_back(edge.time_us, edge.axis, edge.direction);
-  }
-  return edges;
-}
-
-std::array<std::int32_t, heli::kAxisCount> encoder_counts(const Axes& angle_rad,
-                                                          const Axes& counts_per_rad,
-                                                          const Axes& offset_count) {
-  Encoders encoders(encoder_config(counts_per_rad, offset_count));
-  encoders.move(angle_rad.data());
-  std::array<std::int32_t, heli::kAxisCount> count{};
-  std::copy_n(encoders.count(), heli::kAxisCount, count.begin());
-  return count;
-}
-
 }  // namespace
 
 void bind_world(nb::module_& module) {
@@ -180,11 +153,4 @@ void bind_world(nb::module_& module) {
           [](World& self, bool reading) { self.line().set_host_reading(reading); })
       .def_prop_ro("to_board_waiting", [](World& self) { return self.line().to_board_waiting(); })
       .def("line_counters", &line_counters);
-
-  module.def(
-      "encoder_edges", &encoder_edges, "from_rad"_a, "to_rad"_a, "counts_per_rad"_a,
-      "offset_count"_a,
-      "Edges (time_us, axis, direction) of a millisecond in which the angles move linearly.");
-  module.def("encoder_counts", &encoder_counts, "angle_rad"_a, "counts_per_rad"_a, "offset_count"_a,
-             "Counts of three encoders at these angles.");
 }

@@ -5,5 +5,3 @@
 
 void bind_board(nanobind::module_& module);
 void bind_world(nanobind::module_& module);
-void bind_link(nanobind::module_& module);
-void bind_control(nanobind::module_& module);

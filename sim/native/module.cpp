@@ -4,6 +4,4 @@ NB_MODULE(_native, module) {
   module.doc() = "The flight code compiled for this machine, and the world it flies in.";
   bind_board(module);
   bind_world(module);
-  bind_link(module);
-  bind_control(module);
 }

@@ -16,17 +16,18 @@ void MemoryBoard::transmit(const std::uint8_t* bytes, std::size_t count) {
   for (std::size_t i = 0; i < count; ++i) tx.push(bytes[i]);
 }
 
-void MemoryBoard::read_page(std::size_t page, std::uint8_t* to) {
-  if (page >= kPages) {
-    std::fill_n(to, kPageBytes, std::uint8_t{0xFF});
+void MemoryBoard::read_page(std::size_t page, std::uint8_t* to, std::size_t count) {
+  if (page >= kPages || count > kPageBytes) {
+    std::fill_n(to, count, std::uint8_t{0xFF});
     return;
   }
-  std::copy_n(flash.data() + page * kPageBytes, kPageBytes, to);
+  std::copy_n(flash.data() + page * kPageBytes, count, to);
 }
 
-bool MemoryBoard::write_page(std::size_t page, const std::uint8_t* from) {
-  if (page >= kPages) return false;
-  std::copy_n(from, kPageBytes, flash.data() + page * kPageBytes);
+bool MemoryBoard::write_page(std::size_t page, const std::uint8_t* from, std::size_t count) {
+  if (page >= kPages || count > kPageBytes) return false;
+  std::uint8_t* to = flash.data() + page * kPageBytes;
+  std::fill_n(std::copy_n(from, count, to), kPageBytes - count, std::uint8_t{0xFF});
   if (flash_file.empty()) return true;
   std::ofstream file(flash_file, std::ios::binary | std::ios::trunc);
   file.write(reinterpret_cast<const char*>(flash.data()),
@@ -52,8 +53,8 @@ void NativeBoard::boot(heli::link::Reset cause) {
   memory_.boot.reset = static_cast<std::uint8_t>(cause);
   memory_.boot.boot_fault = 0;
   ++memory_.boot.boot_count;
-  core_.emplace(memory_);
-  core_->start();
+  code_.emplace(memory_);
+  code_->core.start();
 }
 
 void NativeBoard::tick(const std::int32_t* count) {
@@ -69,9 +70,9 @@ void NativeBoard::tick(const std::int32_t* count) {
     }
   }
   if (erased_) return;
-  if (!core_) boot(cause_);
-  core_->tick();
-  core_->poll();
+  if (!code_) boot(cause_);
+  code_->core.tick();
+  code_->core.poll();
 }
 
 void NativeBoard::rest(const Edge* edges, std::size_t edge_count) {
@@ -85,13 +86,13 @@ void NativeBoard::rest(const Edge* edges, std::size_t edge_count) {
 }
 
 MotorOutput NativeBoard::motors() const {
-  const double full = heli::kDutyFull;
+  const double full = MemoryBoard::kDutyFull;
   return {memory_.motors.front_duty / full, memory_.motors.back_duty / full,
           memory_.motors.enable && !memory_.stop_input};
 }
 
 void NativeBoard::reset(heli::link::Reset cause) {
-  core_.reset();
+  code_.reset();
   memory_.motors = {};
   memory_.encoders = {};
   origin_ = disc_;

@@ -9,7 +9,7 @@
 
 #include "board.hpp"
 #include "byte_ring.hpp"
-#include "core.hpp"
+#include "flight_code.hpp"
 #include "sim_board.hpp"
 
 namespace heli_sim {
@@ -17,20 +17,24 @@ namespace heli_sim {
 // What the flight code sees: heli::Board over plain memory.
 class MemoryBoard final : public heli::Board {
  public:
+  // The Due's numbers, so that both boards fly the same flight, duty by duty.
+  static constexpr std::int16_t kDutyFull = 2100;
+  static constexpr std::size_t kPageBytes = 256;
   static constexpr std::size_t kPages = 4;
   static constexpr std::size_t kFlashBytes = kPages * kPageBytes;
   using Flash = std::array<std::uint8_t, kFlashBytes>;
 
   MemoryBoard() { flash.fill(0xFF); }
 
+  std::int16_t duty_full() override { return kDutyFull; }
   heli::EncoderReading read_encoders() override { return encoders; }
   void write_motors(const heli::MotorCommand& command) override { motors = command; }
   bool hardware_stop() override { return stop_input; }
   std::size_t receive(std::uint8_t* to, std::size_t most) override;
   std::size_t transmit_free() override { return tx.free(); }
   void transmit(const std::uint8_t* bytes, std::size_t count) override;
-  void read_page(std::size_t page, std::uint8_t* to) override;
-  bool write_page(std::size_t page, const std::uint8_t* from) override;
+  void read_page(std::size_t page, std::uint8_t* to, std::size_t count) override;
+  bool write_page(std::size_t page, const std::uint8_t* from, std::size_t count) override;
   heli::BootReport boot_report() override { return boot; }
 
   heli::EncoderReading encoders{};
@@ -74,7 +78,7 @@ class NativeBoard final : public SimBoard {
   bool from_edges_;
   bool erased_ = false;
   MemoryBoard memory_;
-  std::optional<heli::Core> core_;
+  std::optional<heli::FlightCode> code_;
   std::uint32_t reset_ticks_ = 0;
   heli::link::Reset cause_ = heli::link::Reset::power_up;
   std::array<std::int32_t, heli::kAxisCount> disc_{};    // as of the last tick

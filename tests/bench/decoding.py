@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 
-from heli_host.link.declaration import MessageId
+from heli_host.declaration import MessageId
 from heli_host.link.frames import FrameParser
 from heli_host.link.telemetry import TelemetryDecoder
 
@@ -32,7 +32,7 @@ def decode_ours(data: bytes) -> int:
 
 
 def mavlink_bytes(ticks: int) -> bytes:
-    """As many HIL_CONTROLS messages: 11 fields in 42 bytes, where a tick has 12 in 39."""
+    """As many HIL_CONTROLS messages: 11 fields in 42 bytes, about as many as a tick holds."""
     from pymavlink.dialects.v20 import common
 
     link = common.MAVLink(None)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from heli_host.declaration import BAUD, CHANNELS, Channel, MessageId
 from heli_host.fly.runner import fly
-from heli_host.link.declaration import BAUD, CHANNELS, MessageId
 from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.telemetry import TelemetryDecoder, Ticks
-from heli_sim import _native
+from heli_test_native import link as core_link
 
 from tests.bench.flights import demonstration, tapped_board
 from tests.bench.result import Measured
@@ -31,12 +31,12 @@ def worst_case_bytes(sent: bytes, batch_ticks: int) -> tuple[int, int]:
     ticks = _ticks(sent)
     raw = ticks.raw.copy()
     random = np.random.default_rng(1)
-    for index, channel in enumerate(CHANNELS):
-        if channel.unit == "V":
-            raw[:, index] = random.integers(0, VOLTAGE_RANGE_mV, len(raw))
+    for channel in Channel:
+        if CHANNELS[channel].unit == "V":
+            raw[:, channel] = random.integers(0, VOLTAGE_RANGE_mV, len(raw))
     size = 0
     for start in range(0, len(raw) - batch_ticks, batch_ticks):
-        payloads = _native.link.pack_telemetry(int(ticks.tick[start]), raw[start : start + batch_ticks])
+        payloads = core_link.pack_telemetry(int(ticks.tick[start]), raw[start : start + batch_ticks])
         size += sum(len(encode_frame(MessageId.TELEMETRY, 0, payload)) for payload in payloads)
     return size, len(raw) - batch_ticks
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import heli_host
-from heli_host.flight import Flight
 from heli_host.fly.runner import fly
+from heli_host.log.flight_file import read_flight
 
 from tests.bench.flights import RIG, hover
 from tests.bench.result import Measured, repeat
@@ -26,7 +26,7 @@ def measure() -> list[Measured]:
 
         def read_s() -> float:
             start_s = time.perf_counter()
-            flight = Flight.read(path)
+            flight = read_flight(path)
             elapsed_s = time.perf_counter() - start_s
             assert len(flight) >= LOG_TICKS
             return elapsed_s * LOG_TICKS / len(flight)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from heli_host.log.table import write_csv
 from heli_sim.rig import Rig, load_rig
 
 from tests.blind.flights import flown, plan
@@ -84,7 +85,7 @@ class Case:
         Parameters
         ----------
         flight : int
-            Number of the flight, for what differs by chance.
+            Number of the flight, for random torques.
         """
         made: list[Hidden] = []
         for number, ((_, size), maker) in enumerate(
@@ -123,7 +124,7 @@ class Case:
             course = plan(f"{self.seed}", duration_s, rng)
             # Written whole and then named, so that an interrupted run leaves no half flight.
             unfinished = path.with_name("unfinished-" + path.name)
-            flown(self.rig(), self.hidden(number), course, self.seed + number).write_csv(unfinished)
+            write_csv(flown(self.rig(), self.hidden(number), course, self.seed + number), unfinished)
             unfinished.rename(path)
         return paths
 

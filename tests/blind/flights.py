@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from heli_host.declaration import Fault
 from heli_host.errors import FlightAborted
 from heli_host.flight import Flight
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import fly
 from heli_host.heli import Heli
-from heli_host.link.declaration import Fault
 from heli_host.link.session import Session
+from heli_host.log.flight_file import read_flight
 from heli_sim.rig import Rig
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import SilOptions
@@ -120,7 +121,7 @@ def flown(rig: Rig, hidden: Sequence[Hidden], course: Plan, seed: int) -> Flight
     with tempfile.TemporaryDirectory() as folder, Heli(session) as heli:
         log = Path(folder) / "flight.mcap"
         summary = fly(heli, course, log_path=log)
-        flight = Flight.read(log)
+        flight = read_flight(log)
     # Table 2's masses balance at -22 degrees and do not come down to the table: the flight is whole.
     if summary.outcome != "completed" and Fault.LANDING_TIMEOUT.name.lower() not in summary.outcome:
         raise FlightAborted(f"{course.title}: {summary.outcome}")

@@ -1,4 +1,4 @@
-"""What may be hidden in a flight: the effects of the project's list, made by other means than its own."""
+"""What may be hidden in a flight: the effects of the catalogue, made by other means than its own."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class RotorLag(Hidden):
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)
         self._thrust_N = np.zeros(2)
-        self._keep = np.exp(-STEP_S / size)
+        self._rho = np.exp(-STEP_S / size)
 
     def thrust(self, at: Moment) -> None:
         # The mean over the step of a first-order lag's exact answer to a constant.
         before = self._thrust_N
-        self._thrust_N = at.thrust_N + (before - at.thrust_N) * self._keep
+        self._thrust_N = at.thrust_N + (before - at.thrust_N) * self._rho
         at.thrust_N = 0.5 * (before + self._thrust_N)
 
 
@@ -250,18 +250,18 @@ class PeriodicTorque(Hidden):
 
 
 class RandomTorque(Hidden):
-    """Size: standard deviation of a torque that forgets itself within a fraction of a second."""
+    """Size: standard deviation of a torque that has a correlation time of a fraction of a second."""
 
     def __init__(self, size: float, rng: np.random.Generator, axis: int) -> None:
         super().__init__(size, rng)
         self._axis, self._lasts_s = axis, rng.uniform(0.2, 0.8)
         self.truth = {"size": size, "lasts_s": self._lasts_s}
-        self._keep = np.exp(-STEP_S / self._lasts_s)
+        self._rho = np.exp(-STEP_S / self._lasts_s)
         self._torque_Nm = 0.0
 
     def torque(self, at: Moment) -> None:
-        spread = self.size * np.sqrt(1.0 - self._keep**2)
-        self._torque_Nm = self._keep * self._torque_Nm + spread * self.chance.standard_normal()
+        innovation_Nm = self.size * np.sqrt(1.0 - self._rho**2)
+        self._torque_Nm = self._rho * self._torque_Nm + innovation_Nm * self.chance.standard_normal()
         at.torque_Nm[self._axis] += self._torque_Nm
 
 
@@ -369,4 +369,4 @@ OTHER_FORMS: dict[str, tuple[str, Maker, float]] = {
         1.0,
     ),
 }
-"""Effect, maker and size of cases of one size: other forms, and terms of the baseline that are gone."""
+"""Effect, maker and size of cases of one size: other forms, and terms of the baseline that are absent."""

@@ -14,16 +14,16 @@ from tests.blind.oracle import Told
 from tests.blind.truth import Hidden
 
 VISIBLE = 3.0
-"""An effect that the fit told the answer finds smaller than this many standard errors is not to be found."""
+"""Standard errors of its size, in the fit told the answer, below which an effect need not be named."""
 VISIBLE_OFF_LIST = 1.05
-"""What is on no list is to be seen when the refitted baseline is off by this, in units of the rounding."""
+"""Normalised error of the refitted baseline from which on an effect outside the catalogue must be noticed."""
 MOST_STD = 3.0
 _LEAST_STD_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
 class Row:
-    """A case and what was said about it.
+    """A case, and the diagnosis of it judged.
 
     Parameters
     ----------
@@ -32,27 +32,27 @@ class Row:
     seed : int
         Its seed.
     hidden : tuple of str
-        Ids of what is hidden; those off the list begin with ``off-``.
+        Ids of what is hidden; those outside the catalogue begin with ``off-``.
     visible : tuple of str
-        Those of the list that a fit told the answer finds.
+        Those of the catalogue that are significant in a fit that is told the answer.
     significance : Mapping[str, float | None]
         Their sizes in standard errors, by that fit.
     verdict : str
-        The diagnosis' word.
+        The diagnosis' verdict.
     named : tuple of str
         Causes given, first one first.
     confidence : tuple of float
         Of each.
     ambiguous_with : tuple of str
-        Rivals of the first.
+        Alternatives of the first cause.
     parameters : Mapping[str, tuple]
-        Value, standard error and truth of each number that means the same to both.
+        Value, standard error and truth of each parameter that the generator defines as the catalogue does.
     errors : Mapping[str, float]
         Normalised errors: ``baseline``, ``found`` and ``told``, held out, and the same with ``_train``.
     seconds : float
-        What the diagnosis took.
+        Time that the diagnosis took.
     failure : str
-        What it died of; empty when it did not.
+        Error that ended the diagnosis; empty when there was none.
     """
 
     case: str
@@ -106,7 +106,7 @@ class Row:
 
     @property
     def within(self) -> dict[str, bool]:
-        """Whether each number lies within its error of the truth."""
+        """Whether each parameter lies within its error of the truth."""
         return {
             name: abs(value - truth) <= MOST_STD * max(std, _LEAST_STD_SHARE * abs(truth) / MOST_STD)
             for name, (value, std, truth) in self.parameters.items()
@@ -114,7 +114,7 @@ class Row:
 
     @property
     def answer(self) -> str:
-        """What was said first, in a word."""
+        """The first cause named, or the verdict where there is none."""
         return self.named[0] if self.named and self.verdict != "unexplained" else self.verdict
 
 
@@ -133,15 +133,15 @@ def judged(
     case : Case
         The case.
     hidden : sequence of Hidden
-        What is hidden, spelled as in the catalogue.
+        What is hidden, in the catalogue's parameters.
     told : Told
         The fit that was told the answer.
     result : Mapping[str, Any] or None
-        The diagnosis' JSON; None when it died.
+        The diagnosis' JSON; None when it failed.
     seconds : float
-        What it took.
+        Time that it took.
     failure : str
-        What it died of.
+        Error that ended it.
 
     Returns
     -------

@@ -1,6 +1,6 @@
-"""The same fit, told the answer: what can be known from a case, and how well its model can predict.
+"""The same fit, told the answer: how significant a hidden effect is, and how well its model can predict.
 
-It alone of this room uses the project's models and identification.
+This file alone of this room uses the project's models and identification.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from heli_host.flight import Flight
-from heli_sim.identify import Fit, Problem, Record, check, prepare, solve, validate
-from heli_sim.identify.free import loose
+from heli_lab.identify import Fit, Problem, Record, check, prepare, solve, validate
+from heli_lab.identify.free import estimated_names
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Effect
 from heli_sim.model.effects import catalogue
@@ -22,7 +22,7 @@ from tests.blind.truth import Hidden
 _STARTS = (1.0, 0.3, 0.03)
 _EXPLAINED = 1.03
 _STEP_S = 0.004
-"""Coarser steps lose their way in dry friction and backlash."""
+"""With coarser steps, fits of dry friction and backlash fail."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Told:
     significance : dict of float
         Size of each hidden effect in standard errors; None where none can be given.
     values, std : dict of float
-        The effects' numbers that were found, and their standard errors.
+        Estimates of the effects' parameters, and their standard errors.
     """
 
     train: float
@@ -56,30 +56,25 @@ def tell(rig: Rig, flights: tuple[Flight, Flight], hidden: Sequence[Hidden]) -> 
     Parameters
     ----------
     rig : Rig
-        Nominal numbers, as the diagnosis gets them.
+        Nominal parameters, as the diagnosis gets them.
     flights : tuple of Flight
         The flight to fit and the one to hold out.
     hidden : sequence of Hidden
-        What is hidden; chance (`random_torque`) is in nobody's free run and left out.
-
-    Returns
-    -------
-    Told
-        What came of it.
+        What is hidden; a disturbance (`random_torque`) is in no free run and left out.
     """
     records = prepare(flights[0], rig, "a"), prepare(flights[1], rig, "b")
     nothing = _fit(rig, records, (), {}, None)
     kinds = catalogue()
-    effects, gone = [], dict[str, float]()
+    effects, fixed_values = [], dict[str, float]()
     for one in hidden:
         kind = kinds[one.id]
         if kind.baseline:
-            gone |= kind.held
-        elif not kind.shaken:
+            fixed_values |= kind.override
+        elif not kind.noise_inputs:
             effects.append(kind.make(one.start))
             # Free beside a torque that starts small, a frequency runs away before the torque has grown.
-            gone |= {name: value for name, value in one.start.items() if name.endswith("_Hz")}
-    told = _best(rig, records, effects, gone, nothing) if effects or gone else nothing
+            fixed_values |= {name: value for name, value in one.start.items() if name.endswith("_Hz")}
+    told = _best(rig, records, effects, fixed_values, nothing) if effects or fixed_values else nothing
     train, held_out = _errors(told, records[1])
     names = {name for effect in effects for name in effect.priors}
     return Told(
@@ -93,14 +88,18 @@ def tell(rig: Rig, flights: tuple[Flight, Flight], hidden: Sequence[Hidden]) -> 
 
 
 def _best(
-    rig: Rig, records: tuple[Record, Record], effects: list[Effect], gone: dict[str, float], nothing: Fit
+    rig: Rig,
+    records: tuple[Record, Record],
+    effects: list[Effect],
+    fixed_values: dict[str, float],
+    nothing: Fit,
 ) -> Fit:
-    """Fit from several starts: the truth beside a rig that is still wrong may lie in another valley."""
+    """Fit from several starts: the truth may be in another basin of attraction than a rig that is wrong."""
     sizes = {name: effect.values[name] for effect in effects for name in effect.priors}
     best: Fit | None = None
     for share in _STARTS:
         start = {**nothing.values, **{name: share * value for name, value in sizes.items()}}
-        fit = _fit(rig, records, tuple(effects), gone, start)
+        fit = _fit(rig, records, tuple(effects), fixed_values, start)
         if best is None or check(fit).normalised < check(best).normalised:
             best = fit
         if check(best).normalised < _EXPLAINED:
@@ -121,7 +120,7 @@ def _fit(
         model,
         rig,
         records[:1],
-        free=loose(model, rig, None, list(fixed)),
+        free=estimated_names(model, rig, None, list(fixed)),
         step_s=_STEP_S,
         values=fixed,
     )

@@ -12,7 +12,8 @@ from typing import Any
 
 import heli_sim
 from heli_host.flight import Flight
-from heli_sim.diagnose import diagnose
+from heli_host.log.flight_file import read_flight
+from heli_lab.diagnose import diagnose, to_json
 from heli_sim.errors import SimError
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig, load_rig
@@ -64,7 +65,7 @@ def run(case: Case, folder: Path, *, keep: bool = False, budget_s: float = BUDGE
     paths = case.flights(folder)
     if not mark.exists():
         mark.write_text(made_by)
-    flights = Flight.read(paths[0]), Flight.read(paths[1])
+    flights = read_flight(paths[0]), read_flight(paths[1])
     rig = load_rig("makki2024")
     hidden = hidden_in(case, _motors_on_s(flights[0], rig))
     fits = _digest("", (*_ORACLE, *_sources("identify"), *_sources("model")))
@@ -92,7 +93,8 @@ def diagnosed(rig: Rig, flights: tuple[Flight, Flight], budget_s: float = BUDGET
         Its JSON.
     """
     labels = ["a", "b"]
-    return diagnose(MultibodyModel(), rig, flights[:1], flights[1:], labels=labels, seconds=budget_s).json()
+    found = diagnose(MultibodyModel(), rig, flights[:1], flights[1:], labels=labels, seconds=budget_s)
+    return to_json(found)
 
 
 def _asked(rig: Rig, flights: tuple[Flight, Flight], budget_s: float) -> dict[str, Any]:

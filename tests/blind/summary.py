@@ -11,11 +11,11 @@ from tests.blind.judge import Row
 
 BINS = (0.0, 0.5, 0.7, 0.85, 0.95, 1.0)
 NEAR = 1.10
-"""The held-out error may be this many times that of the fit told the answer."""
+"""The held-out error may be this many times that of the fit that is told the answer."""
 
 
 def goals(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
-    """Measure issue 5's goals.
+    """Count how far the goals are reached.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def calibration(rows: Sequence[Row]) -> list[dict[str, float]]:
 
 
 def text(rows: Sequence[Row]) -> str:
-    """Spell everything for a person.
+    """Write everything for people.
 
     Parameters
     ----------

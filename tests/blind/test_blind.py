@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from heli_host.flight import Flight
+from heli_host.log.flight_file import read_flight
 from heli_sim.rig import load_rig
 
 from tests.blind.cases import every_case
@@ -29,7 +29,7 @@ Answers = dict[str, Future[dict[str, Any]]]
 def answer(name: str, folder: Path) -> dict[str, Any]:
     case = next(case for case in every_case() if case.name == name)
     print(f"{name}: seed {case.seed}")
-    train, held_out = (Flight.read(path) for path in case.flights(folder))
+    train, held_out = (read_flight(path) for path in case.flights(folder))
     return diagnosed(load_rig("makki2024"), (train, held_out))
 
 

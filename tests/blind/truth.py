@@ -1,4 +1,4 @@
-"""What was hidden, in the words of the catalogue: its numbers by the names that a diagnosis gives them."""
+"""What was hidden, in the parameters of the catalogue, by the names that a diagnosis gives them."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ Numbers = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Hidden:
-    """A hidden effect as the catalogue spells it.
+    """A hidden effect in the catalogue's parameters.
 
     Parameters
     ----------
     id : str
         The effect.
     start : Mapping[str, float]
-        Its numbers by full name, as far as they are known.
+        Its parameters by full name, as far as they are known.
     scalars : Mapping[str, float]
-        Those of them that the catalogue means as the generator does: to be found within their error.
+        Those of them that the catalogue defines as the generator does: to be found within their error.
     amplitudes : Mapping[tuple[str, str], float]
-        Lengths of pairs of numbers, likewise.
+        Amplitudes of pairs of parameters, likewise.
     """
 
     id: str
@@ -34,7 +34,7 @@ class Hidden:
 
 
 def hidden_in(case: Case, motors_on_s: float) -> tuple[Hidden, ...]:
-    """Spell what is hidden in a case.
+    """Translate what is hidden in a case.
 
     Parameters
     ----------
@@ -47,12 +47,12 @@ def hidden_in(case: Case, motors_on_s: float) -> tuple[Hidden, ...]:
     Returns
     -------
     tuple of Hidden
-        One for each effect of the list.
+        One for each effect of the catalogue.
     """
-    return tuple(_spelled(id_, numbers, motors_on_s) for id_, numbers in case.truth().items())
+    return tuple(_translated(id_, numbers, motors_on_s) for id_, numbers in case.truth().items())
 
 
-def _spelled(id_: str, of: Numbers, motors_on_s: float) -> Hidden:
+def _translated(id_: str, of: Numbers, motors_on_s: float) -> Hidden:
     kind, _, _ = id_.partition(".")
     prefix = id_.replace(".", "_")
     scalars = _SAME[kind](of) if kind in _SAME else {}

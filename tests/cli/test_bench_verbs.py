@@ -9,9 +9,9 @@ from pathlib import Path
 import heli_host
 import numpy as np
 import pytest
-from heli_host.cli import motors
+from heli_host.cli.verbs import motors
+from heli_host.declaration import State
 from heli_host.heli import Heli
-from heli_host.link.declaration import State
 from heli_host.link.requests import Command
 from heli_host.link.session import Session
 from heli_sim.sil.process import SilProcess
@@ -26,7 +26,7 @@ def test_watch_shows_counts_angles_and_errors_of_each_axis(terminal: Terminal) -
     ended = terminal("watch", *SIL, "--for-s", "1")
     assert ended.code == 0, ended
     first, *lines = ended.out.splitlines()
-    assert "simulated board, firmware 0.1.0" in first
+    assert "native board, firmware 0.1.0" in first
     # On the table, at -25 degrees, 284 counts of 4096 below level.
     assert lines[0].startswith("elevation   -284 ( -24.96 deg, 0 bad)  pitch     +0")
     assert lines[0].endswith("front +0.00 V, back +0.00 V  idle")

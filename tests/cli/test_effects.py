@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.flight import Flight
+from heli_host.log.flight_file import read_flight
 from heli_sim.model.effects import catalogue, effect_numbers
 from heli_sim.rig import Rig, load_rig, write_rig
 
@@ -29,7 +29,7 @@ def test_an_effect_changes_the_flight_and_the_seed_its_chance(terminal: Terminal
     for name, options in flights.items():
         log = tmp_path / f"{name}.mcap"
         assert terminal("fly", "hover", *SIL, *options, "--log", log).code == 0
-        angles[name] = Flight.read(log).angles_rad
+        angles[name] = read_flight(log).angles_rad
     rows = min(len(one) for one in angles.values())
     np.testing.assert_array_equal(angles["gusts"], angles["again"])
     for one, two in (("plain", "lag"), ("plain", "gusts"), ("gusts", "other")):
@@ -43,7 +43,7 @@ def test_an_effect_changes_the_flight_and_the_seed_its_chance(terminal: Terminal
         (("--sil", "--effect", "rotor_lag=9"), "rotor_lag_s = 9 s is out of range; give 0 to 0.6"),
         (("--sil", "--effects", "nowhere.py"), "cannot be read; give a Python file"),
         (("--sil", "--model", "papr"), "there is no model 'papr'; did you mean paper"),
-        (("--effect", "rotor_lag"), "are for a simulated board; add --sil"),
+        (("--effect", "rotor_lag"), "for a simulated board; add --sil"),
     ],
 )
 def test_what_cannot_be_flown_is_refused_in_one_line(

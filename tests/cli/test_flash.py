@@ -13,14 +13,14 @@ from pathlib import Path
 
 import pytest
 import serial
-from heli_host.cli import flash as flash_verb
-from heli_host.cli.flash import ANSWER_TIMEOUT_S
+from heli_host.cli.verbs import flash as flash_verb
+from heli_host.cli.verbs.flash import ANSWER_TIMEOUT_S
+from heli_host.declaration import BAUD, LINK_HASH
 from heli_host.errors import FlashError, ImageError, UploaderError
 from heli_host.flash import bossac as uploading
 from heli_host.flash.bossac import Bossac, find_bossac, write_image
 from heli_host.flash.image import FLASH_START, RAM_START, VECTORS, read_image
 from heli_host.flash.touch import ERASE_S, ERASING_BAUD, erase_chip, restart_chip
-from heli_host.link.declaration import BAUD, LINK_HASH
 from heli_sim.sil.process import SilProcess
 from hypothesis import given
 from hypothesis import strategies as st

@@ -9,7 +9,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from heli_host.flight import Flight
+from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import read_log
 
 from tests.cli.terminal import Terminal, command, process
@@ -102,6 +102,6 @@ def test_a_log_cut_short_is_read_up_to_there(terminal: Terminal, tmp_path: Path)
     assert "not closed" in ended.out
     assert terminal("plot", cut, "-o", tmp_path / "cut.png").code == 0
     assert terminal("export", cut, "--csv").code == 0
-    flown, left = Flight.read(whole), Flight.read(tmp_path / "cut.csv")
+    flown, left = read_flight(whole), read_flight(tmp_path / "cut.csv")
     assert 10_000 < len(left) < len(flown)
     assert left.elevation_rad == pytest.approx(flown.elevation_rad[: len(left)], abs=1e-6)

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from heli_sim._native import control
+from heli_test_native import control
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from heli_host.link.declaration import PARAMS
-from heli_sim._native import control
+from heli_host.declaration import PARAMS
+from heli_test_native import control
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

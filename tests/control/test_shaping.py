@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from heli_host.link.declaration import PARAMS
-from heli_sim._native import control
+from heli_host.declaration import PARAMS
+from heli_test_native import flight
 
 INDEX = {p.name: p.index for p in PARAMS}
 DEFAULTS = {p.name: p.default for p in PARAMS}
@@ -69,7 +69,7 @@ def fly_both(seed: int, ticks: int, **changes: float) -> np.ndarray:
     """Random targets through firmware and reference; (ticks, 2, axis, angle to acceleration), in degrees."""
     p = DEFAULTS | changes
     rng = np.random.default_rng(seed)
-    shaper: Any = control.Shaper([(INDEX[name], value) for name, value in p.items()])
+    shaper: Any = flight.Shaper([(INDEX[name], value) for name, value in p.items()])
     axes = [
         ReferenceAxis(limit(p[f"{axis}_slew_deg_s"] * TICK_S), change)
         for axis, change in (

@@ -9,7 +9,7 @@ import casadi as ca
 from heli_host.flight import Flight
 from heli_host.fly.plan import Plan
 from heli_sim.model import MultibodyModel
-from heli_sim.model.effect import Effect, Situation
+from heli_sim.model.effect import Effect, Operands
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig
 
@@ -22,7 +22,7 @@ TRAIN_S, HELD_OUT_S = 34.0, 26.0
 class OffList(Effect):
     """Pitch is pushed as elevation rises: an effect that no catalogue has."""
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
+    def torque_Nm(self, at: Operands) -> ca.SX:
         """See `Effect.torque_Nm`."""
         return ca.vertcat(0, 0.05 * at.state["elevation_rad"], 0)
 
@@ -36,8 +36,8 @@ def flights(*effects: str, off_list: bool = False) -> tuple[Flight, Flight]:
         hidden = (*hidden, OffList("off_list"))
     model = MultibodyModel(hidden)
     fit = thinned(flown(rig, 11, TRAIN_S, model), 2)
-    held = thinned(flown(rig, 12, HELD_OUT_S, model), 2)
-    return fit, held
+    held_out = thinned(flown(rig, 12, HELD_OUT_S, model), 2)
+    return fit, held_out
 
 
 @cache

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_sim.diagnose import Diagnosis, diagnose
-from heli_sim.diagnose.gain import gain
-from heli_sim.diagnose.report import write_report
+from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
+from heli_lab.diagnose.error_reduction import error_reduction
+from heli_lab.diagnose.report import write_report
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import effects_of
 from heli_sim.rig import load_rig, write_rig
@@ -23,37 +23,37 @@ pytestmark = pytest.mark.diagnosis
 @cache
 def diagnosed(*effects: str, off_list: bool = False) -> Diagnosis:
     """Diagnose a flight with something hidden in it."""
-    fit, held = flights(*effects, off_list=off_list)
-    return diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held], labels=["fit", "held out"])
+    fit, held_out = flights(*effects, off_list=off_list)
+    return diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held_out], labels=["fit", "held out"])
 
 
 def test_answer_has_the_keys_and_units_that_were_promised_whatever_the_verdict() -> None:
     for found in (diagnosed(), diagnosed("rotor_lag=0.06"), diagnosed(off_list=True)):
-        conforms(found.json())
+        conforms(to_json(found))
 
 
 def test_seed_settles_the_intervals() -> None:
     found = diagnosed("rotor_lag=0.06")
-    drawn = [gain(found.search.baseline, found.extended, seed)["pitch"] for seed in (1, 1, 2)]
+    drawn = [error_reduction(found.search.baseline, found.extended, seed)["pitch"] for seed in (1, 1, 2)]
     assert drawn[0] == drawn[1]
     assert drawn[0].interval95 != drawn[2].interval95
     assert drawn[0].ratio == drawn[2].ratio
 
 
 def test_budget_that_runs_out_is_said_where_the_verdict_is() -> None:
-    fit, held = flights("rotor_lag=0.06")
-    found = diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held], seconds=0.0)
-    numbers = found.json()
+    fit, held_out = flights("rotor_lag=0.06")
+    found = diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held_out], seconds=0.0)
+    numbers = to_json(found)
     conforms(numbers)
     assert numbers["complete"] is False
     assert numbers["causes"] == []
-    assert "The time ran out before everything was tried" in found.summary
+    assert "The time ran out before everything was tried" in summary(found)
     assert any("--budget" in caution for caution in numbers["cautions"])
 
 
 def test_nothing_hidden_is_explained_without_a_cause() -> None:
     found = diagnosed()
-    numbers = found.json()
+    numbers = to_json(found)
     assert numbers["verdict"] == "explained"
     assert numbers["causes"] == []
     assert numbers["unexplained"] is None
@@ -68,7 +68,7 @@ def test_nothing_hidden_is_explained_without_a_cause() -> None:
     ],
 )
 def test_hidden_effect_is_named_measured_and_halves_the_error(effect: str, name: str, truth: float) -> None:
-    numbers = diagnosed(effect).json()
+    numbers = to_json(diagnosed(effect))
     assert numbers["verdict"] == "cause_found"
     first, *others = numbers["causes"]
     assert first["effect"] == effect.partition("=")[0]
@@ -81,7 +81,7 @@ def test_hidden_effect_is_named_measured_and_halves_the_error(effect: str, name:
 
 
 def test_effect_that_no_catalogue_has_is_unexplained_and_said_to_go_with_elevation() -> None:
-    numbers = diagnosed(off_list=True).json()
+    numbers = to_json(diagnosed(off_list=True))
     assert numbers["verdict"] == "unexplained"
     assert numbers["causes"] == []
     assert numbers["unexplained"]["axis"] == "pitch"
@@ -96,7 +96,7 @@ def test_curve_in_the_place_of_an_unknown_cause_is_the_cause_and_in_no_rig(tmp_p
     # 0.05 N m a radian was hidden, in mN m against degrees, and a constant belongs to the trim.
     slope = np.polyfit(curve.place, curve.value, 1)[0]
     assert slope == pytest.approx(50.0 * np.pi / 180.0, rel=0.1)
-    assert found.curve_gains["pitch"].ratio < 0.2
+    assert found.spline_gains["pitch"].ratio < 0.2
     assert found.gains["pitch"].ratio == pytest.approx(1.0)
     assert found.rig("extended").effects == {}
     page = write_report(found, tmp_path).read_text(encoding="utf-8")

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from heli_host.log.table import write_csv
 from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Terminal
@@ -21,14 +22,14 @@ def tables(tmp_path: Path) -> tuple[Path, Path]:
     """Two flights as files."""
     paths = tmp_path / "a.csv.gz", tmp_path / "b.csv.gz"
     for flight, path in zip(flights(), paths, strict=True):
-        flight.write_csv(path)
+        write_csv(flight, path)
     return paths
 
 
 def test_command_writes_numbers_rig_and_page(terminal: Terminal, tables: tuple[Path, Path]) -> None:
-    fit, held = tables
+    fit, held_out = tables
     files = ("--report", "why", "--json", "why.json", "--out", "extended.toml")
-    ended = terminal("diagnose", fit, "--validate", held, "--rig", "makki2024", *files)
+    ended = terminal("diagnose", fit, "--validate", held_out, "--rig", "makki2024", *files)
     assert ended.code == 0, ended.err
     assert ended.out.count("explained: ") == 1
     numbers = json.loads(Path("why.json").read_text())
@@ -41,12 +42,14 @@ def test_command_writes_numbers_rig_and_page(terminal: Terminal, tables: tuple[P
 def test_short_part_of_a_flight_is_answered_with_the_flight_that_would_tell(
     terminal: Terminal, tables: tuple[Path, Path]
 ) -> None:
-    fit, held = tables
-    ended = terminal("diagnose", fit, "--validate", held, "--from", "12", "--to", "17", "--json", "why.json")
+    fit, held_out = tables
+    ended = terminal(
+        "diagnose", fit, "--validate", held_out, "--from", "12", "--to", "17", "--json", "why.json"
+    )
     assert ended.code == 0, ended.err
     numbers = json.loads(Path("why.json").read_text())
     assert numbers["causes"] == []
-    assert numbers["could_not_be_seen"]
+    assert numbers["undetectable"]
     assert tomllib.loads(numbers["next_flight"]["plan"])["segment"]
 
 

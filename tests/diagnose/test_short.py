@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from heli_host.flight import Flight
 from heli_host.fly.plan import Plan
+from heli_host.log.table import write_csv
 from heli_sim.model.effects import catalogue
 
 from tests.cli.terminal import Ended, Terminal
@@ -48,47 +49,47 @@ def answered(terminal: Terminal, *arguments: str | Path) -> tuple[Ended, dict[st
 
 
 def test_three_seconds_name_nothing_wrong_and_say_what_they_cannot_show(terminal: Terminal) -> None:
-    fit, held = flights("rotor_lag=0.06")
-    part(fit, 10.0, 13.0).write_csv("a.csv")
-    held.write_csv("b.csv")
+    fit, held_out = flights("rotor_lag=0.06")
+    write_csv(part(fit, 10.0, 13.0), "a.csv")
+    write_csv(held_out, "b.csv")
     ended, numbers = answered(terminal, "a.csv", "--validate", "b.csv")
-    assert {"cable_spring.elevation", "thrust_fade"} <= set(numbers["could_not_be_seen"])
-    assert numbers["could_not_be_learned"]
+    assert {"cable_spring.elevation", "thrust_fade"} <= set(numbers["undetectable"])
+    assert numbers["unidentifiable"]
     # The lag is plain even in three seconds, for the flight held out confirms it; nothing else may be named.
     assert {cause["effect"] for cause in numbers["causes"]} <= {"rotor_lag"}
     asked = numbers["next_flight"]
     assert "3 s of free flight show too little" in asked["why"]
-    assert "Rehearsed on the simulated rig, it shows" in asked["why"]
+    assert "Simulated on this rig, it shows" in asked["why"]
     Plan.parse(asked["plan"], "plan").check()
     assert "next flight: " in ended.out
 
 
 def test_hovering_still_names_no_cause_and_asks_for_motion(terminal: Terminal) -> None:
-    hovering(10.0).write_csv("a.csv")
+    write_csv(hovering(10.0), "a.csv")
     _, numbers = answered(terminal, "a.csv")
     assert numbers["causes"] == []
-    assert len(numbers["could_not_be_seen"]) > 10
+    assert len(numbers["undetectable"]) > 10
     assert "show too little" in numbers["next_flight"]["why"]
     assert any("no flight was held out" in caution for caution in numbers["cautions"])
 
 
 @pytest.mark.parametrize("which", ["table", "asked for"])
 def test_flight_in_which_nothing_flies_is_answered_and_writes_no_rig(terminal: Terminal, which: str) -> None:
-    (on_table() if which == "table" else flights()[0]).write_csv("a.csv")
+    write_csv(on_table() if which == "table" else flights()[0], "a.csv")
     ended, numbers = answered(terminal, "a.csv", *(("--from", "500") if which == "asked for" else ()))
     assert numbers["verdict"] == "ambiguous"
     assert numbers["causes"] == []
-    assert "rotor_lag" in numbers["could_not_be_seen"]
-    assert set(numbers["could_not_be_seen"]) < set(catalogue())
-    assert "thrust_gain" in numbers["could_not_be_learned"]
+    assert "rotor_lag" in numbers["undetectable"]
+    assert set(numbers["undetectable"]) < set(catalogue())
+    assert "thrust_gain" in numbers["unidentifiable"]
     Plan.parse(numbers["next_flight"]["plan"], "plan").check()
     assert ended.out.startswith("ambiguous: Nothing can be said")
     assert not Path("found.toml").exists()
 
 
 def test_validation_flight_that_shows_nothing_is_left_out_and_said_to_be(terminal: Terminal) -> None:
-    flights()[0].write_csv("a.csv")
-    on_table().write_csv("b.csv")
+    write_csv(flights()[0], "a.csv")
+    write_csv(on_table(), "b.csv")
     _, numbers = answered(terminal, "a.csv", "--validate", "b.csv")
     assert numbers["verdict"] == "explained"
     assert [caution.partition(":")[0] for caution in numbers["cautions"]] == [
@@ -99,17 +100,17 @@ def test_validation_flight_that_shows_nothing_is_left_out_and_said_to_be(termina
 
 
 def test_short_validation_flight_is_used_with_a_caution(terminal: Terminal) -> None:
-    fit, held = flights()
-    fit.write_csv("a.csv")
-    part(held, 10.0, 13.0).write_csv("b.csv")
+    fit, held_out = flights()
+    write_csv(fit, "a.csv")
+    write_csv(part(held_out, 10.0, 13.0), "b.csv")
     _, numbers = answered(terminal, "a.csv", "--validate", "b.csv")
     assert numbers["verdict"] == "explained"
     assert any("only 3 s were held out" in caution for caution in numbers["cautions"])
 
 
 def test_copy_of_the_flight_is_no_validation_flight(terminal: Terminal) -> None:
-    flights()[0].write_csv("a.csv")
-    flights()[0].write_csv("b.csv")
+    write_csv(flights()[0], "a.csv")
+    write_csv(flights()[0], "b.csv")
     ended = terminal("diagnose", "a.csv", "--validate", "b.csv")
     assert ended.code == 2
     assert "b.csv is both fitted and validated on" in ended.err

@@ -11,6 +11,8 @@ from heli_sim.due.image import Image
 
 from tests.due.conftest import Build
 
+pytestmark = pytest.mark.emulated
+
 STILL = (0, 0, 0)
 SYSTICK = 15
 

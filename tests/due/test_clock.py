@@ -7,6 +7,8 @@ from heli_sim.due._due import Stop
 
 from tests.due.chip import FULL_HZ, Chip
 
+pytestmark = pytest.mark.emulated
+
 MOR_KEY = 0x37 << 16
 
 

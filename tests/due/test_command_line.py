@@ -19,6 +19,8 @@ from heli_sim.due.image import Image
 
 from tests.due.conftest import Build
 
+pytestmark = pytest.mark.emulated
+
 GDB = shutil.which("gdb-multiarch") or shutil.which("arm-none-eabi-gdb")
 
 

@@ -10,6 +10,8 @@ from heli_sim.due._due import Due, Stop
 
 from tests.due.conftest import Build
 
+pytestmark = pytest.mark.emulated
+
 SCENARIO, TRACE = 0x2007_1000, 0x2007_1100
 TO_HANDLER, TO_THREAD, TO_PROCESS = 0xFFFF_FFF1, 0xFFFF_FFF9, 0xFFFF_FFFD
 SVC, PENDSV, SYSTICK, HARD, BUS, USAGE, IRQ0 = 11, 14, 15, 3, 5, 6, 16

@@ -9,6 +9,8 @@ from heli_sim.due._due import Stop
 
 from tests.due.chip import FLASH, Chip
 
+pytestmark = pytest.mark.emulated
+
 PLANE1 = 0x000C_0000
 WP, EWP, SLB, GLB, GETD, SGPB, GGPB = 1, 3, 8, 10, 0, 11, 13
 OLD, NEW = b"\x0f" * 256, b"\xa5" * 256

@@ -13,8 +13,6 @@ from tests.due.oracle import FLASH, FLASH_SIZE, RAM, RAM_SIZE, Oracle
 from tests.due.thumb import ENCODINGS, random_block
 from tests.running.long import samples
 
-pytestmark = pytest.mark.emulated
-
 RANDOM_INSTRUCTIONS = samples(500_000, 60_000)
 COMPILED_INSTRUCTIONS = samples(125_000, 20_000)
 SEED = 20_240_611
@@ -22,6 +20,7 @@ _CODE_FIRST, _CODE_LAST = FLASH + 0x1_0000, FLASH + 0x7_0000
 _INTERESTING = (0, 1, 0x7FFF_FFFF, 0x8000_0000, 0xFFFF_FFFF)
 
 
+@pytest.mark.emulated
 def test_random_instructions_agree() -> None:
     rng = random.Random(SEED)
     oracle = Oracle()
@@ -54,6 +53,7 @@ def test_random_instructions_agree() -> None:
     assert oracle.memory_is_equal()
 
 
+@pytest.mark.emulated
 @pytest.mark.parametrize("options", [("-O0",), ("-Os",), ("-O2",), ("-O3", "-funroll-loops")])
 def test_compiled_programs_agree(build: Build, options: tuple[str, ...]) -> None:
     image = read_image(Path(build("compute.c", *options)))

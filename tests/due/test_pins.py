@@ -7,6 +7,8 @@ from heli_sim.due._due import Stop
 
 from tests.due.chip import Chip
 
+pytestmark = pytest.mark.emulated
+
 D2 = 1 << 25
 
 

@@ -7,6 +7,8 @@ from heli_sim.due._due import Stop
 
 from tests.due.chip import FULL_HZ, Chip
 
+pytestmark = pytest.mark.emulated
+
 LOW = True  # PWML
 CENTER = 1 << 8
 CPOL = 1 << 9

@@ -8,6 +8,8 @@ import pytest
 
 from tests.due.chip import Chip
 
+pytestmark = pytest.mark.emulated
+
 QDEN, POSEN, EDGPHA, INVA, SWAP, FILTER = 1 << 8, 1 << 9, 1 << 12, 1 << 13, 1 << 16, 1 << 19
 X4 = QDEN | POSEN | EDGPHA
 DIRCHG, QERR, DIR = 1 << 1, 1 << 2, 1 << 8

@@ -11,6 +11,8 @@ from heli_sim.due._due import Due
 
 from tests.due import fetch_svd
 
+pytestmark = pytest.mark.emulated
+
 # Levels at pins: what is wired there decides, and the fault inputs inside of the chip are low.
 _FROM_OUTSIDE = {"PDSR", "FSR", "SR0", "SR1", "SR2"}
 # The description gives MOSCXTEN = 1 and no RC: with those no clock would run, and a Due starts on the RC.

@@ -7,6 +7,8 @@ from heli_sim.due._due import Stop
 
 from tests.due.chip import RAM, Chip
 
+pytestmark = pytest.mark.emulated
+
 RSTEN, PROCESSOR_ONLY, DISABLE, IDLE_HALT = 1 << 13, 1 << 14, 1 << 15, 1 << 29
 RESTART = 0xA500_0001
 

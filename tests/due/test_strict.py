@@ -9,6 +9,8 @@ from heli_sim.due._due import Due, Stop
 
 from tests.due.chip import FLASH, Chip
 
+pytestmark = pytest.mark.emulated
+
 CODE = FLASH + 0x100
 
 

@@ -7,6 +7,8 @@ from heli_sim.due._due import Stop
 
 from tests.due.chip import Chip
 
+pytestmark = pytest.mark.emulated
+
 CLKEN, CLKDIS, SWTRG = 1, 2, 4
 WAVE, UP_RC, UPDOWN_RC = 1 << 15, 2 << 13, 3 << 13
 CPAS, CPBS, CPCS, COVFS, LDRAS, LDRBS = 1 << 2, 1 << 3, 1 << 4, 1, 1 << 5, 1 << 6

@@ -7,6 +7,8 @@ from heli_sim.due._due import Stop
 
 from tests.due.chip import FULL_HZ, RAM, Chip
 
+pytestmark = pytest.mark.emulated
+
 RXRDY, TXRDY, ENDRX, ENDTX, OVRE, FRAME, PARE = (1 << i for i in (0, 1, 3, 4, 5, 6, 7))
 TXEMPTY, TXBUFE, RXBUFF = 1 << 9, 1 << 11, 1 << 12
 NO_PARITY = 4 << 9

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import pytest
+
 from tests.due.chip import Chip
 from tests.due.test_uart import opened
+
+pytestmark = pytest.mark.emulated
 
 
 def test_a_rising_DTR_resets_the_board_for_205_ms() -> None:

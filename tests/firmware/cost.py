@@ -15,8 +15,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
+from heli_host.declaration import Axes, Param, ParamSetMessage, State
 from heli_host.heli import Heli
-from heli_host.link.declaration import Axes, Param, ParamSetMessage, State
 from heli_sim.due.image import read_image as read_program
 from heli_sim.due.machine import new_due
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     LINK_HASH,
+    Axis,
+    Channel,
     HelloMessage,
     MessageId,
     PingMessage,
@@ -24,7 +26,6 @@ EDGES: Final = 20_000
 EDGE_INTERVAL_US: Final = 5.0
 """200,000 edges a second."""
 EDGES_ONE_WAY: Final = 10
-TRAVEL: Final = 2
 HELLO_INTERVAL_MS: Final = 2
 PATIENCE_MS: Final = 1000
 
@@ -105,13 +106,13 @@ def travel_counts_lost(board: Board) -> int:
     for k in range(EDGES):
         direction = 1 if k // EDGES_ONE_WAY % 2 == 0 else -1
         net += direction
-        board.due.schedule_step(TRAVEL, direction, start_us + 10.0 + EDGE_INTERVAL_US * k)
+        board.due.schedule_step(Axis.TRAVEL, direction, start_us + 10.0 + EDGE_INTERVAL_US * k)
     heli.wait(1e-6 * EDGES * EDGE_INTERVAL_US + 0.02)
     assert heli.motors_may_run, "the flight ended while edges came"
     handled = board.due.exception_stats(TRAVEL_INTERRUPT)[0]
     latest = heli.session.latest
     assert latest is not None
-    miscounted = abs(int(latest[1][TRAVEL]) - net)
+    miscounted = abs(int(latest[1][Channel.TRAVEL_COUNT]) - net)
     return EDGES - handled + miscounted + heli.session.status().illegal_travel
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from heli_host.link.declaration import Fault
+from heli_host.declaration import Fault
 
 from tests.firmware import test_board as claims
 from tests.firmware import test_safety as safety

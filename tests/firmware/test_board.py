@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from heli_host.heli import Heli
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     Axes,
     Fault,
     Param,
@@ -18,16 +17,18 @@ from heli_host.link.declaration import (
     ParamsSource,
     Reset,
 )
+from heli_host.heli import Heli
 from heli_host.link.session import Session
 
 from firmware.due.report import Image
+from tests.channels.groups import COUNTS
 from tests.firmware.desk import TICK_INTERRUPT, TRAVEL_INTERRUPT, Board, flying
 from tests.firmware.measures import boot_to_first_frame_ms, rx_lost_bytes, travel_counts_lost
 
+pytestmark = pytest.mark.emulated
+
 pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
-
-pytestmark = pytest.mark.emulated
 
 EFC0_FMR, EFC1_FMR = 0x400E0A00, 0x400E0C00
 UART_MR, UART_BRGR = 0x400E0804, 0x400E0820
@@ -37,7 +38,7 @@ def counted(heli: Heli) -> npt.NDArray[np.int32]:
     """Counts of elevation, pitch and travel in the newest tick."""
     latest = heli.session.latest
     assert latest is not None
-    return latest[1][:3]
+    return latest[1][COUNTS]
 
 
 def open_loop(heli: Heli, front_V: float, back_V: float) -> None:

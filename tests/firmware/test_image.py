@@ -53,6 +53,19 @@ def test_call_graph_follows_virtual_calls(image: Image) -> None:
     assert any("Cascade" in name and "update" in name for name in below_tick)
 
 
+def test_the_tick_cannot_reach_what_the_idle_loop_asks_of_board_and_law(image: Image) -> None:
+    below_tick = image.reachable("tick_interrupt")
+    assert not [name for name in below_tick if "derive" in name or "write_page" in name]
+    below_idle_loop = image.reachable("reset_handler")
+    assert any("Cascade" in name and "derive" in name for name in below_idle_loop)
+    assert any("DueBoard" in name and "write_page" in name for name in below_idle_loop)
+
+
+def test_a_pointer_from_anywhere_may_lead_to_every_virtual_function(image: Image) -> None:
+    blind = added(image, Function("blind", frozenset(), frozenset({None}), stack_bytes=0), "tick_interrupt")
+    assert any("__aeabi_fdiv" in line for line in report.findings(blind))
+
+
 def test_divisions_of_the_idle_loop_are_seen(image: Image) -> None:
     assert "__aeabi_fdiv" in image.reachable("reset_handler")
 
@@ -70,23 +83,23 @@ def added(image: Image, function: Function, caller: str) -> Image:
 
 @pytest.mark.parametrize("name", ["__aeabi_ddiv", "__aeabi_dmul", "__aeabi_uldivmod", "__aeabi_idiv", "expf"])
 def test_slow_arithmetic_in_the_tick_is_found(image: Image, name: str) -> None:
-    slow = added(image, Function(name, frozenset(), indirect=False, stack_bytes=0), "tick_interrupt")
+    slow = added(image, Function(name, frozenset(), slots=frozenset(), stack_bytes=0), "tick_interrupt")
     assert any(name in line for line in report.findings(slow))
 
 
 @pytest.mark.parametrize("name", ["malloc", "_sbrk", "_Znwj", "_ZdlPv"])
 def test_a_heap_is_found(image: Image, name: str) -> None:
-    heap = added(image, Function(name, frozenset(), indirect=False, stack_bytes=0), "reset_handler")
+    heap = added(image, Function(name, frozenset(), slots=frozenset(), stack_bytes=0), "reset_handler")
     assert any(name in line for line in report.findings(heap))
 
 
 def test_a_deep_stack_is_found(image: Image) -> None:
-    deep = added(image, Function("deep", frozenset(), indirect=False, stack_bytes=3000), "tick_interrupt")
+    deep = added(image, Function("deep", frozenset(), slots=frozenset(), stack_bytes=3000), "tick_interrupt")
     assert any("stack" in line for line in report.findings(deep))
 
 
 def test_recursion_is_refused(image: Image) -> None:
-    endless = Function("endless", frozenset({"tick_interrupt"}), indirect=False, stack_bytes=8)
+    endless = Function("endless", frozenset({"tick_interrupt"}), slots=frozenset(), stack_bytes=8)
     with pytest.raises(report.ReportError, match="may call itself"):
         added(image, endless, "tick_interrupt").stack_needed_bytes()
 

@@ -7,26 +7,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.heli import Heli
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     MessageId,
     Param,
     ParamSetMessage,
     ParamsSaveMessage,
     ParamsSource,
 )
+from heli_host.heli import Heli
 from heli_host.link.frames import encode_frame
 from heli_host.link.session import Session
 
 from firmware.due.report import Image
 from tests.firmware.desk import Board
 
+pytestmark = pytest.mark.emulated
+
 pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
-pytestmark = pytest.mark.emulated
-
-WRITE_PAGE = "_ZN4heli3due5flash10write_pageEjPKh"
+WRITE_PAGE = "_ZN4heli3due5flash10write_pageEjPKhj"
 PAGE = 256
 PAGES_ADDRESS = 0x0010_0000 - 2 * PAGE
 # A page buffer takes 64 words, then comes the command, then 64 words are erased and 64 written.

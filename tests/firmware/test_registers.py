@@ -13,6 +13,8 @@ import pytest
 from tests.firmware.built import ROOT
 from tests.firmware.description import Description, Register
 
+pytestmark = pytest.mark.emulated
+
 HEADER = ROOT / "firmware" / "due" / "registers.hpp"
 
 # Structures of the header: their peripheral in the description, and where in it they begin.

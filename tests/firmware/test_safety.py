@@ -7,18 +7,18 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from heli_host.declaration import Fault, Reset, State
 from heli_host.heli import Heli
-from heli_host.link.declaration import Fault, Reset, State
 from heli_host.link.events import BOARD_RESTARTED
 
 from firmware.due.report import Image
 from tests.firmware.desk import ENABLE_PINS, Board, flying
 from tests.firmware.hangs import HANGS, POLL, TICK, FASTEST_Hz, Hang, SLOWEST_Hz, off_after_ms
 
+pytestmark = pytest.mark.emulated
+
 pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
-
-pytestmark = pytest.mark.emulated
 
 UNDEFINED = b"\x00\xde"
 SUPERVISOR_CALL = b"\x00\xdf"

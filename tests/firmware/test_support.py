@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 
 from tests.firmware.built import ROOT
 
+pytestmark = pytest.mark.emulated
+
 
 @pytest.fixture(scope="module")
 def functions(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:

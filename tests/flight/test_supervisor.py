@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from heli_host.link import declaration as d
-from heli_host.link.declaration import Event, Fault, Result, State, Trigger
+from heli_host import declaration as d
+from heli_host.declaration import Event, Fault, Result, State, Trigger
+from heli_host.link.channels import physical
 from heli_host.link.telemetry import TelemetryDecoder
-from heli_sim._native import control
+from heli_test_native import flight
 
-from tests.flight.desk import REST_DEG, Desk
+from tests.flight.harness import REST_DEG, Harness
 
 # The table as docs and README promise it, written a second time: (from, trigger) -> to.
 PROMISED = {
@@ -51,72 +52,72 @@ for flying in (State.CLOSED_LOOP, State.OPEN_LOOP, State.STREAMED):
     "state, trigger", list(itertools.product(State, Trigger)), ids=lambda x: x.name.lower()
 )
 def test_every_cell_of_the_state_table_is_as_promised(state: State, trigger: Trigger) -> None:
-    assert control.next_state(state, trigger) == PROMISED.get((state, trigger))
+    assert flight.next_state(state, trigger) == PROMISED.get((state, trigger))
 
 
 def test_power_up_is_idle_with_the_bridges_off_and_the_arm_at_rest() -> None:
-    desk = Desk(session=False)
-    assert desk.state is State.IDLE
-    assert desk.motors_off
+    harness = Harness(session=False)
+    assert harness.state is State.IDLE
+    assert harness.motors_off
 
 
 def test_nothing_is_obeyed_before_a_handshake() -> None:
-    desk = Desk(session=False)
-    assert desk.arm().result == Result.NO_HANDSHAKE
-    assert desk.state is State.IDLE
+    harness = Harness(session=False)
+    assert harness.arm().result == Result.NO_HANDSHAKE
+    assert harness.state is State.IDLE
 
 
 def test_armed_drives_are_enabled_at_zero_voltage() -> None:
-    desk = Desk()
-    assert desk.arm().result == Result.OK
-    assert desk.state is State.ARMED
-    assert desk.motors == (0, 0, True)
+    harness = Harness()
+    assert harness.arm().result == Result.OK
+    assert harness.state is State.ARMED
+    assert harness.motors == (0, 0, True)
 
 
-def refused_with(desk: Desk, fault: Fault) -> None:
-    reply = desk.arm()
+def refused_with(harness: Harness, fault: Fault) -> None:
+    reply = harness.arm()
     assert (reply.result, reply.detail) == (Result.CHECK_FAILED, fault)
-    assert desk.motors_off
+    assert harness.motors_off
 
 
 def test_arming_is_refused_away_from_rest() -> None:
-    desk = Desk()
-    desk.glide(0, REST_DEG + 4, 1.0)
-    desk.tick(500)
-    desk.ping()
-    refused_with(desk, Fault.NOT_AT_REST)
+    harness = Harness()
+    harness.glide(0, REST_DEG + 4, 1.0)
+    harness.tick(500)
+    harness.ping()
+    refused_with(harness, Fault.NOT_AT_REST)
 
 
 def test_arming_is_refused_with_the_short_arm_tilted() -> None:
-    desk = Desk()
-    desk.glide(1, 12, 20.0)
-    desk.tick(400)
-    desk.ping()
-    refused_with(desk, Fault.PITCH_NOT_LEVEL)
+    harness = Harness()
+    harness.glide(1, 12, 20.0)
+    harness.tick(400)
+    harness.ping()
+    refused_with(harness, Fault.PITCH_NOT_LEVEL)
 
 
 def test_arming_is_refused_while_moving() -> None:
-    desk = Desk()
-    desk.glide(2, 20, 30.0)
-    refused_with(desk, Fault.MOVING)
+    harness = Harness()
+    harness.glide(2, 20, 30.0)
+    refused_with(harness, Fault.MOVING)
 
 
 def test_arming_is_refused_when_parameters_contradict_each_other() -> None:
-    desk = Desk()
-    assert desk.set("motor_max_V", 24).result == Result.OK  # above the supply of 12 V
-    refused_with(desk, Fault.PARAMETERS_INVALID)
+    harness = Harness()
+    assert harness.set("motor_max_V", 24).result == Result.OK  # above the supply of 12 V
+    refused_with(harness, Fault.PARAMETERS_INVALID)
 
 
 def test_arming_is_refused_while_the_hardware_stop_is_pressed() -> None:
-    desk = Desk()
-    desk.core.stop_input(True)
-    refused_with(desk, Fault.HARDWARE_STOP)
+    harness = Harness()
+    harness.core.stop_input(True)
+    refused_with(harness, Fault.HARDWARE_STOP)
 
 
 def test_arming_is_refused_in_flight() -> None:
-    desk = Desk()
-    desk.fly()
-    reply = desk.arm()
+    harness = Harness()
+    harness.fly()
+    reply = harness.arm()
     assert (reply.result, reply.detail) == (Result.BAD_STATE, State.CLOSED_LOOP)
 
 
@@ -136,15 +137,15 @@ def test_arming_is_refused_in_flight() -> None:
 def test_each_limit_cuts_the_motors_and_names_itself(
     axis: int, angle_deg: float, rate_deg_s: float, fault: Fault
 ) -> None:
-    desk = Desk()
-    desk.set("setpoint_hold_s", 5)
-    desk.set("setpoint_land_s", 30)
-    desk.fly()
-    desk.glide(axis, angle_deg, rate_deg_s)
-    desk.tick(30)
-    assert desk.state is State.FAULT
-    assert desk.motors_off
-    assert desk.last_event(Event.FAULT).detail == fault
+    harness = Harness()
+    harness.set("setpoint_hold_s", 5)
+    harness.set("setpoint_land_s", 30)
+    harness.fly()
+    harness.glide(axis, angle_deg, rate_deg_s)
+    harness.tick(30)
+    assert harness.state is State.FAULT
+    assert harness.motors_off
+    assert harness.last_event(Event.FAULT).detail == fault
 
 
 @pytest.mark.parametrize(
@@ -153,165 +154,165 @@ def test_each_limit_cuts_the_motors_and_names_itself(
 def test_illegal_encoder_transitions_are_tolerated_up_to_the_parameter_then_cut(
     axis: int, fault: Fault
 ) -> None:
-    desk = Desk()
-    desk.break_encoder(axis, 100)  # before arming they do not count
-    desk.tick()
-    desk.fly()
-    desk.break_encoder(axis, 5)
-    desk.tick()
-    assert desk.state is State.CLOSED_LOOP
-    desk.break_encoder(axis, 1)
-    desk.tick(5)
-    assert desk.motors_off
-    assert desk.last_event(Event.FAULT).detail == fault
+    harness = Harness()
+    harness.break_encoder(axis, 100)  # before arming they do not count
+    harness.tick()
+    harness.fly()
+    harness.break_encoder(axis, 5)
+    harness.tick()
+    assert harness.state is State.CLOSED_LOOP
+    harness.break_encoder(axis, 1)
+    harness.tick(5)
+    assert harness.motors_off
+    assert harness.last_event(Event.FAULT).detail == fault
 
 
 def test_late_ticks_cut_the_motors_when_there_are_too_many() -> None:
-    desk = Desk()
-    desk.fly()
-    desk.tick(10, late=True)
-    assert desk.state is State.CLOSED_LOOP
-    desk.tick(2, late=True)
-    desk.tick(20)
-    assert desk.motors_off
-    assert desk.last_event(Event.FAULT).detail == Fault.TICK_OVERRUN
+    harness = Harness()
+    harness.fly()
+    harness.tick(10, late=True)
+    assert harness.state is State.CLOSED_LOOP
+    harness.tick(2, late=True)
+    harness.tick(20)
+    assert harness.motors_off
+    assert harness.last_event(Event.FAULT).detail == Fault.TICK_OVERRUN
 
 
 def test_a_fault_stays_until_it_is_cleared_and_not_while_its_cause_is_pressed() -> None:
-    desk = Desk()
-    desk.fly()
-    desk.core.stop_input(True)
-    desk.tick(2)
-    assert desk.state is State.FAULT
-    assert desk.arm().result == Result.BAD_STATE
-    assert desk.ask(d.ClearFaultMessage(0)).detail == Fault.HARDWARE_STOP
-    desk.core.stop_input(False)
-    desk.tick()
-    assert desk.ask(d.ClearFaultMessage(0)).result == Result.OK
-    assert desk.state is State.IDLE
+    harness = Harness()
+    harness.fly()
+    harness.core.stop_input(True)
+    harness.tick(2)
+    assert harness.state is State.FAULT
+    assert harness.arm().result == Result.BAD_STATE
+    assert harness.ask(d.ClearFaultMessage(0)).detail == Fault.HARDWARE_STOP
+    harness.core.stop_input(False)
+    harness.tick()
+    assert harness.ask(d.ClearFaultMessage(0)).result == Result.OK
+    assert harness.state is State.IDLE
 
 
 def test_setpoint_loss_holds_level_after_half_a_second_then_lands_after_two_then_cuts() -> None:
-    desk = Desk()
-    desk.fly()
-    desk.glide(0, 0, 20)
-    desk.keep_flying(2000)
+    harness = Harness()
+    harness.fly()
+    harness.glide(0, 0, 20)
+    harness.keep_flying(2000)
     # The last setpoint was taken 20 ticks before keep_flying ended.
-    desk.tick(470)
-    assert desk.state is State.CLOSED_LOOP
-    desk.tick(20)
-    assert desk.state is State.HOLD
-    assert desk.last_event(Event.SETPOINT_STALE).value == pytest.approx(50, abs=2)
-    desk.tick(1470)
-    assert desk.state is State.HOLD
-    desk.tick(40)
-    assert desk.state is State.LANDING
-    desk.glide(0, REST_DEG, 10)
-    desk.tick(250)
-    assert desk.state is State.LANDING
-    desk.tick(400)
-    assert desk.state is State.IDLE
-    assert desk.motors_off
+    harness.tick(470)
+    assert harness.state is State.CLOSED_LOOP
+    harness.tick(20)
+    assert harness.state is State.HOLD
+    assert harness.last_event(Event.SETPOINT_STALE).value == pytest.approx(50, abs=2)
+    harness.tick(1470)
+    assert harness.state is State.HOLD
+    harness.tick(40)
+    assert harness.state is State.LANDING
+    harness.glide(0, REST_DEG, 10)
+    harness.tick(250)
+    assert harness.state is State.LANDING
+    harness.tick(400)
+    assert harness.state is State.IDLE
+    assert harness.motors_off
 
 
 def test_a_setpoint_that_comes_back_ends_the_hold_but_not_a_landing() -> None:
-    desk = Desk()
-    desk.fly()
-    desk.tick(600)
-    assert desk.state is State.HOLD
-    desk.keep_flying(40, elevation_deg=REST_DEG)
-    assert desk.state is State.CLOSED_LOOP
-    desk.glide(0, -10, 20)
-    desk.tick(2600)
-    assert desk.state is State.LANDING
-    desk.keep_flying(40)
-    assert desk.state is State.LANDING
+    harness = Harness()
+    harness.fly()
+    harness.tick(600)
+    assert harness.state is State.HOLD
+    harness.keep_flying(40, elevation_deg=REST_DEG)
+    assert harness.state is State.CLOSED_LOOP
+    harness.glide(0, -10, 20)
+    harness.tick(2600)
+    assert harness.state is State.LANDING
+    harness.keep_flying(40)
+    assert harness.state is State.LANDING
 
 
 def test_landing_that_never_reaches_the_table_times_out_with_a_fault() -> None:
-    desk = Desk()
-    desk.fly()
-    desk.glide(0, 0, 60)
-    assert desk.ask(d.LandMessage(0)).result == Result.OK
-    desk.tick(11900)
-    assert desk.state is State.LANDING
-    desk.tick(200)
-    assert desk.motors_off
-    assert desk.last_event(Event.FAULT).detail == Fault.LANDING_TIMEOUT
+    harness = Harness()
+    harness.fly()
+    harness.glide(0, 0, 60)
+    assert harness.ask(d.LandMessage(0)).result == Result.OK
+    harness.tick(11900)
+    assert harness.state is State.LANDING
+    harness.tick(200)
+    assert harness.motors_off
+    assert harness.last_event(Event.FAULT).detail == Fault.LANDING_TIMEOUT
 
 
 def test_stop_works_from_every_state_that_has_motors() -> None:
-    def streamed(desk: Desk) -> None:
-        desk.arm()
-        desk.ask(d.StreamMessage(0))
+    def streamed(harness: Harness) -> None:
+        harness.arm()
+        harness.ask(d.StreamMessage(0))
 
-    def open_loop(desk: Desk) -> None:
-        desk.arm()
-        desk.ask(d.ControlMessage(0, 0, 1.5, 1.5))
+    def open_loop(harness: Harness) -> None:
+        harness.arm()
+        harness.ask(d.ControlMessage(0, 0, 1.5, 1.5))
 
-    def hold(desk: Desk) -> None:
-        desk.fly()
-        desk.tick(600)
+    def hold(harness: Harness) -> None:
+        harness.fly()
+        harness.tick(600)
 
-    def landing(desk: Desk) -> None:
-        desk.fly()
-        desk.glide(0, 0, 60)
-        desk.ask(d.LandMessage(0))
+    def landing(harness: Harness) -> None:
+        harness.fly()
+        harness.glide(0, 0, 60)
+        harness.ask(d.LandMessage(0))
 
     reached = set()
-    for prepare in (Desk.arm, Desk.fly, streamed, open_loop, hold, landing):
-        desk = Desk()
-        prepare(desk)
-        reached.add(desk.state)
-        assert desk.ask(d.StopMessage(0)).result == Result.OK
-        assert desk.motors_off
+    for prepare in (Harness.arm, Harness.fly, streamed, open_loop, hold, landing):
+        harness = Harness()
+        prepare(harness)
+        reached.add(harness.state)
+        assert harness.ask(d.StopMessage(0)).result == Result.OK
+        assert harness.motors_off
     assert reached == set(State) - {State.IDLE, State.FAULT}
 
 
 def test_streamed_voltage_acts_for_its_time_only_then_the_board_holds_by_itself() -> None:
-    desk = Desk()
-    desk.arm()
-    desk.ask(d.StreamMessage(0))
+    harness = Harness()
+    harness.arm()
+    harness.ask(d.StreamMessage(0))
     for _ in range(100):
-        desk.send(d.VoltagesMessage(2.0, 1.5, 50))
-        desk.tick(10)
-    assert desk.motors[:2] == (350, 263)  # 2100 / 12 V
-    desk.send(d.VoltagesMessage(2.0, 1.5, 50))
-    desk.tick(48)
-    assert desk.state is State.STREAMED
-    desk.tick(5)
-    assert desk.state is State.HOLD
+        harness.send(d.VoltagesMessage(2.0, 1.5, 50))
+        harness.tick(10)
+    assert harness.motors[:2] == (350, 263)  # 2100 / 12 V
+    harness.send(d.VoltagesMessage(2.0, 1.5, 50))
+    harness.tick(48)
+    assert harness.state is State.STREAMED
+    harness.tick(5)
+    assert harness.state is State.HOLD
 
 
 def test_a_streamed_voltage_that_asks_for_hours_gets_the_parameter() -> None:
-    desk = Desk()
-    desk.arm()
-    desk.ask(d.StreamMessage(0))
-    desk.send(d.VoltagesMessage(1.0, 1.0, 60000))
-    desk.tick(99)
-    assert desk.state is State.STREAMED
-    desk.tick(5)
-    assert desk.state is State.HOLD
+    harness = Harness()
+    harness.arm()
+    harness.ask(d.StreamMessage(0))
+    harness.send(d.VoltagesMessage(1.0, 1.0, 60000))
+    harness.tick(99)
+    assert harness.state is State.STREAMED
+    harness.tick(5)
+    assert harness.state is State.HOLD
 
 
 def test_open_loop_without_a_living_link_cuts_the_motors() -> None:
-    desk = Desk()
-    desk.arm()
-    desk.ask(d.ControlMessage(0, 0, 1.5, 1.5))
-    desk.tick(480)
-    assert desk.state is State.OPEN_LOOP
-    desk.tick(40)
-    assert desk.state is State.IDLE
-    assert desk.motors_off
+    harness = Harness()
+    harness.arm()
+    harness.ask(d.ControlMessage(0, 0, 1.5, 1.5))
+    harness.tick(480)
+    assert harness.state is State.OPEN_LOOP
+    harness.tick(40)
+    assert harness.state is State.IDLE
+    assert harness.motors_off
 
 
 def test_armed_without_a_living_link_disarms() -> None:
-    desk = Desk()
-    desk.arm()
-    desk.tick(1990)
-    assert desk.state is State.ARMED
-    desk.tick(40)
-    assert desk.motors_off
+    harness = Harness()
+    harness.arm()
+    harness.tick(1990)
+    assert harness.state is State.ARMED
+    harness.tick(40)
+    assert harness.motors_off
 
 
 @pytest.mark.parametrize(
@@ -326,29 +327,29 @@ def test_armed_without_a_living_link_disarms() -> None:
     ],
 )
 def test_a_setpoint_outside_the_limits_is_refused_and_reported(setpoint: dict[str, float]) -> None:
-    desk = Desk()
-    desk.fly()
-    desk.setpoint(**setpoint)  # type: ignore[arg-type]
-    desk.tick(30)
-    assert desk.last_event(Event.SETPOINT_REJECTED).detail == Result.BAD_VALUE
-    desk.tick(480)
-    assert desk.state is State.HOLD, "a refused setpoint must not count as fresh"
+    harness = Harness()
+    harness.fly()
+    harness.setpoint(**setpoint)  # type: ignore[arg-type]
+    harness.tick(30)
+    assert harness.last_event(Event.SETPOINT_REJECTED).detail == Result.BAD_VALUE
+    harness.tick(480)
+    assert harness.state is State.HOLD, "a refused setpoint must not count as fresh"
 
 
 def test_a_host_that_streams_nonsense_gets_one_event_in_half_a_second() -> None:
-    desk = Desk()
+    harness = Harness()
     for _ in range(100):
-        desk.setpoint(elevation_deg=90)
-        desk.tick(10)
-    assert sum(e.kind == Event.SETPOINT_REJECTED for e in desk.events) <= 3
+        harness.setpoint(elevation_deg=90)
+        harness.tick(10)
+    assert sum(e.kind == Event.SETPOINT_REJECTED for e in harness.events) <= 3
 
 
 @pytest.mark.parametrize("axes", [4, 5, 8, 255])
 def test_travel_cannot_be_closed_without_pitch_nor_unknown_axes(axes: int) -> None:
-    desk = Desk()
-    desk.arm()
-    assert desk.close_loops(axes).result == Result.BAD_VALUE
-    assert desk.state is State.ARMED
+    harness = Harness()
+    harness.arm()
+    assert harness.close_loops(axes).result == Result.BAD_VALUE
+    assert harness.state is State.ARMED
 
 
 @pytest.mark.parametrize(
@@ -368,95 +369,97 @@ def test_travel_cannot_be_closed_without_pitch_nor_unknown_axes(axes: int) -> No
     ],
 )
 def test_excitation_outside_its_bounds_is_refused_by_field(message: d.ExciteMessage, field: int) -> None:
-    desk = Desk()
-    desk.arm()
-    desk.ask(d.ControlMessage(0, 0, 1.5, 1.5))
-    reply = desk.ask(message)
+    harness = Harness()
+    harness.arm()
+    harness.ask(d.ControlMessage(0, 0, 1.5, 1.5))
+    reply = harness.ask(message)
     assert (reply.result, reply.detail) == (Result.BAD_VALUE, 1 + field), (
         "request is the first field on the wire"
     )
 
 
 def test_excitation_adds_to_the_voltages_and_ends_by_itself() -> None:
-    desk = Desk()
-    desk.arm()
-    desk.ask(d.ControlMessage(0, 0, 3.0, 3.0))
+    harness = Harness()
+    harness.arm()
+    harness.ask(d.ControlMessage(0, 0, 3.0, 3.0))
     for _ in range(10):
-        desk.tick(300)
-        desk.ping()
-    assert desk.motors[:2] == (525, 525)
-    desk.ask(d.ExciteMessage(0, d.Excitation.STEP, 1.0, -1.0, 0, 0, 0.3, 1))
-    desk.tick(20)
-    assert desk.motors[:2] == (700, 350)
-    desk.tick(300)
-    assert desk.motors[:2] == (525, 525)
-    assert desk.last_event(Event.EXCITATION_END).detail == d.Excitation.STEP
+        harness.tick(300)
+        harness.ping()
+    assert harness.motors[:2] == (525, 525)
+    harness.ask(d.ExciteMessage(0, d.Excitation.STEP, 1.0, -1.0, 0, 0, 0.3, 1))
+    harness.tick(20)
+    assert harness.motors[:2] == (700, 350)
+    harness.tick(300)
+    assert harness.motors[:2] == (525, 525)
+    assert harness.last_event(Event.EXCITATION_END).detail == d.Excitation.STEP
 
 
 def test_excitation_ends_when_the_board_must_hold() -> None:
-    desk = Desk()
-    desk.fly()
-    assert desk.ask(d.ExciteMessage(0, d.Excitation.MULTISINE, 0.2, 0.2, 0.1, 5, 60, 1)).result == Result.OK
+    harness = Harness()
+    harness.fly()
+    assert (
+        harness.ask(d.ExciteMessage(0, d.Excitation.MULTISINE, 0.2, 0.2, 0.1, 5, 60, 1)).result == Result.OK
+    )
     for _ in range(6):  # whoever reads later than that loses events: the line's buffer is full of telemetry
-        desk.tick(100)
-    assert desk.state is State.HOLD
-    assert desk.last_event(Event.EXCITATION_END).detail == d.Excitation.MULTISINE
+        harness.tick(100)
+    assert harness.state is State.HOLD
+    assert harness.last_event(Event.EXCITATION_END).detail == d.Excitation.MULTISINE
 
 
 def test_unsafe_parameters_are_refused_in_flight_and_gains_are_not() -> None:
-    desk = Desk()
-    desk.fly()
-    assert desk.set("supply_V", 11).result == Result.UNSAFE_NOW
-    assert desk.set("elevation_kp", 0.6).result == Result.OK
-    assert desk.set("elevation_kp", 21).result == Result.OUT_OF_RANGE
+    harness = Harness()
+    harness.fly()
+    assert harness.set("supply_V", 11).result == Result.UNSAFE_NOW
+    assert harness.set("elevation_kp", 0.6).result == Result.OK
+    assert harness.set("elevation_kp", 21).result == Result.OUT_OF_RANGE
 
 
 def test_zero_and_save_are_refused_in_flight() -> None:
-    desk = Desk()
-    desk.fly()
+    harness = Harness()
+    harness.fly()
     for message in (d.ZeroMessage(0, 7), d.ParamsSaveMessage(0), d.ParamsDefaultMessage(0)):
-        assert desk.ask(message).result == Result.BAD_STATE
+        assert harness.ask(message).result == Result.BAD_STATE
 
 
 def test_gain_changes_act_in_the_next_tick() -> None:
-    desk = Desk()
-    desk.fly()
-    desk.set("hover_V", 2.4)
-    desk.keep_flying(3000, elevation_deg=REST_DEG)
-    before = desk.motors
-    desk.set("hover_V", 3.4)
-    desk.keep_flying(3, elevation_deg=REST_DEG)
-    assert desk.motors[0] - before[0] == pytest.approx(0.5 / 12 * 2100, abs=3)
+    harness = Harness()
+    harness.fly()
+    harness.set("hover_V", 2.4)
+    harness.keep_flying(3000, elevation_deg=REST_DEG)
+    before = harness.motors
+    harness.set("hover_V", 3.4)
+    harness.keep_flying(3, elevation_deg=REST_DEG)
+    assert harness.motors[0] - before[0] == pytest.approx(0.5 / 12 * 2100, abs=3)
 
 
-def elevation_setpoints(desk: Desk) -> tuple[np.ndarray, np.ndarray]:
+def elevation_setpoints(harness: Harness) -> tuple[np.ndarray, np.ndarray]:
     """Ticks and elevation setpoints in degrees, each (n,)."""
-    ticks = TelemetryDecoder().decode([f.payload for f in desk.frames if f.id == d.MessageId.TELEMETRY])
-    return ticks.tick, np.degrees(ticks.raw[:, 3] * 1e-5)
+    ticks = TelemetryDecoder().decode([f.payload for f in harness.frames if f.id == d.MessageId.TELEMETRY])
+    return ticks.tick, np.degrees(physical(ticks.raw, d.Channel.ELEVATION_SETPOINT))
 
 
 def test_a_smooth_path_is_followed_on_its_device_ticks() -> None:
-    desk = Desk()
-    desk.fly()
-    start = desk.ask(d.PingMessage(0, 0)).tick
+    harness = Harness()
+    harness.fly()
+    start = harness.ask(d.PingMessage(0, 0)).tick
 
     def path(tick: Any) -> Any:
         return REST_DEG + 3 * (1 - np.cos(2 * np.pi * (tick - start) / 4000))
 
     for k in range(0, 6000, 20):
-        desk.setpoint(elevation_deg=path(start + k + 40), at_tick=start + k + 40)
-        desk.tick(20)
-    tick, setpoint_deg = elevation_setpoints(desk)
+        harness.setpoint(elevation_deg=path(start + k + 40), at_tick=start + k + 40)
+        harness.tick(20)
+    tick, setpoint_deg = elevation_setpoints(harness)
     flown = (tick > start + 500) & (tick < start + 5900)
     # 20 ms pieces of this path lie within 0.0004 degrees of it; following its bends costs a little.
     assert np.abs(setpoint_deg - path(tick))[flown].max() < 0.1
 
 
 def test_a_step_becomes_a_ramp_within_slew_and_acceleration_that_does_not_overshoot() -> None:
-    desk = Desk()
-    desk.fly()
-    desk.keep_flying(4000, elevation_deg=0.0)
-    _, setpoint_deg = elevation_setpoints(desk)
+    harness = Harness()
+    harness.fly()
+    harness.keep_flying(4000, elevation_deg=0.0)
+    _, setpoint_deg = elevation_setpoints(harness)
     rate_deg_s = np.convolve(np.diff(setpoint_deg) * 1000, np.ones(20) / 20, "valid")  # over 20 ms
     acceleration_deg_s2 = (rate_deg_s[20:] - rate_deg_s[:-20]) / 0.02
     assert rate_deg_s.max() == pytest.approx(15, abs=0.1)

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from heli_host.declaration import PARAMS
 from heli_host.errors import PlanError
 from heli_host.fly.plan import TAKE_OFF, Plan, load_plan, plan_names, plan_title, take_off
-from heli_host.link.declaration import PARAMS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -14,21 +14,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.declaration import Flags, State
 from heli_host.errors import LogWriteError, PlanError
-from heli_host.flight import Flight
 from heli_host.fly.pilot import Pilot
 from heli_host.fly.plan import Plan, load_plan
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import Progress, fly
 from heli_host.heli import Heli, connect
-from heli_host.link.declaration import Flags, State
 from heli_host.link.telemetry import Ticks
+from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import Log, read_log
 from heli_host.log.summary import FlightSummary
 
 pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not built")
-
-pytestmark = pytest.mark.slow
 
 SHORT = """
 title = "Short"
@@ -79,6 +77,7 @@ def raising(error: BaseException, at_s: float, *more_at_s: float) -> Callable[[P
     return call
 
 
+@pytest.mark.slow
 def test_a_plan_is_flown_landed_and_logged(tmp_path: Path) -> None:
     with connect("sil://?seed=3") as heli:
         summary = fly(
@@ -117,6 +116,7 @@ def test_the_same_seed_gives_the_same_log_byte_for_byte(tmp_path: Path) -> None:
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
 
 
+@pytest.mark.slow
 def test_the_boards_setpoint_is_the_plan_on_device_time(tmp_path: Path) -> None:
     plan = load_plan("sine")
     _, log, _ = flown(tmp_path / "a.mcap", plan)
@@ -249,7 +249,7 @@ def test_a_noisy_line_costs_ticks_that_are_all_counted(tmp_path: Path) -> None:
     ticks = log.ticks["tick"].astype(np.int64)
     assert summary.ticks_lost == ticks[-1] - ticks[0] + 1 - len(ticks)
     with pytest.raises(Exception, match="gaps"):
-        Flight.read(tmp_path / "a.mcap")
+        read_flight(tmp_path / "a.mcap")
 
 
 def test_a_full_disk_lands_the_rig_and_keeps_what_was_written(
@@ -322,6 +322,7 @@ def test_over_a_pseudo_terminal_it_flies_the_same(tmp_path: Path) -> None:
     assert {"take-off", "short", "landing"} <= {progress.phase for progress in seen}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="skipped: kill -9 is POSIX")
 def test_after_kill_9_of_the_host_the_board_lands_and_the_log_opens(tmp_path: Path) -> None:
     process = pytest.importorskip("heli_sim.sil.process", reason="skipped: no simulation")

@@ -13,6 +13,7 @@ from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import fly
 from heli_host.heli import Heli
 from heli_host.link.session import Session
+from heli_host.log.flight_file import read_flight
 from heli_sim.model import Model, MultibodyModel
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig, load_rig
@@ -69,7 +70,7 @@ def flown(rig: Rig, seed: int, duration_s: float, model: Model | None = None) ->
                 )
                 heli.wait(SETPOINT_EVERY_S)
             heli.stop()
-        return Flight.read(path)
+        return read_flight(path)
 
 
 def flown_by_plan(
@@ -84,7 +85,7 @@ def flown_by_plan(
         _prepare(heli, rig)
         summary = fly(heli, plan, log_path=path)
         assert summary.completed or "landing_timeout" in summary.outcome, summary.outcome
-        return Flight.read(path)
+        return read_flight(path)
 
 
 def _prepare(heli: Heli, rig: Rig) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from heli_host.flight import REQUIRED_COLUMNS, Flight
+from heli_host.log.table import write_csv
 
 from tests.cli.terminal import Terminal, refusal
 
@@ -118,7 +119,7 @@ SPOILED: dict[str, tuple[Spoil, int, str, str, str]] = {
 @pytest.mark.parametrize("what", SPOILED)
 def test_a_flight_that_teaches_nothing_is_one_line(terminal: Terminal, tmp_path: Path, what: str) -> None:
     spoil, code, column, row, said = SPOILED[what]
-    spoil(flight()).write_csv(tmp_path / "bad.csv")
+    write_csv(spoil(flight()), tmp_path / "bad.csv")
     line = refusal(terminal("identify", "bad.csv", "--out", "new.toml", "--json", "new.json"), code=code)
     assert "bad.csv" in line and column in line and row in line, line
     assert said in line, line
@@ -126,13 +127,13 @@ def test_a_flight_that_teaches_nothing_is_one_line(terminal: Terminal, tmp_path:
 
 
 def test_a_wrapped_angle_is_named_on_a_rig_that_turns_freely(terminal: Terminal, tmp_path: Path) -> None:
-    wrapped(flight()).write_csv(tmp_path / "bad.csv")
+    write_csv(wrapped(flight()), tmp_path / "bad.csv")
     line = refusal(terminal("identify", "bad.csv", "--rig", "quanser-course"), code=ASKED)
     assert "bad.csv: travel_rad jumps by 6.28 in data row 70; unwrap the angle" in line
 
 
 def test_a_missing_column_is_named(terminal: Terminal, tmp_path: Path) -> None:
-    flight().write_csv(tmp_path / "bad.csv")
+    write_csv(flight(), tmp_path / "bad.csv")
     text = (tmp_path / "bad.csv").read_text()
     (tmp_path / "bad.csv").write_text(text.replace("front_V", "front_duty", 1))
     line = refusal(terminal("identify", "bad.csv"), code=FILE)
@@ -140,14 +141,14 @@ def test_a_missing_column_is_named(terminal: Terminal, tmp_path: Path) -> None:
 
 
 def test_a_bad_flight_to_validate_on_is_named_as_well(terminal: Terminal, tmp_path: Path) -> None:
-    flight().write_csv(tmp_path / "good.csv")
-    scaled(0.0, "front_V")(flight()).write_csv(tmp_path / "bad.csv")
+    write_csv(flight(), tmp_path / "good.csv")
+    write_csv(scaled(0.0, "front_V")(flight()), tmp_path / "bad.csv")
     line = refusal(terminal("identify", "good.csv", "--validate", "bad.csv"), code=ASKED)
     assert "bad.csv: front_V is 0" in line
 
 
 def test_a_gap_is_left_out_on_request(terminal: Terminal, tmp_path: Path) -> None:
-    without_rows(1000, 1200)(flight()).write_csv(tmp_path / "gap.csv")
+    write_csv(without_rows(1000, 1200)(flight()), tmp_path / "gap.csv")
     ended = terminal("identify", "gap.csv", "--allow-gaps", "--free", "thrust_gain", "--json", "new.json")
     assert ended.code == 0, ended
     assert (tmp_path / "new.json").exists()
@@ -171,7 +172,7 @@ def test_a_gap_is_left_out_on_request(terminal: Terminal, tmp_path: Path) -> Non
 def test_what_cannot_be_asked_for_is_one_line(
     terminal: Terminal, tmp_path: Path, arguments: tuple[str, ...], said: str
 ) -> None:
-    flight().write_csv(tmp_path / "good.csv")
+    write_csv(flight(), tmp_path / "good.csv")
     ended = terminal("identify", *arguments)
     assert said in refusal(ended, code=ended.code)
     assert ended.code in (ASKED, FILE)

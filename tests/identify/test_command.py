@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.cli.progress_bar import WorkBar
 from heli_host.cli.variadic import spread
-from heli_host.cli.work import WorkBar
 from heli_host.flight import Flight
+from heli_host.log.flight_file import read_flight
+from heli_host.log.table import write_csv
 from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Terminal
@@ -45,11 +47,11 @@ def fly_hidden(terminal: Terminal, folder: Path, name: str, duration_s: int, see
 def test_from_a_flight_to_a_rig_that_flies(terminal: Terminal, tmp_path: Path) -> None:
     fly_hidden(terminal, tmp_path, "a", 32, seed=1)
     fly_hidden(terminal, tmp_path, "b", 16, seed=2)
-    Flight.read(tmp_path / "b.mcap").write_csv(tmp_path / "b.csv.gz")
+    write_csv(read_flight(tmp_path / "b.mcap"), tmp_path / "b.csv.gz")
     files = ("--out", "new.toml", "--report", "report", "--json", "new.json")
     ended = terminal("identify", "a.mcap", "--validate", "b.csv.gz", *files)
     assert ended.code == 0, ended
-    assert "Nothing but the encoders' rounding is left on flights that it never saw" in ended.out
+    assert "Nothing but the encoders' quantisation is left on flights that it never saw" in ended.out
     assert "thrust_gain" in ended.out
 
     told = json.loads((tmp_path / "new.json").read_text())
@@ -83,7 +85,7 @@ def test_the_page_needs_nothing_else_and_has_its_figures(terminal: Terminal, tmp
     assert sources and all(source.startswith("data:image/png;base64,") for source in sources)
     for name in ("train-1.png", "parameters.png", "correlations.png"):
         assert (folder / name).read_bytes().startswith(b"\x89PNG")
-    for word in ("Measured against predicted", "What was found", "cannot tell apart", "left out", *HIDDEN):
+    for word in ("Measured against predicted", "What was found", "cannot identify", "left out", *HIDDEN):
         assert word in page
     assert json.loads((folder / "result.json").read_text())["parameters"].keys() == HIDDEN.keys()
 
@@ -120,7 +122,7 @@ def test_a_second_flight_to_validate_on_is_not_fitted(terminal: Terminal, tmp_pa
         t_s = np.linspace(0.0, 5.998, 3000)
         wave = np.sin(2 * np.pi * t_s / 3.0) + 0.01 * random.standard_normal()
         volts = 1.7 + 0.2 * wave, 1.7 - 0.1 * wave
-        Flight(t_s, *volts, 0.1 * wave, 0.2 * wave, 0.5 * wave).write_csv(tmp_path / f"{name}.csv")
+        write_csv(Flight(t_s, *volts, 0.1 * wave, 0.2 * wave, 0.5 * wave), tmp_path / f"{name}.csv")
     ended = terminal(
         *("identify", "a.csv", "--free", "thrust_gain", "--validate", "b.csv", "c.csv", "--json", "new.json")
     )
@@ -135,7 +137,7 @@ def test_long_work_says_what_it_does_and_how_long_still(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s = iter((0.0, 10.0, 20.0))
-    monkeypatch.setattr("heli_host.cli.work.time.monotonic", lambda: next(now_s))
+    monkeypatch.setattr("heli_host.cli.progress_bar.time.monotonic", lambda: next(now_s))
     with WorkBar(is_terminal=False) as bar:
         bar.show("compiling the model", 0.1)
         bar.show("every sample", 0.5)

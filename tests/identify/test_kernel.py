@@ -7,10 +7,10 @@ from pathlib import Path
 import heli_sim.compiled
 import numpy as np
 import pytest
-from heli_sim.identify.compiled_kernel import CompiledKernel
-from heli_sim.identify.functions import Floats, Functions, Inputs
-from heli_sim.identify.interpreted_kernel import InterpretedKernel
-from heli_sim.identify.kernel import kernel
+from heli_lab.identify.compiled_kernel import CompiledKernel
+from heli_lab.identify.functions import Floats, Functions, Inputs
+from heli_lab.identify.interpreted_kernel import InterpretedKernel
+from heli_lab.identify.kernel import kernel
 from heli_sim.model import Model, MultibodyModel, PaperModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig

@@ -12,8 +12,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from heli_host.flight import Flight
-from heli_sim.identify.run import identify
+from heli_host.log.flight_file import read_flight
+from heli_lab.identify.run import identify
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 
@@ -43,7 +43,7 @@ BEYOND = {
 @pytest.mark.skipif(not MEASURED.exists(), reason="skipped: no shared data")
 @pytest.mark.parametrize("pair", REACHED, ids=lambda pair: pair[0])
 def test_two_seconds_ahead_on_the_other_flight_of_a_pair(pair: tuple[str, str]) -> None:
-    train, other = (Flight.read(MEASURED / f"{name}.csv.gz") for name in pair)
+    train, other = (read_flight(MEASURED / f"{name}.csv.gz") for name in pair)
     found = identify(
         MultibodyModel(),
         load_rig("quanser-course"),

@@ -7,12 +7,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_sim.identify import Problem, combinations, prepare, solve, untaught
-from heli_sim.identify.functions import Floats
-from heli_sim.identify.noise import balanced, correlation_at, inflation, window_weights
-from heli_sim.identify.result import Identification
-from heli_sim.identify.run import identify
-from heli_sim.identify.uncertainty import timing_variance
+from heli_lab.identify import Problem, combinations, prepare, solve, uninformed_parameters
+from heli_lab.identify.functions import Floats
+from heli_lab.identify.residual_noise import correlation_at, floor_axes, long_run_variance, window_weights
+from heli_lab.identify.result import Identification
+from heli_lab.identify.run import identify
+from heli_lab.identify.uncertainty import timing_variance
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import RotorLag
 from heli_sim.rig import load_rig
@@ -40,10 +40,10 @@ def coloured(share: float) -> Floats:
     return values
 
 
-def test_a_sum_that_is_seen_leaves_a_difference_that_is_not() -> None:
+def test_a_sum_that_is_identified_leaves_a_difference_that_is_not() -> None:
     seen = 1e4 * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     told = combinations(("a", "b", "c"), seen, np.ones(3))
-    assert len(told) == 1 and told[0].kept == pytest.approx(1.0)
+    assert len(told) == 1 and told[0].std_over_prior == pytest.approx(1.0)
     assert set(told[0].change) == {"a", "b"}
     assert told[0].change["a"] == pytest.approx(-told[0].change["b"])
     assert combinations(("a", "b"), 1e4 * np.eye(2), np.ones(2)) == []
@@ -70,17 +70,17 @@ def test_correlations_are_those_of_the_covariance() -> None:
     np.testing.assert_allclose(matrix * np.outer(std, std), told.fit.covariance, atol=1e-4 * std.max() ** 2)
 
 
-def test_what_a_flight_does_not_teach_is_named() -> None:
+def test_parameters_that_a_flight_does_not_inform_are_named() -> None:
     told = found()
-    assert "M_l" in told.untaught and "thrust_gain" not in told.untaught
-    assert untaught(("a", "b"), np.diag([0.99, 0.01]), np.ones(2)) == ["a"]
-    assert told.json()["nothing_learned_of"] == told.untaught
+    assert "M_l" in told.uninformed_parameters and "thrust_gain" not in told.uninformed_parameters
+    assert uninformed_parameters(("a", "b"), np.diag([0.99, 0.01]), np.ones(2)) == ["a"]
+    assert told.json()["uninformed_parameters"] == told.uninformed_parameters
 
 
 def test_no_estimate_is_less_sure_than_before_the_flight() -> None:
     told = found()
     for one, std in zip(told.fit.problem.free, told.fit.std.values(), strict=True):
-        # What rounding scatters is added to what the prior holds: 2 % of it where a flight teaches nothing.
+        # The scatter of quantisation adds to what the prior holds: 2 % of it where a flight informs nothing.
         assert std <= 1.03 * one.prior.std, one.name
 
 
@@ -95,8 +95,8 @@ def test_no_time_is_surer_than_the_tick_within_which_a_voltage_begins() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
-def test_colour_counts_as_fewer_samples(share: float) -> None:
-    factor = inflation(coloured(share), WINDOWS, STEP_S)
+def test_autocorrelated_residuals_count_as_fewer_samples(share: float) -> None:
+    factor = long_run_variance(coloured(share), WINDOWS, STEP_S)
     np.testing.assert_allclose(factor, (1.0 + share) / (1.0 - share), rtol=0.35)
 
 
@@ -107,7 +107,7 @@ def test_white_is_white_and_coloured_is_not() -> None:
         assert bool(np.all(np.abs(values) < bound)) is white, share
 
 
-def test_a_window_out_of_line_loses_weight() -> None:
+def test_an_outlying_window_loses_weight() -> None:
     residual = coloured(0.0)
     residual[WINDOWS[7]] *= 6.0
     residual[WINDOWS[8]] *= 100.0
@@ -119,7 +119,7 @@ def test_a_window_out_of_line_loses_weight() -> None:
 
 def test_no_axis_of_a_wrong_model_is_taken_for_exact() -> None:
     sigma = np.array([4e-4, 4e-4, 4e-4])
-    exact = balanced(np.ones(3), np.ones(3), sigma)
+    exact = floor_axes(np.ones(3), np.ones(3), sigma)
     np.testing.assert_array_equal(exact, 1.0)
-    wrong = balanced(np.array([1.0, 1000.0, 1.0]), np.array([1.0, 900.0, 1.0]), sigma)
+    wrong = floor_axes(np.array([1.0, 1000.0, 1.0]), np.array([1.0, 900.0, 1.0]), sigma)
     assert wrong[1] == 1000.0 and np.all(wrong[[0, 2]] > 400.0)

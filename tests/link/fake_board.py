@@ -15,11 +15,12 @@ import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from heli_host import declaration as link
+from heli_host.declaration import Channel, Flags, MessageId, Result, State
 from heli_host.errors import LinkLost, PortError
-from heli_host.link import declaration as link
-from heli_host.link.declaration import MessageId, Result, State
 from heli_host.link.frames import Frame, FrameParser
 
+from tests.channels.groups import COUNTS, SETPOINTS, VOLTAGES, row_of
 from tests.link import host_reference as reference
 
 BATCH_TICKS = 20
@@ -38,7 +39,11 @@ _NEXT_STATE = {
 def truth(tick: int, state: int = State.IDLE) -> list[int]:
     """The one sample that this board may send at a tick."""
     wave = (tick * 37) % 2001 - 1000
-    return [wave, -wave, tick % 977, wave * 9, tick % 50, -tick % 999, tick % 300, tick % 301, state, 0, 8]
+    counts = zip(COUNTS, (wave, -wave, tick % 977), strict=True)
+    setpoints = zip(SETPOINTS, (wave * 9, tick % 50, -tick % 999), strict=True)
+    volts = zip(VOLTAGES, (tick % 300, tick % 301), strict=True)
+    status = ((Channel.STATE, state), (Channel.FLAGS, Flags.LINK_ALIVE))
+    return row_of(dict([*counts, *setpoints, *volts, *status]))
 
 
 class FakeBoard:

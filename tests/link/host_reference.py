@@ -5,11 +5,44 @@ The witness for heli_host.link: it shares no line, no table and no library with 
 
 from __future__ import annotations
 
+import re
 import struct
+from pathlib import Path
 
 BITS_OF_CODE = (0, 2, 4, 8, 16, 32)
-BASE_SIZES = (4, 4, 4, 4, 4, 4, 2, 2, 1, 1, 1)
-BASE_SIGNED = (True, True, True, True, True, True, True, True, False, False, False)
+LINK_DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "link.md"
+
+
+def channel_types(document: str) -> list[str]:
+    """Wire types of the telemetry channels, from the document's table of them."""
+    table = document.partition("| channel | base |")[2].partition("\n\n")[0]
+    return re.findall(r"^\| `\w+` \| (\w+) \|", table, re.MULTILINE)
+
+
+TYPES = channel_types(LINK_DOCUMENT.read_text(encoding="utf-8"))
+
+
+def size_of(wire_type: str) -> int:
+    """Bytes of a number: 2 for i16."""
+    return int(wire_type[1:]) // 8
+
+
+def is_signed(wire_type: str) -> bool:
+    """Whether a type has a sign: i16, not u16."""
+    return wire_type[0] == "i"
+
+
+def limits(wire_type: str) -> tuple[int, int]:
+    """Least and most of a type, as a row of int32 holds them."""
+    bits = 8 * size_of(wire_type)
+    if is_signed(wire_type) or bits == 32:
+        return -(1 << (bits - 1)), (1 << (bits - 1)) - 1
+    return 0, (1 << bits) - 1
+
+
+def in_row(value: int, wire_type: str) -> int:
+    """A number of a type as a row of int32 holds it."""
+    return signed(value, 32) if size_of(wire_type) == 4 else value
 
 
 def crc32(data: bytes) -> int:
@@ -70,23 +103,28 @@ def smallest_code(deltas: list[int]) -> int:
     raise AssertionError("a delta modulo 2^32 fits 32 bits")
 
 
-def telemetry_payload(first_tick: int, samples: list[list[int]], codes: list[int] | None = None) -> bytes:
-    """Pack samples (a row a tick, 11 channels) into one telemetry payload, as narrow as they go."""
+def telemetry_payload(
+    first_tick: int,
+    samples: list[list[int]],
+    codes: list[int] | None = None,
+    types: list[str] = TYPES,
+) -> bytes:
+    """Pack samples (a row a tick, one number a channel) into one telemetry payload, as narrow as they go."""
     count = len(samples)
     deltas = [
         [signed(samples[k][channel] - samples[k - 1][channel], 32) for k in range(1, count)]
-        for channel in range(11)
+        for channel in range(len(types))
     ]
     codes = [smallest_code(column) for column in deltas] if codes is None else codes
     out = bytearray(first_tick.to_bytes(4, "little"))
     out.append(count)
     nibbles = [*codes, 0]
-    for pair in range(6):
+    for pair in range((len(types) + 1) // 2):
         out.append(nibbles[2 * pair] + 16 * nibbles[2 * pair + 1])
-    for channel in range(11):
-        size = BASE_SIZES[channel]
+    for channel, wire_type in enumerate(types):
+        size = size_of(wire_type)
         out += (samples[0][channel] % (1 << (8 * size))).to_bytes(size, "little")
-    for channel in range(11):
+    for channel in range(len(types)):
         bits = BITS_OF_CODE[codes[channel]]
         number = 0
         for position, delta in enumerate(deltas[channel]):
@@ -95,22 +133,22 @@ def telemetry_payload(first_tick: int, samples: list[list[int]], codes: list[int
     return bytes(out)
 
 
-def telemetry_samples(payload: bytes) -> tuple[int, list[list[int]]]:
-    """Unpack one telemetry payload: the first tick and a row of 11 channels a tick."""
+def telemetry_samples(payload: bytes, types: list[str] = TYPES) -> tuple[int, list[list[int]]]:
+    """Unpack one telemetry payload: the first tick and a row of one number a channel for each tick."""
     first_tick = int.from_bytes(payload[:4], "little")
     count = payload[4]
+    position = 5 + (len(types) + 1) // 2
     codes = []
-    for byte in payload[5:11]:
+    for byte in payload[5:position]:
         codes += [byte % 16, byte // 16]
-    position = 11
     row = []
-    for channel in range(11):
-        size = BASE_SIZES[channel]
-        row.append(int.from_bytes(payload[position : position + size], "little", signed=BASE_SIGNED[channel]))
-        position += size
+    for wire_type in types:
+        base = payload[position : position + size_of(wire_type)]
+        row.append(in_row(int.from_bytes(base, "little", signed=is_signed(wire_type)), wire_type))
+        position += len(base)
     rows = [row]
     columns = []
-    for channel in range(11):
+    for channel in range(len(types)):
         bits = BITS_OF_CODE[codes[channel]]
         size = ((count - 1) * bits + 7) // 8
         number = int.from_bytes(payload[position : position + size], "little")
@@ -119,5 +157,5 @@ def telemetry_samples(payload: bytes) -> tuple[int, list[list[int]]]:
     if position != len(payload):
         raise ValueError("payload length does not fit its header")
     for k in range(count - 1):
-        rows.append([signed(rows[-1][channel] + columns[channel][k], 32) for channel in range(11)])
+        rows.append([signed(value + columns[channel][k], 32) for channel, value in enumerate(rows[-1])])
     return first_tick, rows

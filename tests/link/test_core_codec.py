@@ -7,18 +7,18 @@ import zlib
 import numpy as np
 import pytest
 from cobs import cobs
-from heli_host.link.declaration import MAX_TELEMETRY_PAYLOAD, PROTOCOL
-from heli_sim._native import link as core_link
+from heli_host.declaration import MAX_TELEMETRY_PAYLOAD, PROTOCOL, Channel, TelemetryMessage
+from heli_test_native import link as core_link
 from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
+from tests.channels.groups import SIGNED, UNSIGNED
 from tests.link import host_reference as reference
 
 # Runs without a zero around the 254 bytes that a COBS block may hold.
 RUNS = [b"\x01" * length for length in (0, 1, 253, 254, 255, 256, 507, 508, 509)]
 BOUNDARIES = [*RUNS, *(run + b"\0" for run in RUNS), *(b"\0" + run for run in RUNS), b"\0" * 300]
-LIMITS = {4: (-(2**31), 2**31 - 1), 2: (-(2**15), 2**15 - 1), 1: (0, 255)}
 
 
 @given(st.binary(max_size=600), st.binary(max_size=50))
@@ -77,8 +77,8 @@ def unpacked(payloads: list[bytes], first_tick: int) -> list[list[int]]:
     return rows
 
 
-def channel(size: int) -> st.SearchStrategy[int]:
-    low, high = LIMITS[size]
+def channel(wire_type: str) -> st.SearchStrategy[int]:
+    low, high = reference.limits(wire_type)
     return st.one_of(st.integers(low, high), st.integers(0, 3), st.sampled_from([low, high]))
 
 
@@ -86,14 +86,15 @@ def channel(size: int) -> st.SearchStrategy[int]:
 def raw_ticks(draw: st.DrawFn) -> np.ndarray:
     count = draw(st.integers(1, 70))
     columns = [
-        draw(npst.arrays(np.int32, count, elements=channel(size), fill=channel(size)))
-        for size in reference.BASE_SIZES
+        draw(npst.arrays(np.int32, count, elements=channel(wire_type), fill=channel(wire_type)))
+        for wire_type in reference.TYPES
     ]
     return np.stack(columns, axis=1).astype(np.int32, order="C")
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), raw_ticks())
-@example(2**32 - 3, np.arange(10 * 11, dtype=np.int32).reshape(10, 11))
+@example(2**32 - 3, np.arange(10 * len(Channel), dtype=np.int32).reshape(10, -1))
 def test_packed_ticks_come_out_of_the_witness_as_they_were(first_tick: int, raw: np.ndarray) -> None:
     payloads = core_link.pack_telemetry(first_tick, raw)
     assert unpacked(payloads, first_tick) == raw.tolist()
@@ -103,9 +104,9 @@ def test_packed_ticks_come_out_of_the_witness_as_they_were(first_tick: int, raw:
 @given(st.integers(1, 32), st.sampled_from([0, 1, 2, 7, 8, 127, 128]), st.integers(0, 2**32 - 1))
 def test_a_batch_is_packed_byte_for_byte_as_the_witness_does(count: int, step: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    raw = np.zeros((count, 11), dtype=np.int32)
-    raw[:, :8] = np.cumsum(rng.integers(-step, step + 1, (count, 8)), axis=0)
-    raw[:, 8:] = rng.integers(0, 2, (count, 3))
+    raw = np.zeros((count, len(Channel)), dtype=np.int32)
+    raw[:, SIGNED] = np.cumsum(rng.integers(-step, step + 1, (count, len(SIGNED))), axis=0)
+    raw[:, UNSIGNED] = rng.integers(0, 2, (count, len(UNSIGNED)))
     payload = core_link.pack_telemetry(1000, raw)[0]
     assert payload == reference.telemetry_payload(1000, raw[: payload[4]].tolist())
 
@@ -134,17 +135,26 @@ def test_a_batch_is_packed_byte_for_byte_as_the_witness_does(count: int, step: i
     ],
 )
 def test_a_delta_gets_the_narrowest_width_that_holds_it(delta: int, code: int) -> None:
-    raw = np.zeros((2, 11), dtype=np.int32)
-    raw[1, 0] = delta
+    raw = np.zeros((2, len(Channel)), dtype=np.int32)
+    raw[1, Channel.ELEVATION_COUNT] = delta
     (payload,) = core_link.pack_telemetry(0, raw)
-    assert payload[5] & 15 == code
+    widths = payload[TelemetryMessage.STRUCT.size :]
+    assert widths[Channel.ELEVATION_COUNT // 2] >> (4 * (Channel.ELEVATION_COUNT % 2)) & 15 == code
 
 
 def test_a_batch_too_large_for_a_frame_is_halved_until_it_fits() -> None:
-    raw = np.zeros((32, 11), dtype=np.int32)
-    raw[::2, :8] = 2**15 - 1
-    raw[1::2, :8] = -(2**15)
+    raw = np.zeros((32, len(Channel)), dtype=np.int32)
+    # Differences of 2^16 - 1 take 32 bits.
+    raw[::2, SIGNED] = 2**15 - 1
+    raw[1::2, SIGNED] = -(2**15)
     payloads = core_link.pack_telemetry(0, raw)
-    # 42 bytes and 32 for each further tick: 32 and 16 ticks are too many, 8 are not; then 24 ticks are left.
-    assert [payload[4] for payload in payloads] == [8, 12, 12]
+    sizes, left = [], raw.tolist()
+    while left:
+        count = len(left)
+        while len(reference.telemetry_payload(0, left[:count])) > MAX_TELEMETRY_PAYLOAD:
+            count //= 2
+        sizes.append(count)
+        left = left[count:]
+    assert [payload[4] for payload in payloads] == sizes
+    assert len(sizes) > 1
     assert unpacked(payloads, 0) == raw.tolist()

@@ -7,7 +7,7 @@ import struct
 from typing import Any
 
 import pytest
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     MAX_COMMAND_PAYLOAD,
     PARAMS,
     AckMessage,
@@ -30,7 +30,16 @@ from heli_host.link.frames import encode_frame
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.link.core_desk import COMMANDS, STREAMS, TO_BOARD, Desk, acks_in, named, of_kind, open_desk
+from tests.link.core_harness import (
+    COMMANDS,
+    STREAMS,
+    TO_BOARD,
+    Harness,
+    acks_in,
+    named,
+    of_kind,
+    open_harness,
+)
 
 BY_BOARD_ALONE = (MessageId.HELLO, MessageId.PING, MessageId.PARAMS_READ, MessageId.STATUS_READ)
 BY_TICK = [cls for cls in COMMANDS if cls.ID not in BY_BOARD_ALONE]
@@ -53,99 +62,99 @@ FLOATS = [(cls, field, offset) for cls in TO_BOARD for field, offset in float_fi
 
 @pytest.mark.parametrize("cls", BY_TICK, ids=named)
 def test_a_command_reaches_the_tick_as_it_was_sent_and_its_answer_the_host(cls: Any) -> None:
-    desk = open_desk(lambda _id, _payload: (Result.BAD_STATE, 7, 2.5))
+    harness = open_harness(lambda _id, _payload: (Result.BAD_STATE, 7, 2.5))
     payload = b"\x05" + bytes(cls.STRUCT.size - 1)
-    frames = desk.turn(desk.raw_frame(cls.ID, payload), ticks=2)
-    assert desk.executed == [(cls.ID, payload)]
+    frames = harness.turn(harness.raw_frame(cls.ID, payload), ticks=2)
+    assert harness.executed == [(cls.ID, payload)]
     assert acks_in(frames) == [AckMessage(5, cls.ID, Result.BAD_STATE, 7, 2.5)]
 
 
 @pytest.mark.parametrize("cls", COMMANDS, ids=named)
 @pytest.mark.parametrize("change", [-1, 1, 30])
 def test_a_command_of_wrong_length_is_refused(cls: Any, change: int) -> None:
-    desk = open_desk()
+    harness = open_harness()
     payload = bytes(min(cls.STRUCT.size + change, MAX_COMMAND_PAYLOAD))
-    (ack,) = acks_in(desk.turn(desk.raw_frame(cls.ID, payload), ticks=3))
+    (ack,) = acks_in(harness.turn(harness.raw_frame(cls.ID, payload), ticks=3))
     assert (ack.command, ack.result) == (cls.ID, Result.BAD_LENGTH)
-    assert desk.executed == []
+    assert harness.executed == []
 
 
 @pytest.mark.parametrize(("cls", "field", "offset"), FLOATS, ids=named)
 def test_no_field_takes_what_is_no_number(cls: Any, field: int, offset: int) -> None:
-    desk = open_desk()
+    harness = open_harness()
     for value in NO_NUMBERS:
         payload = bytearray(cls.STRUCT.size)
         struct.pack_into("<f", payload, offset, value)
-        frames = desk.turn(desk.raw_frame(cls.ID, bytes(payload)), ticks=3)
+        frames = harness.turn(harness.raw_frame(cls.ID, bytes(payload)), ticks=3)
         if cls in STREAMS:
             (event,) = (EventMessage.unpack(payload) for payload in of_kind(frames, MessageId.EVENT))
             assert (event.kind, event.detail) == (Event.SETPOINT_REJECTED, Result.BAD_VALUE)
         else:
             (ack,) = acks_in(frames)
             assert (ack.result, ack.detail) == (Result.BAD_VALUE, field)
-    assert desk.executed == []
-    assert desk.streamed == []
-    assert desk.status().stale_streams == (len(NO_NUMBERS) if cls in STREAMS else 0)
+    assert harness.executed == []
+    assert harness.streamed == []
+    assert harness.status().stale_streams == (len(NO_NUMBERS) if cls in STREAMS else 0)
 
 
 @pytest.mark.parametrize("message_id", [0, 17, 31, 34, 127])
 def test_an_unknown_command_is_answered_as_such(message_id: int) -> None:
-    desk = open_desk()
-    (ack,) = acks_in(desk.turn(desk.raw_frame(message_id, b"\x09rest")))
+    harness = open_harness()
+    (ack,) = acks_in(harness.turn(harness.raw_frame(message_id, b"\x09rest")))
     assert (ack.request, ack.command, ack.result) == (9, message_id, Result.UNKNOWN_COMMAND)
 
 
 def test_an_empty_command_does_no_harm() -> None:
-    desk = open_desk()
-    (ack,) = acks_in(desk.turn(desk.raw_frame(MessageId.ARM, b"")))
+    harness = open_harness()
+    (ack,) = acks_in(harness.turn(harness.raw_frame(MessageId.ARM, b"")))
     assert ack.result == Result.BAD_LENGTH
 
 
 def test_a_board_that_hears_itself_does_not_answer_itself() -> None:
-    desk = open_desk()
+    harness = open_harness()
     for message_id in range(128, 256):
-        assert desk.turn(desk.raw_frame(message_id, bytes(8)), ticks=2) == []
+        assert harness.turn(harness.raw_frame(message_id, bytes(8)), ticks=2) == []
 
 
 def test_a_board_that_hears_itself_does_not_take_itself_for_a_host() -> None:
-    desk = open_desk()
-    desk.turn(ticks=400)
-    desk.turn(desk.raw_frame(MessageId.EVENT, bytes(11)))
-    assert desk.bench.ticks_since_host_frame() == 401
+    harness = open_harness()
+    harness.turn(ticks=400)
+    harness.turn(harness.raw_frame(MessageId.EVENT, bytes(11)))
+    assert harness.native.ticks_since_host_frame() == 401
 
 
 def test_a_stop_is_executed_even_when_no_answer_can_leave() -> None:
-    desk = open_desk()
-    desk.room = 0
-    desk.ask(ArmMessage(1))
-    desk.ask(ArmMessage(2))
-    desk.ask(StopMessage(3))
-    assert [message_id for message_id, _ in desk.executed] == [MessageId.ARM, MessageId.STOP]
-    desk.room = 100
-    assert [ack.request for ack in acks_in(desk.turn())] == [3]
+    harness = open_harness()
+    harness.room = 0
+    harness.ask(ArmMessage(1))
+    harness.ask(ArmMessage(2))
+    harness.ask(StopMessage(3))
+    assert [message_id for message_id, _ in harness.executed] == [MessageId.ARM, MessageId.STOP]
+    harness.room = 100
+    assert [ack.request for ack in acks_in(harness.turn())] == [3]
 
 
 def test_ping_returns_the_host_clock_and_the_tick_of_the_answer() -> None:
-    desk = open_desk()
-    desk.turn(ticks=100)
-    (pong,) = of_kind(desk.turn(desk.frame(PingMessage(3, 2**60 + 5))), MessageId.PONG)
+    harness = open_harness()
+    harness.turn(ticks=100)
+    (pong,) = of_kind(harness.turn(harness.frame(PingMessage(3, 2**60 + 5))), MessageId.PONG)
     assert PongMessage.unpack(pong) == PongMessage(3, 2**60 + 5, 101)
 
 
 def test_a_pong_that_had_to_wait_carries_the_tick_at_which_it_left() -> None:
-    desk = open_desk()
-    desk.room = 0
-    sent = desk.turn(desk.frame(PingMessage(3, 5)), ticks=20)
+    harness = open_harness()
+    harness.room = 0
+    sent = harness.turn(harness.frame(PingMessage(3, 5)), ticks=20)
     assert sent == []
-    desk.room = 100
-    (pong,) = of_kind(desk.turn(), MessageId.PONG)
-    assert PongMessage.unpack(pong).tick == desk.tick - 1
+    harness.room = 100
+    (pong,) = of_kind(harness.turn(), MessageId.PONG)
+    assert PongMessage.unpack(pong).tick == harness.tick - 1
 
 
 @pytest.mark.parametrize("first", [0, 1, 20, 31, 32, len(PARAMS) - 1])
 def test_params_are_read_in_table_order_at_most_32_at_a_time(first: int) -> None:
-    desk = open_desk()
-    (payload,) = of_kind(desk.ask(ParamsReadMessage(4, first)), MessageId.PARAMS)
+    harness = open_harness()
+    (payload,) = of_kind(harness.ask(ParamsReadMessage(4, first)), MessageId.PARAMS)
     head = ParamsMessage.unpack(payload)
     expected = [spec.default for spec in PARAMS[first : first + 32]]
     assert (head.request, head.first, head.count) == (4, first, len(expected))
@@ -154,82 +163,82 @@ def test_params_are_read_in_table_order_at_most_32_at_a_time(first: int) -> None
 
 
 def test_there_is_nothing_to_read_beyond_the_table() -> None:
-    desk = open_desk()
+    harness = open_harness()
     for first in (len(PARAMS), 255):
-        (ack,) = acks_in(desk.ask(ParamsReadMessage(4, first)))
+        (ack,) = acks_in(harness.ask(ParamsReadMessage(4, first)))
         assert (ack.result, ack.detail) == (Result.NO_SUCH_PARAMETER, first)
 
 
 def test_saving_writes_the_flash_only_after_the_tick_agreed() -> None:
-    desk = open_desk(lambda _id, _payload: (Result.BAD_STATE, 2, 0.0))
-    erased = desk.bench.board.flash
-    (ack,) = acks_in(desk.ask(ParamsSaveMessage(1)))
+    harness = open_harness(lambda _id, _payload: (Result.BAD_STATE, 2, 0.0))
+    erased = harness.native.board.flash
+    (ack,) = acks_in(harness.ask(ParamsSaveMessage(1)))
     assert ack.result == Result.BAD_STATE
-    assert desk.bench.board.flash == erased
+    assert harness.native.board.flash == erased
 
 
 def test_a_save_is_told_with_its_generation_and_not_repeated_by_a_retry() -> None:
-    desk = open_desk()
+    harness = open_harness()
     for generation in (1, 2):
-        frames = desk.ask(ParamsSaveMessage(generation))
+        frames = harness.ask(ParamsSaveMessage(generation))
         (ack,) = acks_in(frames)
         (event,) = (EventMessage.unpack(payload) for payload in of_kind(frames, MessageId.EVENT))
         assert (ack.result, ack.value) == (Result.OK, generation)
         assert (event.kind, event.value) == (Event.PARAMS_SAVED, generation)
-        assert acks_in(desk.ask(ParamsSaveMessage(generation))) == [ack]
-    assert desk.bench.store.generation == 2
-    assert desk.bench.store.source == ParamsSource.STORED
+        assert acks_in(harness.ask(ParamsSaveMessage(generation))) == [ack]
+    assert harness.native.store.generation == 2
+    assert harness.native.store.source == ParamsSource.STORED
 
 
 def test_a_flash_that_does_not_hold_what_was_written_is_reported() -> None:
-    desk = open_desk()
-    desk.bench.board.steps_left = 300
-    frames = desk.ask(ParamsSaveMessage(1))
+    harness = open_harness()
+    harness.native.board.steps_left = 300
+    frames = harness.ask(ParamsSaveMessage(1))
     (ack,) = acks_in(frames)
     assert ack.result == Result.FLASH_FAILED
     assert of_kind(frames, MessageId.EVENT) == []
 
 
 def test_streams_reach_the_tick_unanswered_and_in_order() -> None:
-    desk = open_desk()
+    harness = open_harness()
     setpoint = SetpointMessage(1000, 0.25, -0.5, 1.0)
     voltages = VoltagesMessage(3.0, 4.0, 50)
-    frames = desk.turn(desk.frame(setpoint) + desk.frame(voltages), ticks=3)
+    frames = harness.turn(harness.frame(setpoint) + harness.frame(voltages), ticks=3)
     assert frames == []
-    assert desk.streamed == [(setpoint.ID, setpoint.pack()), (voltages.ID, voltages.pack())]
+    assert harness.streamed == [(setpoint.ID, setpoint.pack()), (voltages.ID, voltages.pack())]
 
 
 def test_of_more_streamed_values_than_the_tick_takes_the_latest_wins() -> None:
-    desk = open_desk()
+    harness = open_harness()
     values = [VoltagesMessage(float(k), 0.0, 50) for k in range(20)]
-    desk.turn(b"".join(desk.frame(value) for value in values), ticks=4)
-    assert desk.streamed[-1] == (MessageId.VOLTAGES, values[-1].pack())
-    assert len(desk.streamed) < 20
+    harness.turn(b"".join(harness.frame(value) for value in values), ticks=4)
+    assert harness.streamed[-1] == (MessageId.VOLTAGES, values[-1].pack())
+    assert len(harness.streamed) < 20
 
 
 def test_a_stream_of_wrong_length_is_refused_and_counted() -> None:
-    desk = open_desk()
-    frames = desk.turn(desk.raw_frame(MessageId.SETPOINT, bytes(15)))
+    harness = open_harness()
+    frames = harness.turn(harness.raw_frame(MessageId.SETPOINT, bytes(15)))
     (event,) = (EventMessage.unpack(payload) for payload in of_kind(frames, MessageId.EVENT))
     assert (event.kind, event.detail) == (Event.SETPOINT_REJECTED, Result.BAD_LENGTH)
-    assert desk.status().stale_streams == 1
+    assert harness.status().stale_streams == 1
 
 
 def test_streams_pass_while_a_command_is_with_the_tick() -> None:
-    desk = open_desk()
+    harness = open_harness()
     setpoint = SetpointMessage(0, 0.1, 0.0, 0.0)
-    desk.turn(desk.frame(ArmMessage(1)) + desk.frame(setpoint), ticks=2)
-    assert desk.streamed == [(setpoint.ID, setpoint.pack())]
+    harness.turn(harness.frame(ArmMessage(1)) + harness.frame(setpoint), ticks=2)
+    assert harness.streamed == [(setpoint.ID, setpoint.pack())]
 
 
 def test_the_status_counts_what_the_parser_saw() -> None:
-    desk = open_desk()
-    desk.bench.publish(17)
-    desk.turn(b"garbage\0")
-    desk.frame(ArmMessage(1))  # lost on the way
-    counters = desk.status()
+    harness = open_harness()
+    harness.native.publish(17)
+    harness.turn(b"garbage\0")
+    harness.frame(ArmMessage(1))  # lost on the way
+    counters = harness.status()
     assert (counters.frames_ok, counters.frames_bad, counters.frames_lost) == (2, 1, 1)
-    assert (counters.overruns, counters.tick) == (17, desk.tick - 3)
+    assert (counters.overruns, counters.tick) == (17, harness.tick - 3)
 
 
 frames_to_board = st.tuples(
@@ -242,27 +251,27 @@ frames_to_board = st.tuples(
 def test_no_sequence_of_frames_keeps_the_board_from_answering_a_ping(
     frames: list[tuple[int, bytes]], handshake: bool
 ) -> None:
-    desk = open_desk() if handshake else Desk()
+    harness = open_harness() if handshake else Harness()
     for message_id, payload in frames:
-        desk.turn(desk.raw_frame(message_id, payload))
-    desk.turn(ticks=5)
-    desk.hello(session=99)
-    (pong,) = of_kind(desk.ask(PingMessage(77, 1)), MessageId.PONG)
+        harness.turn(harness.raw_frame(message_id, payload))
+    harness.turn(ticks=5)
+    harness.hello(session=99)
+    (pong,) = of_kind(harness.ask(PingMessage(77, 1)), MessageId.PONG)
     assert pong[0] == 77
 
 
 @given(st.lists(st.binary(max_size=100), max_size=20))
 def test_no_bytes_keep_the_board_from_answering_a_ping(chunks: list[bytes]) -> None:
-    desk = Desk()
+    harness = Harness()
     for chunk in chunks:
-        desk.turn(chunk)
-    desk.turn(b"\0", ticks=3)
-    desk.hello()
-    assert of_kind(desk.ask(PingMessage(1, 1)), MessageId.PONG)
+        harness.turn(chunk)
+    harness.turn(b"\0", ticks=3)
+    harness.hello()
+    assert of_kind(harness.ask(PingMessage(1, 1)), MessageId.PONG)
 
 
 def test_the_sequence_numbers_of_the_board_have_no_gap() -> None:
-    desk = open_desk()
-    frames = [frame for k in range(600) for frame in desk.turn(encode_frame(2, k, bytes(9)))]
+    harness = open_harness()
+    frames = [frame for k in range(600) for frame in harness.turn(encode_frame(2, k, bytes(9)))]
     assert [b.seq for b in frames] == [(frames[0].seq + k) % 256 for k in range(len(frames))]
     assert len(frames) == 600

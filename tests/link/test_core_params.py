@@ -6,8 +6,8 @@ import math
 import struct
 
 import pytest
-from heli_host.link.declaration import PARAMS, ParamSpec, Result
-from heli_sim._native import link as core_link
+from heli_host.declaration import PARAMS, ParamSpec, Result
+from heli_test_native import link as core_link
 from hypothesis import given
 from hypothesis import strategies as st
 

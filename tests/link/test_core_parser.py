@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 import random
 
-from heli_host.link.declaration import MAX_COMMAND_PAYLOAD, MessageId
+from heli_host.declaration import MAX_COMMAND_PAYLOAD, MessageId
 from heli_host.link.frames import encode_frame
-from heli_sim._native import link as core_link
+from heli_test_native import link as core_link
 from hypothesis import given
 from hypothesis import strategies as st
 

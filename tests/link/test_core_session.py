@@ -6,7 +6,7 @@ import struct
 from typing import Any
 
 import pytest
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     LINK_HASH,
     ArmMessage,
     HelloMessage,
@@ -21,17 +21,17 @@ from heli_host.link.declaration import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.link.core_desk import STREAMS, TO_BOARD, Desk, acks_in, named, of_kind, open_desk, ramp
+from tests.link.core_harness import STREAMS, TO_BOARD, Harness, acks_in, named, of_kind, open_harness, ramp
 
 NEVER = 0xFFFFFFFF
 
 
 @pytest.mark.parametrize("cls", TO_BOARD, ids=named)
 def test_before_the_handshake_nothing_but_hello_is_heard(cls: Any) -> None:
-    desk = Desk()
-    frames = desk.turn(desk.raw_frame(cls.ID, b"\x05" + bytes(cls.STRUCT.size - 1)), ticks=3)
-    assert desk.executed == []
-    assert desk.streamed == []
+    harness = Harness()
+    frames = harness.turn(harness.raw_frame(cls.ID, b"\x05" + bytes(cls.STRUCT.size - 1)), ticks=3)
+    assert harness.executed == []
+    assert harness.streamed == []
     if cls.ID == MessageId.HELLO:
         (welcome,) = of_kind(frames, MessageId.WELCOME)
         assert welcome[1] == Result.HASH_MISMATCH
@@ -43,122 +43,122 @@ def test_before_the_handshake_nothing_but_hello_is_heard(cls: Any) -> None:
 
 
 def test_before_the_handshake_the_board_says_nothing_by_itself() -> None:
-    desk = Desk()
-    desk.bench.push_event(0, 0)
-    desk.bench.push_samples(0, ramp(60))
-    assert desk.turn(ticks=3000) == []
+    harness = Harness()
+    harness.native.push_event(0, 0)
+    harness.native.push_samples(0, ramp(60))
+    assert harness.turn(ticks=3000) == []
 
 
 def test_what_happened_before_the_handshake_is_told_after_it() -> None:
-    desk = Desk()
+    harness = Harness()
     for tick in range(5):
-        desk.bench.push_event(tick, 1)
-    desk.turn(ticks=100)
-    frames = desk.turn(desk.frame(HelloMessage(1, LINK_HASH, 1)))
+        harness.native.push_event(tick, 1)
+    harness.turn(ticks=100)
+    frames = harness.turn(harness.frame(HelloMessage(1, LINK_HASH, 1)))
     assert [frame.id for frame in frames] == [MessageId.WELCOME] + [MessageId.EVENT] * 5
     assert [event[0] for event in of_kind(frames, MessageId.EVENT)] == [0, 1, 2, 3, 4]
 
 
 def test_another_declaration_gets_welcome_with_the_mismatch_and_no_session() -> None:
-    desk = Desk()
-    welcome = desk.hello(link_hash=LINK_HASH ^ 1)
+    harness = Harness()
+    welcome = harness.hello(link_hash=LINK_HASH ^ 1)
     assert (welcome.result, welcome.link_hash) == (Result.HASH_MISMATCH, LINK_HASH)
-    (ack,) = acks_in(desk.ask(ArmMessage(3)))
+    (ack,) = acks_in(harness.ask(ArmMessage(3)))
     assert ack.result == Result.NO_HANDSHAKE
 
 
 def test_a_host_of_another_declaration_ends_the_session_of_the_one_before() -> None:
-    desk = open_desk()
-    desk.hello(link_hash=LINK_HASH ^ 1)
-    assert desk.bench.ticks_since_host_frame() == NEVER
-    (ack,) = acks_in(desk.ask(ArmMessage(3)))
+    harness = open_harness()
+    harness.hello(link_hash=LINK_HASH ^ 1)
+    assert harness.native.ticks_since_host_frame() == NEVER
+    (ack,) = acks_in(harness.ask(ArmMessage(3)))
     assert ack.result == Result.NO_HANDSHAKE
 
 
 def test_welcome_carries_the_device_time() -> None:
-    desk = Desk()
-    desk.turn(ticks=1234)
-    assert desk.hello().tick == 1234
+    harness = Harness()
+    harness.turn(ticks=1234)
+    assert harness.hello().tick == 1234
 
 
 def test_the_age_of_the_link_counts_from_the_last_valid_frame() -> None:
-    desk = Desk()
-    assert desk.bench.ticks_since_host_frame() == NEVER
-    desk.hello()
-    desk.turn(ticks=250)
-    assert desk.bench.ticks_since_host_frame() == 250
-    desk.turn(b"noise\0more noise\0", ticks=10)
-    assert desk.bench.ticks_since_host_frame() == 260
-    desk.turn(desk.frame(PingMessage(1, 0)))
-    assert desk.bench.ticks_since_host_frame() == 0
+    harness = Harness()
+    assert harness.native.ticks_since_host_frame() == NEVER
+    harness.hello()
+    harness.turn(ticks=250)
+    assert harness.native.ticks_since_host_frame() == 250
+    harness.turn(b"noise\0more noise\0", ticks=10)
+    assert harness.native.ticks_since_host_frame() == 260
+    harness.turn(harness.frame(PingMessage(1, 0)))
+    assert harness.native.ticks_since_host_frame() == 0
 
 
 def test_a_retry_is_answered_from_memory_and_not_executed_again() -> None:
-    desk = open_desk(lambda _id, _payload: (Result.CHECK_FAILED, 21, 1.5))
-    first = acks_in(desk.ask(ArmMessage(7)))
-    again = acks_in(desk.ask(ArmMessage(7)))
+    harness = open_harness(lambda _id, _payload: (Result.CHECK_FAILED, 21, 1.5))
+    first = acks_in(harness.ask(ArmMessage(7)))
+    again = acks_in(harness.ask(ArmMessage(7)))
     assert first == again
     assert (first[0].result, first[0].detail, first[0].value) == (Result.CHECK_FAILED, 21, 1.5)
-    assert len(desk.executed) == 1
-    assert desk.status().duplicates == 1
+    assert len(harness.executed) == 1
+    assert harness.status().duplicates == 1
 
 
 def test_retries_that_overtake_the_answer_are_answered_once() -> None:
-    desk = open_desk()
-    frames = desk.turn(desk.frame(ArmMessage(7)) * 3, ticks=3)
-    assert len(desk.executed) == 1
+    harness = open_harness()
+    frames = harness.turn(harness.frame(ArmMessage(7)) * 3, ticks=3)
+    assert len(harness.executed) == 1
     assert len(acks_in(frames)) == 1
 
 
 def test_a_new_session_forgets_the_commands_of_the_old_one() -> None:
-    desk = open_desk()
-    desk.ask(ArmMessage(7))
-    desk.hello(session=2)
-    desk.ask(ArmMessage(7))
-    assert len(desk.executed) == 2
+    harness = open_harness()
+    harness.ask(ArmMessage(7))
+    harness.hello(session=2)
+    harness.ask(ArmMessage(7))
+    assert len(harness.executed) == 2
 
 
 def test_the_same_session_that_reconnects_does_not_repeat_its_command() -> None:
-    desk = open_desk()
-    desk.ask(ArmMessage(7))
-    desk.hello(session=1)
-    desk.ask(ArmMessage(7))
-    assert len(desk.executed) == 1
+    harness = open_harness()
+    harness.ask(ArmMessage(7))
+    harness.hello(session=1)
+    harness.ask(ArmMessage(7))
+    assert len(harness.executed) == 1
 
 
 def test_a_stop_is_executed_though_256_pings_brought_its_number_round_again() -> None:
-    desk = open_desk()
-    desk.ask(StopMessage(9))
+    harness = open_harness()
+    harness.ask(StopMessage(9))
     for request in range(10, 10 + 255):
-        desk.turn(desk.frame(PingMessage(request % 256, 0)))
-    desk.ask(StopMessage(9))
-    assert len(desk.executed) == 2
+        harness.turn(harness.frame(PingMessage(request % 256, 0)))
+    harness.ask(StopMessage(9))
+    assert len(harness.executed) == 2
 
 
 def test_the_same_number_on_another_command_is_another_command() -> None:
-    desk = open_desk()
-    desk.ask(ParamSetMessage(9, 10, 1.0))
-    desk.ask(ParamSetMessage(9, 10, 2.0))
-    desk.ask(StopMessage(9))
-    assert len(desk.executed) == 3
+    harness = open_harness()
+    harness.ask(ParamSetMessage(9, 10, 1.0))
+    harness.ask(ParamSetMessage(9, 10, 2.0))
+    harness.ask(StopMessage(9))
+    assert len(harness.executed) == 3
 
 
 def test_one_command_at_a_time_the_second_waits_for_its_retry() -> None:
-    desk = open_desk()
-    frames = desk.turn(desk.frame(ArmMessage(1)) + desk.frame(LandMessage(2)), ticks=3)
+    harness = open_harness()
+    frames = harness.turn(harness.frame(ArmMessage(1)) + harness.frame(LandMessage(2)), ticks=3)
     assert [ack.request for ack in acks_in(frames)] == [1]
-    (ack,) = acks_in(desk.ask(LandMessage(2)))
+    (ack,) = acks_in(harness.ask(LandMessage(2)))
     assert ack.request == 2
-    assert [message_id for message_id, _ in desk.executed] == [MessageId.ARM, MessageId.LAND]
+    assert [message_id for message_id, _ in harness.executed] == [MessageId.ARM, MessageId.LAND]
 
 
 def test_a_stop_on_the_heels_of_another_command_is_executed_without_a_retry() -> None:
-    desk = open_desk()
-    frames = desk.turn(desk.frame(ArmMessage(1)) + desk.frame(StopMessage(2)) * 3, ticks=4)
-    assert [message_id for message_id, _ in desk.executed] == [MessageId.ARM, MessageId.STOP]
+    harness = open_harness()
+    frames = harness.turn(harness.frame(ArmMessage(1)) + harness.frame(StopMessage(2)) * 3, ticks=4)
+    assert [message_id for message_id, _ in harness.executed] == [MessageId.ARM, MessageId.STOP]
     assert [ack.request for ack in acks_in(frames)] == [1, 2]
-    assert acks_in(desk.ask(StopMessage(2)))[0].request == 2
-    assert len(desk.executed) == 2
+    assert acks_in(harness.ask(StopMessage(2)))[0].request == 2
+    assert len(harness.executed) == 2
 
 
 @st.composite
@@ -180,13 +180,13 @@ def test_every_acknowledged_command_took_effect_once_whatever_the_line_lost(
         done.append(value)
         return Result.OK, 0, value
 
-    desk = open_desk(execute)
+    harness = open_harness(execute)
     for number in range(12):
         message = ParamSetMessage((first_request + number) % 256, 10, float(number))
         acknowledged = False
         for _attempt in range(5):
-            wire = desk.frame(message) * next(to_board, 1)
-            acks = acks_in(desk.turn(wire, ticks=4))
+            wire = harness.frame(message) * next(to_board, 1)
+            acks = acks_in(harness.turn(wire, ticks=4))
             arrived = acks * next(from_board, 1)
             if arrived:
                 assert {(ack.request, ack.value) for ack in arrived} == {(message.request, float(number))}
@@ -199,8 +199,8 @@ def test_every_acknowledged_command_took_effect_once_whatever_the_line_lost(
 
 
 def test_a_setpoint_before_the_handshake_is_not_remembered() -> None:
-    desk = Desk()
-    desk.turn(desk.frame(SetpointMessage(0, 0.1, 0.0, 0.0)))
-    desk.hello()
-    desk.turn(ticks=5)
-    assert desk.streamed == []
+    harness = Harness()
+    harness.turn(harness.frame(SetpointMessage(0, 0.1, 0.0, 0.0)))
+    harness.hello()
+    harness.turn(ticks=5)
+    assert harness.streamed == []

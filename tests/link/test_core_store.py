@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import zlib
-from typing import Protocol
 
 import pytest
-from heli_host.link.declaration import LINK_HASH, PARAMS, ParamsSource
-from heli_sim._native import link as core_link
+from heli_host.declaration import LINK_HASH, PARAMS, ParamsSource
+from heli_test_native import link as core_link
 from hypothesis import given
 from hypothesis import strategies as st
 
+DUTY_FULL = 2100
 PAGE = 256
 STEPS_OF_A_SAVE = 2 * PAGE  # erase and write, byte by byte
 STEPS_OF_THE_FIRST = 2 * STEPS_OF_A_SAVE  # it writes both copies
@@ -18,43 +18,36 @@ HOVER = next(spec.index for spec in PARAMS if spec.name == "hover_V")
 HOVER_DEFAULT = core_link.Params().get(HOVER)
 
 
-class Board(Protocol):
-    """Two pages of flash, and how many bytes it may still change before power fails."""
-
-    flash: bytes
-    steps_left: int | None
-
-
-def load(board: Board) -> tuple[int, float]:
+def load(board: core_link.Board) -> tuple[int, float]:
     """What a board that starts with this flash finds: the source and a value."""
     params = core_link.Params()
     return core_link.Store(board).load(params), params.get(HOVER)
 
 
-def save(board: Board, hover_V: float) -> bool:
+def save(board: core_link.Board, hover_V: float) -> bool:
     params = core_link.Params()
     params.set(HOVER, hover_V, True)
     return bool(core_link.Store(board).save(params))
 
 
-def pages(board: Board) -> list[bytes]:
+def pages(board: core_link.Board) -> list[bytes]:
     return [board.flash[:PAGE], board.flash[PAGE:]]
 
 
-def saved_board(*hovers_V: float) -> Board:
-    board: Board = core_link.Board()
+def saved_board(*hovers_V: float) -> core_link.Board:
+    board = core_link.Board(DUTY_FULL, PAGE)
     for hover_V in hovers_V:
         assert save(board, hover_V)
     return board
 
 
-def damage(board: Board, page: int, at: int, bits: int = 0x10) -> None:
+def damage(board: core_link.Board, page: int, at: int, bits: int = 0x10) -> None:
     flash = bytearray(board.flash)
     flash[page * PAGE + at] ^= bits
     board.flash = bytes(flash)
 
 
-def rewrite(board: Board, page: int, at: int, new: bytes) -> None:
+def rewrite(board: core_link.Board, page: int, at: int, new: bytes) -> None:
     """Change a page and make its CRC right again."""
     flash = bytearray(board.flash)
     start = page * PAGE
@@ -65,7 +58,7 @@ def rewrite(board: Board, page: int, at: int, new: bytes) -> None:
 
 
 def test_an_erased_board_has_the_declared_defaults() -> None:
-    assert load(core_link.Board()) == (ParamsSource.DEFAULTS, HOVER_DEFAULT)
+    assert load(core_link.Board(DUTY_FULL, PAGE)) == (ParamsSource.DEFAULTS, HOVER_DEFAULT)
 
 
 def test_what_was_saved_is_there_at_the_next_start() -> None:
@@ -74,7 +67,7 @@ def test_what_was_saved_is_there_at_the_next_start() -> None:
 
 
 def test_saves_take_turns_and_the_newest_counts() -> None:
-    board: Board = core_link.Board()
+    board = core_link.Board(DUTY_FULL, PAGE)
     for generation in range(1, 8):
         before = pages(board)
         assert save(board, float(generation))

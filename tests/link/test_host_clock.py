@@ -6,6 +6,7 @@ import random
 
 import numpy as np
 import pytest
+from heli_host.declaration import Channel
 from heli_host.link.accounting import TickAccount
 from heli_host.link.clock import ClockEstimate, ClockFit
 from heli_host.link.telemetry import Ticks
@@ -100,7 +101,7 @@ def test_a_reset_forgets() -> None:
 
 def ticks_of(*numbers: int) -> Ticks:
     tick = np.array([number % 2**32 for number in numbers], np.uint32)
-    return Ticks(tick, np.arange(len(numbers) * 11, dtype=np.int32).reshape(-1, 11))
+    return Ticks(tick, np.arange(len(numbers) * len(Channel), dtype=np.int32).reshape(-1, len(Channel)))
 
 
 def test_consecutive_ticks_are_received_and_none_lost() -> None:

@@ -6,7 +6,7 @@ import inspect
 import re
 
 from heli_host import errors
-from heli_host.link.declaration import FAULTS, PARAMS, Param
+from heli_host.declaration import FAULTS, PARAMS, Param
 
 
 def printed_tree() -> dict[str, str]:

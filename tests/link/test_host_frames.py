@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 import pytest
-from heli_host.link.declaration import MAX_COMMAND_PAYLOAD, MAX_TELEMETRY_PAYLOAD, PROTOCOL
+from heli_host.declaration import MAX_COMMAND_PAYLOAD, MAX_TELEMETRY_PAYLOAD, PROTOCOL
 from heli_host.link.frames import Frame, FrameParser, encode_frame
 from hypothesis import given
 from hypothesis import strategies as st

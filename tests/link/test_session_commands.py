@@ -6,8 +6,7 @@ import itertools
 import math
 
 import pytest
-from heli_host.errors import CommandRefused, CommandTimeout, LinkLost
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     AckMessage,
     ArmMessage,
     ControlMessage,
@@ -21,6 +20,7 @@ from heli_host.link.declaration import (
     StatusMessage,
     VoltagesMessage,
 )
+from heli_host.errors import CommandRefused, CommandTimeout, LinkLost
 from heli_host.link.session import Session
 
 from tests.link.fake_board import FakeBoard, FakeLine

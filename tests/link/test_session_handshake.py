@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
+from heli_host.declaration import LINK_HASH, LINK_VERSION, MessageId
 from heli_host.errors import HandshakeTimeout, LinkVersionMismatch, WrongDevice
-from heli_host.link.declaration import LINK_HASH, LINK_VERSION, MessageId
 from heli_host.link.session import Session
 
 from tests.link.fake_board import BATCH_TICKS, FakeBoard, FakeLine

@@ -8,10 +8,9 @@ from collections.abc import Callable
 import heli_host
 import numpy as np
 import pytest
-from heli_host.errors import CommandRefused, ControllerError, ParameterError, SetpointError, WaitTimeout
-from heli_host.heli import Heli
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     PARAMS,
+    Channel,
     Excitation,
     ExciteMessage,
     MessageId,
@@ -21,6 +20,8 @@ from heli_host.link.declaration import (
     State,
     VoltagesMessage,
 )
+from heli_host.errors import CommandRefused, ControllerError, ParameterError, SetpointError, WaitTimeout
+from heli_host.heli import Heli
 from heli_host.link.session import Session
 from heli_host.link.telemetry import Ticks
 from heli_host.samples import Sample, SampleRing, Samples
@@ -54,10 +55,10 @@ def test_samples_are_the_raw_channels_in_units() -> None:
     assert (np.diff(samples.tick) == 1).all()
     np.testing.assert_allclose(samples.t_s, samples.tick * 1e-3)
     raw = np.array([truth(int(tick)) for tick in samples.tick])
-    np.testing.assert_allclose(samples.elevation_rad, raw[:, 0] * RAD_PER_COUNT)
-    np.testing.assert_allclose(samples.travel_rad, raw[:, 2] * RAD_PER_COUNT)
-    np.testing.assert_allclose(samples.pitch_setpoint_rad, raw[:, 4] * 1e-5)
-    np.testing.assert_allclose(samples.back_V, raw[:, 7] * 1e-3)
+    np.testing.assert_allclose(samples.elevation_rad, raw[:, Channel.ELEVATION_COUNT] * RAD_PER_COUNT)
+    np.testing.assert_allclose(samples.travel_rad, raw[:, Channel.TRAVEL_COUNT] * RAD_PER_COUNT)
+    np.testing.assert_allclose(samples.pitch_setpoint_rad, raw[:, Channel.PITCH_SETPOINT] * 1e-5)
+    np.testing.assert_allclose(samples.back_V, raw[:, Channel.BACK] * 1e-3)
     latest = heli.latest
     assert latest.tick == samples.tick[-1]
     assert latest.elevation_deg == pytest.approx(math.degrees(samples.elevation_rad[-1]))
@@ -68,7 +69,7 @@ def test_a_negative_count_parameter_reverses_on_the_board_not_again_here() -> No
     board = FakeBoard()
     board.params[Param.PITCH_COUNTS_PER_REV] = -2048.0
     sample = connected(board).latest
-    assert sample.pitch_rad == pytest.approx(truth(sample.tick)[1] * 2.0 * math.pi / 2048.0)
+    assert sample.pitch_rad == pytest.approx(truth(sample.tick)[Channel.PITCH_COUNT] * 2.0 * math.pi / 2048.0)
 
 
 def test_the_ring_keeps_the_newest_whatever_the_pieces() -> None:
@@ -76,7 +77,7 @@ def test_the_ring_keeps_the_newest_whatever_the_pieces() -> None:
     tick = 2**32 - 150
     for size in (1, 99, 100, 30, 70, 250, 7):
         numbers = (np.arange(size) + tick).astype(np.uint32)
-        ring.append(Ticks(numbers, np.repeat(numbers.view(np.int32)[:, None], 11, axis=1)))
+        ring.append(Ticks(numbers, np.repeat(numbers.view(np.int32)[:, None], len(Channel), axis=1)))
         tick += size
     newest = ring.newest()
     assert newest.tick.tolist() == [(tick - 100 + k) % 2**32 for k in range(100)]

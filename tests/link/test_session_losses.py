@@ -7,12 +7,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from heli_host.declaration import ArmMessage, Param, ParamSetMessage, Result
 from heli_host.errors import HeliError, LinkError, LinkLost
-from heli_host.link.declaration import ArmMessage, Param, ParamSetMessage, Result
 from heli_host.link.events import BOARD_RESTARTED, LINK_LOST, LINK_RESTORED, LINK_SILENT
 from heli_host.link.session import Session
 from heli_host.link.telemetry import Ticks
 
+from tests.channels.groups import SIGNED
 from tests.link.fake_board import FakeBoard, FakeLine, truth
 
 
@@ -25,7 +26,8 @@ def collected(session: Session) -> list[Ticks]:
 def assert_true(seen: list[Ticks]) -> None:
     for ticks in seen:
         for tick, raw in zip(ticks.tick.tolist(), ticks.raw.tolist(), strict=True):
-            assert raw[:8] == truth(tick)[:8]
+            expected = truth(tick)
+            assert [raw[channel] for channel in SIGNED] == [expected[channel] for channel in SIGNED]
 
 
 def span(seen: list[Ticks]) -> int:

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from heli_host.declaration import ArmMessage, Param, ParamSetMessage
 from heli_host.errors import BadBaud, HeliError, LinkError, LinkLost, PortError
-from heli_host.link.declaration import ArmMessage, Param, ParamSetMessage
 from heli_host.link.events import LINK_LOST, LINK_RESTORED
 from heli_host.link.session import Session
 from heli_host.link.telemetry import Ticks

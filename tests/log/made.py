@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from heli_host.link.declaration import PARAMS, State
+from heli_host.declaration import PARAMS, Axis, Channel, Flags, State
+from heli_host.link.channels import rad_per_count
 from heli_host.log.writer import LogWriter
 from numpy.typing import NDArray
 
+from tests.channels.groups import COUNTS, SETPOINTS
+
 PARAMETERS = {spec.name: spec.default for spec in PARAMS}
-RAD_PER_COUNT = np.full(3, 2.0 * np.pi / 4096.0)
+RAD_PER_COUNT = rad_per_count(PARAMETERS)
 WALL_NS = 1_700_000_000_000_000_000
 BATCH = 20
 
@@ -18,7 +21,7 @@ BATCH = 20
 def make_samples(
     n: int, first_tick: int = 5000, seed: int = 1
 ) -> tuple[NDArray[np.uint32], NDArray[np.int32]]:
-    """Return ticks (n,) and channels (n, 11) of a flight: rest, arming, rise, a sine on two axes, landing."""
+    """Return ticks (n,) and raw numbers (n, channels): rest, arming, rise, a sine on two axes, landing."""
     rng = np.random.default_rng(seed)
     t_s = np.arange(n) * 1e-3
     end_s = n * 1e-3
@@ -34,16 +37,18 @@ def make_samples(
             20.0 * wave * flying,
         )
     )
-    angle_deg = np.vstack([np.roll(setpoint_deg[:, axis], lag) for axis, lag in enumerate((60, 40, 300))]).T
-    raw = np.zeros((n, 11), np.int32)
-    raw[:, :3] = np.rint(np.deg2rad(angle_deg) / RAD_PER_COUNT) + rng.integers(-1, 2, (n, 3))
-    raw[:, 3:6] = np.rint(np.deg2rad(setpoint_deg) * 1e5)
+    lags = zip(Axis, (60, 40, 300), strict=True)
+    angle_deg = np.column_stack([np.roll(setpoint_deg[:, axis], lag) for axis, lag in lags])
+    raw = np.zeros((n, len(Channel)), np.int32)
+    raw[:, COUNTS] = np.rint(np.deg2rad(angle_deg) / RAD_PER_COUNT) + rng.integers(-1, 2, angle_deg.shape)
+    raw[:, SETPOINTS] = np.rint(np.deg2rad(setpoint_deg) * 1e5)
     collective_mV = 1700.0 * flying + 1400.0 * (t_s >= edges_s[2]) * (t_s < edges_s[3])
-    raw[:, 6] = np.rint(collective_mV + 8.0 * setpoint_deg[:, 1] + 40.0 * rng.standard_normal(n) * flying)
-    raw[:, 7] = np.rint(collective_mV - 8.0 * setpoint_deg[:, 1] + 40.0 * rng.standard_normal(n) * flying)
+    for motor, sign in ((Channel.FRONT, 8.0), (Channel.BACK, -8.0)):
+        noise_mV = 40.0 * rng.standard_normal(n) * flying
+        raw[:, motor] = np.rint(collective_mV + sign * setpoint_deg[:, Axis.PITCH] + noise_mV)
     states = (State.IDLE, State.ARMED, State.CLOSED_LOOP, State.LANDING, State.IDLE)
-    raw[:, 8] = np.array(states)[np.searchsorted(edges_s, t_s, side="right")]
-    raw[:, 10] = 8
+    raw[:, Channel.STATE] = np.array(states)[np.searchsorted(edges_s, t_s, side="right")]
+    raw[:, Channel.FLAGS] = Flags.LINK_ALIVE
     return (np.uint32(first_tick) + np.arange(n, dtype=np.uint32)).astype(np.uint32), raw
 
 

@@ -9,12 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.declaration import Axis, Channel, State
 from heli_host.errors import LogWriteError
 from heli_host.flight import Flight
-from heli_host.log.export import export_csv, export_mat, export_parquet
+from heli_host.log.export import export_mat, export_parquet
 from heli_host.log.figure import draw, write_figure
+from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import read_log
 from heli_host.log.summary import flown_rows, summarise, tracking_errors_deg
+from heli_host.log.table import write_csv
 
 from tests.log.made import make_samples, open_writer, write_made_log
 
@@ -22,7 +25,7 @@ from tests.log.made import make_samples, open_writer, write_made_log
 @pytest.fixture
 def flight(tmp_path: Path) -> Flight:
     write_made_log(tmp_path / "a.mcap", 3000)
-    return Flight.read(tmp_path / "a.mcap")
+    return read_flight(tmp_path / "a.mcap")
 
 
 def test_matlab_gets_columns_parameters_and_plan(tmp_path: Path, flight: Flight) -> None:
@@ -38,7 +41,7 @@ def test_matlab_gets_columns_parameters_and_plan(tmp_path: Path, flight: Flight)
 
 
 def test_a_table_gets_every_column(tmp_path: Path, flight: Flight) -> None:
-    export_csv(flight, tmp_path / "a.csv")
+    write_csv(flight, tmp_path / "a.csv")
     header = next(line for line in (tmp_path / "a.csv").read_text().splitlines() if not line.startswith("#"))
     assert header.split(",") == list(flight.columns())
 
@@ -56,7 +59,7 @@ def test_parquet_gets_every_column_or_says_what_to_install(
     np.testing.assert_array_equal(table["pitch_rad"].to_numpy(), flight.pitch_rad)
 
 
-@pytest.mark.parametrize("export", [export_csv, export_mat])
+@pytest.mark.parametrize("export", [write_csv, export_mat])
 def test_an_export_into_a_missing_folder_is_one_line(tmp_path: Path, flight: Flight, export: object) -> None:
     assert callable(export)
     with pytest.raises(LogWriteError, match="choose another folder"):
@@ -86,7 +89,7 @@ def test_a_summary_says_what_the_log_says(tmp_path: Path, flight: Flight) -> Non
     assert content["ticks_logged"] == 3000 and content["ticks_lost"] == 0
     assert content["duration_s"] == pytest.approx(2.999)
     assert content["rms_error_deg"]["travel"] == pytest.approx(
-        np.sqrt(np.mean(errors_deg[:, 2] ** 2)), abs=1e-4
+        np.sqrt(np.mean(errors_deg[:, Axis.TRAVEL] ** 2)), abs=1e-4
     )
     assert content["link"] == {"frames_ok": 150, "frames_bad": 0, "retries": 0, "reconnects": 0}
     assert content["plans"] == ["sine"] and content["rig"] == "makki2024"
@@ -104,7 +107,7 @@ def test_a_log_that_was_not_closed_says_so_in_its_summary(tmp_path: Path) -> Non
 
 def test_an_axis_that_was_never_closed_has_no_error(tmp_path: Path) -> None:
     tick, raw = make_samples(1500)
-    raw[:, 8] = 3
+    raw[:, Channel.STATE] = State.OPEN_LOOP
     writer = open_writer(tmp_path / "open.mcap")
     writer.write_ticks(tick, raw)
     writer.close()
@@ -114,6 +117,7 @@ def test_an_axis_that_was_never_closed_has_no_error(tmp_path: Path) -> None:
     json.dumps(summary.as_dict(), allow_nan=False)
 
 
+@pytest.mark.slow
 def test_a_figure_shows_angles_setpoints_voltages_and_states(tmp_path: Path, flight: Flight) -> None:
     summary = summarise(read_log(tmp_path / "a.mcap"))
     figure = draw(flight, summary)
@@ -129,13 +133,13 @@ def test_a_figure_shows_angles_setpoints_voltages_and_states(tmp_path: Path, fli
 
 def test_a_long_flight_is_thinned_without_losing_a_peak(tmp_path: Path) -> None:
     tick, raw = make_samples(60_000)
-    raw[31_234, 1] = 4000
+    raw[31_234, Channel.PITCH_COUNT] = 4000
     writer = open_writer(tmp_path / "long.mcap")
     writer.write_ticks(tick, raw)
     writer.close()
     log = read_log(tmp_path / "long.mcap")
     figure = draw(log.flight(), summarise(log))
-    line = next(line for line in figure.axes[2].lines if line.get_label() == "measured")
+    line = next(line for line in figure.axes[1 + Axis.PITCH].lines if line.get_label() == "measured")
     points_deg = np.asarray(line.get_ydata())
     assert len(points_deg) < 10_000
     assert points_deg.max() == pytest.approx(4000 * 360 / 4096)

@@ -13,9 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.declaration import Channel
 from heli_host.errors import HeliError, LogError, LogWriteError, TruncatedLog
-from heli_host.flight import Flight
 from heli_host.log.clock import TickClock
+from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import read_log
 from heli_host.log.schema import TICK_LAYOUT, TICK_SCHEMA, TICK_TOPIC, parse_layout
 from heli_host.log.writer import CHUNK_TICKS, LogWriter
@@ -24,6 +25,8 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 
+from tests.channels.groups import SETPOINTS
+from tests.link import host_reference as reference
 from tests.log.made import PARAMETERS, RAD_PER_COUNT, WALL_NS, make_samples, open_writer, write_made_log
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -38,21 +41,12 @@ def test_a_tick_written_is_the_tick_read(tmp_path: Path) -> None:
 
 
 @settings(max_examples=40, deadline=None)
-@given(
-    counts=st.lists(st.integers(-(2**31), 2**31 - 1), min_size=3, max_size=3),
-    setpoints=st.lists(st.integers(-8_000_000, 8_000_000), min_size=3, max_size=3),
-    volts=st.lists(st.integers(-(2**15), 2**15 - 1), min_size=2, max_size=2),
-    status=st.lists(st.integers(0, 255), min_size=3, max_size=3),
-)
+@given(st.tuples(*(st.integers(*reference.limits(wire_type)) for wire_type in reference.TYPES)))
 def test_every_channel_survives_at_its_extremes(
-    tmp_path_factory: pytest.TempPathFactory,
-    counts: list[int],
-    setpoints: list[int],
-    volts: list[int],
-    status: list[int],
+    tmp_path_factory: pytest.TempPathFactory, row: tuple[int, ...]
 ) -> None:
     path = tmp_path_factory.mktemp("extremes") / "a.mcap"
-    raw = np.array([[*counts, *setpoints, *volts, *status]], np.int32)
+    raw = np.array([row], np.int32)
     writer = open_writer(path)
     writer.write_ticks(np.array([7], np.uint32), raw)
     writer.close()
@@ -61,11 +55,11 @@ def test_every_channel_survives_at_its_extremes(
 
 def test_the_flight_of_a_log_has_angles_from_the_exact_counts(tmp_path: Path) -> None:
     _, raw = write_made_log(tmp_path / "a.mcap", 3000)
-    flight = Flight.read(tmp_path / "a.mcap")
-    np.testing.assert_array_equal(flight.elevation_rad, raw[:, 0] * (2 * np.pi / 4096))
-    np.testing.assert_array_equal(flight.back_V, raw[:, 7] * 1e-3)
+    flight = read_flight(tmp_path / "a.mcap")
+    np.testing.assert_array_equal(flight.elevation_rad, raw[:, Channel.ELEVATION_COUNT] * (2 * np.pi / 4096))
+    np.testing.assert_array_equal(flight.back_V, raw[:, Channel.BACK] * 1e-3)
     assert flight.setpoints_rad is not None
-    np.testing.assert_array_equal(flight.setpoints_rad, raw[:, 3:6] * 1e-5)
+    np.testing.assert_array_equal(flight.setpoints_rad, raw[:, SETPOINTS] * 1e-5)
     assert flight.t_s[0] == 0.0 and flight.step_s == pytest.approx(1e-3)
     assert flight.parameters == pytest.approx(PARAMETERS)
     assert flight.state is not None and flight.state_names[int(flight.state[1500])] == "closed_loop"
@@ -99,7 +93,7 @@ def test_the_mcap_library_reads_the_same_ticks_by_index_and_by_stream(tmp_path: 
         metadata = {record.name: record.metadata for record in reader.iter_metadata()}
     payloads = np.array([np.frombuffer(message.data[4:], TICK_LAYOUT.dtype)[0] for message in messages])
     np.testing.assert_array_equal(payloads["tick"], tick)
-    np.testing.assert_array_equal(payloads["travel_count"], raw[:, 2])
+    np.testing.assert_array_equal(payloads["travel_count"], raw[:, Channel.TRAVEL_COUNT])
     assert [message.sequence for message in messages] == tick.tolist()
     assert messages[-1].log_time - messages[0].log_time == 2499 * 1_000_000
     assert metadata["result"]["outcome"] == "completed"
@@ -126,9 +120,9 @@ def test_a_ros_2_reader_that_knows_only_the_schema_reads_every_field(tmp_path: P
     with (tmp_path / "a.mcap").open("rb") as file:
         reader = make_reader(file, decoder_factories=[decoder.DecoderFactory()])
         decoded = [message for *_, message in reader.iter_decoded_messages(topics=[TICK_TOPIC])]
-    assert decoded[1000].pitch_count == raw[1000, 1]
-    assert decoded[1000].front_volt == np.float32(raw[1000, 6] * 1e-3)
-    assert decoded[1000].flags == raw[1000, 10]
+    assert decoded[1000].pitch_count == raw[1000, Channel.PITCH_COUNT]
+    assert decoded[1000].front_volt == np.float32(raw[1000, Channel.FRONT] * 1e-3)
+    assert decoded[1000].flags == raw[1000, Channel.FLAGS]
 
 
 def test_field_names_are_such_that_viewers_take_them() -> None:
@@ -242,6 +236,8 @@ def test_a_missing_log_is_one_line(tmp_path: Path) -> None:
 _WRITE_FOR_EVER = """
 import sys, time
 from pathlib import Path
+from tests.channels.groups import SETPOINTS
+from tests.link import host_reference as reference
 from tests.log.made import make_samples, open_writer
 tick, raw = make_samples(100_000)
 writer = open_writer(Path(sys.argv[1]))
@@ -323,8 +319,8 @@ def test_lost_ticks_are_counted_and_time_goes_on_behind_them(tmp_path: Path) -> 
     assert log.ticks_lost == 41
     np.testing.assert_allclose(log.ticks["t_s"], np.arange(3000)[keep] * 1e-3, atol=1e-12)
     with pytest.raises(HeliError, match="2 gaps"):
-        Flight.read(tmp_path / "a.mcap")
-    assert Flight.read(tmp_path / "a.mcap", allow_gaps=True).gaps.tolist() == [999, 1459]
+        read_flight(tmp_path / "a.mcap")
+    assert read_flight(tmp_path / "a.mcap", allow_gaps=True).gaps.tolist() == [999, 1459]
 
 
 def test_a_restarted_board_goes_on_in_the_same_log(tmp_path: Path) -> None:

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from heli_host.errors import FlightDataError, HeliError, LogWriteError
 from heli_host.flight import REQUIRED_COLUMNS, Flight
+from heli_host.log.flight_file import read_flight
+from heli_host.log.table import write_csv
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -45,7 +47,7 @@ def told_rates_Hz(folder: Path) -> set[float]:
 @pytest.mark.skipif(not SHARED_FILES, reason="skipped: no shared data")
 @pytest.mark.parametrize("path", SHARED_FILES, ids=lambda path: f"{path.parent.name}/{path.name}")
 def test_every_shared_flight_reads(path: Path) -> None:
-    flight = Flight.read(path)
+    flight = read_flight(path)
     rates_Hz = told_rates_Hz(path.parent)
     assert rates_Hz and min(abs(flight.step_s * rate_Hz - 1.0) for rate_Hz in rates_Hz) < 1e-3
     assert len(flight) > 5000
@@ -63,7 +65,7 @@ def test_columns_come_by_name_and_notes_into_meta(tmp_path: Path) -> None:
         "# noticed: something",
         *(f"11.8,{row}" for row in rows(20)[5:]),
     )
-    flight = Flight.read(path)
+    flight = read_flight(path)
     assert flight.meta == {"rig": "left one", "noticed": "something", "notes": "free words"}
     assert flight.extra["battery_V"][0] == 11.9 and flight.extra["battery_V"][-1] == 11.8
     np.testing.assert_allclose(flight.travel_rad, 0.003 * np.arange(20))
@@ -72,29 +74,29 @@ def test_columns_come_by_name_and_notes_into_meta(tmp_path: Path) -> None:
 
 def test_a_column_of_words_is_left_out(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", HEADER + ",mood", *(row + ",good" for row in rows()))
-    assert Flight.read(path).extra == {}
+    assert read_flight(path).extra == {}
 
 
 def test_a_flight_written_as_table_is_read_back(tmp_path: Path) -> None:
     write_made_log(tmp_path / "a.mcap", 3000)
-    flight = Flight.read(tmp_path / "a.mcap")
+    flight = read_flight(tmp_path / "a.mcap")
     for name in ("a.csv", "a.csv.gz"):
-        flight.write_csv(tmp_path / name)
-        again = Flight.read(tmp_path / name)
+        write_csv(flight, tmp_path / name)
+        again = read_flight(tmp_path / name)
         np.testing.assert_allclose(again.angles_rad, flight.angles_rad, atol=1e-9)
         np.testing.assert_allclose(again.voltages_V, flight.voltages_V, atol=1e-9)
         np.testing.assert_array_equal(again.state, flight.state)
         assert again.parameters == flight.parameters and again.plan == flight.plan
         assert again.state_names == flight.state_names and again.meta == flight.meta
         assert [event.text for event in again.events] == [event.text for event in flight.events]
-    flight.write_csv(tmp_path / "b.csv.gz")
+    write_csv(flight, tmp_path / "b.csv.gz")
     assert (tmp_path / "a.csv.gz").read_bytes() == (tmp_path / "b.csv.gz").read_bytes()
 
 
 def test_a_table_into_a_missing_folder_is_one_line(tmp_path: Path) -> None:
-    flight = Flight.read(write(tmp_path / "a.csv", HEADER, *rows()))
+    flight = read_flight(write(tmp_path / "a.csv", HEADER, *rows()))
     with pytest.raises(LogWriteError, match="choose another folder"):
-        flight.write_csv(tmp_path / "missing" / "a.csv")
+        write_csv(flight, tmp_path / "missing" / "a.csv")
 
 
 def replaced(line: int, column: int, value: str) -> list[str]:
@@ -131,7 +133,7 @@ def test_what_cannot_be_trusted_is_refused_with_its_place(
 ) -> None:
     path = write(tmp_path / "a.csv", *lines)
     with pytest.raises(FlightDataError) as raised:
-        Flight.read(path)
+        read_flight(path)
     assert said in str(raised.value) and str(path) in str(raised.value)
     assert "\n" not in str(raised.value)
 
@@ -147,16 +149,16 @@ def steps_of(axis: int, step: float) -> list[str]:
 def test_degrees_below_any_limit_are_known_by_their_steps(tmp_path: Path, axis: int, name: str) -> None:
     path = write(tmp_path / "a.csv", HEADER, *steps_of(axis, 360 / 4096))
     with pytest.raises(FlightDataError, match=rf"{name} .*looks like degrees; multiply the angles by pi/180"):
-        Flight.read(path)
+        read_flight(path)
 
 
 def test_travel_may_turn_many_times_in_radians(tmp_path: Path) -> None:
-    Flight.read(write(tmp_path / "a.csv", HEADER, *steps_of(5, 2 * np.pi / 4096)))
+    read_flight(write(tmp_path / "a.csv", HEADER, *steps_of(5, 2 * np.pi / 4096)))
 
 
 def test_gaps_are_taken_on_request(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", HEADER, *rows()[:9], *rows()[12:])
-    assert Flight.read(path, allow_gaps=True).gaps.tolist() == [8]
+    assert read_flight(path, allow_gaps=True).gaps.tolist() == [8]
 
 
 @pytest.mark.parametrize(
@@ -171,16 +173,17 @@ def test_a_broken_archive_is_one_line(tmp_path: Path, content: Callable[[bytes],
     packed = gzip.compress("\n".join([HEADER, *rows(500)]).encode())
     (tmp_path / "a.csv.gz").write_bytes(content(packed))
     with pytest.raises(FlightDataError, match=said):
-        Flight.read(tmp_path / "a.csv.gz")
+        read_flight(tmp_path / "a.csv.gz")
 
 
 def test_a_file_of_another_kind_or_none_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(FlightDataError, match=r"\.mcap, \.csv or \.csv\.gz"):
-        Flight.read(tmp_path / "a.xlsx")
+        read_flight(tmp_path / "a.xlsx")
     with pytest.raises(FlightDataError, match="check the path"):
-        Flight.read(tmp_path / "a.csv")
+        read_flight(tmp_path / "a.csv")
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(st.one_of(st.binary(max_size=300), st.text(max_size=300).map(str.encode)), st.booleans())
 def test_bytes_of_any_kind_raise_nothing_but_flight_data_errors(
@@ -189,7 +192,7 @@ def test_bytes_of_any_kind_raise_nothing_but_flight_data_errors(
     path = tmp_path_factory.getbasetemp() / "any.csv"
     path.write_bytes(HEADER.encode() + b"\n" + content if with_header else content)
     try:
-        Flight.read(path)
+        read_flight(path)
     except HeliError as error:
         assert isinstance(error, FlightDataError)
         assert "\n" not in str(error)
@@ -197,7 +200,7 @@ def test_bytes_of_any_kind_raise_nothing_but_flight_data_errors(
 
 def test_a_part_keeps_its_time_axis_and_its_events(tmp_path: Path) -> None:
     write_made_log(tmp_path / "a.mcap", 3000)
-    flight = Flight.read(tmp_path / "a.mcap")
+    flight = read_flight(tmp_path / "a.mcap")
     part = flight.between(0.5, 2.0)
     assert len(part) == 1500 and part.t_s[0] == pytest.approx(0.5)
     assert [event.text for event in part.events] == ["sine"]
@@ -215,8 +218,9 @@ def test_studying_a_flight_imports_no_session_and_no_port(tmp_path: Path) -> Non
     write_made_log(tmp_path / "a.mcap", 2000)
     script = (
         "import sys\n"
-        "from heli_host.flight import Flight\n"
-        f"Flight.read({str(tmp_path / 'a.mcap')!r}).write_csv({str(tmp_path / 'a.csv')!r})\n"
+        "from heli_host.log.flight_file import read_flight\n"
+        "from heli_host.log.table import write_csv\n"
+        f"write_csv(read_flight({str(tmp_path / 'a.mcap')!r}), {str(tmp_path / 'a.csv')!r})\n"
         "print(*sorted(sys.modules))\n"
     )
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)

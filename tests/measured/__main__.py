@@ -7,9 +7,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from heli_sim.diagnose.run import diagnose
-from heli_sim.identify.record import AXES
+from heli_lab.diagnose import diagnose, to_json
 from heli_sim.model import MultibodyModel
+from heli_sim.model.parts import AXES
 from heli_sim.rig import load_rig
 
 from tests.measured.figures import figure_of_pair, figure_of_sizes
@@ -80,8 +80,9 @@ def _row(pair: str, one: Told) -> str:
 
 def _diagnosed(pair: str) -> str:
     """What the search says of a pair."""
-    train, held = flights(pair)
-    answer = diagnose(MultibodyModel(), load_rig(RIG), [train], [held], labels=list(PAIRS[pair])).json()
+    train, held_out = flights(pair)
+    found = diagnose(MultibodyModel(), load_rig(RIG), [train], [held_out], labels=list(PAIRS[pair]))
+    answer = to_json(found)
     causes = [
         f"{one['effect']} (confidence {one['confidence']:.2f}; "
         + ", ".join(f"{n} {v['value']:.4f} +- {v['std']:.4f}" for n, v in one["parameters"].items())

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from heli_sim.identify import trace
+from heli_lab.identify import trace
 
 from tests.measured.pairs import Told
 
@@ -38,8 +38,8 @@ def figure_of_pair(before: Told, after: Told, title: str) -> Figure:
     figure.subplots_adjust(0.085, 0.09, 0.985, 0.93, hspace=0.12)
     figure.suptitle(title, fontsize=10)
     for told, colour, label in ((before, _BEFORE, "baseline"), (after, _AFTER, "extended")):
-        assert told.hypothesis.held_fit is not None
-        seen = trace(told.hypothesis.held_fit)
+        assert told.hypothesis.held_out_fit is not None
+        seen = trace(told.hypothesis.held_out_fit)
         t_s = seen.t_s - seen.t_s[0]
         error_deg = np.rad2deg(seen.measured_rad - seen.predicted_rad)
         if told is before:

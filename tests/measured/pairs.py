@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from heli_host.flight import Flight
-from heli_sim.diagnose.gain import AxisGain, gain
-from heli_sim.diagnose.hypothesis import Bench, Hypothesis
-from heli_sim.diagnose.trial import Trial
-from heli_sim.identify import Record, prepare
+from heli_host.log.flight_file import read_flight
+from heli_lab.diagnose.candidate import Candidate
+from heli_lab.diagnose.error_reduction import ErrorReduction, error_reduction
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.identify import Record, prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig
@@ -45,7 +45,7 @@ TOLD: Final = (
 
 @dataclass(frozen=True)
 class Told:
-    """A pair, fitted with effects that it was told.
+    """A pair, fitted with given effects.
 
     Parameters
     ----------
@@ -53,13 +53,13 @@ class Told:
         Their ids.
     hypothesis : Hypothesis
         The fit, and its prediction of the other flight.
-    gain : dict of AxisGain
+    gain : dict of ErrorReduction
         Against the refitted baseline, on the other flight, by axis.
     """
 
     effects: tuple[str, ...]
     hypothesis: Hypothesis
-    gain: dict[str, AxisGain]
+    gain: dict[str, ErrorReduction]
 
 
 def flights(pair: str, back: bool = False) -> tuple[Record, Record]:
@@ -80,14 +80,14 @@ def flights(pair: str, back: bool = False) -> tuple[Record, Record]:
     rig = load_rig(RIG)
     names = PAIRS[pair][::-1] if back else PAIRS[pair]
     first, second = (
-        prepare(Flight.read(MEASURED / f"{name}.csv.gz"), rig, name, start_s=FROM_s, stop_s=LANDS_s.get(name))
+        prepare(read_flight(MEASURED / f"{name}.csv.gz"), rig, name, start_s=FROM_s, stop_s=LANDS_s.get(name))
         for name in names
     )
     return first, second
 
 
 def told(pair: str, models: Sequence[tuple[str, ...]] = TOLD, back: bool = False) -> list[Told]:
-    """Fit models with given effects, each from the rig's numbers and from the model before it.
+    """Fit models with given effects, each from the rig's parameters and from the model before it.
 
     Parameters
     ----------
@@ -103,20 +103,20 @@ def told(pair: str, models: Sequence[tuple[str, ...]] = TOLD, back: bool = False
     list of Told
         One a model.
     """
-    train, held = flights(pair, back)
-    bench = Bench(MultibodyModel(), load_rig(RIG), [train], [held])
+    train, held_out = flights(pair, back)
+    comparison = Comparison(MultibodyModel(), load_rig(RIG), [train], [held_out])
     kinds = catalogue()
     found: list[Told] = []
     for effects in models:
-        trials = [Trial(id_, kinds[id_].make(kinds[id_].typical), kinds[id_].size) for id_ in effects]
+        candidates = [Candidate(id_, kinds[id_].make(kinds[id_].typical), kinds[id_].size) for id_ in effects]
         starts = [None, found[-1].hypothesis.fit] if found else [None]
         # A valley is chosen by the flight that is fitted; the other one is only looked at.
-        best = min((bench.try_out(trials, start) for start in starts), key=_unlikely)
+        best = min((comparison.refit(candidates, start) for start in starts), key=_unlikely)
         baseline = found[0].hypothesis if found else best
-        found.append(Told(effects, best, gain(baseline, best)))
+        found.append(Told(effects, best, error_reduction(baseline, best)))
     return found
 
 
 def _unlikely(one: Hypothesis) -> float:
     """Minus the logarithm of the likelihood; a fit's own cost is in units of its own errors."""
-    return float(0.5 * one.train.rows.sum() * one.train.surprise.sum() + one.train.tension)
+    return float(0.5 * one.train.rows.sum() * one.train.neg2_log_likelihood.sum() + one.train.prior_penalty)

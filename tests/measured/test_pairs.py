@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from heli_sim.diagnose.screening import Screening
+from heli_lab.diagnose.screening import Screening
 from heli_sim.model.effects import catalogue
 
 from tests.measured.pairs import MEASURED, Told, told
@@ -36,7 +36,7 @@ def test_on_the_liveliest_pair_three_effects_halve_the_error_of_pitch_and_travel
 def test_what_a_refit_finds_the_screening_ranks_first_and_predicts(liveliest: list[Told]) -> None:
     beside, refitted = liveliest[2].hypothesis, liveliest[3].hypothesis
     left = [kind for id_, kind in catalogue().items() if id_ not in beside.ids and not kind.baseline]
-    first = Screening(beside.fit).effects([kind for kind in left if not kind.shaken])[0]
-    assert first.trial.id == "edgewise_flow"
+    first = Screening(beside.fit).effects([kind for kind in left if not kind.noise_inputs])[0]
+    assert first.candidate.id == "edgewise_flow"
     pitch = refitted.train.axis_normalised[1]
-    assert first.answer.variance[1] ** 0.5 == pytest.approx(pitch, rel=0.2)
+    assert first.result.variance[1] ** 0.5 == pytest.approx(pitch, rel=0.2)

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from heli_host.flight import Flight
-from heli_sim.identify.check import check
-from heli_sim.identify.problem import Problem
-from heli_sim.identify.record import prepare
-from heli_sim.identify.solve import solve
+from heli_lab.identify.check import check
+from heli_lab.identify.problem import Problem
+from heli_lab.identify.record import prepare
+from heli_lab.identify.solve import solve
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import EffectKind, catalogue
 from heli_sim.rig import Prior, load_rig
@@ -40,7 +40,7 @@ class Found:
     values, std : dict of float
         Estimates.
     normalised : float
-        What is left, in standard deviations of the encoders' rounding.
+        What is left, in standard deviations of the encoders' quantisation.
     """
 
     off: dict[str, float]

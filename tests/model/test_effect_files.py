@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 from heli_sim.errors import EffectError, RigError
-from heli_sim.model import MultibodyModel
+from heli_sim.model import MultibodyModel, effects
 from heli_sim.model.effects import catalogue, effect_numbers, parse_effects
-from heli_sim.model.effects.kind import spell
+from heli_sim.model.effects.catalogue import _built_in
+from heli_sim.model.effects.kind import format_estimate
 from heli_sim.model.effects.table import with_table
+from heli_sim.model.parts import AXES
 from heli_sim.plant import Plant
 from heli_sim.rig import Number, Rig, load_rig, write_rig
-from heli_sim.sil.flown import plant_of
 from heli_sim.sil.options import SilOptions, parse_url
+from heli_sim.sil.plant_factory import plant_of
 from matplotlib.mathtext import MathTextParser
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "effects.md"
-AXES = ("elevation", "pitch", "travel")
-ISSUE = [
+COMMON = [
     *("rotor_lag", "input_delay", "thrust_quadratic", "thrust_asymmetry", "thrust_fade"),
     *("thrust_step.front", "thrust_step.back", "supply_sag", "inflow_damping", "ground_effect"),
     "rotor_reaction_torque",
@@ -36,7 +39,7 @@ ISSUE = [
 ]
 
 MEASURED = ["edgewise_flow", "gyroscopic_torque"]
-"""What the issue does not name, and measured flights show."""
+"""Effects that measured flights of real rigs showed beyond the common ones."""
 
 
 def example() -> str:
@@ -54,7 +57,7 @@ def written(folder: Path, text: str) -> Path:
 
 def test_every_effect_of_the_list_is_there_in_its_order() -> None:
     ids = list(catalogue())
-    known = ISSUE + MEASURED
+    known = COMMON + MEASURED
     assert ids[: len(known)] == known
     assert all(id.startswith("removed.") for id in ids[len(known) :])
 
@@ -74,17 +77,17 @@ def test_no_two_effects_share_a_number_and_each_has_a_size_and_a_range() -> None
 def test_an_equation_can_be_drawn_and_a_sentence_said(id: str) -> None:
     kind = catalogue()[id]
     MathTextParser("path").parse(f"${kind.equation}$")
-    sentence = kind.sentence(kind.typical, {name: 0.01 * abs(value) for name, value in kind.typical.items()})
+    sentence = kind.describe(kind.typical, {name: 0.01 * abs(value) for name, value in kind.typical.items()})
     assert " +- " in sentence and "{" not in sentence and not sentence.endswith(".")
 
 
 def test_numbers_are_said_with_as_many_digits_as_their_error_knows() -> None:
-    assert spell(0.12345, 0.0123, "s") == "0.123 +- 0.012 s"
-    assert spell(0.12345, 0.042, "s") == "0.12 +- 0.04 s"
-    assert spell(0.0398, 0.0002, "1") == "3.980 +- 0.020 %"
-    assert spell(np.radians(1.5), np.radians(0.2), "rad") == "1.50 +- 0.20 deg"
-    assert spell(1234.5, 21.0, "N") == "1234 +- 21 N"
-    assert spell(0.1, None, "s") == "0.1 s"
+    assert format_estimate(0.12345, 0.0123, "s") == "0.123 +- 0.012 s"
+    assert format_estimate(0.12345, 0.042, "s") == "0.12 +- 0.04 s"
+    assert format_estimate(0.0398, 0.0002, "1") == "3.980 +- 0.020 %"
+    assert format_estimate(np.radians(1.5), np.radians(0.2), "rad") == "1.50 +- 0.20 deg"
+    assert format_estimate(1234.5, 21.0, "N") == "1234 +- 21 N"
+    assert format_estimate(0.1, None, "s") == "0.1 s"
 
 
 def test_the_documents_table_is_todays() -> None:
@@ -112,7 +115,7 @@ def test_the_documents_own_effect_flies(tmp_path: Path) -> None:
         ("DRAUGHT = EffectKind", "DRAUGHT = dict", "has no EffectKind at its top level"),
         ("effect=Draught", "effect=int", "effect must be a class derived from Effect"),
         (", size=True", "", "has no number with size=True"),
-        ('at.state["travel_rad"]', 'at.state["tavel_rad"]', "line 11: KeyError 'tavel_rad'"),
+        ('at.state["travel_rad"]', 'at.state["tavel_rad"]', "line 15: KeyError 'tavel_rad'"),
         (
             "ca.sin(angle)",
             "ca.sqrt(angle - 9)",
@@ -133,6 +136,30 @@ def test_what_is_wrong_with_a_file_is_said_in_one_line(
     assert message in str(raised.value)
     assert str(raised.value).startswith(f"effect file {path}")
     assert "\n" not in str(raised.value)
+
+
+def test_the_documents_own_effect_passes_the_rules_for_docstrings(tmp_path: Path) -> None:
+    path = written(tmp_path, example())
+    rules = ["--select", "D,F,I", "--isolated", "--config", 'lint.pydocstyle.convention = "numpy"']
+    ruff = [sys.executable, "-m", "ruff", "check", "--no-cache", *rules]
+    found = subprocess.run([*ruff, path], capture_output=True, text=True, check=False)
+    assert found.returncode == 0, found.stdout
+    path.write_text(example().replace("    @override\n", ""))
+    assert "D102" in subprocess.run([*ruff, path], capture_output=True, text=True, check=False).stdout
+
+
+def test_an_effect_file_in_the_folder_is_found_by_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "draught.py").write_text(example())
+    with monkeypatch.context() as patched:
+        patched.setattr(effects, "__path__", [*effects.__path__, str(tmp_path)])
+        _built_in.cache_clear()
+        ids = list(catalogue())
+    _built_in.cache_clear()
+    sys.modules.pop("heli_sim.model.effects.draught", None)
+    assert ids.index("gyroscopic_torque") < ids.index("draught") < ids.index("removed.dead_zone")
+    assert "draught" not in catalogue()
 
 
 def test_a_file_that_is_not_there_is_named() -> None:
@@ -260,6 +287,7 @@ def gusts(seed: int, seconds: int = 60) -> npt.NDArray[np.float64]:
     return torque_Nm
 
 
+@pytest.mark.slow
 def test_gusts_have_their_size_and_their_memory_and_come_from_the_seed() -> None:
     torque = gusts(1)
     assert torque.std() == pytest.approx(0.02, rel=0.1)

@@ -9,10 +9,10 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 import pytest
+from heli_lab.identify.functions import Functions, Inputs
+from heli_lab.identify.interpreted_kernel import InterpretedKernel
+from heli_lab.identify.kernel import kernel
 from heli_sim.errors import PlantError
-from heli_sim.identify.functions import Functions, Inputs
-from heli_sim.identify.interpreted_kernel import InterpretedKernel
-from heli_sim.identify.kernel import kernel
 from heli_sim.model import Effect, Model, MultibodyModel, PaperModel
 from heli_sim.model.effects import EffectKind, RotorLag, catalogue, parse_effects
 from heli_sim.model.linear import derivatives, linearise, trim
@@ -189,7 +189,7 @@ def test_a_lag_follows_the_thrust_that_a_bent_curve_asks_for() -> None:
 def power_W(model: Model, effect: Effect, x: Vector, volts_V: tuple[float, float]) -> float:
     """What an effect's torque gives to the axes, at rates that they keep but for it."""
     symbols = ca.SX.sym("x", len(model.states))
-    at = model.situation(symbols, ca.SX(list(volts_V)), ca.SX(model.parameter_values(load_rig("makki2024"))))
+    at = model.operands(symbols, ca.SX(list(volts_V)), ca.SX(model.parameter_values(load_rig("makki2024"))))
     friction = effect.friction_Nm(at, ca.SX.zeros(3), ca.SX.ones(3))
     torque = ca.Function("torque", [symbols], [effect.torque_Nm(at) + friction])
     return float(np.asarray(torque(x)).ravel() @ x[3:6])
@@ -209,7 +209,7 @@ def test_dry_friction_holds_what_pushes_less_and_slows_what_moves(axis: str) -> 
     c_Nm, row = 0.01, AXES.index(axis)
     effect = KINDS[f"coulomb_friction.{axis}"].make({f"coulomb_friction_{axis}_Nm": c_Nm})
     model, inertia = MultibodyModel((effect,)), ca.SX([0.8, 0.05, 0.7])
-    at = model.situation(
+    at = model.operands(
         ca.SX.sym("x", 6), ca.SX.zeros(2), ca.SX(model.parameter_values(load_rig("makki2024")))
     )
     rate, push_Nm = at.state[f"{axis}_rate_rad_s"], ca.SX.sym("push")
@@ -227,7 +227,7 @@ def test_springs_and_tilt_conserve_energy(text: str) -> None:
     rig = load_rig("makki2024").replace(**loss)
     model = MultibodyModel(parse_effects([text]))
     x, u, p = ca.SX.sym("x", 6), ca.SX.zeros(2), ca.SX(model.parameter_values(rig))
-    at = model.situation(x, u, p)
+    at = model.operands(x, u, p)
     # The rate of the energy along the motion is exactly nothing.
     change = ca.jtimes(model.energy_J(at), x, model.dynamics(x, u, p))
     own = model.energy_J(at) - MultibodyModel().energy_J(at)
@@ -244,7 +244,7 @@ def test_thrust_times_climb_is_the_power_that_the_thrust_gives() -> None:
     model, random = MultibodyModel(), np.random.default_rng(5)
     x, thrust = ca.SX.sym("x", 6), ca.SX.sym("F", 2)
     p = ca.SX(model.parameter_values(load_rig("makki2024")))
-    at = model.situation(x, ca.SX.zeros(2), p)
+    at = model.operands(x, ca.SX.zeros(2), p)
     pushed = model.acceleration(at, thrust, ca.SX.zeros(3)) - model.acceleration(
         at, ca.SX.zeros(2), ca.SX.zeros(3)
     )

@@ -16,6 +16,8 @@ from heli_sim.rig import load_rig
 from tests.mujoco_rig import JOINTS, mujoco_rig
 from tests.plant.toys import WIDE
 
+pytestmark = pytest.mark.slow
+
 mujoco = pytest.importorskip("mujoco")
 
 Vector = npt.NDArray[np.float64]

@@ -12,6 +12,8 @@ from heli_sim.model.linear import derivatives, linearise, trim
 from heli_sim.plant import Plant
 from heli_sim.rig import load_rig
 
+pytestmark = pytest.mark.slow
+
 MODELS = [PaperModel(), MultibodyModel(), MultibodyModel((RotorLag(0.12),))]
 WIDE = {"elevation_min": -89.0, "elevation_max": 89.0, "pitch_max": 179.0, "travel_max": 1e6}
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from heli_host.cli.paper_desk import read_thrust, run_bench_test
-from heli_sim.errors import IdentifyError
-from heli_sim.identify.record import Record
-from heli_sim.model import Model, MultibodyModel, PaperModel, Situation
+from heli_lab.errors import IdentifyError
+from heli_lab.identify.record import Record
+from heli_lab.paper.bench_tests import PITCH_RELEASES, BenchTest, check_rig, record_of
+from heli_lab.paper.experiments import read_thrust, run_bench_test
+from heli_lab.paper.rig_table import fit_rig
+from heli_lab.paper.tables import TESTS_OF_TABLE, Row, Table, fit_table
+from heli_sim.model import Model, MultibodyModel, Operands, PaperModel
 from heli_sim.model.effects import RotorLag
-from heli_sim.paper.bench import PITCH_RELEASES, BenchTest, check_rig, record_of
-from heli_sim.paper.rig_table import fit_rig
-from heli_sim.paper.tables import TESTS_OF_TABLE, Row, Table, fit_table
 from heli_sim.plant import Plant
 from heli_sim.rig import load_rig
 
@@ -129,7 +129,7 @@ def test_a_rig_that_hovers_at_other_voltages_is_refused_with_its_own(name: str) 
 class WithoutCentrifugalForce(MultibodyModel):
     """Travel's inertia as at 7.5 degrees of pitch, whatever the pitch: nothing drives pitch back to level."""
 
-    def _inertia_kg_m2(self, at: Situation, q: ca.SX) -> ca.SX:
+    def _inertia_kg_m2(self, at: Operands, q: ca.SX) -> ca.SX:
         inertia = super()._inertia_kg_m2(at, q)
         inertia[2, 2] = super()._inertia_kg_m2(at, ca.vertcat(q[0], 0.13, q[2]))[2, 2]
         return inertia
@@ -138,7 +138,7 @@ class WithoutCentrifugalForce(MultibodyModel):
 class WithoutCouplingEither(WithoutCentrifugalForce):
     """Nor do pitch and travel accelerate each other."""
 
-    def _inertia_kg_m2(self, at: Situation, q: ca.SX) -> ca.SX:
+    def _inertia_kg_m2(self, at: Operands, q: ca.SX) -> ca.SX:
         inertia = super()._inertia_kg_m2(at, q)
         inertia[1, 2] = inertia[2, 1] = 0.0
         return inertia

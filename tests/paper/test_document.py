@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 from heli_host.cli import app
-from heli_sim.paper.sensitivity import sensitivities
+from heli_lab.paper.sensitivity import sensitivities
 from heli_sim.rig import load_rig
 from typer.testing import CliRunner
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.documents
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "paper.md"
 BLOCK = re.compile(r"^```console\n\$ heli-host (paper [a-z]+)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -81,6 +81,6 @@ def test_a_number_that_has_changed_is_noticed() -> None:
 
 
 def test_the_sensitivities_told_are_those_of_the_figure() -> None:
-    found = {one.name: abs(one.settled_deg) for one in sensitivities(load_rig("makki2024"))}
+    found = {one.name: abs(one.equilibrium_deg) for one in sensitivities(load_rig("makki2024"))}
     told = {"P_6": 0.6, "P_1": 0.4, "P_2": 0.3, "P_3": 0.1, "P_4": 0.0}
     assert {name: round(value, 1) for name, value in found.items()} == told

@@ -9,11 +9,11 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 import pytest
+from heli_lab.paper.coefficients import analytic
+from heli_lab.paper.lumped import Coefficients, LumpedModel
 from heli_sim.model import Model, MultibodyModel, PaperModel, PaperPrintedModel
 from heli_sim.model.effects import RotorLag
 from heli_sim.model.latex import Equation, equations, symbol
-from heli_sim.paper.coefficients import analytic
-from heli_sim.paper.lumped import Coefficients, LumpedModel
 from heli_sim.rig import load_rig
 
 RIG = load_rig("makki2024").replace(torque_elevation=0.02, torque_pitch=-0.01, torque_travel=0.03)
@@ -162,7 +162,7 @@ def test_the_mass_matrix_and_the_forces_written_are_those_of_the_multibody_model
     model = MultibodyModel()
     known = evaluated(model, equations(model))
     x = ca.SX.sym("x", 6)
-    at = model.situation(x, ca.SX(VOLTS), ca.SX(model.parameter_values(RIG)))
+    at = model.operands(x, ca.SX(VOLTS), ca.SX(model.parameter_values(RIG)))
     F = ca.SX([known["F_{f}"], known["F_{b}"]])
     inertia, forces, energy = (
         np.asarray(value)

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from heli_lab.paper.coefficients import analytic, printed_inertias_kg_m2
 from heli_sim.model import MultibodyModel, PaperModel, PaperPrintedModel
-from heli_sim.paper.coefficients import analytic, printed_inertias_kg_m2
 from heli_sim.rig import load_rig
 
 from tests.plant.toys import rates
@@ -65,7 +65,7 @@ def test_24_turns_travel_by_a_difference_of_thrusts_at_level_elevation_and_a_mul
 
     model = MultibodyModel()
     x, thrust = ca.SX.sym("x", 6), ca.SX.sym("F", 2)
-    at = model.situation(x, ca.SX.zeros(2), ca.SX(model.parameter_values(RIG)))
+    at = model.operands(x, ca.SX.zeros(2), ca.SX(model.parameter_values(RIG)))
     forces = ca.Function("Q", [x, thrust], [model.thrust_torque_Nm(at, thrust)])
     assert float(forces(tilted, [0.2, -0.2])[2]) == 0.0
     raised = np.array([0.35, 0.3, 0.0, 0.0, 0.0, 0.0])

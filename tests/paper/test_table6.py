@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from heli_host.cli import app
-from heli_host.cli.paper_desk import fly_plan
+from heli_host.published_gains import paper_gains
+from heli_lab.paper.experiments import fly_plan
+from heli_lab.paper.table6 import Verdict, verdicts
+from heli_lab.tune import is_stable, law_of, linear_plant
 from heli_sim.model import MultibodyModel, PaperModel
-from heli_sim.paper.table6 import Verdict, verdicts
 from heli_sim.plant import Plant
 from heli_sim.rig import load_rig
-from heli_sim.tune import is_stable, law_of, linear_plant, paper_gains
 from typer.testing import CliRunner
 
 pytestmark = pytest.mark.slow
@@ -71,22 +72,22 @@ def test_corrected_a_step_of_15_degrees_overshoots_to_20_and_printed_as_u3_it_ta
 ) -> None:
     corrected, printed = on_30["corrected", "degrees", "measurement"], on_30["printed", "u3", "error"]
     assert corrected.peak_deg == pytest.approx(20.4, abs=0.1)
-    assert corrected.settled_s == pytest.approx(12.7, abs=0.2)
-    assert printed.settled_s > 100.0
-    assert math.isinf(on_30["printed", "degrees", "error"].settled_s)
+    assert corrected.settling_time_s == pytest.approx(12.7, abs=0.2)
+    assert printed.settling_time_s > 100.0
+    assert math.isinf(on_30["printed", "degrees", "error"].settling_time_s)
 
 
 def test_verdicts_that_are_infinite_are_null_in_json(tmp_path: Path) -> None:
     target = tmp_path / "gains.json"
     assert CliRunner().invoke(app, ["paper", "gains", "--json", str(target)]).exit_code == 0
     rows = json.loads(target.read_text())["paper"]
-    assert [row["settled_s"] is None for row in rows] == [row["growth_1_per_s"] > 0.0 for row in rows]
+    assert [row["settling_time_s"] is None for row in rows] == [row["growth_1_per_s"] > 0.0 for row in rows]
 
 
 def test_both_analyses_of_table_6_agree_where_they_overlap(
     on_multibody: dict[tuple[str, str, str], Verdict],
 ) -> None:
-    """`heli_sim.tune` knows filters and the board's law; this one knows (33) and (34)."""
+    """`heli_lab.tune` knows filters and the board's law; this one knows (33) and (34)."""
     for gains in ("printed", "corrected"):
         row = on_multibody[gains, "degrees", "measurement"]
         assert (row.growth_1_per_s < 0.0) == is_stable(linear_plant(RIG), law_of(paper_gains(gains)))

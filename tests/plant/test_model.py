@@ -18,7 +18,7 @@ HOVER_V = 1.7028
 def test_inertias_are_those_of_27_to_29_and_not_table_2s_elevation() -> None:
     model = PaperModel()
     p = ca.SX.sym("p", len(model.parameters))
-    at = model.situation(ca.SX.zeros(6), ca.SX.zeros(2), p)
+    at = model.operands(ca.SX.zeros(6), ca.SX.zeros(2), p)
     values = ca.Function("J", [p], [model.inertia_kg_m2(at)])(model.parameter_values(paper_rig()))
     assert np.asarray(values).ravel() == pytest.approx([0.7675, 0.0547, 0.8195], abs=5e-5)
 

@@ -70,7 +70,7 @@ def test_mass_matrix_agrees_with_mujoco_and_with_the_papers_inertias() -> None:
     rig = load_rig("makki2024")
     model = MultibodyModel()
     x = ca.SX.sym("x", 6)
-    at = model.situation(x, ca.SX.zeros(2), ca.SX(model.parameter_values(rig)))
+    at = model.operands(x, ca.SX.zeros(2), ca.SX(model.parameter_values(rig)))
     inertia = ca.Function("inertia", [x], [model.inertia_kg_m2(at)])
     physics = mujoco_rig(rig)
     data = mujoco.MjData(physics)
@@ -94,7 +94,7 @@ def test_energy_is_conserved_without_friction_and_thrust() -> None:
     model = MultibodyModel()
     x, u = ca.SX.sym("x", 6), ca.SX.sym("u", 2)
     p = ca.SX(model.parameter_values(rig))
-    at = model.situation(x, u, p)
+    at = model.operands(x, u, p)
     rates = x[3:6]
     kinetic_J = 0.5 * rates.T @ model.inertia_kg_m2(at) @ rates
     energies_J = ca.Function("energies", [x], [model.energy_J(at), kinetic_J])

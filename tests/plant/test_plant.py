@@ -81,6 +81,7 @@ def test_small_pitch_swings_have_the_period_of_P_8() -> None:
     assert end[1] == pytest.approx(-0.001, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_without_friction_a_swing_keeps_its_energy() -> None:
     plant = Plant(PaperModel(), paper_rig(**WIDE | NO_LOSS))
     a = 9.81 * (1.565 * 0.45 - 1.0778 * 0.64 - 0.68 * 0.1)

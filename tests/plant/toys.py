@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-from heli_sim.model import Effect, Model, Quantity, Situation
+from heli_sim.model import Effect, Model, Operands, Quantity
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig, load_rig
 
@@ -53,10 +53,10 @@ class FirstOrderLag(Effect):
             states=(Quantity("front_N", "N", "front"), Quantity("back_N", "N", "back")),
         )
 
-    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         return ca.vertcat(at.state["front_N"], at.state["back_N"])
 
-    def state_rates(self, at: Situation) -> ca.SX:
+    def state_rates(self, at: Operands) -> ca.SX:
         target = at.parameter["thrust_gain"] * ca.fmax(at.volts_V - at.parameter["dead_zone"], 0.0)
         return (target - ca.vertcat(at.state["front_N"], at.state["back_N"])) / at.parameter["lag_s"]
 
@@ -67,7 +67,7 @@ class TiltedEncoder(Effect):
     def __init__(self) -> None:
         super().__init__("tilted encoder")
 
-    def measured_rad(self, at: Situation, angles_rad: ca.SX) -> ca.SX:
+    def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
         return angles_rad + ca.vertcat(0.1 * at.state["pitch_rad"], 0.0, 0.0)
 
 
@@ -77,5 +77,5 @@ class ConstantTorque(Effect):
     def __init__(self, torque_Nm: float) -> None:
         super().__init__("push", (Quantity("push_Nm", "N m", "torque about travel"),), {"push_Nm": torque_Nm})
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
+    def torque_Nm(self, at: Operands) -> ca.SX:
         return ca.vertcat(0.0, 0.0, at.parameter["push_Nm"])

@@ -10,17 +10,18 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-GENERATED = ("firmware/core/link/declaration.hpp", "host/heli_host/link/declaration.py", "docs/link.md")
+SOURCE = "firmware/link.toml"
+GENERATED = ("firmware/core/link/declaration.hpp", "host/heli_host/declaration.py", "docs/link.md")
 
 
 def check(root: Path) -> int:
-    command = [sys.executable, "firmware/generate.py", "--check"]
-    return subprocess.run(command, cwd=root, capture_output=True, check=False).returncode
+    command = [sys.executable, str(ROOT / "firmware/generate.py"), "--check", "--root", str(root)]
+    return subprocess.run(command, capture_output=True, check=False).returncode
 
 
 @pytest.fixture
 def copy_of_tree(tmp_path: Path) -> Path:
-    for name in (*GENERATED, "firmware/link.toml", "firmware/generate.py"):
+    for name in (*GENERATED, SOURCE):
         target = tmp_path / name
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, target)
@@ -35,10 +36,24 @@ def test_generated_files_are_fresh() -> None:
 def test_an_edited_generated_file_is_noticed(copy_of_tree: Path, name: str) -> None:
     path = copy_of_tree / name
     path.write_text(path.read_text().replace("elevation", "altitude", 1))
-    assert check(copy_of_tree) != 0
+    assert check(copy_of_tree) == 1
 
 
 def test_a_changed_declaration_is_noticed(copy_of_tree: Path) -> None:
-    path = copy_of_tree / "firmware/link.toml"
+    path = copy_of_tree / SOURCE
     path.write_text(path.read_text().replace("default = 1.4", "default = 1.5", 1))
-    assert check(copy_of_tree) != 0
+    assert check(copy_of_tree) == 1
+
+
+def test_a_copy_is_as_fresh_as_the_tree(copy_of_tree: Path) -> None:
+    assert check(copy_of_tree) == 0
+
+
+@pytest.mark.parametrize("name", GENERATED)
+def test_a_missing_generated_file_is_written_again(copy_of_tree: Path, name: str) -> None:
+    (copy_of_tree / name).unlink()
+    assert check(copy_of_tree) == 1
+    command = [sys.executable, str(ROOT / "firmware/generate.py"), "--root", str(copy_of_tree)]
+    told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert told == f"{name}: written\n"
+    assert (copy_of_tree / name).read_text() == (ROOT / name).read_text()

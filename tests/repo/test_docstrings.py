@@ -1,4 +1,9 @@
-"""Every public function, class and argument of both packages is documented, in numpydoc."""
+"""Every public function, class and argument of all packages is documented, in numpydoc.
+
+An argument is documented by an entry of its own, by that of the method which is overridden, or by its type:
+a class of these packages says itself what it is. An entry must tell more than the name and the type beside
+it: a unit, a shape, a range or a meaning.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +18,8 @@ from typing import Any, get_type_hints
 
 import pytest
 
-PACKAGES = ("heli_host", "heli_sim")
-GENERATED = {"heli_host.link.declaration"}
+PACKAGES = ("heli_host", "heli_sim", "heli_lab")
+GENERATED = {"heli_host.declaration"}
 SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 NOT_ARGUMENTS = {"self", "cls"}
 
@@ -36,10 +41,10 @@ def public_things() -> Iterator[tuple[str, Any]]:
             if name.startswith("_") or getattr(thing, "__module__", None) != module.__name__:
                 continue
             if inspect.isfunction(thing):
-                yield f"{module.__name__}.{name}", thing
+                yield f"{module.__name__}:{name}", thing
             elif inspect.isclass(thing):
-                yield f"{module.__name__}.{name}", thing
-                yield from public_methods(f"{module.__name__}.{name}", thing)
+                yield f"{module.__name__}:{name}", thing
+                yield from public_methods(f"{module.__name__}:{name}", thing)
 
 
 def public_methods(where: str, cls: type) -> Iterator[tuple[str, Any]]:
@@ -90,16 +95,97 @@ def explained_to_typer(function: Callable[..., Any]) -> set[str]:
     }
 
 
+def overridden(where: str, thing: Any) -> list[str]:
+    """Docstrings of the methods that a method overrides, nearest first."""
+    module_name, _, rest = where.partition(":")
+    cls_name, _, name = rest.rpartition(".")
+    if not cls_name or not inspect.isfunction(thing):
+        return []
+    cls = getattr(importlib.import_module(module_name), cls_name)
+    return [inspect.getdoc(vars(base)[name]) or "" for base in cls.__mro__[1:] if name in vars(base)]
+
+
+def explained_by_type(thing: Any) -> set[str]:
+    """Arguments whose type is a class of these packages, alone or several of them."""
+    function = vars(thing).get("__init__") if inspect.isclass(thing) else thing
+    names = {"None", *CONTAINERS}
+    annotations = getattr(function, "__annotations__", {})
+    found = set()
+    for argument, annotation in annotations.items():
+        words = set(re.findall(r"[A-Za-z_]\w*", str(annotation)))
+        if words - names and words - names <= OUR_CLASSES:
+            found.add(argument)
+    return found
+
+
+def entries(doc: str) -> Iterator[tuple[str, str, str]]:
+    """Name, type and text of every entry of the sections on arguments."""
+    headers = list(SECTION.finditer(doc))
+    for position, header in enumerate(headers):
+        if header[1] not in ("Parameters", "Other Parameters", "Attributes"):
+            continue
+        end = headers[position + 1].start() if position + 1 < len(headers) else len(doc)
+        for part in re.split(r"\n(?=\S)", doc[header.end() : end].strip("\n")):
+            head, _, text = part.partition("\n")
+            name, _, kind = head.partition(" : ")
+            yield name, kind, " ".join(text.split())
+
+
+def tells_something(name: str, kind: str, text: str) -> bool:
+    said = set(re.findall(r"[a-z]+|\d+", text.lower())) - SMALL_WORDS
+    known = set(re.findall(r"[a-z]+|\d+", f"{name} {kind}".lower().replace("_", " ")))
+    return bool(said - known) or bool(UNIT.search(text))
+
+
+CONTAINERS = {"Sequence", "list", "tuple", "Iterable", "Iterator", "Mapping", "dict", "str"}
+SMALL_WORDS = frozenset(
+    [
+        "the",
+        "a",
+        "an",
+        "of",
+        "to",
+        "as",
+        "its",
+        "it",
+        "that",
+        "this",
+        "is",
+        "are",
+        "be",
+        "and",
+        "or",
+        "in",
+        "on",
+    ]
+)
+UNIT = re.compile(r"\[[^]]+\]|, [A-Za-z/ 0-9%]+\.")
+OUR_CLASSES = {
+    name
+    for module in public_modules()
+    for name, thing in vars(module).items()
+    if inspect.isclass(thing) and thing.__module__.partition(".")[0] in PACKAGES
+}
 THINGS = dict(public_things())
 
 
 @pytest.mark.parametrize("where", THINGS)
 def test_public_thing_is_documented(where: str) -> None:
     thing = THINGS[where]
-    doc = inspect.getdoc(thing) if not inspect.isclass(thing) else inspect.cleandoc(thing.__doc__ or "")
-    assert doc, f"{where} has no docstring"
-    missing = arguments(thing) - documented_arguments(doc)
+    own = inspect.cleandoc(thing.__doc__ or "")
+    docs = [doc for doc in (own, *overridden(where, thing)) if doc]
+    assert docs, f"{where} has no docstring"
+    missing = arguments(thing) - explained_by_type(thing)
+    for doc in docs:
+        missing -= documented_arguments(doc)
     assert not missing, f"{where} does not document {', '.join(sorted(missing))}"
+    empty = [name for name, kind, text in entries(own) if not tells_something(name, kind, text)]
+    assert not empty, f"{where} says of {', '.join(empty)} only what its name and type say"
+
+
+def test_an_entry_that_repeats_its_name_is_noticed() -> None:
+    doc = "Do.\n\nParameters\n----------\nfit : Fit\n    The fit.\nwindow_s : float\n    Length of a run.\n"
+    assert [tells_something(*entry) for entry in entries(doc)] == [False, True]
 
 
 def test_an_undocumented_argument_is_noticed() -> None:

@@ -116,10 +116,14 @@ def parse(arguments: list[str]) -> None:
         name, command, arguments = command.resolve_command(context, left)
 
 
+@pytest.mark.documents
 @pytest.mark.parametrize(
     "path",
-    [path for path in DOCUMENTS if any(block.runs for block in blocks(path))],
-    ids=lambda path: path.name,
+    [
+        pytest.param(path, id=path.name, marks=pytest.mark.xdist_group(f"document-{path.name}"))
+        for path in DOCUMENTS
+        if any(block.runs for block in blocks(path))
+    ],
 )
 def test_what_a_document_says_to_run_runs(path: Path, tmp_path: Path) -> None:
     binaries = str(Path(sys.executable).parent)

@@ -72,7 +72,7 @@ def test_inertias_of_table_2_are_the_multibody_models() -> None:
     import casadi as ca
 
     x = ca.SX.sym("x", 6)
-    at = model.situation(x, ca.SX.zeros(2), ca.SX(ca.DM(model.parameter_values(rig))))
+    at = model.operands(x, ca.SX.zeros(2), ca.SX(ca.DM(model.parameter_values(rig))))
     diagonal = np.diag(np.asarray(ca.Function("M", [x], [model.inertia_kg_m2(at)])(np.zeros(6))))
     assert list(inertias_kg_m2(values("makki2024")).values()) == pytest.approx(diagonal, rel=1e-12)
 

@@ -8,8 +8,8 @@ import select
 import socket
 from collections.abc import Callable
 
+from heli_sim.sil.clock import TimedClock
 from heli_sim.sil.endpoint import Endpoint
-from heli_sim.sil.pace import TimedPace
 from heli_sim.sil.server import SilServer
 from heli_sim.sil.world import SilWorld
 
@@ -25,7 +25,7 @@ class Bench:
         self.endpoint = endpoint
         self.world = world
         self.now_s = 0.0
-        self.server = SilServer(endpoint, world, TimedPace(1.0), clock=lambda: self.now_s)
+        self.server = SilServer(endpoint, world, TimedClock(1.0), now_s=lambda: self.now_s)
 
     def turn(self, count: int = 1) -> None:
         for _ in range(count):

@@ -8,10 +8,7 @@ from pathlib import Path
 import heli_host
 import numpy as np
 import pytest
-from heli_host.errors import LinkLost
-from heli_host.fly.runner import fly
-from heli_host.heli import Heli
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     Param,
     ParamSetMessage,
     ParamsReadMessage,
@@ -21,6 +18,9 @@ from heli_host.link.declaration import (
     Result,
     State,
 )
+from heli_host.errors import LinkLost
+from heli_host.fly.runner import fly
+from heli_host.heli import Heli
 from heli_host.link.events import BOARD_RESTARTED
 from heli_host.log.reader import read_log
 from heli_host.log.summary import FlightSummary
@@ -35,7 +35,7 @@ from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import parse_options
 from heli_sim.sil.world import SilWorld
 
-from tests.sil.desk import Host, world
+from tests.sil.harness import Host, world
 
 pytestmark = pytest.mark.emulated
 

@@ -12,22 +12,22 @@ from pathlib import Path
 import heli_host
 import pytest
 import serial
+from heli_host.declaration import State
 from heli_host.errors import BadBaud, HandshakeTimeout
 from heli_host.heli import Heli
-from heli_host.link.declaration import State
 from heli_host.link.events import BOARD_RESTARTED
 from heli_host.link.transport import SerialTransport
 from heli_sim.sil.boards import EmulatedDue
+from heli_sim.sil.clock import make_clock
 from heli_sim.sil.endpoint import LineChange
 from heli_sim.sil.options import parse_options
-from heli_sim.sil.pace import make_pace
 from heli_sim.sil.process import SilProcess
 from heli_sim.sil.pty import PtyEndpoint
 from heli_sim.sil.rfc2217 import Lines, Rfc2217Endpoint
 from heli_sim.sil.server import serve
 from heli_sim.sil.world import SilWorld
 
-from tests.sil.desk import world
+from tests.sil.harness import world
 from tests.sil.ports import Bench, PtyHost
 
 Board = dict[str, str]
@@ -152,7 +152,7 @@ class Served:
 def served(options: Board) -> Iterator[Served]:
     one = Served(options)
     stop, stopper = os.pipe()
-    thread = threading.Thread(target=serve, args=(one.endpoint, one.world, make_pace(None), stop))
+    thread = threading.Thread(target=serve, args=(one.endpoint, one.world, make_clock(None), stop))
     thread.start()
     try:
         yield one

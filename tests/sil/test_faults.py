@@ -6,14 +6,14 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
-from heli_host.link.declaration import MessageId, StatusMessage
+from heli_host.declaration import MessageId, StatusMessage
 from heli_sim.errors import OptionError
 from heli_sim.sil.faults import FaultPlan, FaultyStream, Span
 from heli_sim.sil.options import parse_options, parse_url
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.sil.desk import Host, hello_frame, world
+from tests.sil.harness import Host, hello_frame, world
 
 PLAN = FaultPlan(flip=1e-3, drop=1e-2, double=1e-2)
 CLEAN = bytes(range(256)) * 40

@@ -9,7 +9,7 @@ from heli_host.link.transport import Transport, open_transport
 from heli_sim.errors import OptionError, RigError
 from heli_sim.sil.inprocess import InProcessTransport
 
-from tests.sil.desk import hello_frame, world
+from tests.sil.harness import hello_frame, world
 
 
 def conversation(url: str, step_s: float = 0.02, until_s: float = 2.0) -> bytes:

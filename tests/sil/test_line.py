@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.sil.desk import Host, hello_frame, world
+from tests.sil.harness import Host, hello_frame, world
 
 
 def test_25_bytes_a_millisecond_reach_the_board() -> None:

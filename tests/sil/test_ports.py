@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from heli_host.link.declaration import MessageId
+from heli_host.declaration import MessageId
 from heli_host.link.frames import Frame, FrameParser
 from heli_sim.errors import EndpointError, OptionError
 from heli_sim.sil.endpoint import Endpoint
@@ -15,7 +15,7 @@ from heli_sim.sil.pty import PtyEndpoint
 from heli_sim.sil.server import run_server
 from heli_sim.sil.tcp import TcpEndpoint
 
-from tests.sil.desk import hello_frame, world
+from tests.sil.harness import hello_frame, world
 from tests.sil.ports import Bench, PtyHost, TcpHost
 
 Opener = Callable[[str], PtyHost | TcpHost]

@@ -10,13 +10,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from heli_host.link.declaration import MessageId
+from heli_host.declaration import MessageId
 from heli_host.link.frames import FrameParser
 from heli_host.link.transport import open_transport
 from heli_sim.errors import EndpointError
 from heli_sim.sil.process import SilProcess
 
-from tests.sil.desk import hello_frame
+from tests.sil.harness import hello_frame
 
 # Only how long a failing test takes.
 PATIENCE_s = 20.0

@@ -1,4 +1,4 @@
-"""The simulated board behaves like a board: power stage, reset, flash, stop input, pinned axes."""
+"""The simulated board behaves like a board: power stage, reset, flash, stop input, locked axes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     MessageId,
     Param,
     ParamSetMessage,
@@ -24,7 +24,8 @@ from heli_sim.rig import load_rig
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
-from tests.sil.desk import Host, world
+from tests.channels.groups import COUNTS
+from tests.sil.harness import Host, world
 
 
 @pytest.mark.parametrize(
@@ -133,7 +134,7 @@ def test_what_the_board_reports_are_the_true_angles_to_one_count() -> None:
     host.frames.clear()
     host.wait(100)
     batches = [frame.payload for frame in host.frames if frame.id == MessageId.TELEMETRY]
-    raw = TelemetryDecoder().decode(batches).raw[:, :3]
+    raw = TelemetryDecoder().decode(batches).raw[:, COUNTS]
     assert np.abs(raw - angles_rad * 4096 / (2 * np.pi)).max() <= 1.0
 
 

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from heli_host import declaration as d
 from heli_host.fly import route
-from heli_host.link import declaration as d
+from heli_host.link.channels import physical
 from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.telemetry import TelemetryDecoder
 from heli_sim.plant import Plant
@@ -22,12 +23,13 @@ from heli_sim.rig import Rig
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
+from tests.channels.groups import COUNTS, SETPOINTS, STATUS, VOLTAGES
+
 Floats = npt.NDArray[np.float64]
 
 INTERVAL_TICKS = 20
 LEAD_TICKS = 100
 _BEFORE_TICKS = 400
-_SCALES = np.array([channel.scale for channel in d.CHANNELS])
 
 
 @dataclass(frozen=True)
@@ -159,14 +161,18 @@ def _decoded(
     telemetry = TelemetryDecoder().decode([f.payload for f in frames if f.id == d.MessageId.TELEMETRY])
     tick = telemetry.tick.astype(np.int64) - start_tick
     keep = (tick >= 0) & (tick < round(1e3 * duration_s))
-    t_s, values = tick[keep].astype(np.float64) * 1e-3, telemetry.raw[keep] * _SCALES
+    t_s, raw = tick[keep].astype(np.float64) * 1e-3, telemetry.raw[keep]
+
+    def columns(group: list[d.Channel]) -> Floats:
+        return np.column_stack([physical(raw, channel) for channel in group])
+
     return Flown(
         t_s.astype(np.float64),
-        np.asarray(values[:, 0:3] * 360.0 / counts, np.float64),
-        np.degrees(values[:, 3:6]),
+        np.asarray(columns(COUNTS) * 360.0 / counts, np.float64),
+        np.degrees(columns(SETPOINTS)),
         path_deg(t_s.astype(np.float64)),
-        np.asarray(values[:, 6:8], np.float64),
-        *(telemetry.raw[keep, column] for column in (8, 9, 10)),
+        columns(VOLTAGES),
+        *(raw[:, channel] for channel in STATUS),
     )
 
 
@@ -185,7 +191,7 @@ def demanding_path_deg(t_s: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Marks:
+class StepMetrics:
     """What the project promises of a flight along `demanding_path_deg`.
 
     Parameters
@@ -196,7 +202,7 @@ class Marks:
         From when on the elevation stays within half a degree of level, until the step.
     overshoot : float
         Of the travel step, as a share of it; the worse of both steps.
-    settled_s : float
+    settling_time_s : float
         From when on travel stays within half a degree of the step; the worse of both.
     travel_rms_deg, elevation_rms_deg : float
         Error to the path over the sines.
@@ -207,19 +213,19 @@ class Marks:
     fault: d.Fault
     take_off_s: float
     overshoot: float
-    settled_s: float
+    settling_time_s: float
     travel_rms_deg: float
     elevation_rms_deg: float
     pitch_setpoint_ripple_deg: float
     volts_ripple_V: float
 
 
-def marks_of(flown: Flown) -> Marks:
+def step_metrics(flown: Flown) -> StepMetrics:
     elevation, travel = flown.angle_deg[:, 0], flown.angle_deg[:, 2]
     climb, there = flown.between(TAKE_OFF_S, STEP_S), flown.between(STEP_S, BACK_S)
     back, sine = flown.between(BACK_S, SINE_S), flown.between(SINE_S, END_S)
     error = flown.angle_deg - flown.path_deg
-    return Marks(
+    return StepMetrics(
         flown.first_fault,
         last_outside_s(flown.t_s[climb], elevation[climb]),
         float(max(travel[there].max() - STEP_DEG, -travel[back].min()) / STEP_DEG) if sine.any() else np.inf,

@@ -6,13 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from heli_host.link.declaration import PARAMS
-from heli_sim.errors import OptionError
-from heli_sim.model import MultibodyModel
-from heli_sim.model.effects import parse_effects
-from heli_sim.plant import Plant
-from heli_sim.rig import load_rig
-from heli_sim.tune import (
+from heli_host.declaration import PARAMS
+from heli_host.errors import ParameterError
+from heli_host.published_gains import paper_gains
+from heli_lab.tune import (
     Known,
     Law,
     LinearPlant,
@@ -24,10 +21,13 @@ from heli_sim.tune import (
     linear_plant,
     loops,
     margins,
-    paper_gains,
 )
-from heli_sim.tune.plants import spread_plants
-from heli_sim.tune.shaping import shaped_step
+from heli_lab.tune.plants import spread_plants
+from heli_lab.tune.shaping import shaped_step
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import parse_effects
+from heli_sim.plant import Plant
+from heli_sim.rig import load_rig
 
 from tests.tune.pilot import Floats, fly
 
@@ -165,7 +165,7 @@ def test_table_6_is_printed_and_corrected_by_exchanging_P_and_I_of_travel() -> N
     printed, corrected = paper_gains("printed"), paper_gains("corrected")
     assert (printed["travel_kp"], printed["travel_ki"]) == (corrected["travel_ki"], corrected["travel_kp"])
     assert {key for key in printed if printed[key] != corrected[key]} == {"travel_kp", "travel_ki"}
-    with pytest.raises(OptionError, match="printed or corrected"):
+    with pytest.raises(ParameterError, match="printed or corrected"):
         paper_gains("improved")
 
 

@@ -7,19 +7,19 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
-from heli_host.link.declaration import PARAMS, Fault
+from heli_host.declaration import PARAMS, Fault
+from heli_lab.tune import LOOPS, Design, Spread, find_gains, margins
+from heli_lab.tune.loops import open_loops, peak_sensitivity
+from heli_lab.tune.plants import spread_plants
 from heli_sim.errors import PlantError
 from heli_sim.model import MultibodyModel, PaperModel
 from heli_sim.model.base import Model
 from heli_sim.model.effects import RotorLag
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig, load_rig
-from heli_sim.tune import LOOPS, Design, Spread, find_gains, margins
-from heli_sim.tune.loops import open_loops, peak_sensitivity
-from heli_sim.tune.plants import spread_plants
 
 from tests.running.long import samples
-from tests.tune.pilot import END_S, SINE_S, Marks, demanding_path_deg, fly, marks_of, with_numbers
+from tests.tune.pilot import END_S, SINE_S, StepMetrics, demanding_path_deg, fly, step_metrics, with_numbers
 
 pytestmark = pytest.mark.slow
 
@@ -37,10 +37,10 @@ def lagging_plant() -> Plant:
 
 
 @functools.cache
-def flown(model: type[Model], lag_s: float) -> Marks:
+def flown(model: type[Model], lag_s: float) -> StepMetrics:
     """The board's own defaults."""
     equations = model((RotorLag(lag_s),) if lag_s else ())
-    return marks_of(fly(Plant(equations, load_rig("makki2024")), demanding_path_deg, END_S))
+    return step_metrics(fly(Plant(equations, load_rig("makki2024")), demanding_path_deg, END_S))
 
 
 rigs = pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_a_travel_step_of_15_degrees_overshoots_by_a_tenth_at_most_and_settles_i
     model: type[Model], lag_s: float
 ) -> None:
     assert flown(model, lag_s).overshoot <= 0.10
-    assert flown(model, lag_s).settled_s <= 5.0
+    assert flown(model, lag_s).settling_time_s <= 5.0
 
 
 @rigs

@@ -2,6 +2,7 @@
 // collective voltage (eqs. 32-34), with what a machine needs beyond the equations.
 #pragma once
 
+#include "control/cascade_constants.hpp"
 #include "control/controller.hpp"
 #include "control/pid.hpp"
 
@@ -20,36 +21,43 @@ class Fade {
   Quantity jump_;
 };
 
-class Cascade {
+class Cascade final : public Controller {
  public:
-  // Called before the first update() after the motors were off: forgets everything.
-  void reset() { *this = Cascade{}; }
-
-  // Never inlined: its instructions are counted by its name.
-  [[gnu::noinline]] ControlOutput update(const ControlInput& in, const Constants& c);
+  void derive(const params::Params& params, Bank bank) override;
+  void reset() override { state_ = {}; }
+  ControlOutput update(const ControlInput& in, Bank bank) override;
 
  private:
-  ControlOutput all_open(const ControlInput& in, const Constants& c, bool changed);
-  Quantity lift_for_elevation(const ControlInput& in, const Constants& c, Quantity error_rad) const;
-  Quantity pitch_for_travel(const ControlInput& in, const Constants& c) const;
-  Quantity follow_pitch_setpoint(const ControlInput& in, const Constants& c, bool changed);
+  struct State {
+    Pid elevation;
+    Pid pitch;
+    Pid travel;
+    Fade collective_fade;
+    Fade differential_fade;
+    Fade pitch_setpoint_fade;
+    Fade front_fade;
+    Fade back_fade;
+    std::uint8_t axes = 0;
+    bool started = false;
+    Quantity front_V;  // motor volts of the previous tick, without excitation
+    Quantity back_V;
+    Quantity collective_V;  // lift volts achieved in the previous tick, without excitation
+    Quantity differential_V;
+    Quantity pitch_setpoint_rad;
+    Quantity pitch_setpoint_excess_rad;
+  };
 
-  Pid elevation_;
-  Pid pitch_;
-  Pid travel_;
-  Fade collective_fade_;
-  Fade differential_fade_;
-  Fade pitch_setpoint_fade_;
-  Fade front_fade_;
-  Fade back_fade_;
-  std::uint8_t axes_ = 0;
-  bool started_ = false;
-  Quantity front_V_;  // motor volts of the previous tick, without excitation
-  Quantity back_V_;
-  Quantity collective_V_;  // lift volts achieved in the previous tick, without excitation
-  Quantity differential_V_;
-  Quantity pitch_setpoint_rad_;
-  Quantity pitch_setpoint_excess_rad_;
+  // Not inlined: GCC 12 would work out the bank again at many uses of a constant, 39 instructions
+  // more on the Due.
+  [[gnu::noinline]] ControlOutput step(const ControlInput& in, const CascadeConstants& c);
+  ControlOutput all_open(const ControlInput& in, const CascadeConstants& c, bool changed);
+  Quantity lift_for_elevation(const ControlInput& in, const CascadeConstants& c,
+                              Quantity error_rad) const;
+  Quantity pitch_for_travel(const ControlInput& in, const CascadeConstants& c) const;
+  Quantity follow_pitch_setpoint(const ControlInput& in, const CascadeConstants& c, bool changed);
+
+  State state_;
+  CascadeConstants constants_[kBanks];
 };
 
 }  // namespace heli::control

@@ -18,8 +18,8 @@ constexpr std::size_t kCountAt = 3;
 constexpr std::size_t kHashAt = 4;
 constexpr std::size_t kGenerationAt = 8;
 constexpr std::size_t kValuesAt = 12;
-constexpr std::size_t kCrcAt = Board::kPageBytes - 4;
-static_assert(kValuesAt + 4 * link::kParamCount <= kCrcAt, "the parameters must fit one page");
+constexpr std::size_t kCrcAt = kSetBytes - 4;
+static_assert(kValuesAt + 4 * link::kParamCount <= kCrcAt, "the parameters must fit one set");
 
 enum class Content : std::uint8_t {
   erased,
@@ -34,7 +34,7 @@ struct Copy {
 };
 
 bool all_ones(const std::uint8_t* page) {
-  for (std::size_t i = 0; i < Board::kPageBytes; ++i) {
+  for (std::size_t i = 0; i < kSetBytes; ++i) {
     if (page[i] != 0xff) return false;
   }
   return true;
@@ -68,7 +68,7 @@ Copy judge(const std::uint8_t* page) {
 std::size_t survey(Board& board, std::uint8_t* buffer, Copy (&copies)[kPages]) {
   std::size_t newest = kPages;
   for (std::size_t page = 0; page < kPages; ++page) {
-    board.read_page(page, buffer);
+    board.read_page(page, buffer, kSetBytes);
     copies[page] = judge(buffer);
     if (copies[page].content != Content::valid) continue;
     // As a signed difference, so that the count may wrap.
@@ -81,16 +81,16 @@ std::size_t survey(Board& board, std::uint8_t* buffer, Copy (&copies)[kPages]) {
 }
 
 bool write_verified(Board& board, std::size_t page, const std::uint8_t* bytes) {
-  if (!board.write_page(page, bytes)) return false;
-  std::uint8_t written[Board::kPageBytes];
-  board.read_page(page, written);
+  if (!board.write_page(page, bytes, kSetBytes)) return false;
+  std::uint8_t written[kSetBytes];
+  board.read_page(page, written, kSetBytes);
   return std::memcmp(bytes, written, sizeof written) == 0;
 }
 
 }  // namespace
 
 link::ParamsSource Store::load(Params& params) {
-  std::uint8_t buffer[Board::kPageBytes];
+  std::uint8_t buffer[kSetBytes];
   Copy copies[kPages];
   const std::size_t newest = survey(board_, buffer, copies);
 
@@ -104,7 +104,7 @@ link::ParamsSource Store::load(Params& params) {
       source = link::ParamsSource::defaults;
     }
   } else {
-    board_.read_page(newest, buffer);
+    board_.read_page(newest, buffer, kSetBytes);
     for (std::size_t i = 0; i < link::kParamCount; ++i) {
       params.set(static_cast<link::Param>(i), value_at(buffer, i), true);
     }
@@ -117,7 +117,7 @@ link::ParamsSource Store::load(Params& params) {
 }
 
 bool Store::save(const Params& params) {
-  std::uint8_t page[Board::kPageBytes];
+  std::uint8_t page[kSetBytes];
   Copy copies[kPages];
   const std::size_t newest = survey(board_, page, copies);
   // Never the newest valid copy: a power cut from here on leaves it as it is.

@@ -11,7 +11,10 @@
 
 namespace heli::params {
 
-// Idle loop only, except source(). Layout of a page: README.md.
+// Length of a stored set: the format's, whatever the pages of a board.
+inline constexpr std::size_t kSetBytes = 256;
+
+// Idle loop only, except source(). Layout of a set: README.md.
 class Store {
  public:
   explicit Store(Board& board) : board_(board) {}

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
-from urllib.parse import urlencode
 
 import typer
 
-from heli_host.cli.options import DEFAULT_RIG, parse_speed
-
 if TYPE_CHECKING:
-    from heli_sim.sil.boards import Choice
-
     from heli_host.heli import Heli
     from heli_host.link.transport import PortInfo
+    from heli_host.telemetry_view import BoardInfo
 
 ARDUINO_VID = 0x2341
 DUE_PROGRAMMING_PID = 0x003D
@@ -24,32 +20,12 @@ DUE_NATIVE_PID = 0x003E
 
 
 def is_due(port: PortInfo) -> bool:
-    """Say whether a port is the programming port of a Due, which this link uses.
-
-    Parameters
-    ----------
-    port : PortInfo
-        A port of this computer.
-
-    Returns
-    -------
-    bool
-    """
+    """Say whether a port is the programming port of a Due, which this link uses."""
     return (port.vendor_id, port.product_id) == (ARDUINO_VID, DUE_PROGRAMMING_PID)
 
 
 def is_due_native(port: PortInfo) -> bool:
-    """Say whether a port is a Due's other port, which this link does not use.
-
-    Parameters
-    ----------
-    port : PortInfo
-        A port of this computer.
-
-    Returns
-    -------
-    bool
-    """
+    """Say whether a port is a Due's other port, which this link does not use."""
     return (port.vendor_id, port.product_id) == (ARDUINO_VID, DUE_NATIVE_PID)
 
 
@@ -87,33 +63,15 @@ def find_board() -> str:
 
 
 @contextlib.contextmanager
-def open_board(
-    port: str | None,
-    sil: bool,
-    rig: str | None = None,
-    speed: str = "1",
-    seed: int = 1,
-    choice: Choice | None = None,
-    more: Mapping[str, str] | None = None,
-) -> Iterator[Heli]:
+def open_board(port: str | None, sil: str | None = None) -> Iterator[Heli]:
     """Connect to a board and disconnect at the end.
 
     Parameters
     ----------
     port : str or None
         A pyserial URL; None looks for the only Due.
-    sil : bool
-        Start a simulated board instead and connect to that.
-    rig : str or None
-        Rig of the simulated board, by name or file; None for the default.
-    speed : str
-        Simulated seconds a second, or ``max``.
-    seed : int
-        Seed of the simulation.
-    choice : Choice or None
-        Which board is simulated; None for the native one.
-    more : Mapping[str, str] or None
-        More options of the simulated board, spelled as in a ``sil://`` address.
+    sil : str or None
+        Address of a simulated board, to connect to instead; see `sil_address`.
 
     Yields
     ------
@@ -130,67 +88,50 @@ def open_board(
     import heli_host
 
     # HELI_PORT is a habit, not a wish: --sil overrides it, and contradicts only a --port that was typed.
-    if sil and port is not None and port != os.environ.get("HELI_PORT"):
+    if sil is not None and port is not None and port != os.environ.get("HELI_PORT"):
         raise typer.BadParameter("--port and --sil name two different boards; leave one of them out")
-    with contextlib.ExitStack() as stack:
-        if sil:
-            rig = rig if rig is not None else DEFAULT_RIG
-            factor = parse_speed(speed)
-            which = dict(more or {})
-            if choice is not None and choice.elf:
-                which["board"] = choice.name
-            if choice is not None and choice.named:
-                which["elf"] = choice.elf
-            if factor is None:
-                url = "sil://?" + urlencode({**which, "rig": rig, "seed": seed, "speed": "max"})
-            else:
-                # A process of its own behind a pseudo-terminal: the host talks to it exactly as to hardware.
-                from heli_sim.sil.process import SilProcess
-
-                url = stack.enter_context(SilProcess(rig, factor, seed, options=which)).url
-        else:
-            url = port if port is not None else find_board()
-        yield stack.enter_context(heli_host.connect(url))
+    url = sil if sil is not None else port if port is not None else find_board()
+    with heli_host.connect(url) as heli:
+        yield heli
 
 
 def clear_latched_fault(heli: Heli) -> None:
     """Clear a fault that an earlier flight has left; no fault is no error.
-
-    Parameters
-    ----------
-    heli : Heli
-        A connected board.
 
     Raises
     ------
     CommandRefused
         The cause is still there.
     """
+    from heli_host.declaration import State
     from heli_host.errors import fault_text
-    from heli_host.link.declaration import State
 
     if heli.state is State.FAULT:
         print(f"cleared: {fault_text(heli.fault)}")
         heli.clear_fault()
 
 
-def board_text(heli: Heli, choice: Choice | None = None) -> str:
+def board_text(heli: Heli) -> str:
     """Say which board it is.
-
-    Parameters
-    ----------
-    heli : Heli
-        A connected board.
-    choice : Choice or None
-        Which board is simulated, where that is known.
 
     Returns
     -------
     str
         For example ``"Arduino Due, firmware 0.1.0, on /dev/ttyACM0"``.
     """
-    info = heli.info
-    kind = "simulated board" if info.board == "native" else info.board
-    if choice is not None:
-        kind = choice.text
-    return f"{kind}, firmware {info.firmware_version}, on {heli.session.transport.url}"
+    from heli_host.link.transport import transport_label
+
+    info, transport = heli.info, heli.session.transport
+    kind = transport_label(transport) or ("simulated board" if info.board == "native" else info.board)
+    return f"{kind}, firmware {info.firmware_version}, on {transport.url}"
+
+
+def board_versions(info: BoardInfo) -> str:
+    """Say what a board runs, for the head of a file that came from it.
+
+    Returns
+    -------
+    str
+        For example ``"Arduino Due, firmware 0.1.0, link 1.0"``.
+    """
+    return f"{info.board}, firmware {info.firmware_version}, link {info.link_version}"

@@ -3,7 +3,7 @@
 Exit codes: 0 done; 1 ``doctor`` found something that needs a remedy; 2 what was asked for cannot be done
 (usage, plan, parameter, setpoint); 3 the board or the link; 4 a flight that ended before its plan did;
 5 a file that cannot be read or written; 70 a mistake of this program; 130 interrupted. An error is one line
-on stderr; ``HELI_DEBUG=1`` shows the traceback instead.
+on stderr, and says itself which code it ends with; ``HELI_DEBUG=1`` shows the traceback instead.
 """
 
 from __future__ import annotations
@@ -15,27 +15,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 import typer
 
-from heli_host.cli import (
-    diagnose,
-    doctor,
-    export,
-    flash,
-    fly,
-    identify,
-    info,
-    log,
-    motors,
-    paper,
-    params,
-    plot,
-    ports,
-    rig,
-    setpoint,
-    sil,
-    tune,
-    watch,
-)
-from heli_host.cli.variadic import Variadic
+from heli_host.cli.verb import installed_verbs
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -48,29 +28,13 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-app.command("ports")(ports.ports)
-app.command("fly")(fly.fly)
-app.command("sil")(sil.sil)
-app.command("flash")(flash.flash)
-app.command("watch")(watch.watch)
-app.command("motors")(motors.motors)
-app.command("log")(log.log)
-app.command("setpoint")(setpoint.setpoint)
-app.add_typer(params.app, name="params")
-app.command("info")(info.info)
-app.command("export")(export.export)
-app.command("plot")(plot.plot)
-app.add_typer(rig.app, name="rig")
-app.add_typer(paper.app, name="paper")
-app.command("doctor")(doctor.doctor)
-app.command("identify", cls=Variadic)(identify.identify)
-app.command("tune")(tune.tune)
-app.command("diagnose", cls=Variadic)(diagnose.diagnose)
+for _name, _verb in installed_verbs().items():
+    _verb.add_to(app, _name)
 
 # Typer raises its errors from click, or from its own copy of click since 0.25; this class is in both.
 _UsageError = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")
 
-EXIT_ASKED, EXIT_LINK, EXIT_ABORTED, EXIT_FILE, EXIT_BUG, EXIT_INTERRUPTED = 2, 3, 4, 5, 70, 130
+EXIT_ASKED, EXIT_FILE, EXIT_BUG, EXIT_INTERRUPTED = 2, 5, 70, 130
 
 
 def main() -> NoReturn:
@@ -117,20 +81,14 @@ def _interrupt(_signal: int, _frame: FrameType | None) -> NoReturn:
 
 def _explain(error: Exception) -> tuple[str, int]:
     """One line and an exit code for any error."""
-    from heli_host.errors import FlightAborted, FlightDataError, HeliError, LinkError, LogError
+    from heli_host.errors import HeliError
 
     if isinstance(error, _UsageError):
         return _usage_text(error)
     if isinstance(error, typer.Abort):
         return "interrupted", EXIT_INTERRUPTED
     if isinstance(error, HeliError):
-        if isinstance(error, FlightAborted):
-            return str(error), EXIT_ABORTED
-        if isinstance(error, (LogError, FlightDataError)):
-            return str(error), EXIT_FILE
-        return str(error), EXIT_LINK if isinstance(error, LinkError) else EXIT_ASKED
-    if any(base.__module__ == "heli_sim.errors" for base in type(error).__mro__):
-        return str(error), EXIT_ASKED
+        return str(error), error.exit_code
     if isinstance(error, OSError):
         name = f"{error.filename}: " if error.filename else ""
         return f"{name}{error.strerror or error}; choose another place or make room for it", EXIT_FILE

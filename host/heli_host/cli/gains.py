@@ -4,15 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated
 
 import typer
-
-if TYPE_CHECKING:
-    from heli_host.heli import Heli
-
-SETS: Final = {"paper": "corrected", "paper-printed": "printed"}
-"""Table 6 of the paper under the names that ``--gains`` takes."""
 
 GainsOption = Annotated[
     str | None,
@@ -33,7 +27,7 @@ ParamsFileOption = Annotated[
 ]
 
 
-def read_parameters(file: Path | None, gains: str | None) -> Mapping[str, float]:
+def chosen_parameters(file: Path | None, gains: str | None) -> Mapping[str, float]:
     """Read and check a file of parameters.
 
     Parameters
@@ -55,14 +49,14 @@ def read_parameters(file: Path | None, gains: str | None) -> Mapping[str, float]
     ParameterError
         If the file cannot be read, or the board would not take a value.
     """
-    from heli_host.cli.params import read_dump
+    from heli_host.parameter_file import read_parameters
     from heli_host.parameters import checked
 
     if file is None:
         return {}
     if gains is not None:
         raise typer.BadParameter("--gains and --params both set the gains; leave one of them out")
-    values = read_dump(file)
+    values = read_parameters(file)
     for name, value in values.items():
         checked(name, value)
     return values
@@ -83,6 +77,8 @@ def check_gains(gains: str | None, sil: bool) -> None:
     typer.BadParameter
         If the set is unknown, or the board is real.
     """
+    from heli_host.published_gains import SETS
+
     if gains is None:
         return
     if gains not in SETS:
@@ -92,21 +88,3 @@ def check_gains(gains: str | None, sil: bool) -> None:
             f"--gains {gains} does not stand the thrust lag of real rotors: add --sil, "
             "or set the gains one by one with heli-host params"
         )
-
-
-def load_gains(heli: Heli, gains: str | None) -> None:
-    """Set published gains in the board's memory; nothing is saved.
-
-    Parameters
-    ----------
-    heli : Heli
-        A connected board, idle.
-    gains : str or None
-        A name of `SETS`; None leaves the board's own.
-    """
-    if gains is None:
-        return
-    from heli_sim.tune.gains import paper_gains
-
-    for name, value in paper_gains(SETS[gains]).items():
-        heli.params[name] = value

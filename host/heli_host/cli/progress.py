@@ -63,10 +63,6 @@ class LiveLine:
 
         Parameters
         ----------
-        sample : Sample
-            The newest sample.
-        counters : LinkCounters
-            All counts of the link.
         t_s : float
             Device time since the beginning [s].
         phase : str
@@ -110,8 +106,6 @@ def heading(sample: Sample, t_s: float, phase: str, left_s: float | None) -> str
 
     Parameters
     ----------
-    sample : Sample
-        The newest sample.
     t_s : float
         Device time since the beginning [s].
     phase : str
@@ -135,11 +129,6 @@ def heading(sample: Sample, t_s: float, phase: str, left_s: float | None) -> str
 def angles_text(sample: Sample) -> str:
     """Say the three angles, each with its setpoint, in degrees.
 
-    Parameters
-    ----------
-    sample : Sample
-        The newest sample.
-
     Returns
     -------
     str
@@ -147,22 +136,18 @@ def angles_text(sample: Sample) -> str:
     """
     from math import degrees
 
-    pairs = (
-        ("elevation", sample.elevation_deg, sample.elevation_setpoint_rad),
-        ("pitch", sample.pitch_deg, sample.pitch_setpoint_rad),
-        ("travel", sample.travel_deg, sample.travel_setpoint_rad),
+    from heli_host.declaration import AXES
+
+    pairs = [(getattr(sample, f"{axis}_rad"), getattr(sample, f"{axis}_setpoint_rad")) for axis in AXES]
+    angles = "  ".join(
+        f"{axis} {degrees(angle_rad):+6.1f} ({degrees(goal_rad):+6.1f})"
+        for axis, (angle_rad, goal_rad) in zip(AXES, pairs, strict=True)
     )
-    angles = "  ".join(f"{name} {angle:+6.1f} ({degrees(goal):+6.1f})" for name, angle, goal in pairs)
     return f"{angles} deg"
 
 
 def link_text(counters: LinkCounters) -> str:
     """Say how the link fares.
-
-    Parameters
-    ----------
-    counters : LinkCounters
-        All counts of the link.
 
     Returns
     -------

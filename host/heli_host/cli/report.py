@@ -11,11 +11,6 @@ if TYPE_CHECKING:
 def summary_lines(summary: FlightSummary) -> list[str]:
     """Say what was flown, how well, and what was lost.
 
-    Parameters
-    ----------
-    summary : FlightSummary
-        The flight's numbers.
-
     Returns
     -------
     list of str

@@ -153,8 +153,6 @@ def write_image(bossac: Bossac, port: str, image: Path, timeout_s: float = WRITE
 
     Parameters
     ----------
-    bossac : Bossac
-        The uploader.
     port : str
         The programming port, closed.
     image : Path

@@ -6,8 +6,8 @@ import struct
 from dataclasses import dataclass
 from pathlib import Path
 
+from heli_host.declaration import LINK_HASH
 from heli_host.errors import ImageError
-from heli_host.link.declaration import LINK_HASH
 
 # Memory of the SAM3X8E, as in firmware/due/due.ld.
 FLASH_START = 0x0008_0000
@@ -42,11 +42,6 @@ def read_image(path: Path) -> FirmwareImage:
     ----------
     path : Path
         A flat binary.
-
-    Returns
-    -------
-    FirmwareImage
-        The file, checked.
 
     Raises
     ------

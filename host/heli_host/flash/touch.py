@@ -7,8 +7,8 @@ import time
 
 import serial
 
+from heli_host.declaration import BAUD
 from heli_host.errors import FlashError
-from heli_host.link.declaration import BAUD
 
 ERASING_BAUD = 1200
 # When a control line changes at this rate, the ATmega16U2 holds ERASE and then RESET for 180 rounds

@@ -8,10 +8,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
+from heli_host.declaration import AXES
 from heli_host.errors import PlanError
-
-AXES = ("elevation", "pitch", "travel")
-"""Axes in the order used everywhere."""
 
 MAX_SEGMENT_S = 3600.0
 
@@ -93,15 +91,9 @@ class Table:
         Parameters
         ----------
         key : str
-            Its key.
-        spec : Number
-            What it takes.
+            As the plan's TOML spells it.
         default : float, optional
             Value when the key is missing; without it the key must be there.
-
-        Returns
-        -------
-        float
         """
         if key not in self.values:
             if default is None:
@@ -125,13 +117,7 @@ class Table:
         Parameters
         ----------
         key : str
-            Its key.
-        spec : Number
-            What it takes.
-
-        Returns
-        -------
-        float or None
+            As the plan's TOML spells it.
         """
         return self.number(key, spec) if key in self.values else None
 
@@ -141,13 +127,9 @@ class Table:
         Parameters
         ----------
         key : str
-            Its key.
+            As the plan's TOML spells it.
         default : str
             Value when the key is missing.
-
-        Returns
-        -------
-        str
         """
         value = self.values.get(key, default)
         if not isinstance(value, str):
@@ -160,15 +142,11 @@ class Table:
         Parameters
         ----------
         key : str
-            Its key.
+            As the plan's TOML spells it.
         choices : iterable of str
             Words that it takes.
         default : str, optional
             Value when the key is missing; without it the key must be there.
-
-        Returns
-        -------
-        str
         """
         words = list(choices)
         if key not in self.values and default is None:

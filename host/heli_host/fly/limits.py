@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from heli_host.declaration import AXES, PARAMS, Axis
 from heli_host.errors import PlanError
-from heli_host.fly.keys import AXES
 from heli_host.fly.route import Floats
 from heli_host.fly.segments import Segment
-from heli_host.link.declaration import PARAMS
-from heli_host.parameters import ELEVATION_MARGIN_DEG, TRAVEL_MARGIN_DEG
+from heli_host.setpoints import setpoint_bounds
 
 _TABLE_MARGIN_DEG = 2.0
 
@@ -23,11 +22,11 @@ class Limits:
 
     Parameters
     ----------
-    low_deg, high_deg : ndarray (3,)
+    low_deg, high_deg : ndarray (axes,)
         Bounds of the setpoints of elevation, pitch and travel.
     low_names, high_names : tuple of str
         Where each bound comes from, for messages.
-    slew_deg_s : ndarray (3,)
+    slew_deg_s : ndarray (axes,)
         Fastest change of each setpoint.
     excitation_max_V, excitation_max_s : float
         Bounds of an excitation.
@@ -37,8 +36,8 @@ class Limits:
 
     low_deg: Floats
     high_deg: Floats
-    low_names: tuple[str, str, str]
-    high_names: tuple[str, str, str]
+    low_names: tuple[str, ...]
+    high_names: tuple[str, ...]
     slew_deg_s: Floats
     excitation_max_V: float
     excitation_max_s: float
@@ -52,23 +51,20 @@ class Limits:
         ----------
         parameters : Mapping[str, float], optional
             The board's parameters by name; the declared defaults stand for what is missing.
-
-        Returns
-        -------
-        Limits
         """
         known = {spec.name: spec.default for spec in PARAMS}
         known.update(parameters or {})
-        travel_deg = known["travel_max_deg"] - TRAVEL_MARGIN_DEG
-        pitch_deg = known["pitch_setpoint_max_deg"]
+        bounds = setpoint_bounds(known)
+        low_deg = np.array([bounds[axis].least_deg for axis in AXES])
+        low_deg[Axis.ELEVATION] += _TABLE_MARGIN_DEG
+        low_names = [bounds[axis].least_name for axis in AXES]
+        low_names[Axis.ELEVATION] += f" + {_TABLE_MARGIN_DEG:g}"
         return Limits(
-            low_deg=np.array([known["elevation_rest_deg"] + _TABLE_MARGIN_DEG, -pitch_deg, -travel_deg]),
-            high_deg=np.array([known["elevation_max_deg"] - ELEVATION_MARGIN_DEG, pitch_deg, travel_deg]),
-            low_names=("elevation_rest_deg + 2", "-pitch_setpoint_max_deg", "-(travel_max_deg - 5)"),
-            high_names=("elevation_max_deg - 2", "pitch_setpoint_max_deg", "travel_max_deg - 5"),
-            slew_deg_s=np.array(
-                [known["elevation_slew_deg_s"], known["pitch_slew_deg_s"], known["travel_slew_deg_s"]]
-            ),
+            low_deg=low_deg,
+            high_deg=np.array([bounds[axis].most_deg for axis in AXES]),
+            low_names=tuple(low_names),
+            high_names=tuple(bounds[axis].most_name for axis in AXES),
+            slew_deg_s=np.array([known[f"{axis}_slew_deg_s"] for axis in AXES]),
             excitation_max_V=known["excitation_max_V"],
             excitation_max_s=known["excitation_max_s"],
             rest_deg=known["elevation_rest_deg"],
@@ -80,12 +76,8 @@ def check_motion(segment: Segment, at_deg: Floats, limits: Limits) -> None:
 
     Parameters
     ----------
-    segment : Segment
-        The segment.
-    at_deg : ndarray (3,)
+    at_deg : ndarray (axes,)
         Setpoints at which it begins.
-    limits : Limits
-        What the board allows.
 
     Raises
     ------

@@ -15,17 +15,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from heli_host.declaration import AXES, TICK_US, Axes, Channel, Fault, SetpointMessage, State
 from heli_host.errors import FlightAborted, HeliError, LinkLost, fault_text
 from heli_host.fly.route import Piece, Route
-from heli_host.link.declaration import TICK_US, Axes, Fault, SetpointMessage, State
 from heli_host.log.summary import LANDING
 
 if TYPE_CHECKING:
     from heli_host.fly.recorder import Recorder
-    from heli_host.heli import Heli
     from heli_host.link.accounting import LinkCounters
     from heli_host.link.telemetry import Ticks
     from heli_host.samples import Sample
+    from heli_host.vehicle import Vehicle
 
 TICK_S = TICK_US * 1e-6
 INTERVAL_TICKS = 20
@@ -41,7 +41,6 @@ _CLOSING_S = 2.0
 _BEFORE_TICKS = 500
 _AFTER_TICKS = 200
 _LONGEST_REST_S = 2.0
-_FAULT_CHANNEL = 9
 _DOWN = (State.IDLE, State.FAULT)
 
 
@@ -57,10 +56,6 @@ class Progress:
         Device time left until the landing; None during it.
     phase : str
         ``take-off``, the name of a plan, or ``landing``.
-    sample : Sample
-        The newest sample.
-    counters : LinkCounters
-        Counts of the link.
     """
 
     t_s: float
@@ -75,8 +70,6 @@ class Pilot:
 
     Parameters
     ----------
-    heli : Heli
-        A connected board.
     route : Route
         Where to fly, from the table on; checked against the board.
     axes : tuple of str
@@ -94,7 +87,7 @@ class Pilot:
 
     def __init__(
         self,
-        heli: Heli,
+        heli: Vehicle,
         route: Route,
         axes: tuple[str, ...],
         recorder: Recorder,
@@ -196,15 +189,15 @@ class Pilot:
         # one.
         lead_ticks = min(max(LEAD_TICKS, tick - self._sent_tick + INTERVAL_TICKS), _LONGEST_LEAD_TICKS)
         at_tick = tick + lead_ticks
-        message = SetpointMessage(at_tick & 0xFFFFFFFF, *self._target_rad(at_tick))
+        message = SetpointMessage(at_tick & 0xFFFFFFFF, **self._target_rad(at_tick))
         self._sent_tick = tick
         self._session.stream(message)
         self._session.keep_alive(message if self._heli.keep_alive else None)
 
-    def _target_rad(self, tick: int) -> list[float]:
+    def _target_rad(self, tick: int) -> dict[str, float]:
         t_s = np.array([(tick - self._start_tick) * TICK_S])
         angles_rad: list[float] = np.radians(self._route.evaluate(t_s)[0]).tolist()
-        return angles_rad
+        return {f"{axis}_rad": angle_rad for axis, angle_rad in zip(AXES, angles_rad, strict=True)}
 
     def _excite(self) -> None:
         while self._excitations and self._tick() >= self._tick_of(self._excitations[0]):
@@ -247,7 +240,7 @@ class Pilot:
 
     def _fault(self) -> int:
         newest = self._session.latest
-        return int(newest[1][_FAULT_CHANNEL]) if newest is not None else int(Fault.NONE)
+        return int(newest[1][Channel.FAULT]) if newest is not None else int(Fault.NONE)
 
     def _come_down(self) -> None:
         """Land if anything may turn; a Ctrl-C meanwhile stops the motors at once."""

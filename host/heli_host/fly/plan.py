@@ -34,9 +34,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.declaration import AXES, Axis
 from heli_host.errors import PlanError
 from heli_host.fly import route as shapes
-from heli_host.fly.keys import ANGLE, AXES, PAUSE, RATE, Table
+from heli_host.fly.keys import ANGLE, PAUSE, RATE, Table
 from heli_host.fly.limits import Limits, check_motion
 from heli_host.fly.route import Floats, Route
 from heli_host.fly.segments import Segment, read_segment
@@ -80,10 +81,6 @@ class Plan:
         What it is, in one line.
     axes : tuple of str
         Axes that it closes.
-    start : Start
-        Its take-off.
-    segments : tuple of Segment
-        What it flies.
     text : str
         Its TOML, as read; goes into the log.
     """
@@ -108,10 +105,6 @@ class Plan:
             Where it comes from, for messages.
         name : str
             Name of the plan; the source's stem without it.
-
-        Returns
-        -------
-        Plan
 
         Raises
         ------
@@ -144,8 +137,13 @@ class Plan:
     @cached_property
     def route(self) -> Route:
         """The plan as setpoints over time; 0 s is when take-off has settled."""
-        start_deg = np.array([self.start.elevation_deg, 0.0, 0.0])
-        return extend(Route(start_deg), self)
+        return extend(Route(self._start_deg), self)
+
+    @property
+    def _start_deg(self) -> Floats:
+        start_deg = np.zeros(len(AXES))
+        start_deg[Axis.ELEVATION] = self.start.elevation_deg
+        return start_deg
 
     @property
     def duration_s(self) -> float:
@@ -166,9 +164,8 @@ class Plan:
             Setpoints in degrees; before 0 s where the plan starts, after its end where it ends.
         """
         points = self.route.evaluate(np.atleast_1d(np.asarray(t_s, np.float64)))
-        if np.ndim(t_s) == 0:
-            return float(points[0, 0]), float(points[0, 1]), float(points[0, 2])
-        return points[:, 0], points[:, 1], points[:, 2]
+        elevation_deg, pitch_deg, travel_deg = points[0].tolist() if np.ndim(t_s) == 0 else points.T
+        return elevation_deg, pitch_deg, travel_deg
 
     def check(self, parameters: Mapping[str, float] | None = None, from_deg: Floats | None = None) -> Floats:
         """Refuse what the board would refuse, or could not follow.
@@ -177,12 +174,12 @@ class Plan:
         ----------
         parameters : Mapping[str, float], optional
             The board's parameters; the declared defaults stand for what is missing.
-        from_deg : ndarray (3,), optional
+        from_deg : ndarray (axes,), optional
             Setpoints at which the plan begins; its own start without it.
 
         Returns
         -------
-        ndarray (3,)
+        ndarray (axes,)
             Setpoints at which it ends, in degrees.
 
         Raises
@@ -191,26 +188,26 @@ class Plan:
             If a setpoint leaves the limits, changes faster than the board's slew limits, or an excitation is
             too large or too long; the message names file, segment and key.
         """
-        at_deg = np.array([self.start.elevation_deg, 0.0, 0.0]) if from_deg is None else from_deg.copy()
+        at_deg = self._start_deg if from_deg is None else from_deg.copy()
         limits = Limits.of(parameters)
         self._check_start(limits)
-        at_deg[0] = self.start.elevation_deg
+        at_deg[Axis.ELEVATION] = self.start.elevation_deg
         for segment in self.segments:
             check_motion(segment, at_deg, limits)
             at_deg = _end(segment, at_deg)
         return at_deg
 
     def _check_start(self, limits: Limits) -> None:
-        low, high = limits.low_deg[0], limits.high_deg[0]
+        low, high = limits.low_deg[Axis.ELEVATION], limits.high_deg[Axis.ELEVATION]
         if not low <= self.start.elevation_deg <= high:
             raise PlanError(
                 f"{self.source}, start: elevation_deg is {self.start.elevation_deg:g}",
                 f"keep it from {low:g} to {high:g}",
             )
-        if self.start.rate_deg_s > limits.slew_deg_s[0]:
+        if self.start.rate_deg_s > limits.slew_deg_s[Axis.ELEVATION]:
             raise PlanError(
                 f"{self.source}, start: rate_deg_s is {self.start.rate_deg_s:g}, the board's "
-                f"elevation_slew_deg_s {limits.slew_deg_s[0]:g}",
+                f"elevation_slew_deg_s {limits.slew_deg_s[Axis.ELEVATION]:g}",
                 "lower it, or raise the parameter",
             )
 
@@ -222,10 +219,6 @@ def load_plan(name: str | Path) -> Plan:
     ----------
     name : str or Path
         Name of a built-in plan, or path of a TOML file.
-
-    Returns
-    -------
-    Plan
 
     Raises
     ------
@@ -264,10 +257,6 @@ def plan_title(name: str) -> str:
     ----------
     name : str
         One of `plan_names`.
-
-    Returns
-    -------
-    str
     """
     return load_plan(name).title
 
@@ -281,7 +270,7 @@ def take_off(plans: Sequence[Plan], parameters: Mapping[str, float], start_deg: 
         Plans in the order in which they are flown, at least one; all close the same axes.
     parameters : Mapping[str, float]
         The board's parameters by name.
-    start_deg : ndarray (3,)
+    start_deg : ndarray (axes,)
         Elevation, pitch and travel on the table.
 
     Returns
@@ -302,29 +291,17 @@ def take_off(plans: Sequence[Plan], parameters: Mapping[str, float], start_deg: 
                 "fly them one after the other, each with its own command",
             )
     at_deg = start_deg.copy()
-    at_deg[1] = 0.0
+    at_deg[Axis.PITCH] = 0.0
+    route = Route(at_deg)
     for plan in plans:
         at_deg = plan.check(parameters, at_deg)
-    route = Route(np.array([start_deg[0], 0.0, start_deg[2]]))
     for number, plan in enumerate(plans):
         route = extend(_reach(route, plan, TAKE_OFF if number == 0 else plan.name, settle=number == 0), plan)
     return route
 
 
 def extend(route: Route, plan: Plan) -> Route:
-    """Append a plan's segments to a route.
-
-    Parameters
-    ----------
-    route : Route
-        What comes before.
-    plan : Plan
-        What to append; its start is not.
-
-    Returns
-    -------
-    Route
-    """
+    """Append a plan's segments to a route."""
     for segment in plan.segments:
         motion = segment.motion(route.end_deg)
         if motion.duration_s > 0.0:
@@ -335,8 +312,8 @@ def extend(route: Route, plan: Plan) -> Route:
 def _reach(route: Route, plan: Plan, phase: str, *, settle: bool) -> Route:
     from_deg = route.end_deg
     to_deg = from_deg.copy()
-    to_deg[0] = plan.start.elevation_deg
-    duration_s = abs(float(to_deg[0] - from_deg[0])) / plan.start.rate_deg_s
+    to_deg[Axis.ELEVATION] = plan.start.elevation_deg
+    duration_s = float(np.abs(to_deg - from_deg).max()) / plan.start.rate_deg_s
     if duration_s > 0.0:
         route = route.then(phase, "rise", duration_s, shapes.ramp(from_deg, to_deg, duration_s))
     if settle and plan.start.settle_s > 0.0:

@@ -11,10 +11,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-import numpy as np
-
+from heli_host.declaration import LINK_HASH, LINK_VERSION, StatusMessage
 from heli_host.errors import HeliError, LogError
-from heli_host.link.declaration import LINK_HASH, LINK_VERSION, StatusMessage
+from heli_host.link.channels import rad_per_count
 from heli_host.link.events import BOARD_RESTARTED, LINK_LOST, LINK_SILENT, LinkEvent
 from heli_host.log.schema import LEVEL_ERROR, LEVEL_INFO, LEVEL_WARNING
 from heli_host.log.summary import PHASE_EVENT
@@ -22,9 +21,9 @@ from heli_host.log.writer import LogCounters, LogWriter
 
 if TYPE_CHECKING:
     from heli_host.fly.plan import Plan
-    from heli_host.heli import Heli
     from heli_host.link.accounting import LinkCounters
     from heli_host.link.telemetry import Ticks
+    from heli_host.vehicle import Vehicle
 
 _LEVELS = {
     "fault": LEVEL_ERROR,
@@ -35,7 +34,6 @@ _LEVELS = {
     "setpoint_rejected": LEVEL_WARNING,
 }
 _URGENT = frozenset((LINK_LOST, LINK_SILENT, BOARD_RESTARTED, "fault"))
-_AXES = ("elevation", "pitch", "travel")
 
 
 class Recorder:
@@ -46,8 +44,6 @@ class Recorder:
 
     Parameters
     ----------
-    heli : Heli
-        A connected board.
     path : str or Path
         Log to write; a file that exists is replaced.
     rig_name : str
@@ -65,7 +61,7 @@ class Recorder:
 
     def __init__(
         self,
-        heli: Heli,
+        heli: Vehicle,
         path: str | Path,
         *,
         rig_name: str = "",
@@ -86,9 +82,7 @@ class Recorder:
                 "parameters": {name: repr(value) for name, value in parameters.items()},
                 "plan": _texts(plans),
             },
-            rad_per_count=np.array(
-                [2.0 * np.pi / abs(parameters[f"{axis}_counts_per_rev"]) for axis in _AXES]
-            ),
+            rad_per_count=rad_per_count(parameters),
         )
         self._last_wall_ns = 0
         self._unsubscribe = (
@@ -221,7 +215,7 @@ class Recorder:
             self.error = self.error or error
 
     @staticmethod
-    def _session(heli: Heli, rig_name: str, plans: Sequence[Plan], board_name: str) -> dict[str, str]:
+    def _session(heli: Vehicle, rig_name: str, plans: Sequence[Plan], board_name: str) -> dict[str, str]:
         info = heli.info
         wall_ns = heli.session.transport.wall_ns()
         return {

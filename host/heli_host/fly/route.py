@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Shape = Callable[[Floats], Floats]
-"""From times within a piece, seconds (n,), to elevation, pitch and travel in degrees (n, 3)."""
+"""From times within a piece, seconds (n,), to elevation, pitch and travel in degrees (n, axes)."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,6 @@ class Piece:
         When, on the route's axis.
     shape : callable
         Setpoints within it.
-    excitation : Excitation or None
-        What the board adds meanwhile.
     """
 
     phase: str
@@ -67,7 +65,7 @@ class Piece:
 
     @property
     def end_deg(self) -> Floats:
-        """Setpoints at its end, degrees (3,)."""
+        """Setpoints at its end, degrees (axes,)."""
         end_deg: Floats = self.shape(np.array([self.duration_s]))[0]
         return end_deg
 
@@ -78,7 +76,7 @@ class Route:
 
     Parameters
     ----------
-    start_deg : ndarray (3,)
+    start_deg : ndarray (axes,)
         Elevation, pitch and travel before the first piece.
     pieces : tuple of Piece
         In order of time, without gaps.
@@ -94,7 +92,7 @@ class Route:
 
     @property
     def end_deg(self) -> Floats:
-        """Setpoints at its end, degrees (3,)."""
+        """Setpoints at its end, degrees (axes,)."""
         return self.pieces[-1].end_deg if self.pieces else self.start_deg
 
     def then(
@@ -110,12 +108,6 @@ class Route:
             Length of the piece.
         shape : callable
             Setpoints within it.
-        excitation : Excitation, optional
-            What the board adds meanwhile.
-
-        Returns
-        -------
-        Route
         """
         piece = Piece(phase, name, self.duration_s, duration_s, shape, excitation)
         return Route(self.start_deg, (*self.pieces, piece))
@@ -163,10 +155,10 @@ class Route:
 
         Returns
         -------
-        ndarray (n, 3)
+        ndarray (n, axes)
             Elevation, pitch and travel in degrees.
         """
-        out = np.empty((t_s.size, 3))
+        out = np.empty((t_s.size, self.start_deg.size))
         out[:] = self.start_deg
         if not self.pieces:
             return out
@@ -184,12 +176,8 @@ def hold(at_deg: Floats) -> Shape:
 
     Parameters
     ----------
-    at_deg : ndarray (3,)
+    at_deg : ndarray (axes,)
         Where.
-
-    Returns
-    -------
-    callable
     """
     return lambda t_s: np.tile(at_deg, (t_s.size, 1))
 
@@ -199,14 +187,10 @@ def ramp(from_deg: Floats, to_deg: Floats, duration_s: float) -> Shape:
 
     Parameters
     ----------
-    from_deg, to_deg : ndarray (3,)
+    from_deg, to_deg : ndarray (axes,)
         Both ends.
     duration_s : float
         Time between them.
-
-    Returns
-    -------
-    callable
     """
     return lambda t_s: from_deg + np.outer(np.clip(t_s / duration_s, 0.0, 1.0), to_deg - from_deg)
 
@@ -216,18 +200,14 @@ def sine(from_deg: Floats, amplitude_deg: Floats, period_s: Floats, duration_s: 
 
     Parameters
     ----------
-    from_deg : ndarray (3,)
+    from_deg : ndarray (axes,)
         Where they begin and end, and their middle.
-    amplitude_deg : ndarray (3,)
+    amplitude_deg : ndarray (axes,)
         Amplitude of each axis; 0 stays.
-    period_s : ndarray (3,)
+    period_s : ndarray (axes,)
         Period of each axis.
     duration_s : float
         Length.
-
-    Returns
-    -------
-    callable
     """
     fades_s = fade_s(period_s, duration_s)
 
@@ -246,14 +226,10 @@ def fade_s(period_s: Floats, duration_s: float) -> Floats:
 
     Parameters
     ----------
-    period_s : ndarray (3,)
+    period_s : ndarray (axes,)
         Period of each axis.
     duration_s : float
         Length of the whole.
-
-    Returns
-    -------
-    ndarray (3,)
     """
     return np.minimum(0.5 * period_s, 0.5 * duration_s)
 
@@ -263,16 +239,12 @@ def waypoints(at_s: Sequence[Floats], points_deg: Sequence[Floats], smooth: bool
 
     Parameters
     ----------
-    at_s : sequence of three ndarray (m,)
+    at_s : sequence of ndarray (m,)
         Times of each axis' points, rising, from 0.
-    points_deg : sequence of three ndarray (m,)
-        Their values.
+    points_deg : sequence of ndarray (m,)
+        Their values, degrees.
     smooth : bool
         Leave and reach every point at rest (cubic blend); else straight lines.
-
-    Returns
-    -------
-    callable
     """
 
     def shape(t_s: Floats) -> Floats:

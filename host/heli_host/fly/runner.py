@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from heli_host.declaration import AXES
 from heli_host.errors import PlanError
 from heli_host.fly.pilot import Pilot, Progress
 from heli_host.fly.plan import Plan, load_plan, take_off
@@ -20,13 +21,13 @@ from heli_host.log.reader import Log, read_log
 from heli_host.log.summary import FlightSummary, summarise
 
 if TYPE_CHECKING:
-    from heli_host.heli import Heli
+    from heli_host.vehicle import Vehicle
 
 PlanLike = Plan | str | Path
 
 
 def fly(
-    heli: Heli,
+    heli: Vehicle,
     plans: PlanLike | Sequence[PlanLike],
     *,
     log_path: str | Path | None = None,
@@ -44,7 +45,7 @@ def fly(
 
     Parameters
     ----------
-    heli : Heli
+    heli : Vehicle
         A connected board, idle, its arm at rest on the table.
     plans : Plan, str or Path, or a sequence of them
         What to fly: plans, names of built-in ones, or TOML files.
@@ -73,7 +74,7 @@ def fly(
     """
     loaded = _loaded(plans)
     sample = heli.latest
-    start_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
+    start_deg = np.degrees([getattr(sample, f"{axis}_rad") for axis in AXES])
     route = take_off(loaded, dict(heli.params), start_deg)
     with _place(log_path) as path:
         recorder = Recorder(heli, path, rig_name=rig_name, plans=loaded, board_name=board_name)

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from heli_host.declaration import AXES
+from heli_host.declaration import Excitation as Signal
 from heli_host.fly import route
 from heli_host.fly.keys import (
     ANGLE,
-    AXES,
     DURATION,
     EXCITATION_HZ,
     FREQUENCY,
@@ -24,7 +25,6 @@ from heli_host.fly.keys import (
     Table,
 )
 from heli_host.fly.route import Excitation, Floats, Shape
-from heli_host.link.declaration import Excitation as Signal
 
 SIGNALS = tuple(signal.name.lower() for signal in Signal if signal is not Signal.NONE)
 _SHAPES_OF_PATH = ("smooth", "straight")
@@ -41,9 +41,9 @@ class Motion:
         Its length.
     shape : callable
         Setpoints within it.
-    low_deg, high_deg : ndarray (3,)
+    low_deg, high_deg : ndarray (axes,)
         Bounds of elevation, pitch and travel within it.
-    rate_deg_s : ndarray (3,)
+    rate_deg_s : ndarray (axes,)
         Steepest slopes asked for; a step asks for none, because the board's slew limit shapes it.
     """
 
@@ -65,19 +65,17 @@ class Segment:
     where : str
         File and segment, for messages.
     motion : callable
-        From the setpoints at its beginning, degrees (3,), to its `Motion`.
+        From the setpoints at its beginning, degrees (axes,), to its `Motion`.
     limit_keys : tuple of str
         For each axis, the key to blame when the motion leaves the limits.
     rate_key : str
         The key to blame when it is too fast.
-    excitation : Excitation or None
-        What the board adds meanwhile.
     """
 
     kind: str
     where: str
     motion: Callable[[Floats], Motion]
-    limit_keys: tuple[str, str, str] = ("elevation_deg", "pitch_deg", "travel_deg")
+    limit_keys: tuple[str, ...] = tuple(TARGETS)
     rate_key: str = "duration_s"
     excitation: Excitation | None = None
 
@@ -93,10 +91,6 @@ def read_segment(values: Mapping[str, Any], where: str, commanded: tuple[str, ..
         File and number of the segment, for messages.
     commanded : tuple of str
         Axes that the plan's segments may move: those that it closes, but not pitch while travel commands it.
-
-    Returns
-    -------
-    Segment
 
     Raises
     ------
@@ -129,7 +123,7 @@ def _why_not(axis: str) -> str:
 
 def _motion(duration_s: float, shape: Shape, *points_deg: Floats, rate_deg_s: Floats | None = None) -> Motion:
     points = np.array(points_deg)
-    rate = np.zeros(3) if rate_deg_s is None else rate_deg_s
+    rate = np.zeros(len(AXES)) if rate_deg_s is None else rate_deg_s
     return Motion(duration_s, shape, points.min(axis=0), points.max(axis=0), rate)
 
 
@@ -197,7 +191,7 @@ def _read_sine(table: Table, commanded: tuple[str, ...]) -> Segment:
     amplitude_deg = np.array([table.number(f"{axis}_amplitude_deg", ANGLE, 0.0) for axis in AXES])
     if not amplitude_deg.any():
         table.fail("it moves no axis", f"add {commanded[-1]}_amplitude_deg = 5")
-    period_s = np.ones(3)
+    period_s = np.ones(len(AXES))
     for index, axis in enumerate(AXES):
         own = _period(table, f"{axis}_")
         if amplitude_deg[index] == 0.0 and own is not None:
@@ -220,7 +214,7 @@ def _read_sine(table: Table, commanded: tuple[str, ...]) -> Segment:
         shape = route.sine(at, amplitude_deg, period_s, duration_s)
         return _motion(duration_s, shape, at - reach_deg, at + reach_deg, rate_deg_s=rate_deg_s)
 
-    keys = (f"{AXES[0]}_amplitude_deg", f"{AXES[1]}_amplitude_deg", f"{AXES[2]}_amplitude_deg")
+    keys = tuple(f"{axis}_amplitude_deg" for axis in AXES)
     return Segment("sine", table.where, motion, keys, "period_s", _meanwhile(table, duration_s))
 
 
@@ -237,7 +231,7 @@ def _read_waypoints(table: Table, commanded: tuple[str, ...]) -> Segment:
     rows = table.values.get("points")
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         table.fail("points is not a list of points", "write points = [{at_s = 5, travel_deg = 10}, ...]")
-    columns: list[list[tuple[float, float]]] = [[], [], []]
+    columns: list[list[tuple[float, float]]] = [[] for _ in AXES]
     usable = ("at_s", *(key for key in TARGETS if _axis_of(key) in commanded))
     last_s = -1.0
     for number, row in enumerate(rows, start=1):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heli_host.link.declaration import StatusMessage
+from heli_host.declaration import StatusMessage
 from heli_host.link.telemetry import EMPTY_TICKS, Ticks
 
 _TICK_MODULUS = 1 << 32

@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from heli_host.link.declaration import TICK_US
+from heli_host.declaration import TICK_US
 
 TICK_S = TICK_US * 1e-6
 

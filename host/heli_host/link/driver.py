@@ -25,10 +25,6 @@ class Driver:
     ----------
     transport : Transport
         The board's bytes, open.
-    engine : Engine
-        The protocol.
-    subscribers : Subscribers
-        Who is told what came.
     reconnect_timeout_s : float
         How long a lost board is looked for [s].
 

@@ -15,13 +15,11 @@ from enum import Enum, auto
 import numpy as np
 import numpy.typing as npt
 
-from heli_host.errors import LinkLost, LinkVersionMismatch, fault_text
-from heli_host.link.accounting import LinkCounters, TickAccount
-from heli_host.link.clock import ClockFit
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     LINK_HASH,
     LINK_VERSION,
     AckMessage,
+    Channel,
     Event,
     EventMessage,
     HelloMessage,
@@ -36,6 +34,9 @@ from heli_host.link.declaration import (
     VoltagesMessage,
     WelcomeMessage,
 )
+from heli_host.errors import LinkLost, LinkVersionMismatch, fault_text
+from heli_host.link.accounting import LinkCounters, TickAccount
+from heli_host.link.clock import ClockFit
 from heli_host.link.events import (
     BOARD_RESTARTED,
     LINK_LOST,
@@ -58,7 +59,6 @@ KEEP_ALIVE_S = 0.099
 CLOCK_PING_S = 1.0
 SILENCE_S = 1.0
 
-_STATE_CHANNEL = 8
 _HELD_BATCHES = 500
 _TICK_MASK = 0xFFFFFFFF
 
@@ -76,8 +76,6 @@ class Received:
 
     Parameters
     ----------
-    ticks : Ticks
-        New samples.
     events : list of LinkEvent
         Events of board and link, in order.
     statuses : list of StatusMessage
@@ -111,7 +109,7 @@ class Engine:
         The board's newest welcome.
     mismatch : LinkVersionMismatch or None
         Set when the board speaks another declaration.
-    latest_raw : ndarray of int32, shape (11,), or None
+    latest_raw : ndarray of int32, shape (channels,), or None
         Newest sample, channels in the declaration's order.
     unreachable_since_s : float or None
         Host time since when the board does not answer [s].
@@ -157,7 +155,7 @@ class Engine:
         """Supervisor state in the newest sample; None before the first, and for one unknown to this host."""
         if self.latest_raw is None:
             return None
-        number = int(self.latest_raw[_STATE_CHANNEL])
+        number = int(self.latest_raw[Channel.STATE])
         return State(number) if number in State._value2member_map_ else None
 
     @property
@@ -172,13 +170,7 @@ class Engine:
         return self.welcome is not None and self.phase is Phase.GREETING
 
     def counters(self) -> LinkCounters:
-        """Return all counts since the first welcome.
-
-        Returns
-        -------
-        LinkCounters
-            A snapshot.
-        """
+        """Return all counts since the first welcome."""
         frames_ok, frames_bad, frames_lost, received, dropped = (
             now - then for now, then in zip(self._parser_counts(), self._baseline, strict=True)
         )
@@ -211,11 +203,6 @@ class Engine:
             Host time of their arrival [s].
         wall_ns : int
             Unix time of their arrival [ns].
-
-        Returns
-        -------
-        Received
-            What they say.
         """
         received = Received()
         frames = self.parser.feed(data) if data else []
@@ -327,11 +314,6 @@ class Engine:
             Unix time [ns].
         reason : str
             What happened, for the event.
-
-        Returns
-        -------
-        LinkEvent
-            To be delivered.
         """
         self.parser.restart()
         self._greet(now_s)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from heli_host.declaration import Axes, Event, EventMessage, Excitation, Reset, Result, State, Trigger
 from heli_host.errors import fault_text
-from heli_host.link.declaration import Axes, Event, EventMessage, Excitation, Reset, Result, State, Trigger
 
 LINK_LOST = "link_lost"
 LINK_SILENT = "link_silent"

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from cobs import cobs
 
-from heli_host.link.declaration import MAX_COMMAND_PAYLOAD, MAX_TELEMETRY_PAYLOAD, PROTOCOL
+from heli_host.declaration import MAX_COMMAND_PAYLOAD, MAX_TELEMETRY_PAYLOAD, PROTOCOL
 
 _HEADER_BYTES = 3
 _CRC_BYTES = 4
@@ -44,7 +44,7 @@ def encode_frame(message_id: int, seq: int, payload: bytes) -> bytes:
     Parameters
     ----------
     message_id : int
-        Message id.
+        Second byte of the frame, 0 to 255.
     seq : int
         Sequence number; only its low byte is sent.
     payload : bytes

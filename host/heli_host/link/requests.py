@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
+from heli_host.declaration import AckMessage, MessageId, Result
 from heli_host.errors import CommandRefused, CommandTimeout, HeliError
-from heli_host.link.declaration import AckMessage, MessageId, Result
 from heli_host.link.frames import Frame
 
 # A reply takes 20 ms at most over a busy Due line. Tries grow apart, so that a slow simulation is not
@@ -37,16 +37,12 @@ class Request:
 
     Parameters
     ----------
-    command : Command
-        What was asked, with its request number.
     deadline_s : float
         Host time at which it is given up [s].
     next_try_s : float
         Host time of the next try [s].
     tries : int
         How often it was sent.
-    reply : Frame or None
-        The answer.
     error : HeliError or None
         Why there will be none.
     """
@@ -93,13 +89,7 @@ class Request:
         self.tries += 1
 
     def match(self, frame: Frame) -> None:
-        """Take a frame if it is the answer.
-
-        Parameters
-        ----------
-        frame : Frame
-            A reply from the board.
-        """
+        """Take a frame if it is the answer."""
         if self.done or not frame.payload or frame.payload[0] != self.command.request:
             return
         is_ack = frame.id == MessageId.ACK
@@ -109,11 +99,6 @@ class Request:
 
     def answer(self) -> Frame:
         """Return the answer.
-
-        Returns
-        -------
-        Frame
-            As it came.
 
         Raises
         ------

@@ -16,10 +16,7 @@ from types import TracebackType
 import numpy as np
 import numpy.typing as npt
 
-from heli_host.errors import HandshakeTimeout, LinkError, LinkLost, WaitTimeout, WrongDevice
-from heli_host.link.accounting import LinkCounters
-from heli_host.link.clock import TICK_S, ClockEstimate
-from heli_host.link.declaration import (
+from heli_host.declaration import (
     PARAMS,
     AckMessage,
     ParamsMessage,
@@ -31,6 +28,9 @@ from heli_host.link.declaration import (
     VoltagesMessage,
     WelcomeMessage,
 )
+from heli_host.errors import HandshakeTimeout, LinkError, LinkLost, WaitTimeout, WrongDevice
+from heli_host.link.accounting import LinkCounters
+from heli_host.link.clock import TICK_S, ClockEstimate
 from heli_host.link.driver import READ_TIMEOUT_S, Driver
 from heli_host.link.engine import Engine, Phase
 from heli_host.link.events import LinkEvent
@@ -138,7 +138,7 @@ class Session:
 
     @property
     def latest(self) -> tuple[int, npt.NDArray[np.int32]] | None:
-        """Newest tick, counted on over 2^32, and its sample (11,) in raw units; None before the first."""
+        """Newest tick, counted on over 2^32, and its raw numbers (channels,); None before the first."""
         with self._driver.lock:
             tick, raw = self._engine.account.last, self._engine.latest_raw
             return None if tick is None or raw is None else (tick, raw)
@@ -200,11 +200,6 @@ class Session:
         timeout_s : float
             Longest wait for the answer, retries included [s].
 
-        Returns
-        -------
-        Frame
-            The answer, as it came.
-
         Raises
         ------
         CommandRefused
@@ -232,8 +227,6 @@ class Session:
 
         Parameters
         ----------
-        command : Command
-            The command.
         timeout_s : float
             Longest wait for the answer, retries included [s].
 
@@ -347,11 +340,6 @@ class Session:
 
     def ticks_counted_on(self, ticks: Ticks) -> npt.NDArray[np.int64]:
         """Return the tick numbers of samples counted on over 2^32.
-
-        Parameters
-        ----------
-        ticks : Ticks
-            Samples of this start of the board.
 
         Returns
         -------

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from heli_host.link.declaration import SetpointMessage, VoltagesMessage
+from heli_host.declaration import SetpointMessage, VoltagesMessage
 
 SETPOINT_INTERVAL_S = 1.0 / 200.0
 VOLTAGES_INTERVAL_S = 1.0 / 500.0

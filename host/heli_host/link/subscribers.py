@@ -6,8 +6,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import TypeVar
 
+from heli_host.declaration import StatusMessage
 from heli_host.errors import HeliError
-from heli_host.link.declaration import StatusMessage
 from heli_host.link.events import CALLBACK_FAILED, LinkEvent
 from heli_host.link.telemetry import Ticks
 
@@ -60,8 +60,6 @@ class Subscribers:
         ----------
         ticks : Ticks
             New samples; may be empty.
-        events : list of LinkEvent
-            New events.
         statuses : list of StatusMessage
             New counters of the board.
         """

@@ -2,33 +2,27 @@
 
 The deltas of one channel are 2, 4, 8, 16 or 32 bits wide and start on a byte, so each of them lies inside the
 four bytes that begin at its own first byte. One gather of such words, two shifts (left to drop what is above,
-right to extend the sign) and a running sum therefore unpack any number of batches, whatever their widths.
+right to extend the sign) and a running sum therefore unpack any number of batches, whatever their widths. The
+bases of unsigned channels then lose the bits into which a sign was extended.
 """
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from heli_host.link.declaration import CHANNELS
+from heli_host.declaration import CHANNELS, ChannelSpec, TelemetryMessage
 
 CHANNEL_COUNT = len(CHANNELS)
 
-_HEADER_BYTES = 5
-_WIDTHS_BYTES = (CHANNEL_COUNT + 1) // 2
-_BASE_BYTES = tuple({"b": 1, "h": 2, "i": 4}[channel.code[-1].lower()] for channel in CHANNELS)
-_BASES_START = _HEADER_BYTES + _WIDTHS_BYTES
-_DELTAS_START = _BASES_START + sum(_BASE_BYTES)
+_HEADER_BYTES = TelemetryMessage.STRUCT.size
+_COUNT_BYTE = _HEADER_BYTES - 1
 _PAD = b"\0\0\0\0"
 _WIDTH_BITS = np.array([0, 2, 4, 8, 16, 32], dtype=np.intp)
-_BASE_OFFSET = np.cumsum((_BASES_START, *_BASE_BYTES[:-1]))  # (11,)
-_BASE_SHIFT = np.array([32 - 8 * size for size in _BASE_BYTES])  # (11,)
-# The unsigned channels are the last ones.
-_UNSIGNED = slice(min(i for i, channel in enumerate(CHANNELS) if channel.code[-1].isupper()), None)
-_SHAPE = slice(4, _HEADER_BYTES + _WIDTHS_BYTES)
 # A flight uses some tens of them; each takes 4 KiB.
 _PLANS_KEPT = 512
 
@@ -41,7 +35,7 @@ class Ticks:
     ----------
     tick : ndarray of uint32, shape (n,)
         Device time [tick of 1 ms].
-    raw : ndarray of int32, shape (n, 11)
+    raw : ndarray of int32, shape (n, channels)
         Channels in the order of the declaration's ``CHANNELS``; multiply by their scale.
     """
 
@@ -55,12 +49,33 @@ class Ticks:
 EMPTY_TICKS = Ticks(np.empty(0, np.uint32), np.empty((0, CHANNEL_COUNT), np.int32))
 
 
+class _Layout:
+    """What all batches of the same channels have in common.
+
+    ``shape`` are the bytes of a payload that decide how long it is: count and widths. Of each channel's base,
+    ``offset`` (channels,) is the byte at which it begins, ``shift`` (channels,) what is above it in a word,
+    and ``bits`` (channels,) those that it has: all for a signed one, whose sign goes through the whole word.
+    """
+
+    def __init__(self, channels: Sequence[ChannelSpec]) -> None:
+        sizes = [struct.calcsize(channel.code) for channel in channels]
+        bases_start = _HEADER_BYTES + (len(channels) + 1) // 2
+        unsigned = [channel.code.isupper() for channel in channels]
+        self.channels = len(channels)
+        self.shape = slice(_COUNT_BYTE, bases_start)
+        self.deltas_start = bases_start + sum(sizes)
+        self.offset = np.cumsum((bases_start, *sizes[:-1]))
+        self.shift = np.array([32 - 8 * size for size in sizes])
+        all_bits = np.full(self.channels, 0xFFFFFFFF, np.uint32)
+        self.bits = np.where(unsigned, all_bits >> self.shift.astype(np.uint32), all_bits).view(np.int32)
+
+
 @dataclass(frozen=True)
 class _Plan:
     """Where the numbers of a batch lie, for one count and one set of widths.
 
-    ``size`` is the length of such a payload, -1 when there can be none. ``index`` (n, 11) is the byte at
-    which each number's word begins, ``left`` and ``right`` (n, 11) the shifts that cut it out.
+    ``size`` is the length of such a payload, -1 when there can be none. ``index`` (n, channels) is the byte
+    at which each number's word begins, ``left`` and ``right`` (n, channels) the shifts that cut it out.
     """
 
     size: int
@@ -72,14 +87,20 @@ class _Plan:
 class TelemetryDecoder:
     """Unpacks telemetry payloads.
 
+    Parameters
+    ----------
+    channels : sequence of ChannelSpec
+        What a sample holds, in order.
+
     Attributes
     ----------
     malformed : int
         Payloads refused although their frame was sound: their length does not fit their header.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, channels: Sequence[ChannelSpec] = CHANNELS) -> None:
         self.malformed = 0
+        self._layout = _Layout(channels)
         self._plans: dict[bytes, _Plan] = {}
 
     def decode(self, payloads: Sequence[bytes]) -> Ticks:
@@ -98,7 +119,7 @@ class TelemetryDecoder:
         plans: list[_Plan] = []
         parts: list[bytes] = []
         for payload in payloads:
-            shape = payload[_SHAPE]
+            shape = payload[self._layout.shape]
             plan = self._plans.get(shape)
             if plan is None:
                 plan = self._remember(shape)
@@ -114,32 +135,33 @@ class TelemetryDecoder:
         words = np.ndarray((len(joined) - 3,), "<u4", joined, strides=(1,))
         if len(plans) == 1:
             raw = _cut_out(words, plans[0].index, plans[0].left, plans[0].right)
-            raw[0, _UNSIGNED] &= 255
+            raw[0] &= self._layout.bits
             raw.cumsum(axis=0, dtype=np.int32, out=raw)
             return Ticks(words[0] + np.arange(len(raw), dtype=np.uint32), raw)
-        return _unpack(words, plans)
+        return _unpack(words, plans, self._layout)
 
     def _remember(self, shape: bytes) -> _Plan:
         if len(self._plans) >= _PLANS_KEPT:
             self._plans.clear()
-        plan = self._plans[shape] = _plan(shape)
+        plan = self._plans[shape] = _plan(shape, self._layout)
         return plan
 
 
-def _plan(shape: bytes) -> _Plan:
+def _plan(shape: bytes, layout: _Layout) -> _Plan:
     """Lay out a batch by its bytes from the count to the last width."""
-    codes = [nibble for byte in shape[1:] for nibble in (byte & 15, byte >> 4)][:CHANNEL_COUNT]
-    if len(codes) < CHANNEL_COUNT or shape[0] == 0 or max(codes) >= len(_WIDTH_BITS):
-        nothing = np.empty((0, CHANNEL_COUNT))
+    codes = [nibble for byte in shape[1:] for nibble in (byte & 15, byte >> 4)][: layout.channels]
+    if len(codes) < layout.channels or shape[0] == 0 or max(codes) >= len(_WIDTH_BITS):
+        nothing = np.empty((0, layout.channels))
         return _Plan(-1, nothing.astype(np.intp), nothing.astype(np.uint32), nothing.astype(np.int32))
     count = shape[0]
-    width = _WIDTH_BITS[codes]  # (11,)
-    end = _DELTAS_START + np.cumsum((width * (count - 1) + 7) >> 3)  # (11,), behind each channel's deltas
-    bit = width * np.arange(count - 1)[:, None]  # (n - 1, 11), of each delta in its channel
-    begin = np.concatenate(([_DELTAS_START], end[:-1]))
-    right = np.vstack((_BASE_SHIFT, np.broadcast_to(32 - width, bit.shape)))
-    left = np.vstack((_BASE_SHIFT, 32 - width - (bit & 7)))
-    index = np.vstack((_BASE_OFFSET, begin + (bit >> 3)))
+    width = _WIDTH_BITS[codes]  # (channels,)
+    # (channels,), behind each channel's deltas
+    end = layout.deltas_start + np.cumsum((width * (count - 1) + 7) >> 3)
+    bit = width * np.arange(count - 1)[:, None]  # (n - 1, channels), of each delta in its channel
+    begin = np.concatenate(([layout.deltas_start], end[:-1]))
+    right = np.vstack((layout.shift, np.broadcast_to(32 - width, bit.shape)))
+    left = np.vstack((layout.shift, 32 - width - (bit & 7)))
+    index = np.vstack((layout.offset, begin + (bit >> 3)))
     return _Plan(int(end[-1]), index, left.astype(np.uint32), right.astype(np.int32))
 
 
@@ -153,12 +175,12 @@ def _cut_out(
     return np.asarray((words.take(index) << left).view(np.int32) >> right)
 
 
-def _unpack(words: npt.NDArray[np.uint32], plans: Sequence[_Plan]) -> Ticks:
+def _unpack(words: npt.NDArray[np.uint32], plans: Sequence[_Plan], layout: _Layout) -> Ticks:
     size = np.array([plan.size for plan in plans])  # (f,)
     count = np.array([len(plan.index) for plan in plans])  # (f,)
     start = np.cumsum(size) - size  # (f,), first byte of each batch
     row = np.cumsum(count) - count  # (f,), first row of each batch
-    index = np.concatenate([plan.index for plan in plans])  # (n, 11)
+    index = np.concatenate([plan.index for plan in plans])  # (n, channels)
     index += np.repeat(start, count)[:, None]
     raw = _cut_out(
         words,
@@ -166,7 +188,7 @@ def _unpack(words: npt.NDArray[np.uint32], plans: Sequence[_Plan]) -> Ticks:
         np.concatenate([plan.left for plan in plans]),
         np.concatenate([plan.right for plan in plans]),
     )
-    raw[row, _UNSIGNED] &= 255
+    raw[row] &= layout.bits
     # Each base is an absolute number: what the batches before have summed up to is taken off it first.
     raw[row[1:]] -= np.add.reduceat(raw, row, axis=0, dtype=np.int32)[:-1]
     raw.cumsum(axis=0, dtype=np.int32, out=raw)

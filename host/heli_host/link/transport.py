@@ -21,8 +21,8 @@ from typing import Any, Protocol, cast, runtime_checkable
 import serial
 from serial.tools import list_ports
 
+from heli_host.declaration import BAUD
 from heli_host.errors import BadBaud, LinkError, LinkLost, PortError
-from heli_host.link.declaration import BAUD
 
 ENTRY_POINT_GROUP = "heli_host.transports"
 
@@ -385,6 +385,33 @@ def open_transport(
     return SerialTransport(url, baud, reset_board=reset_board, min_read_interval_s=min_read_interval_s)
 
 
+def transport_label(transport: Transport) -> str:
+    """Say what is at the other end, where the transport knows more than the board's own word.
+
+    Parameters
+    ----------
+    transport : Transport
+        Any transport; one may say it in an attribute ``label``.
+
+    Returns
+    -------
+    str
+        Such as ``emulated Due, heli.elf``; empty where nothing is said.
+    """
+    return str(getattr(transport, "label", ""))
+
+
+def transport_note(transport: Transport) -> str:
+    """Say what the user should know about how a board was chosen.
+
+    Parameters
+    ----------
+    transport : Transport
+        Any transport; one may say it in an attribute ``note``.
+    """
+    return str(getattr(transport, "note", ""))
+
+
 def set_read_interval(transport: Transport, interval_s: float) -> None:
     """Choose how long a transport collects bytes before it hands them out.
 
@@ -415,7 +442,7 @@ def _open_serial(url: str, baud: int) -> serial.SerialBase:
             scheme = url.partition("://")[0]
             raise LinkError(
                 f"nothing installed provides {scheme}:// links",
-                "give a port name, socket://host:port, or sil:// with heli_sim installed",
+                "give a port name or socket://host:port, or install the package that provides it",
             ) from error
         raise BadBaud(f"{url} cannot run at {baud} baud", f"leave the rate at {BAUD}") from error
     except (serial.SerialException, OSError) as error:

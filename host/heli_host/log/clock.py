@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from heli_host.link.declaration import TICK_US
+from heli_host.declaration import TICK_US
 
 
 class TickClock:

@@ -1,4 +1,4 @@
-"""Flights for other programs: tables, MATLAB, Parquet."""
+"""Flights for other programs: MATLAB, Parquet; `heli_host.log.table` writes the tables."""
 
 from __future__ import annotations
 
@@ -11,32 +11,12 @@ from heli_host.errors import LogWriteError
 from heli_host.flight import Flight
 
 
-def export_csv(flight: Flight, path: str | Path) -> None:
-    """Write a table that `Flight.read` takes back.
-
-    Parameters
-    ----------
-    flight : Flight
-        What to write.
-    path : str or Path
-        ``.csv``, or ``.csv.gz`` to compress it.
-
-    Raises
-    ------
-    LogWriteError
-        If it cannot be written.
-    """
-    flight.write_csv(path)
-
-
 def export_mat(flight: Flight, path: str | Path) -> None:
     """Write a MATLAB file (version 5): one column vector a column, a struct of parameters, the plan and the
     notes.
 
     Parameters
     ----------
-    flight : Flight
-        What to write.
     path : str or Path
         ``.mat`` file to write.
 
@@ -73,8 +53,6 @@ def export_parquet(flight: Flight, path: str | Path) -> None:
 
     Parameters
     ----------
-    flight : Flight
-        What to write.
     path : str or Path
         ``.parquet`` file to write.
 

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.declaration import AXES
 from heli_host.errors import LogWriteError
 from heli_host.flight import Flight, FlightEvent
-from heli_host.log.summary import AXES, LANDING, PHASE_EVENT, TAKE_OFF, FlightSummary
+from heli_host.log.summary import LANDING, PHASE_EVENT, TAKE_OFF, FlightSummary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,10 +55,6 @@ def write_figure(flight: Flight, summary: FlightSummary, path: str | Path) -> No
 
     Parameters
     ----------
-    flight : Flight
-        What was flown.
-    summary : FlightSummary
-        Its numbers, for the titles.
     path : str or Path
         ``.png``, ``.pdf`` or ``.svg`` file to write; a missing folder is made.
 
@@ -80,13 +77,6 @@ def write_figure(flight: Flight, summary: FlightSummary, path: str | Path) -> No
 def draw(flight: Flight, summary: FlightSummary) -> Figure:
     """Draw a flight.
 
-    Parameters
-    ----------
-    flight : Flight
-        What was flown.
-    summary : FlightSummary
-        Its numbers, for the titles.
-
     Returns
     -------
     matplotlib.figure.Figure
@@ -97,8 +87,9 @@ def draw(flight: Flight, summary: FlightSummary) -> Figure:
 
     figure = Figure(figsize=(12.0, 9.2), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(5, 1, sharex=True, gridspec_kw={"height_ratios": [0.62, 3.0, 3.0, 3.0, 2.2]})
-    band, panels, volts = axes[0], axes[1:4], axes[4]
+    heights = [0.62, *(3.0 for _ in AXES), 2.2]
+    rows = figure.subplots(len(heights), 1, sharex=True, gridspec_kw={"height_ratios": heights})
+    band, *panels, volts = rows
     t_s = flight.t_s - flight.t_s[0] if len(flight) else flight.t_s
     for index, panel in enumerate(panels):
         _draw_axis(panel, flight, t_s, index, summary)

@@ -25,18 +25,18 @@ from mcap.records import Channel, Chunk, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
+from heli_host.declaration import CHANNELS, ChannelSpec
 from heli_host.errors import LogError, TruncatedLog
-from heli_host.flight import Flight, FlightEvent
+from heli_host.flight import OWN_COLUMNS, Flight, FlightEvent
+from heli_host.link.channels import is_whole, rad_per_count
 from heli_host.log.schema import (
     CDR_LITTLE_ENDIAN,
     EVENT_TOPIC,
     LINK_TOPIC,
-    TICK_LAYOUT,
     TICK_SCHEMA_NAME,
     TICK_TOPIC,
     MessageLayout,
     parse_layout,
-    physical,
     raw_ticks,
     tick_record,
 )
@@ -44,8 +44,17 @@ from heli_host.log.schema import (
 _RECORD_HEADER = struct.Struct("<BQ")
 _MESSAGE_HEADER = struct.Struct("<HIQQ")
 _MAX_CHUNK_BYTES = 1 << 30
-_NEEDED_FIELDS = TICK_LAYOUT.dtype.names or ()
-"""Fields that every version writes."""
+_SINGLE = 2.0**-23
+"""What single precision rounds at most, as a share of the value."""
+_BY_FIELD = {spec.field: spec for spec in CHANNELS}
+_ANGLES = tuple(spec.column for spec in CHANNELS if spec.axis is not None)
+_NEEDED_FIELDS = (
+    "t_s",
+    "tick",
+    *_ANGLES,
+    *(spec.field for spec in CHANNELS if spec.column in OWN_COLUMNS),
+)
+"""Fields that every version writes: a flight has columns of its own for them."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +67,6 @@ class Log:
         Where it was read from.
     ticks : structured ndarray (n,)
         One record a tick, with the fields of the log's own schema.
-    layout : MessageLayout
-        That schema.
     events : tuple of dict
         Event messages in order of time: ``t_s``, ``tick``, ``name``, ``message``, ``level``.
     link : tuple of dict
@@ -91,7 +98,7 @@ class Log:
 
     @property
     def raw(self) -> NDArray[np.int32]:
-        """Telemetry channels exactly as the board sent them, shape (n, 11)."""
+        """Telemetry channels exactly as the board sent them, shape (n, channels)."""
         return raw_ticks(self.ticks)
 
     @property
@@ -106,7 +113,8 @@ class Log:
         Returns
         -------
         Flight
-            Angles computed from the exact counts, setpoints and voltages in the board's own resolution.
+            Angles computed from the exact counts, setpoints and voltages in the board's own resolution. Other
+            channels are in ``extra``, also those of a log by a version that has more of them.
 
         Raises
         ------
@@ -118,25 +126,17 @@ class Log:
             raise TruncatedLog(
                 f"{self.path} holds no ticks", "the board was not heard, or the host died at once"
             )
-        raw = self.raw
-        angles_rad = self._angles_rad(raw)
+        columns = self._columns()
         session = self.metadata.get("session", {})
         meta = {**session, **{f"result.{k}": v for k, v in self.metadata.get("result", {}).items()}}
         if self.notes:
             meta["notes"] = "\n".join(self.notes)
         return Flight(
             t_s=np.ascontiguousarray(ticks["t_s"]),
-            front_V=physical(raw, 6),
-            back_V=physical(raw, 7),
-            elevation_rad=angles_rad[0],
-            pitch_rad=angles_rad[1],
-            travel_rad=angles_rad[2],
-            elevation_setpoint_rad=physical(raw, 3),
-            pitch_setpoint_rad=physical(raw, 4),
-            travel_setpoint_rad=physical(raw, 5),
-            state=np.ascontiguousarray(ticks["state"]),
-            fault=np.ascontiguousarray(ticks["fault"]),
-            flags=np.ascontiguousarray(ticks["flags"]),
+            **{name: column for name, column in columns.items() if name in OWN_COLUMNS},
+            extra={
+                name: column.astype(np.float64) for name, column in columns.items() if name not in OWN_COLUMNS
+            },
             state_names=self.layout.names("STATE"),
             fault_names=self.layout.names("FAULT"),
             events=tuple(
@@ -148,15 +148,30 @@ class Log:
             meta=meta,
         )
 
-    def _angles_rad(self, raw: NDArray[np.int32]) -> list[NDArray[np.float64]]:
-        angles_rad: list[NDArray[np.float64]] = []
-        for index, axis in enumerate(("elevation", "pitch", "travel")):
-            counts_per_rev = self.parameters.get(f"{axis}_counts_per_rev", 0.0)
-            if counts_per_rev:
-                angles_rad.append(raw[:, index].astype(np.float64) * (2.0 * np.pi / abs(counts_per_rev)))
-            else:
-                angles_rad.append(self.ticks[f"{axis}_rad"].astype(np.float64))
-        return angles_rad
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        """Every field but the time, in its unit, by the name that tables give it."""
+        count_rad = rad_per_count(self.parameters)
+        columns: dict[str, NDArray[Any]] = {}
+        for field_name in self.ticks.dtype.names or ():
+            spec = _BY_FIELD.get(field_name)
+            if spec is not None:
+                columns[spec.column] = self._column(spec, count_rad)
+            elif field_name not in ("t_s", "tick", *_ANGLES):
+                columns[field_name] = np.ascontiguousarray(self.ticks[field_name])
+        return columns
+
+    def _column(self, spec: ChannelSpec, count_rad: NDArray[np.float64]) -> NDArray[Any]:
+        logged: NDArray[Any] = self.ticks[spec.field]
+        if spec.axis is None and is_whole(spec):
+            return np.ascontiguousarray(logged)
+        if spec.axis is None:
+            values = logged.astype(np.float64)
+            exact = np.rint(values / spec.scale) * spec.scale
+            # Of a log by a version with a finer scale nothing is rounded away.
+            return np.where(np.abs(exact - values) <= _SINGLE * np.abs(values), exact, values)
+        if np.isnan(count_rad[spec.axis]):
+            return np.asarray(self.ticks[spec.column], np.float64)
+        return np.asarray(logged * count_rad[spec.axis])
 
 
 @dataclass
@@ -183,10 +198,6 @@ def read_log(path: str | Path) -> Log:
     ----------
     path : str or Path
         An MCAP file of this package, complete or cut short at any byte.
-
-    Returns
-    -------
-    Log
 
     Raises
     ------

@@ -33,7 +33,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from heli_host.link.declaration import LINK_VERSION
+from heli_host.declaration import LINK_VERSION
 from heli_host.log.schema import (
     CDR_LITTLE_ENDIAN,
     EVENT_SCHEMA,
@@ -87,7 +87,7 @@ class TickBatch:
         Time of each since the log's first tick, in microseconds.
     tick : ndarray of uint32 (n,)
         The board's tick numbers.
-    raw : ndarray of int32 (n, 11)
+    raw : ndarray of int32 (n, channels)
         Telemetry channels in the declared order.
     """
 
@@ -129,10 +129,6 @@ def json_bytes(body: Mapping[str, Any]) -> bytes:
     ----------
     body : Mapping[str, object]
         The message; its numbers must be finite.
-
-    Returns
-    -------
-    bytes
     """
     return json.dumps(body, separators=(",", ":"), allow_nan=False).encode()
 
@@ -144,8 +140,8 @@ class McapBytes:
     ----------
     start_wall_ns : int
         Unix time of the log's time zero, in nanoseconds.
-    rad_per_count : ndarray (3,)
-        Size of an encoder count of elevation, pitch and travel.
+    rad_per_count : ndarray (axes,)
+        Size of a count of each axis' encoder, in the order of `Axis`.
     level : int
         zstd's compression level.
     """
@@ -167,11 +163,6 @@ class McapBytes:
         ----------
         time_us : int
             Microseconds since the log's first tick.
-
-        Returns
-        -------
-        int
-            Nanoseconds.
         """
         return max(0, self._start_wall_ns + time_us * 1000)
 
@@ -189,15 +180,11 @@ class McapBytes:
         Parameters
         ----------
         name : str
-            Its name.
+            What the metadata record is called in the file.
         values : Mapping[str, str]
             Its content.
         file_offset : int
             Where in the file it will stand.
-
-        Returns
-        -------
-        bytes
         """
         builder = _Records()
         Metadata(name=name, metadata=dict(values)).write(builder)
@@ -210,14 +197,8 @@ class McapBytes:
 
         Parameters
         ----------
-        parts : iterable of TickBatch or JsonMessage
-            Its messages in order, at least one.
         file_offset : int
             Where in the file it will stand.
-
-        Returns
-        -------
-        bytes
         """
         blocks: list[bytes] = []
         index: dict[int, list[NDArray[Any]]] = {}
@@ -304,10 +285,6 @@ class McapBytes:
         ----------
         file_offset : int
             Where in the file it will stand.
-
-        Returns
-        -------
-        bytes
         """
         start = _Records()
         DataEnd(data_section_crc=0).write(start)

@@ -1,9 +1,10 @@
 """What a log's messages look like: one fixed layout a tick, JSON for the rare rest.
 
 Ticks are ROS 2 messages (``ros2msg`` schema, ``cdr`` encoding), chosen because Foxglove, PlotJuggler and
-Rerun all read it; of ROS 1 encodings Rerun reads none and PlotJuggler's author has dropped support. Fields
-are ordered by size, so that CDR's alignment adds no padding and the payload maps onto one numpy record behind
-its four-byte header. ROS 2 takes no capitals in field names (Foxglove refuses the whole schema): volts are
+Rerun all read it; of ROS 1 encodings Rerun reads none and PlotJuggler's author has dropped support. Every
+telemetry channel of the declaration is a field, an encoder's count with its angle beside it. Fields are
+ordered by size, so that CDR's alignment adds no padding and the payload maps onto one numpy record behind its
+four-byte header. ROS 2 takes no capitals in field names (Foxglove refuses the whole schema): volts are
 spelled ``_volt``.
 """
 
@@ -11,14 +12,16 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.declaration import CHANNELS, Axis, Channel, ChannelSpec
 from heli_host.errors import LogError
-from heli_host.link.declaration import CHANNELS, Fault, Flags, State
+from heli_host.link.channels import ENCODERS, is_whole, numbers, physical, raw_numbers
 
 TICK_TOPIC = "/heli/tick"
 EVENT_TOPIC = "/heli/event"
@@ -32,33 +35,6 @@ LINK_SCHEMA_NAME = "heli_host.Link"
 CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 """Encapsulation header of every CDR message."""
 
-
-def _constants(prefix: str, numbers: type[State] | type[Fault] | type[Flags]) -> str:
-    return "".join(f"uint8 {prefix}_{item.name}={item.value}\n" for item in numbers)
-
-
-TICK_SCHEMA = (
-    "# One control tick: angles read at its start, voltages that act from it until the next tick.\n"
-    "float64 t_s  # seconds of device time since the first tick logged\n"
-    "uint32 tick  # the board's tick counter, 1000 a second\n"
-    "int32 elevation_count  # encoder counts as read: the exact measurement\n"
-    "int32 pitch_count\n"
-    "int32 travel_count\n"
-    "float32 elevation_rad\n"
-    "float32 pitch_rad\n"
-    "float32 travel_rad\n"
-    "float32 elevation_setpoint_rad  # setpoints that the control law used\n"
-    "float32 pitch_setpoint_rad\n"
-    "float32 travel_setpoint_rad\n"
-    "float32 front_volt  # voltages that acted, after every limit\n"
-    "float32 back_volt\n"
-    + _constants("STATE", State)
-    + "uint8 state  # supervisor state\n"
-    + _constants("FAULT", Fault)
-    + "uint8 fault  # 0 while none\n"
-    + _constants("FLAG", Flags)
-    + "uint8 flags  # bits\n"
-)
 
 EVENT_SCHEMA = json.dumps(
     {
@@ -138,11 +114,7 @@ class MessageLayout:
         Parameters
         ----------
         prefix : str
-            ``STATE``, ``FAULT`` or ``FLAG``.
-
-        Returns
-        -------
-        dict of int to str
+            ``STATE``, ``FAULT`` or ``FLAGS``.
         """
         mark = prefix + "_"
         return {
@@ -159,10 +131,6 @@ def parse_layout(text: str) -> MessageLayout:
     ----------
     text : str
         The definition, one field or constant a line.
-
-    Returns
-    -------
-    MessageLayout
 
     Raises
     ------
@@ -199,11 +167,6 @@ def parse_layout(text: str) -> MessageLayout:
 def tick_record(layout: MessageLayout) -> np.dtype[Any]:
     """Return the layout of a whole MCAP message record that holds one tick.
 
-    Parameters
-    ----------
-    layout : MessageLayout
-        Layout of the tick itself.
-
     Returns
     -------
     numpy.dtype
@@ -223,14 +186,53 @@ def tick_record(layout: MessageLayout) -> np.dtype[Any]:
     )
 
 
+_WORDS = {code: word for word, code in _TYPES.items() if word not in ("bool", "byte", "char")}
+
+
+@dataclass(frozen=True)
+class _Field:
+    """One field of a tick: its numpy type, what it is, and the constants that name its values."""
+
+    code: str
+    name: str
+    meaning: str
+    constants: str = ""
+
+
+def _fields() -> Iterator[_Field]:
+    yield _Field("<f8", "t_s", "seconds of device time since the first tick logged")
+    yield _Field("<u4", "tick", "the board's tick counter, 1000 a second")
+    named: set[type] = set()
+    for spec in CHANNELS:
+        constants = ""
+        if spec.kind is not None and spec.kind not in named:
+            named.add(spec.kind)
+            prefix = spec.unit.partition(" ")[2].upper()
+            constants = "".join(f"uint8 {prefix}_{one.name}={one.value}\n" for one in spec.kind)
+        yield _Field(_type_in_log(spec), spec.field, spec.meaning, constants)
+        if spec.axis is not None:
+            yield _Field("<f4", spec.column, f"{spec.field} by the parameters of the flight")
+
+
+def _type_in_log(spec: ChannelSpec) -> str:
+    """Whole numbers as they are; values in the smallest float from which the raw number comes back."""
+    number = np.dtype(spec.code)
+    if is_whole(spec):
+        return number.str.replace("|", "<")
+    return "<f4" if number.itemsize < 4 else "<f8"
+
+
+def _tick_schema() -> str:
+    fields = sorted(_fields(), key=lambda one: -np.dtype(one.code).itemsize)
+    return (
+        "# One control tick: angles read at its start, voltages that act from it until the next tick.\n"
+        + "".join(f"{one.constants}{_WORDS[one.code]} {one.name}  # {one.meaning}\n" for one in fields)
+    )
+
+
+TICK_SCHEMA = _tick_schema()
 TICK_LAYOUT = parse_layout(TICK_SCHEMA)
 """Layout that this version writes."""
-
-_COUNT_FIELDS = ("elevation_count", "pitch_count", "travel_count")
-_ANGLE_FIELDS = ("elevation_rad", "pitch_rad", "travel_rad")
-_SETPOINT_FIELDS = ("elevation_setpoint_rad", "pitch_setpoint_rad", "travel_setpoint_rad")
-_VOLTAGE_FIELDS = ("front_volt", "back_volt")
-_BYTE_FIELDS = ("state", "fault", "flags")
 
 
 def fill_ticks(
@@ -250,44 +252,17 @@ def fill_ticks(
         Time of each tick in seconds.
     tick : ndarray of uint32 (n,)
         The board's tick numbers.
-    raw : ndarray of int32 (n, 11)
+    raw : ndarray of int32 (n, channels)
         Telemetry channels in the declared order.
-    rad_per_count : ndarray (3,)
-        Size of a count of elevation, pitch and travel.
+    rad_per_count : ndarray (axes,)
+        Size of a count of each axis' encoder, in the order of `Axis`.
     """
     into["t_s"] = t_s
     into["tick"] = tick
-    for axis in range(3):
-        into[_COUNT_FIELDS[axis]] = raw[:, axis]
-        into[_ANGLE_FIELDS[axis]] = raw[:, axis] * rad_per_count[axis]
-        into[_SETPOINT_FIELDS[axis]] = physical(raw, 3 + axis)
-    for motor in range(2):
-        into[_VOLTAGE_FIELDS[motor]] = physical(raw, 6 + motor)
-    for index in range(3):
-        into[_BYTE_FIELDS[index]] = raw[:, 8 + index]
-
-
-def physical(raw: NDArray[np.int32], channel: int) -> NDArray[np.float64]:
-    """Return a telemetry channel in its unit.
-
-    Parameters
-    ----------
-    raw : ndarray of int32 (n, 11)
-        Telemetry channels in the declared order.
-    channel : int
-        Which one.
-
-    Returns
-    -------
-    ndarray (n,)
-        Its values, in the unit that the declaration gives it.
-    """
-    return raw[:, channel].astype(np.float64) * CHANNELS[channel].scale
-
-
-def _unscaled(values: NDArray[Any], channel: int) -> NDArray[np.float64]:
-    """Undo `physical`: float32 tells setpoints of 1e-5 rad apart up to 83 rad, travel is bound to 63."""
-    return np.rint(values.astype(np.float64) / CHANNELS[channel].scale)
+    for channel, spec in zip(Channel, CHANNELS, strict=True):
+        into[spec.field] = numbers(raw, channel) if is_whole(spec) else physical(raw, channel)
+    for axis, channel in zip(Axis, ENCODERS, strict=True):
+        into[CHANNELS[channel].column] = numbers(raw, channel) * rad_per_count[axis]
 
 
 def raw_ticks(records: NDArray[Any]) -> NDArray[np.int32]:
@@ -300,15 +275,17 @@ def raw_ticks(records: NDArray[Any]) -> NDArray[np.int32]:
 
     Returns
     -------
-    ndarray of int32 (n, 11)
+    ndarray of int32 (n, channels)
         Channels in the declared order.
+
+    Raises
+    ------
+    LogError
+        If the log was written without one of the channels.
     """
-    raw = np.empty((len(records), 11), np.int32)
-    for axis in range(3):
-        raw[:, axis] = records[_COUNT_FIELDS[axis]]
-        raw[:, 3 + axis] = _unscaled(records[_SETPOINT_FIELDS[axis]], 3 + axis)
-    for motor in range(2):
-        raw[:, 6 + motor] = _unscaled(records[_VOLTAGE_FIELDS[motor]], 6 + motor)
-    for index in range(3):
-        raw[:, 8 + index] = records[_BYTE_FIELDS[index]]
+    raw = np.empty((len(records), len(Channel)), np.int32)
+    for channel, spec in zip(Channel, CHANNELS, strict=True):
+        if spec.field not in (records.dtype.names or ()):
+            raise LogError(f"the log has no channel {spec.name}", "read it with the version that wrote it")
+        raw[:, channel] = raw_numbers(records[spec.field], channel)
     return raw

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.declaration import AXES
 from heli_host.errors import LogWriteError
 from heli_host.flight import Flight
 from heli_host.log.reader import Log
 
-AXES = ("elevation", "pitch", "travel")
 PHASE_EVENT = "phase"
 """Name of the events with which a flight marks its phases."""
 TAKE_OFF, LANDING = "take-off", "landing"
@@ -118,17 +118,7 @@ class FlightSummary:
 
 
 def summarise(log: Log) -> FlightSummary:
-    """Sum a log up.
-
-    Parameters
-    ----------
-    log : Log
-        As read from its file.
-
-    Returns
-    -------
-    FlightSummary
-    """
+    """Sum a log up."""
     session = log.metadata.get("session", {})
     result = log.metadata.get("result", {})
     plans = tuple(log.metadata.get("plan", {}))
@@ -166,17 +156,7 @@ def summarise(log: Log) -> FlightSummary:
 
 
 def flown_rows(flight: Flight) -> NDArray[np.bool_]:
-    """Return which rows count as flown: closed loop, after take-off, before landing.
-
-    Parameters
-    ----------
-    flight : Flight
-        A flight with states.
-
-    Returns
-    -------
-    ndarray of bool (n,)
-    """
+    """Return which rows count as flown: closed loop, after take-off, before landing."""
     if flight.state is None:
         return np.zeros(len(flight), np.bool_)
     closed = [number for number, name in flight.state_names.items() if name == "closed_loop"]
@@ -195,19 +175,14 @@ def flown_rows(flight: Flight) -> NDArray[np.bool_]:
 def tracking_errors_deg(flight: Flight) -> NDArray[np.float64]:
     """Return measured angle less setpoint in the rows that count.
 
-    Parameters
-    ----------
-    flight : Flight
-        A flight.
-
     Returns
     -------
-    ndarray (m, 3)
+    ndarray (m, axes)
         Errors of elevation, pitch and travel in degrees; m is 0 when nothing was flown in closed loop.
     """
     setpoints_rad = flight.setpoints_rad
     if setpoints_rad is None:
-        return np.zeros((0, 3))
+        return np.zeros((0, len(AXES)))
     rows = flown_rows(flight)
     errors_deg: NDArray[np.float64] = np.rad2deg(flight.angles_rad[rows] - setpoints_rad[rows])
     return errors_deg

@@ -15,16 +15,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.declaration import CHANNELS
 from heli_host.errors import FlightDataError, LogWriteError
-from heli_host.flight import REQUIRED_COLUMNS, SETPOINT_COLUMNS, STATUS_COLUMNS, Flight, FlightEvent
-from heli_host.flight_check import check
+from heli_host.flight import (
+    OWN_COLUMNS,
+    REQUIRED_COLUMNS,
+    SETPOINT_COLUMNS,
+    STATUS_COLUMNS,
+    Flight,
+    FlightEvent,
+    check,
+)
 
 _FORMATS = {"t_s": "%.6f", "front_V": "%.6f", "back_V": "%.6f"} | dict.fromkeys(STATUS_COLUMNS, "%d")
+# Ten digits tell all numbers of 32 bits apart, whatever their scale.
+_FORMATS |= {spec.column: "%.10g" for spec in CHANNELS if spec.column not in OWN_COLUMNS}
 _NUMBER_FORMAT = "%.9f"
 _NOTE = re.compile(r"([\w .-]{1,40}):\s?(.*)")
 _PLAN_MARK = "plan|"
 _ROWS_A_BLOCK = 20_000
-_OWN_COLUMNS = frozenset(REQUIRED_COLUMNS + SETPOINT_COLUMNS + STATUS_COLUMNS)
 
 
 @dataclass(frozen=True)
@@ -70,7 +79,7 @@ def read_csv(path: Path, *, allow_gaps: bool = False) -> Flight:
     Raises
     ------
     FlightDataError
-        As `Flight.read` says.
+        As `heli_host.log.flight_file.read_flight` says.
     """
     lines = _take_apart(_read_bytes(path), path)
     _check_names(lines.names, path)
@@ -81,14 +90,12 @@ def read_csv(path: Path, *, allow_gaps: bool = False) -> Flight:
     return flight
 
 
-def write_csv(flight: Flight, path: Path) -> None:
+def write_csv(flight: Flight, path: str | Path) -> None:
     """Write a flight as a table.
 
     Parameters
     ----------
-    flight : Flight
-        What to write.
-    path : Path
+    path : str or Path
         ``.csv`` or ``.csv.gz``; the same flight gives the same bytes.
 
     Raises
@@ -96,6 +103,7 @@ def write_csv(flight: Flight, path: Path) -> None:
     LogWriteError
         If the file cannot be written.
     """
+    path = Path(path)
     columns = flight.columns()
     row_format = ",".join(_FORMATS.get(name, _NUMBER_FORMAT) for name in columns) + "\n"
     table = np.column_stack([column.astype(np.float64) for column in columns.values()])
@@ -229,7 +237,7 @@ def _read_numbers(lines: _Lines, path: Path) -> tuple[NDArray[np.float64], tuple
             row, column, text = _find_bad_cell(lines, keep)
             if row < 0:
                 raise FlightDataError(f"{path}: {error}", "correct the table") from error
-            if column >= 0 and lines.names[column] not in _OWN_COLUMNS:
+            if column >= 0 and lines.names[column] not in OWN_COLUMNS:
                 keep.remove(column)
                 continue
             if column < 0:

@@ -22,8 +22,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from heli_host.declaration import TICK_US
 from heli_host.errors import LogWriteError
-from heli_host.link.declaration import TICK_US
 from heli_host.log.clock import TickClock
 from heli_host.log.records import EVENT_CHANNEL, LINK_CHANNEL, JsonMessage, McapBytes, TickBatch, json_bytes
 from heli_host.log.schema import LEVEL_INFO
@@ -65,8 +65,8 @@ class LogWriter:
         Unix time of the log's time zero, in nanoseconds; the same value gives the same bytes.
     metadata : Mapping[str, Mapping[str, str]]
         Named records written first: versions, rig, parameters, plans ...
-    rad_per_count : ndarray (3,)
-        Size of an encoder count of elevation, pitch and travel.
+    rad_per_count : ndarray (axes,)
+        Size of a count of each axis' encoder, in the order of `Axis`.
     level : int
         zstd's compression level.
 
@@ -125,7 +125,7 @@ class LogWriter:
         ----------
         tick : ndarray of uint32 (n,)
             Tick numbers in the order of arrival; a number that does not rise means that the board restarted.
-        raw : ndarray of int32 (n, 11)
+        raw : ndarray of int32 (n, channels)
             Telemetry channels in the declared order, as the board sent them. The arrays are kept, not copied.
 
         Raises

@@ -2,12 +2,13 @@
 
 ::
 
-    SimError
-    └── DueError            anything that goes wrong with the emulated board
-        ├── ImageError      the program cannot be read, or is none for the Due
-        ├── FirmwareError   the flight code's ELF is missing, or speaks another version of the link
-        ├── BoardStopped    the emulator found something that the chip does not promise to take
-        └── GdbError        the debugger's port cannot be opened
+    HeliError                   cause, remedy and exit code
+    └── SimError                what goes wrong in the simulation
+        └── DueError            anything that goes wrong with the emulated board
+            ├── ImageError      the program cannot be read, or is none for the Due
+            ├── FirmwareError   the flight code's ELF is missing, or speaks another version of the link
+            ├── BoardStopped    the emulator found something that the chip does not promise to take
+            └── GdbError        the debugger's port cannot be opened
 """
 
 from __future__ import annotations

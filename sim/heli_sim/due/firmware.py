@@ -40,11 +40,6 @@ def candidates() -> list[Path]:
 def new_board(image: Image) -> DueBoard:
     """An emulated Due for the simulated world, with a program that lies in its flash and ticks like ours.
 
-    Parameters
-    ----------
-    image : Image
-        The program.
-
     Returns
     -------
     DueBoard
@@ -87,14 +82,15 @@ def check_firmware(path: Path) -> Image:
     try:
         board = _native.greet(new_board(image))
     except Stop as stop:
-        raise FirmwareError(f"{path} does not start on the emulated Due ({stop}): {_MAKE}") from stop
+        raise FirmwareError(f"{path} does not start on the emulated Due ({stop})", _MAKE) from stop
     if board is None:
-        raise FirmwareError(f"{path} does not answer a host: give the flight code's ELF, or {_MAKE}")
+        raise FirmwareError(f"{path} does not answer a host", f"give the flight code's ELF, or {_MAKE}")
     own = _native.identity()
     if board[0] != own[0]:
         raise FirmwareError(
             f"{path} (firmware {board[3]}) speaks link {board[1]}.{board[2]} ({board[0]:08x}), "
-            f"this host link {own[1]}.{own[2]} ({own[0]:08x}): build it again, {_MAKE}"
+            f"this host link {own[1]}.{own[2]} ({own[0]:08x})",
+            f"build it again, {_MAKE}",
         )
     return image
 
@@ -124,7 +120,7 @@ def find_firmware() -> Path:
     if reason is not None:
         raise reason
     raise FirmwareError(
-        "no firmware for the emulated Due is built: "
+        "no firmware for the emulated Due is built",
         "sudo apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi libstdc++-arm-none-eabi-dev, then "
-        f"{_MAKE}; or fly --board native"
+        f"{_MAKE}; or fly --board native",
     )

@@ -61,8 +61,6 @@ class GdbServer:
     ----------
     due
         The board, powered on.
-    image
-        Its program, for the message at the start.
     """
 
     def __init__(self, due: Due, image: Image) -> None:
@@ -87,7 +85,9 @@ class GdbServer:
         try:
             listener = socket.create_server(("127.0.0.1", port))
         except OSError as error:
-            raise GdbError(f"port {port} cannot be opened ({error.strerror}): choose another one") from error
+            raise GdbError(
+                f"port {port} cannot be opened ({error.strerror})", "choose another one"
+            ) from error
         with listener:
             print(
                 f"waiting: arm-none-eabi-gdb {self._image.path} "

@@ -68,7 +68,7 @@ class Image:
         for symbol in self.symbols:
             if symbol.name == name:
                 return symbol.address
-        raise ImageError(f"{self.path.name} has no symbol {name}: build it without stripping")
+        raise ImageError(f"{self.path.name} has no symbol {name}", "build it without stripping")
 
 
 def _in_flash(address: int, size: int) -> bool:
@@ -87,14 +87,14 @@ def _read_elf(path: Path) -> Image:
     try:
         return _read_segments(path, ELFFile)
     except ELFError as error:
-        raise ImageError(f"{path} is no readable ELF ({error}): build it again") from error
+        raise ImageError(f"{path} is no readable ELF ({error})", "build it again") from error
 
 
 def _read_segments(path: Path, elf_file: Any) -> Image:
     with path.open("rb") as file:
         elf = elf_file(file)
         if elf["e_machine"] != "EM_ARM":
-            raise ImageError(f"{path} is for {elf['e_machine']}, not for ARM: give the firmware's ELF")
+            raise ImageError(f"{path} is for {elf['e_machine']}, not for ARM", "give the firmware's ELF")
         segments = tuple(
             (int(segment["p_paddr"]), bytes(segment.data()))
             for segment in elf.iter_segments()
@@ -129,13 +129,13 @@ def read_image(path: Path | str) -> Image:
             is_elf = file.read(4) == b"\x7fELF"
         image = _read_elf(path) if is_elf else Image(path, ((FLASH_BASE, path.read_bytes()),), ())
     except OSError as error:
-        raise ImageError(f"{path}: {error.strerror}; give the path of an ELF or .bin") from error
+        raise ImageError(f"{path}: {error.strerror}", "give the path of an ELF or .bin") from error
     for address, data in image.segments:
         if not _in_flash(address, len(data)):
             raise ImageError(
-                f"{path.name} has {len(data)} bytes at {address:#x}, outside of the Due's flash: "
-                "link it for the SAM3X8E, from 0x80000 on"
+                f"{path.name} has {len(data)} bytes at {address:#x}, outside of the Due's flash",
+                "link it for the SAM3X8E, from 0x80000 on",
             )
     if not any(data for _, data in image.segments):
-        raise ImageError(f"{path} holds nothing to load: link it for the SAM3X8E")
+        raise ImageError(f"{path} holds nothing to load", "link it for the SAM3X8E")
     return image

@@ -43,8 +43,6 @@ def load_image(due: Due, image: Image) -> None:
     ----------
     due
         The board.
-    image
-        The program.
     """
     for address, data in image.segments:
         due.load(address, data)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from heli_sim.model.base import Model
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.multibody import MultibodyModel
 from heli_sim.model.paper import PaperModel
 from heli_sim.model.paper_printed import PaperPrintedModel
@@ -13,9 +13,9 @@ __all__ = [
     "Effect",
     "Model",
     "MultibodyModel",
+    "Operands",
     "PaperModel",
     "PaperPrintedModel",
     "Quantity",
-    "Situation",
     "Stage",
 ]

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from heli_sim.errors import PlantError
-from heli_sim.model.effect import Effect, Situation, Stage
-from heli_sim.model.parts import friction_torque_Nm, thrust_N
+from heli_sim.model.effect import Effect, Operands, Stage
+from heli_sim.model.parts import AXES, friction_torque_Nm, thrust_N
 from heli_sim.rig import RIG_QUANTITIES, Rig
 from heli_sim.rig.quantity import Quantity
 
@@ -33,12 +33,11 @@ INPUTS: Final[tuple[Quantity, ...]] = (
     Quantity("front_V", "V", "voltage that acts on the front motor"),
     Quantity("back_V", "V", "voltage that acts on the back motor"),
 )
-__all__ = ["INPUTS", "STATES", "Effect", "Model", "Situation", "Stage"]
+__all__ = ["INPUTS", "STATES", "Effect", "Model", "Operands", "Stage"]
 
-_AXES: Final = ("elevation", "pitch", "travel")
 _SHARED: Final = (
     *("thrust_gain", "dead_zone", "reverse_thrust"),
-    *(f"{kind}_{axis}" for kind in ("friction", "torque") for axis in _AXES),
+    *(f"{kind}_{axis}" for kind in ("friction", "torque") for axis in AXES),
     *("offset_elevation", "offset_pitch"),
 )
 _RIG: Final = {quantity.name: quantity for quantity in RIG_QUANTITIES}
@@ -76,24 +75,22 @@ class Model(ABC):
         every = [s.name for s in self.states] + own
         twice = sorted({name for name in every if every.count(name) > 1 or (name in own and name in _RIG)})
         if twice:
-            raise PlantError(f"effects of '{self.name}' share the names {', '.join(twice)}; rename them")
+            raise PlantError(f"effects of '{self.name}' share the names {', '.join(twice)}", "rename them")
         delays = [effect.delay for effect in effects if effect.delay]
         if len(delays) > 1:
-            raise PlantError(f"{' and '.join(delays)} both delay the voltages of '{self.name}'; keep one")
+            raise PlantError(f"{' and '.join(delays)} both delay the voltages of '{self.name}'", "keep one")
         self.delay: str = delays[0] if delays else ""
         """Name of the parameter by which the voltages act late, or empty."""
 
     @abstractmethod
-    def acceleration(self, at: Situation, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
+    def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
         """Angular acceleration under given thrust and torque.
 
-        A pinned axis (`Situation.pinned`) has none, and its pin gives whatever torque that takes: where axes
+        A locked axis (`Operands.locked`) has none, and the lock gives whatever torque that takes: where axes
         are coupled, the others accelerate otherwise than they would with that axis free.
 
         Parameters
         ----------
-        at : Situation
-            Present state, voltages and parameters.
         thrust_N : casadi.SX
             Thrust of the front and the back rotor, shape (2, 1).
         torque_Nm : casadi.SX
@@ -106,9 +103,9 @@ class Model(ABC):
             Acceleration of elevation, pitch and travel in rad/s2, shape (3, 1).
         """
 
-    def situation(
-        self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None, pinned: ca.SX | None = None
-    ) -> Situation:
+    def operands(
+        self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None, locked: ca.SX | None = None
+    ) -> Operands:
         """Name the entries of the three vectors.
 
         Parameters
@@ -121,24 +118,24 @@ class Model(ABC):
             Parameters, in the order of `parameters`.
         time_s : casadi.SX, optional
             Time since the flight's first sample; 0 where it is not given.
-        pinned : casadi.SX, optional
-            1 for each axis that a pin holds, shape (3, 1); none where it is not given.
+        locked : casadi.SX, optional
+            1 for each axis that is locked, shape (3, 1); none where it is not given.
 
         Returns
         -------
-        Situation
+        Operands
             The same expressions by name.
         """
-        return Situation(
+        return Operands(
             {state.name: x[i] for i, state in enumerate(self.states)},
             u,
             {parameter.name: p[i] for i, parameter in enumerate(self.parameters)},
             ca.SX(0) if time_s is None else time_s,
-            ca.SX.zeros(3) if pinned is None else pinned,
+            ca.SX.zeros(3) if locked is None else locked,
         )
 
     def dynamics(
-        self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None, pinned: ca.SX | None = None
+        self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None, locked: ca.SX | None = None
     ) -> ca.SX:
         """Time derivative of the state.
 
@@ -152,15 +149,15 @@ class Model(ABC):
             Parameters, in the order of `parameters`.
         time_s : casadi.SX, optional
             Time since the flight's first sample; 0 where it is not given.
-        pinned : casadi.SX, optional
-            1 for each axis that a pin holds, shape (3, 1); none where it is not given.
+        locked : casadi.SX, optional
+            1 for each axis that is locked, shape (3, 1); none where it is not given.
 
         Returns
         -------
         casadi.SX
-            Rate of each state in its unit per second. A pinned axis does not accelerate.
+            Rate of each state in its unit per second. A locked axis does not accelerate.
         """
-        at = self._as_changed(self.situation(x, u, p, time_s, pinned))
+        at = self._with_modified_parameters(self.operands(x, u, p, time_s, locked))
         for effect in self.effects:
             at = replace(at, volts_V=effect.voltage_V(at, at.volts_V))
         p_at = at.parameter
@@ -172,25 +169,25 @@ class Model(ABC):
             if effect.states:
                 rates.append(effect.state_rates(at))
         at = replace(at, thrust_N=thrust)
-        torque = friction_torque_Nm(x[3:6], p_at) + ca.vertcat(*(p_at[f"torque_{axis}"] for axis in _AXES))
+        torque = friction_torque_Nm(x[3:6], p_at) + ca.vertcat(*(p_at[f"torque_{axis}"] for axis in AXES))
         for effect in self.effects:
             torque = torque + effect.torque_Nm(at)
         acceleration = self._with_friction(at, thrust, self.acceleration(at, thrust, torque))
-        return ca.vertcat(x[3:6], (1 - at.pinned) * acceleration, *rates)
+        return ca.vertcat(x[3:6], (1 - at.locked) * acceleration, *rates)
 
-    def _with_friction(self, at: Situation, thrust: ca.SX, acceleration: ca.SX) -> ca.SX:
-        """Acceleration under the torques that answer it; every model's is linear in the torque."""
-        rubbing = [effect for effect in self.effects if effect.rubs]
-        if not rubbing:
+    def _with_friction(self, at: Operands, thrust: ca.SX, acceleration: ca.SX) -> ca.SX:
+        """Acceleration with the torques that depend on it; every model's is linear in the torque."""
+        frictional = [effect for effect in self.effects if effect.has_friction]
+        if not frictional:
             return acceleration
         torque = ca.SX.sym("torque", 3)
         mobility = ca.jacobian(self.acceleration(at, thrust, torque), torque)
-        inertia = 1 / (ca.diag(mobility) + at.pinned)
-        friction = [effect.friction_Nm(at, acceleration, inertia) for effect in rubbing]
+        inertia = 1 / (ca.diag(mobility) + at.locked)
+        friction = [effect.friction_Nm(at, acceleration, inertia) for effect in frictional]
         return acceleration + mobility @ sum(friction, ca.SX.zeros(3))
 
-    def settled(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> ca.SX:
-        """State as it is set anew after each step of an integration, for effects that a rate cannot say.
+    def reset_map(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> ca.SX:
+        """Reset the state after each step of an integration, for effects that no rate describes.
 
         Parameters
         ----------
@@ -206,13 +203,13 @@ class Model(ABC):
         Returns
         -------
         casadi.SX
-            State to go on from; `x` itself where no effect changes it.
+            State to go on from; `x` itself where no effect resets any.
         """
-        at = self._as_changed(self.situation(x, u, p, time_s))
-        return ca.vertcat(x[:6], *(effect.settled(at) for effect in self.effects if effect.states))
+        at = self._with_modified_parameters(self.operands(x, u, p, time_s))
+        return ca.vertcat(x[:6], *(effect.reset_map(at) for effect in self.effects if effect.states))
 
-    def pushed(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX, step_s: float, normal: ca.SX) -> ca.SX:
-        """Change of the state by chance in one step of a simulation.
+    def diffusion(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX, step_s: float, normal: ca.SX) -> ca.SX:
+        """Increment of the state by the effects' driving noise in one step of a simulation.
 
         Parameters
         ----------
@@ -227,33 +224,33 @@ class Model(ABC):
         step_s : float
             Length of the step.
         normal : casadi.SX
-            Independent random numbers with mean 0 and variance 1, shape (shaken, 1).
+            Independent random numbers with mean 0 and variance 1, shape (noise_inputs, 1).
 
         Returns
         -------
         casadi.SX
-            Change, in the order of `states`.
+            Increment, in the order of `states`.
         """
-        at = self._as_changed(self.situation(x, u, p, time_s))
-        pushes, used = [ca.SX.zeros(6)], 0
+        at = self._with_modified_parameters(self.operands(x, u, p, time_s))
+        increments, used = [ca.SX.zeros(6)], 0
         for effect in self.effects:
             if effect.states:
-                pushes.append(effect.pushed(at, step_s, normal[used : used + effect.shaken]))
-                used += effect.shaken
-        return ca.vertcat(*pushes)
+                increments.append(effect.diffusion(at, step_s, normal[used : used + effect.noise_inputs]))
+                used += effect.noise_inputs
+        return ca.vertcat(*increments)
 
     @property
-    def shaken(self) -> int:
-        """Number of random pushes that its effects take each step of a simulation."""
-        return sum(effect.shaken for effect in self.effects)
+    def noise_inputs(self) -> int:
+        """Dimension of the white noise that drives the states of its effects in a simulation."""
+        return sum(effect.noise_inputs for effect in self.effects)
 
-    def _as_changed(self, at: Situation) -> Situation:
+    def _with_modified_parameters(self, at: Operands) -> Operands:
         for effect in self.effects:
-            at = replace(at, parameter={**at.parameter, **effect.changed(at)})
+            at = replace(at, parameter={**at.parameter, **effect.modified_parameters(at)})
         return at
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> ca.SX:
-        """Angles that encoders without steps would show: those of the state, their zero's offset, effects.
+        """Angles that encoders without quantisation would measure: those of the state, zero offsets, effects.
 
         Parameters
         ----------
@@ -271,7 +268,7 @@ class Model(ABC):
         casadi.SX
             Elevation, pitch and travel in rad, shape (3, 1).
         """
-        at = self._as_changed(self.situation(x, u, p, time_s))
+        at = self._with_modified_parameters(self.operands(x, u, p, time_s))
         offsets_deg = ca.vertcat(at.parameter["offset_elevation"], at.parameter["offset_pitch"], 0)
         angles = x[0:3] + offsets_deg * (np.pi / 180.0)
         for effect in self.effects:

@@ -1,4 +1,4 @@
-"""The places where an effect may act on the way from voltage to measured angle."""
+"""The steps from voltage to measured angle that an effect may change."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from heli_sim.rig.quantity import Prior, Quantity
 
 
 @dataclass(frozen=True)
-class Situation:
-    """What an equation may look at, by name.
+class Operands:
+    """Operands of an equation, by name.
 
     Parameters
     ----------
@@ -25,8 +25,8 @@ class Situation:
         Scalars by parameter name, in the units of `Model.parameters`.
     time_s : casadi.SX
         Time since the flight's first sample.
-    pinned : casadi.SX
-        1 for each of elevation, pitch and travel that a pin holds, else 0; shape (3, 1).
+    locked : casadi.SX
+        1 for each of elevation, pitch and travel that is locked, else 0; shape (3, 1).
     thrust_N : casadi.SX
         Thrust of the front and the back rotor, shape (2, 1): in a torque the final one; in a thrust and in
         the rates of an effect's states that of the effects before it. Zero in a measurement.
@@ -36,7 +36,7 @@ class Situation:
     volts_V: ca.SX
     parameter: Mapping[str, ca.SX]
     time_s: ca.SX = field(default_factory=lambda: ca.SX(0))
-    pinned: ca.SX = field(default_factory=lambda: ca.SX.zeros(3))
+    locked: ca.SX = field(default_factory=lambda: ca.SX.zeros(3))
     thrust_N: ca.SX = field(default_factory=lambda: ca.SX.zeros(2))
 
 
@@ -82,16 +82,14 @@ class Effect:
     delay : str
         Name of the one of `parameters`, in s, by which the voltages act late; empty for no delay. Whoever
         integrates the model hands it voltages that are late by this much.
-    stage : Stage
-        Where it acts.
-    shaken : int
-        Number of independent random pushes that it takes each millisecond of a simulation.
-    shown : Mapping[str, str]
-        Those of `states` that are what an encoder shows, by name, with the axis: whoever starts in the middle
-        of a flight knows them from it.
-    searched : tuple of str
-        Those of `parameters` that a search has to bring near, such as a frequency: beside a size that is
-        still wrong a descent leads away from them.
+    noise_inputs : int
+        Dimension of the white noise that drives its states in a simulation.
+    measured_as : Mapping[str, str]
+        Those of `states` that an encoder measures, by name, with the axis: their value at any moment of a
+        flight is the measured angle.
+    multimodal : tuple of str
+        Those of `parameters` in which the likelihood is multimodal, such as a frequency: a fit has to start
+        near their values, and holds them while other parameters are still far off.
     """
 
     name: str
@@ -101,9 +99,9 @@ class Effect:
     priors: Mapping[str, Prior] = field(default_factory=dict)
     delay: str = ""
     stage: Stage = Stage.GAIN
-    shaken: int = 0
-    shown: Mapping[str, str] = field(default_factory=dict)
-    searched: tuple[str, ...] = ()
+    noise_inputs: int = 0
+    measured_as: Mapping[str, str] = field(default_factory=dict)
+    multimodal: tuple[str, ...] = ()
 
     @property
     def prefix(self) -> str:
@@ -115,13 +113,11 @@ class Effect:
         """Axis or rotor: what its name has after the last dot."""
         return self.name.rpartition(".")[2]
 
-    def own(self, at: Situation, what: str) -> ca.SX:
+    def own(self, at: Operands, what: str) -> ca.SX:
         """Look up a parameter or a state of the effect.
 
         Parameters
         ----------
-        at : Situation
-            Present state, voltages and parameters.
         what : str
             Its name after the prefix, such as ``share`` of ``thrust_step_front_share``.
 
@@ -133,13 +129,8 @@ class Effect:
         name = f"{self.prefix}_{what}"
         return at.parameter[name] if name in at.parameter else at.state[name]
 
-    def changed(self, at: Situation) -> Mapping[str, ca.SX]:
-        """Change numbers of the rig, before anything is computed with them.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages and parameters.
+    def modified_parameters(self, at: Operands) -> Mapping[str, ca.SX]:
+        """Numbers of the rig as the effect modifies them, before anything is computed with them.
 
         Returns
         -------
@@ -148,13 +139,11 @@ class Effect:
         """
         return {}
 
-    def voltage_V(self, at: Situation, volts_V: ca.SX) -> ca.SX:
+    def voltage_V(self, at: Operands, volts_V: ca.SX) -> ca.SX:
         """Change the voltages before the thrust curve.
 
         Parameters
         ----------
-        at : Situation
-            Present state, voltages and parameters.
         volts_V : casadi.SX
             Voltages of the front and the back motor before this effect, shape (2, 1).
 
@@ -165,13 +154,11 @@ class Effect:
         """
         return volts_V
 
-    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         """Change the thrust.
 
         Parameters
         ----------
-        at : Situation
-            Present state, voltages and parameters.
         thrust_N : casadi.SX
             Thrust of the front and the back rotor before this effect, shape (2, 1).
 
@@ -182,12 +169,12 @@ class Effect:
         """
         return thrust_N
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
+    def torque_Nm(self, at: Operands) -> ca.SX:
         """Add a torque.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters, and the final thrust.
 
         Returns
@@ -197,12 +184,12 @@ class Effect:
         """
         return ca.SX.zeros(3)
 
-    def friction_Nm(self, at: Situation, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
-        """Add a torque that goes by what the axes would do without it: dry friction holds against any other.
+    def friction_Nm(self, at: Operands, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
+        """Add a torque that depends on the acceleration without it, as dry friction does at standstill.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Present state, voltages and parameters, and the final thrust.
         acceleration_rad_s2 : casadi.SX
             Acceleration of elevation, pitch and travel without any such torque, shape (3, 1).
@@ -217,17 +204,12 @@ class Effect:
         return ca.SX.zeros(3)
 
     @property
-    def rubs(self) -> bool:
+    def has_friction(self) -> bool:
         """Whether it has a `friction_Nm` of its own."""
         return type(self).friction_Nm is not Effect.friction_Nm
 
-    def energy_J(self, at: Situation) -> ca.SX:
+    def energy_J(self, at: Operands) -> ca.SX:
         """Potential energy of a torque that has one, such as a spring's.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages and parameters.
 
         Returns
         -------
@@ -236,13 +218,11 @@ class Effect:
         """
         return ca.SX(0)
 
-    def measured_rad(self, at: Situation, angles_rad: ca.SX) -> ca.SX:
+    def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
         """Change what the encoders see.
 
         Parameters
         ----------
-        at : Situation
-            Present state, voltages and parameters.
         angles_rad : casadi.SX
             Elevation, pitch and travel before this effect, shape (3, 1).
 
@@ -253,13 +233,8 @@ class Effect:
         """
         return angles_rad
 
-    def state_rates(self, at: Situation) -> ca.SX:
+    def state_rates(self, at: Operands) -> ca.SX:
         """Time derivatives of the effect's own states.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages and parameters.
 
         Returns
         -------
@@ -268,8 +243,8 @@ class Effect:
         """
         return ca.SX.zeros(len(self.states))
 
-    def sides(self, parameters: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
-        """Other places from which a prediction may have to start, because the angles seen leave it open.
+    def alternative_starts(self, parameters: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
+        """Other initial states from which a prediction may have to start, where the angles leave them open.
 
         Parameters
         ----------
@@ -279,16 +254,16 @@ class Effect:
         Returns
         -------
         tuple of Mapping[str, float]
-            For each place, by how much states differ from what the angles seen suggest, by name.
+            For each, offsets of states from what the measured angles suggest, by name.
         """
         return ()
 
-    def settled(self, at: Situation) -> ca.SX:
-        """Set own states anew after a step of whatever length, for what a rate cannot say, such as play.
+    def reset_map(self, at: Operands) -> ca.SX:
+        """Reset own states after a step of whatever length, for what no rate describes, such as backlash.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             State after the step, voltages and parameters.
 
         Returns
@@ -298,21 +273,21 @@ class Effect:
         """
         return ca.vertcat(*(at.state[state.name] for state in self.states))
 
-    def pushed(self, at: Situation, step_s: float, normal: ca.SX) -> ca.SX:
-        """Change of own states by chance in one step of a simulation; identification leaves it out.
+    def diffusion(self, at: Operands, step_s: float, normal: ca.SX) -> ca.SX:
+        """Increment of own states by their driving noise in one step of a simulation; a fit leaves it out.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             State after the step, voltages and parameters.
         step_s : float
             Length of the step.
         normal : casadi.SX
-            Independent random numbers with mean 0 and variance 1, shape (shaken, 1).
+            Independent random numbers with mean 0 and variance 1, shape (noise_inputs, 1).
 
         Returns
         -------
         casadi.SX
-            Change of own states, in the order of `states`.
+            Increment of own states, in the order of `states`.
         """
         return ca.SX.zeros(len(self.states))

@@ -14,19 +14,18 @@ from typing import Final
 import casadi as ca
 
 from heli_sim.errors import PlantError
-from heli_sim.model.base import Model, Situation
+from heli_sim.model.base import Model, Operands
 from heli_sim.model.multibody import MultibodyModel
-from heli_sim.model.parts import friction_torque_Nm
+from heli_sim.model.parts import AXES, friction_torque_Nm
 
-_AXES: Final = ("elevation", "pitch", "travel")
 _ANGLES: Final = (r"\theta", r"\phi", r"\psi")
 _RATES: Final = (r"\dot{\theta}", r"\dot{\phi}", r"\dot{\psi}")
 _ACCELERATIONS: Final = (r"\ddot{\theta}", r"\ddot{\phi}", r"\ddot{\psi}")
 _NAMES: Final[Mapping[str, str]] = {
-    **{f"{axis}_rad": name for axis, name in zip(_AXES, _ANGLES, strict=True)},
-    **{f"{axis}_rate_rad_s": name for axis, name in zip(_AXES, _RATES, strict=True)},
-    **{f"friction_{axis}": f"f_{{{name}}}" for axis, name in zip(_AXES, _ANGLES, strict=True)},
-    **{f"torque_{axis}": f"D_{{{name}}}" for axis, name in zip(_AXES, _ANGLES, strict=True)},
+    **{f"{axis}_rad": name for axis, name in zip(AXES, _ANGLES, strict=True)},
+    **{f"{axis}_rate_rad_s": name for axis, name in zip(AXES, _RATES, strict=True)},
+    **{f"friction_{axis}": f"f_{{{name}}}" for axis, name in zip(AXES, _ANGLES, strict=True)},
+    **{f"torque_{axis}": f"D_{{{name}}}" for axis, name in zip(AXES, _ANGLES, strict=True)},
     **{f"M_{part}": f"M_{{{part}}}" for part in "fbwhl"},
     **{f"L_{part}": f"L_{{{part}}}" for part in "abhx"},
     "L_phi": r"L_{\phi}",
@@ -106,9 +105,9 @@ def equations(model: Model) -> list[Equation]:
     at = _situation(model)
     F = ca.vertcat(ca.SX.sym("F_{f}"), ca.SX.sym("F_{b}"))
     out = _thrust(at)
-    rates = ca.vertcat(*(at.state[f"{axis}_rate_rad_s"] for axis in _AXES))
+    rates = ca.vertcat(*(at.state[f"{axis}_rate_rad_s"] for axis in AXES))
     torque = friction_torque_Nm(rates, at.parameter) + ca.vertcat(
-        *(at.parameter[f"torque_{axis}"] for axis in _AXES)
+        *(at.parameter[f"torque_{axis}"] for axis in AXES)
     )
     writer = _Writer()
     if isinstance(model, MultibodyModel):
@@ -126,10 +125,10 @@ def equations(model: Model) -> list[Equation]:
     return out
 
 
-def _situation(model: Model) -> Situation:
+def _situation(model: Model) -> Operands:
     names = {q.name: ca.SX.sym(symbol(q.name)) for q in (*model.states, *model.parameters)}
     volts = ca.vertcat(ca.SX.sym("V_{f}"), ca.SX.sym("V_{b}"))
-    return Situation(
+    return Operands(
         {state.name: names[state.name] for state in model.states},
         volts,
         {parameter.name: names[parameter.name] for parameter in model.parameters},
@@ -137,7 +136,7 @@ def _situation(model: Model) -> Situation:
     )
 
 
-def _thrust(at: Situation) -> list[Equation]:
+def _thrust(at: Operands) -> list[Equation]:
     p = at.parameter
     volts = ca.SX.sym("V_{i}")
     straight = p["thrust_gain"] * ca.fmax(volts - p["dead_zone"], 0.0)
@@ -145,7 +144,7 @@ def _thrust(at: Situation) -> list[Equation]:
 
 
 def _multibody(
-    model: MultibodyModel, at: Situation, F: ca.SX, torque: ca.SX, rates: ca.SX, writer: _Writer
+    model: MultibodyModel, at: Operands, F: ca.SX, torque: ca.SX, rates: ca.SX, writer: _Writer
 ) -> list[Equation]:
     inertia = model.inertia_kg_m2(at)
     potential = ca.substitute(model.energy_J(at), rates, ca.SX.zeros(3))
@@ -251,7 +250,9 @@ class _Writer:
             return of.name(), _ATOM
         write = _OPERATIONS.get(of.op())
         if write is None:
-            raise PlantError(f"an effect uses the operation '{of}', which has no LaTeX; leave the effect out")
+            raise PlantError(
+                f"an effect uses the operation '{of}', which has no LaTeX", "leave the effect out"
+            )
         return write(self, of)
 
     def within(self, of: ca.SX, least: int) -> str:

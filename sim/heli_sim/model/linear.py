@@ -88,19 +88,10 @@ def derivatives(model: Model, rig: Rig, state: npt.ArrayLike, volts_V: npt.Array
 
     Parameters
     ----------
-    model : Model
-        The model.
-    rig : Rig
-        Its numbers.
     state : array_like (n,)
         State, in the order of the model's.
     volts_V : array_like (2,)
         Front and back voltage.
-
-    Returns
-    -------
-    Derivatives
-        At that point.
     """
     results = derivative_function(model)(np.asarray(state), np.asarray(volts_V), model.parameter_values(rig))
     f, *rest = (np.asarray(result) for result in results)
@@ -112,10 +103,6 @@ def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
 
     Parameters
     ----------
-    model : Model
-        The model.
-    rig : Rig
-        Its numbers.
     elevation_rad : float
         Elevation to hold, rad.
 
@@ -152,8 +139,8 @@ def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
         state[unknown] += step[:-2]
         volts_V = volts_V + step[-2:]
     raise PlantError(
-        f"rig '{rig.name}' cannot hover at {np.degrees(elevation_rad):g} degrees with model "
-        f"'{model.name}'; check its masses and lengths"
+        f"rig '{rig.name}' cannot hover at {np.degrees(elevation_rad):g} degrees with model '{model.name}'",
+        "check its masses and lengths",
     )
 
 
@@ -162,10 +149,6 @@ def linearise(model: Model, rig: Rig, at: Trim | None = None) -> control.StateSp
 
     Parameters
     ----------
-    model : Model
-        The model.
-    rig : Rig
-        Its numbers.
     at : Trim, optional
         Where; hovering at level by default.
 

@@ -20,10 +20,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.base import Model, Situation
-
-_AXES = ("elevation", "pitch", "travel")
+from heli_sim.model.base import Model, Operands
+from heli_sim.model.parts import AXES
 
 
 @dataclass(frozen=True)
@@ -59,23 +59,8 @@ class MultibodyModel(Model):
     name = "multibody"
     rig_parameters = ("M_f", "M_b", "M_w", "M_h", "M_l", "L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x", "g")
 
-    def acceleration(self, at: Situation, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
-        """Solve the equations of motion for the accelerations.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages and parameters.
-        thrust_N : casadi.SX
-            Thrust of the front and the back rotor, shape (2, 1).
-        torque_Nm : casadi.SX
-            Friction and other torques about the three axes, shape (3, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Acceleration of elevation, pitch and travel in rad/s2, shape (3, 1).
-        """
+    @override
+    def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
         # Derivatives are taken with symbols of their own: an effect may hand in angles that are expressions.
         q, rates = ca.SX.sym("q", 3), ca.SX.sym("rates", 3)
         inertia = self._inertia_kg_m2(at, q)
@@ -84,15 +69,10 @@ class MultibodyModel(Model):
         force = self._thrust_Nm(at, q, thrust_N) - coriolis - ca.gradient(self._potential_J(at, q), q)
         now, now_rates = _angles(at), _rates(at)
         inertia, force = ca.substitute([inertia, force], [q, rates], [now, now_rates])
-        return _solve(*_with_pins(inertia, force + torque_Nm, at.pinned))
+        return _solve(*_with_locks(inertia, force + torque_Nm, at.locked))
 
-    def inertia_kg_m2(self, at: Situation) -> ca.SX:
+    def inertia_kg_m2(self, at: Operands) -> ca.SX:
         """Mass matrix M(q) at the present angles.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state and parameters.
 
         Returns
         -------
@@ -101,13 +81,8 @@ class MultibodyModel(Model):
         """
         return self._inertia_kg_m2(at, _angles(at))
 
-    def energy_J(self, at: Situation) -> ca.SX:
+    def energy_J(self, at: Operands) -> ca.SX:
         """Kinetic and potential energy, effects' included; zero at rest with every mass at the axes' height.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state and parameters.
 
         Returns
         -------
@@ -118,13 +93,11 @@ class MultibodyModel(Model):
         potential_J = self._potential_J(at, _angles(at)) + sum(e.energy_J(at) for e in self.effects)
         return 0.5 * rates.T @ self.inertia_kg_m2(at) @ rates + potential_J
 
-    def thrust_torque_Nm(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
+    def thrust_torque_Nm(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         """Generalised forces of the thrusts at the present angles.
 
         Parameters
         ----------
-        at : Situation
-            Present state and parameters.
         thrust_N : casadi.SX
             Thrust of the front and the back rotor, shape (2, 1).
 
@@ -135,7 +108,7 @@ class MultibodyModel(Model):
         """
         return self._thrust_Nm(at, _angles(at), thrust_N)
 
-    def _inertia_kg_m2(self, at: Situation, q: ca.SX) -> ca.SX:
+    def _inertia_kg_m2(self, at: Operands, q: ca.SX) -> ca.SX:
         """M(q) from the velocity of a point of each link.
 
         A point at x of the long arm moves with (elevation' L_theta, travel' r, elevation' x), its distance
@@ -169,14 +142,14 @@ class MultibodyModel(Model):
             ca.horzcat(elevation_travel, pitch_travel, travel),
         )
 
-    def _potential_J(self, at: Situation, q: ca.SX) -> ca.SX:
+    def _potential_J(self, at: Operands, q: ca.SX) -> ca.SX:
         p = at.parameter
         long, short = self._long_arm(at), self._short_arm(at, q[1])
         along = long.x + short.mass * p["L_a"]
         above = short.z - p["L_theta"] * (long.mass + short.mass)
         return p["g"] * (along * ca.sin(q[0]) + above * ca.cos(q[0]))
 
-    def _thrust_Nm(self, at: Situation, q: ca.SX, thrust_N: ca.SX) -> ca.SX:
+    def _thrust_Nm(self, at: Operands, q: ca.SX, thrust_N: ca.SX) -> ca.SX:
         """Virtual work: at elevation, a difference of the thrusts also turns travel, with arm L_h sin."""
         p = at.parameter
         c, s = ca.cos(q[0]), ca.sin(q[0])
@@ -188,7 +161,7 @@ class MultibodyModel(Model):
             (p["L_a"] * c + p["L_theta"] * s) * sideways_N - p["L_h"] * difference_N * s,
         )
 
-    def _short_arm(self, at: Situation, pitch: ca.SX) -> _ShortArm:
+    def _short_arm(self, at: Operands, pitch: ca.SX) -> _ShortArm:
         p = at.parameter
         c, s = ca.cos(pitch), ca.sin(pitch)
         # Before it is pitched, every mass lies L_phi below the axis, the rotors L_h beside it.
@@ -204,7 +177,7 @@ class MultibodyModel(Model):
             yz=(zz - yy) * c * s + yz * (c**2 - s**2),
         )
 
-    def _long_arm(self, at: Situation) -> _LongArm:
+    def _long_arm(self, at: Operands) -> _LongArm:
         p = at.parameter
         return _LongArm(
             mass=p["M_l"] + p["M_w"],
@@ -213,18 +186,18 @@ class MultibodyModel(Model):
         )
 
 
-def _angles(at: Situation) -> ca.SX:
-    return ca.vertcat(*(at.state[f"{axis}_rad"] for axis in _AXES))
+def _angles(at: Operands) -> ca.SX:
+    return ca.vertcat(*(at.state[f"{axis}_rad"] for axis in AXES))
 
 
-def _rates(at: Situation) -> ca.SX:
-    return ca.vertcat(*(at.state[f"{axis}_rate_rad_s"] for axis in _AXES))
+def _rates(at: Operands) -> ca.SX:
+    return ca.vertcat(*(at.state[f"{axis}_rate_rad_s"] for axis in AXES))
 
 
-def _with_pins(matrix: ca.SX, right: ca.SX, pinned: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Keep the free axes' block of the equations; a pinned axis has 1 times its acceleration = 0."""
-    free = 1 - pinned
-    return free @ free.T * matrix + ca.diag(pinned), free * right
+def _with_locks(matrix: ca.SX, right: ca.SX, locked: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Keep the free axes' block of the equations; a locked axis has 1 times its acceleration = 0."""
+    free = 1 - locked
+    return free @ free.T * matrix + ca.diag(locked), free * right
 
 
 def _solve(matrix: ca.SX, right: ca.SX) -> ca.SX:

@@ -25,14 +25,7 @@ def model_named(name: str, effects: tuple[Effect, ...] = ()) -> Model:
     Parameters
     ----------
     name : str
-        Its name.
-    effects : tuple of Effect
-        Effects on top of it.
-
-    Returns
-    -------
-    Model
-        The model.
+        A key of `MODELS`.
 
     Raises
     ------
@@ -42,5 +35,5 @@ def model_named(name: str, effects: tuple[Effect, ...] = ()) -> Model:
     if name not in MODELS:
         close = difflib.get_close_matches(name, MODELS, n=1)
         hint = f"did you mean {close[0]}? " if close else ""
-        raise PlantError(f"there is no model '{name}'; {hint}give one of: {', '.join(MODELS)}")
+        raise PlantError(f"there is no model '{name}'", f"{hint}give one of: {', '.join(MODELS)}")
     return MODELS[name](effects)

@@ -18,8 +18,9 @@ Corrections, each against what is printed:
 from __future__ import annotations
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.base import Model, Situation
+from heli_sim.model.base import Model, Operands
 
 
 class PaperModel(Model):
@@ -37,12 +38,12 @@ class PaperModel(Model):
         *("air_density", "drag_area_arm", "drag_area_body"),
     )
 
-    def inertia_kg_m2(self, at: Situation) -> ca.SX:
+    def inertia_kg_m2(self, at: Operands) -> ca.SX:
         """J_theta (27), J_phi (28) and J_psi (29) at level.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Gives the rig's numbers.
 
         Returns
@@ -69,23 +70,9 @@ class PaperModel(Model):
         )
         return ca.vertcat(elevation, pitch, travel)
 
-    def acceleration(self, at: Situation, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
-        """Right-hand sides of (16), (20) and (25), divided by the inertias.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages and parameters.
-        thrust_N : casadi.SX
-            Thrust of the front and the back rotor, shape (2, 1).
-        torque_Nm : casadi.SX
-            Friction and other torques about the three axes, shape (3, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Acceleration of elevation, pitch and travel in rad/s2, shape (3, 1).
-        """
+    @override
+    def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
+        # Right-hand sides of (16), (20) and (25), divided by the inertias.
         p, state = at.parameter, at.state
         elevation, pitch = state["elevation_rad"], state["pitch_rad"]
         total_N = thrust_N[0] + thrust_N[1]
@@ -108,7 +95,7 @@ class PaperModel(Model):
         travel_Nm = total_N * ca.sin(pitch) * p["L_a"] - self._drag_Nm(at)
         return (ca.vertcat(elevation_Nm, pitch_Nm, travel_Nm) + torque_Nm) / self.inertia_kg_m2(at)
 
-    def _drag_Nm(self, at: Situation) -> ca.SX:
+    def _drag_Nm(self, at: Operands) -> ca.SX:
         p = at.parameter
         rate = at.state["travel_rate_rad_s"]
         area = p["drag_area_arm"] + p["drag_area_body"] * ca.fabs(ca.sin(at.state["pitch_rad"]))

@@ -23,8 +23,9 @@ about it where the equation cannot be evaluated as it stands:
 from __future__ import annotations
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.base import Model, Situation
+from heli_sim.model.base import Model, Operands
 
 
 class PaperPrintedModel(Model):
@@ -42,12 +43,12 @@ class PaperPrintedModel(Model):
         *("air_density", "drag_area_arm", "drag_area_body"),
     )
 
-    def inertia_kg_m2(self, at: Situation) -> ca.SX:
+    def inertia_kg_m2(self, at: Operands) -> ca.SX:
         """J_theta (27), J_phi (28) and J_psi (29) at the present angles.
 
         Parameters
         ----------
-        at : Situation
+        at : Operands
             Gives angles and the rig's numbers.
 
         Returns
@@ -73,23 +74,10 @@ class PaperPrintedModel(Model):
         )
         return ca.vertcat(about_elevation, about_pitch, about_travel)
 
-    def acceleration(self, at: Situation, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
-        """Right-hand sides of (14), (19) and (25), divided by the inertias.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages and parameters.
-        thrust_N : casadi.SX
-            Thrust of the front and the back rotor, shape (2, 1); none below the dead zone, which is undone.
-        torque_Nm : casadi.SX
-            Friction and other torques about the three axes, shape (3, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Acceleration of elevation, pitch and travel in rad/s2, shape (3, 1).
-        """
+    @override
+    def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
+        # Right-hand sides of (14), (19) and (25), divided by the inertias. The paper does not cut the thrust
+        # off below the dead zone: it is put back.
         p, state = at.parameter, at.state
         elevation, pitch = state["elevation_rad"], state["pitch_rad"]
         rate = state["travel_rate_rad_s"]

@@ -6,8 +6,17 @@ from collections.abc import Mapping
 from typing import Final
 
 import casadi as ca
+from heli_host.declaration import AXES
 
-AXES: Final = ("elevation", "pitch", "travel")
+__all__ = [
+    "AXES",
+    "friction_torque_Nm",
+    "on_axis",
+    "rotor_climb_m_s",
+    "rotor_height_m",
+    "since",
+    "thrust_N",
+]
 _ABRUPT_s: Final = 0.01
 
 
@@ -62,7 +71,7 @@ def friction_torque_Nm(rates_rad_s: ca.SX, parameter: Mapping[str, ca.SX]) -> ca
 def rotor_climb_m_s(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -> ca.SX:
     """Speed of each rotor along its thrust axis, positive when it climbs.
 
-    Virtual work says what it is: thrust times climb is the power that the thrust gives to the axes.
+    By virtual work: thrust times climb is the power that the thrust gives to the axes.
 
     Parameters
     ----------
@@ -109,7 +118,7 @@ def rotor_height_m(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -
 
 
 def since(time_s: ca.SX, moment_s: ca.SX) -> ca.SX:
-    """Unit step at a moment, rounded over some 20 ms so that it has a derivative to the moment.
+    """Unit step at a moment, smoothed over some 20 ms so that it has a derivative to the moment.
 
     Parameters
     ----------

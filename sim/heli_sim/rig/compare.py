@@ -54,11 +54,6 @@ class Difference:
 def compare_rigs(left: Rig, right: Rig) -> list[Difference]:
     """Compare two rigs, number by number.
 
-    Parameters
-    ----------
-    left, right : Rig
-        The rigs.
-
     Returns
     -------
     list of Difference

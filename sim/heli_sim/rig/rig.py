@@ -134,11 +134,6 @@ class Rig(Mapping[str, Number]):
         **values : float
             New values by name, each in the unit of its name.
 
-        Returns
-        -------
-        Rig
-            The changed rig.
-
         Raises
         ------
         RigError
@@ -147,7 +142,7 @@ class Rig(Mapping[str, Number]):
         numbers = dict(self.numbers)
         for name, value in values.items():
             if name not in numbers:
-                raise RigError(_unknown(self.name, name))
+                raise _unknown(self.name, name)
             numbers[name] = replace(numbers[name], value=float(value))
         return replace(self, numbers=numbers)
 
@@ -171,11 +166,6 @@ def load_rig(name_or_path: str | Path) -> Rig:
     name_or_path : str or Path
         A name of `rig_names`, or the path of a TOML file.
 
-    Returns
-    -------
-    Rig
-        The rig, checked.
-
     Raises
     ------
     RigError
@@ -188,11 +178,11 @@ def load_rig(name_or_path: str | Path) -> Rig:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         known = ", ".join(rig_names())
-        raise RigError(f"no rig '{name_or_path}'; give a TOML file or one of: {known}") from None
+        raise RigError(f"no rig '{name_or_path}'", f"give a TOML file or one of: {known}") from None
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise RigError(f"rig file {path} is not TOML: {error}") from None
+        raise RigError(f"rig file {path} is not TOML: {error}", "correct that line") from None
     return _rig_from_table(path, table)
 
 
@@ -201,14 +191,16 @@ def _rig_from_table(path: Path, table: Mapping[str, Any]) -> Rig:
     for key in _TEXTS:
         value = table.get(key)
         if not isinstance(value, str):
-            raise RigError(f'rig file {path} lacks {key} = "..."; add it at the top')
+            raise RigError(f'rig file {path} lacks {key} = "..."', "add it at the top")
         texts[key] = value
     apart = {*_TEXTS, "effects", "model"}
     numbers = {name: _number(path, name, entry) for name, entry in table.items() if name not in apart}
     stated = {q.name: numbers.pop(q.name) for q in STATED_INERTIAS if q.name in numbers}
     model = table.get("model", "")
     if not isinstance(model, str):
-        raise RigError(f"rig file {path}: model must be a text, not {model!r}")
+        raise RigError(
+            f"rig file {path}: model must be a text, not {model!r}", "give a model's name in quotes"
+        )
     rig = Rig(texts["name"], texts["description"], numbers, _effects(path, table.get("effects", {})), model)
     _check_inertias(rig, stated)
     return rig
@@ -216,10 +208,15 @@ def _rig_from_table(path: Path, table: Mapping[str, Any]) -> Rig:
 
 def _effects(path: Path, table: object) -> dict[str, dict[str, Number]]:
     if not isinstance(table, dict):
-        raise RigError(f"rig file {path}: effects must hold one table for each effect")
+        raise RigError(
+            f"rig file {path}: effects must hold one table for each effect", "write [effects.NAME.NUMBER]"
+        )
     for name, numbers in table.items():
         if not isinstance(numbers, dict) or any(field in numbers for field in _FIELDS):
-            raise RigError(f'rig file {path}: write [effects."{name}".NUMBER] for each number of an effect')
+            raise RigError(
+                f"rig file {path}: effect {name} holds no tables",
+                f'write [effects."{name}".NUMBER] for each number of it',
+            )
     return {
         name: {what: _number(path, f"effects.{name}.{what}", entry) for what, entry in numbers.items()}
         for name, numbers in table.items()
@@ -229,22 +226,25 @@ def _effects(path: Path, table: object) -> dict[str, dict[str, Number]]:
 def _number(path: Path, name: str, entry: object) -> Number:
     where = f"rig file {path}: {name}"
     if not isinstance(entry, dict):
-        raise RigError(f"{where} must be a table with {', '.join(_FIELDS)}")
+        raise RigError(f"{where} is no table", f"write a table with {', '.join(_FIELDS)}")
     missing = [field for field in _FIELDS if field not in entry]
     unknown = [field for field in entry if field not in _FIELDS]
     if missing or unknown:
-        raise RigError(f"{where} needs exactly {', '.join(_FIELDS)}; wrong: {', '.join(missing + unknown)}")
+        raise RigError(
+            f"{where}: wrong are {', '.join(missing + unknown)}", f"it needs exactly {', '.join(_FIELDS)}"
+        )
     for key in ("value", "tolerance"):
         if isinstance(entry[key], bool) or not isinstance(entry[key], int | float):
-            raise RigError(f"{where}: {key} must be a number, not {entry[key]!r}")
+            raise RigError(f"{where}: {key} must be a number, not {entry[key]!r}", "correct it")
     for key in ("unit", "source"):
         if not isinstance(entry[key], str) or not entry[key]:
-            raise RigError(f"{where}: {key} must be a text, not {entry[key]!r}")
+            raise RigError(f"{where}: {key} must be a text, not {entry[key]!r}", "put it in quotes")
     return Number(float(entry["value"]), entry["unit"], float(entry["tolerance"]), entry["source"])
 
 
-def _unknown(rig: str, name: str) -> str:
-    return f"rig '{rig}' knows no '{name}'; names are: {', '.join(q.name for q in RIG_QUANTITIES)}"
+def _unknown(rig: str, name: str) -> RigError:
+    known = ", ".join(quantity.name for quantity in RIG_QUANTITIES)
+    return RigError(f"rig '{rig}' knows no '{name}'", f"names are: {known}")
 
 
 def _check_inertias(rig: Rig, stated: Mapping[str, Number]) -> None:
@@ -255,14 +255,15 @@ def _check_inertias(rig: Rig, stated: Mapping[str, Number]) -> None:
     for name, number in stated.items():
         where = f"rig '{rig.name}': {name}"
         if number.unit != units[name]:
-            raise RigError(f"{where} is in '{number.unit}'; give it in '{units[name]}'")
+            raise RigError(f"{where} is in '{number.unit}'", f"give it in '{units[name]}'")
         if not (math.isfinite(number.value) and math.isfinite(number.tolerance) and number.tolerance >= 0.0):
-            raise RigError(f"{where} = {number.value} +- {number.tolerance} must be finite")
+            raise RigError(f"{where} = {number.value} +- {number.tolerance} must be finite", "correct it")
         least, most = possible[name]
         if not least - number.tolerance <= number.value <= most + number.tolerance:
             raise RigError(
                 f"{where} = {number.value:g} kg m2 cannot be: however its masses lie within the tolerances, "
-                f"they give {least:.4g} to {most:.4g}; correct it, a mass or a length"
+                f"they give {least:.4g} to {most:.4g}",
+                "correct it, a mass or a length",
             )
 
 
@@ -270,23 +271,25 @@ def _check(rig: str, numbers: Mapping[str, Number]) -> None:
     wanted = {quantity.name: quantity for quantity in RIG_QUANTITIES}
     for name in numbers:
         if name not in wanted:
-            raise RigError(_unknown(rig, name))
+            raise _unknown(rig, name)
     missing = [name for name in wanted if name not in numbers]
     if missing:
-        raise RigError(f"rig '{rig}' lacks {', '.join(missing)}; add each with {', '.join(_FIELDS)}")
+        raise RigError(f"rig '{rig}' lacks {', '.join(missing)}", f"add each with {', '.join(_FIELDS)}")
     for name, number in numbers.items():
         where = f"rig '{rig}': {name}"
         if number.unit != wanted[name].unit:
-            raise RigError(f"{where} is in '{number.unit}'; give it in '{wanted[name].unit}'")
+            raise RigError(f"{where} is in '{number.unit}'", f"give it in '{wanted[name].unit}'")
         if not math.isfinite(number.value):
-            raise RigError(f"{where} = {number.value} is not finite")
+            raise RigError(f"{where} = {number.value} is not finite", "correct it")
         if not (math.isfinite(number.tolerance) and number.tolerance >= 0.0):
-            raise RigError(f"{where}: tolerance {number.tolerance} must be finite and not negative")
+            raise RigError(
+                f"{where}: tolerance {number.tolerance} must be finite and not negative", "correct it"
+            )
         if number.value < 0.0 and name not in _MAY_BE_NEGATIVE:
-            raise RigError(f"{where} = {number.value} must not be negative")
+            raise RigError(f"{where} = {number.value} must not be negative", "correct it")
         if number.value == 0.0 and name not in _MAY_BE_ZERO | _MAY_BE_NEGATIVE:
-            raise RigError(f"{where} must not be 0")
+            raise RigError(f"{where} must not be 0", "correct it")
     if numbers["elevation_min"].value >= numbers["elevation_max"].value:
-        raise RigError(f"rig '{rig}': elevation_min must be below elevation_max")
+        raise RigError(f"rig '{rig}': elevation_min must be below elevation_max", "correct one of them")
     if numbers["driver_dead_band"].value >= 0.5:
-        raise RigError(f"rig '{rig}': driver_dead_band must be below 0.5, or no duty passes")
+        raise RigError(f"rig '{rig}': driver_dead_band must be below 0.5, or no duty passes", "correct it")

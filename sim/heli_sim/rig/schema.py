@@ -54,7 +54,7 @@ class Unstated:
     Parameters
     ----------
     value : float
-        Its value.
+        What is assumed where a rig file says nothing, in the quantity's unit.
     tolerance : float
         Half width of the interval that holds it with about 95 % confidence.
     source : str

@@ -16,8 +16,6 @@ def rig_text(rig: Rig, comment: str = "") -> str:
 
     Parameters
     ----------
-    rig : Rig
-        The rig.
     comment : str
         What to say above it.
 
@@ -54,8 +52,6 @@ def write_rig(rig: Rig, path: str | Path, comment: str = "") -> None:
 
     Parameters
     ----------
-    rig : Rig
-        The rig.
     path : str or Path
         File to write.
     comment : str

@@ -46,7 +46,7 @@ class Choice:
 
 
 def choose(board: str, elf: str = "") -> Choice:
-    """Settle which board is flown.
+    """Choose the board that is flown.
 
     Parameters
     ----------
@@ -55,11 +55,6 @@ def choose(board: str, elf: str = "") -> Choice:
         host's link.
     elf : str
         ELF to fly; empty for the newest that is found. With ``auto`` it means ``due``.
-
-    Returns
-    -------
-    Choice
-        ``native`` or ``due``.
 
     Raises
     ------
@@ -81,13 +76,8 @@ def choose(board: str, elf: str = "") -> Choice:
     return Choice(DUE, str(path), bool(elf), f"emulated Due, {path.name}")
 
 
-def settled(options: SilOptions) -> SilOptions:
+def resolved(options: SilOptions) -> SilOptions:
     """Options that name their board and its ELF.
-
-    Parameters
-    ----------
-    options : SilOptions
-        As asked for.
 
     Returns
     -------
@@ -158,8 +148,8 @@ class EmulatedDue:
             kept = self._file.read_bytes()
             if len(kept) != _FILE_BYTES:
                 raise SimError(
-                    f"the flash file {self._file} is not {_FILE_BYTES} bytes long; delete it, "
-                    "it is made again"
+                    f"the flash file {self._file} is not {_FILE_BYTES} bytes long",
+                    "delete it, it is made again",
                 )
             self.sim.due.load(_PAGES_AT, kept[:_PAGES_BYTES])
         self._writes = self.sim.due.flash_writes
@@ -188,7 +178,7 @@ def make_board(options: SilOptions) -> SimBoard:
     Parameters
     ----------
     options : SilOptions
-        Settled, see `settled`.
+        Resolved, see `resolved`.
 
     Returns
     -------

@@ -29,7 +29,7 @@ class Endpoint(Protocol):
     """Address that a host opens."""
 
     def receive(self) -> bytes:
-        """Take what the host wrote; also notes whether the port was opened or closed."""
+        """Take what the host wrote; empty when there is nothing, or nobody. Notes opening and closing."""
         ...
 
     def send(self, data: bytes) -> None:
@@ -48,11 +48,11 @@ class Endpoint(Protocol):
         ...
 
     def take_lines(self) -> list[LineChange]:
-        """What became of DTR since the last call, in order."""
+        """Changes of DTR since the last call, in order."""
         ...
 
     def fileno(self) -> int:
-        """File descriptor to watch for bytes; -1 when nobody is there."""
+        """File descriptor to watch for bytes or for the next host; -1 when there is none to watch."""
         ...
 
     def unplug(self) -> None:
@@ -60,7 +60,7 @@ class Endpoint(Protocol):
         ...
 
     def plug(self) -> None:
-        """Bring the port back under the same address."""
+        """Bring the port back under the same address; raises EndpointError when that cannot be had."""
         ...
 
     def close(self) -> None:

@@ -32,7 +32,7 @@ class Span:
         finite = math.isfinite(self.start_s) and math.isfinite(self.duration_s)
         if not finite or self.start_s < 0.0 or self.duration_s <= 0.0:
             raise OptionError(
-                f"'{self.start_s}:{self.duration_s}' is no stretch of time; write start:length in seconds"
+                f"'{self.start_s}:{self.duration_s}' is no stretch of time", "write start:length in seconds"
             )
 
     def edges(self) -> tuple[int, int]:
@@ -79,7 +79,7 @@ class FaultPlan:
         for name in ("flip", "drop", "double"):
             value = getattr(self, name)
             if not 0.0 <= value <= 1.0:
-                raise OptionError(f"{name}={value} is no probability; give a number from 0 to 1")
+                raise OptionError(f"{name}={value} is no probability", "give a number from 0 to 1")
 
     def next_edge(self, tick: int) -> int:
         """First tick after `tick` at which a stall or an unplugging begins or ends.
@@ -155,8 +155,6 @@ class FaultyStream:
 
     Parameters
     ----------
-    plan : FaultPlan
-        Probabilities.
     seed : int
         Seed of the simulation.
     direction : int

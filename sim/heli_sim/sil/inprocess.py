@@ -1,7 +1,6 @@
 """The simulated board as a transport of heli_host, in the same process and on simulated time.
 
-This file implements the protocol `heli_host.link.transport.Transport`, found through an entry point; it is
-the one place in heli_sim that raises heli_host's errors.
+This file implements the protocol `heli_host.link.transport.Transport`.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ from typing import Final
 
 from heli_host.errors import LinkLost, PortError
 
-from heli_sim.sil.options import parse_url
 from heli_sim.sil.world import SilWorld
 
 # 2024-01-01 00:00 UTC. Logs of simulated flights start here, so that the same flight gives the same bytes.
@@ -29,6 +27,10 @@ class InProcessTransport:
         The world to talk to; another transport may have talked to it before.
     url : str
         Address to report.
+    label : str
+        What the board is, for people.
+    note : str
+        How it came to be that board, if that is worth a sentence.
 
     Raises
     ------
@@ -38,10 +40,12 @@ class InProcessTransport:
 
     lockstep: Final = True
 
-    def __init__(self, world: SilWorld, url: str = "sil://") -> None:
+    def __init__(self, world: SilWorld, url: str = "sil://", label: str = "", note: str = "") -> None:
         self.url = url
         self.world = world
         self._written = bytearray()
+        self.label = label
+        self.note = note
         self._closed = False
         self._speed = world.options.speed
         if world.unplugged:
@@ -135,7 +139,7 @@ class InProcessTransport:
         PortError
             When the plan of faults has the cable out; 0.1 s of simulated time passes.
         """
-        return InProcessTransport(self.world, self.url)
+        return InProcessTransport(self.world, self.url, self.label, self.note)
 
     def _check(self) -> None:
         if self._closed:
@@ -143,24 +147,3 @@ class InProcessTransport:
         if self.world.unplugged:
             self._closed = True
             raise LinkLost("the simulated cable was pulled out", "open the port again after a while")
-
-
-def open_transport(url: str) -> InProcessTransport:
-    """Start a simulated board and open its port; the entry point ``heli_host.transports``, name ``sil``.
-
-    Parameters
-    ----------
-    url : str
-        ``sil://?rig=makki2024&seed=1&speed=max``; see `heli_sim.sil.options.parse_url`.
-
-    Returns
-    -------
-    InProcessTransport
-        Transport to a board just powered up, with the arm at rest on the table.
-
-    Raises
-    ------
-    SimError
-        When an option is wrong or the rig cannot be read.
-    """
-    return InProcessTransport(SilWorld(parse_url(url)), url)

@@ -12,7 +12,7 @@ from heli_sim.sil.faults import FaultPlan, Span
 
 _KEYS: Final = (
     *("board", "elf", "rig", "seed", "speed", "slice_ms", "flash", "reset_on_open"),
-    *("model", "effect", "effects"),
+    *("process", "model", "effect", "effects"),
     *("flip", "drop", "double", "stall", "unplug"),
 )
 
@@ -47,14 +47,14 @@ class SilOptions:
     reset_on_open : bool or None
         Whether a rising DTR resets the board, as it does on a Due. None: behind a port it does so on ``due``,
         in process, where nobody opens anything, it does not.
-    faults : FaultPlan
-        What goes wrong on the link.
     model : str
         Name of the model; empty for the one that the rig's file names, or ``multibody``.
     effects : tuple of str
         Effects beyond the model, such as ``rotor_lag=0.1``; they come before those of the rig's file.
     effect_files : tuple of str
         Python files with more effects.
+    process : bool
+        Whether a transport starts the board in a process of its own, behind a pseudo-terminal.
 
     Raises
     ------
@@ -74,18 +74,19 @@ class SilOptions:
     model: str = ""
     effects: tuple[str, ...] = ()
     effect_files: tuple[str, ...] = ()
+    process: bool = False
 
     def __post_init__(self) -> None:
         if self.board not in BOARDS:
-            raise OptionError(f"board={self.board} is unknown; boards are: {', '.join(BOARDS)}")
+            raise OptionError(f"board={self.board} is unknown", f"boards are: {', '.join(BOARDS)}")
         if self.elf and self.board == NATIVE:
-            raise OptionError("an ELF runs on board=due only; give that, or leave elf out")
+            raise OptionError("an ELF runs on board=due only", "give that, or leave elf out")
         if self.seed < 0:
-            raise OptionError(f"seed={self.seed} must not be negative")
+            raise OptionError(f"seed={self.seed} must not be negative", "give 0 or more")
         if self.speed is not None and not (math.isfinite(self.speed) and self.speed > 0.0):
-            raise OptionError(f"speed={self.speed} must be a number above 0, or max")
+            raise OptionError(f"speed={self.speed} is no speed", "give a number above 0, or max")
         if not 1 <= self.slice_ms <= 1000:
-            raise OptionError(f"slice_ms={self.slice_ms} must be from 1 to 1000")
+            raise OptionError(f"slice_ms={self.slice_ms} is out of range", "give 1 to 1000")
 
 
 def parse_url(url: str) -> SilOptions:
@@ -109,11 +110,13 @@ def parse_url(url: str) -> SilOptions:
     """
     parts = urlsplit(url)
     if parts.netloc or parts.path.strip("/"):
-        raise OptionError(f"'{url}' names a place; a simulated board is written sil://?rig=NAME&seed=1")
+        raise OptionError(f"'{url}' names a place", "a simulated board is written sil://?rig=NAME&seed=1")
     try:
         pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
     except ValueError:
-        raise OptionError(f"'{url}' has no key=value after the question mark") from None
+        raise OptionError(
+            f"'{url}' has no key=value after the question mark", "write sil://?rig=NAME&seed=1"
+        ) from None
     return parse_options(dict(pairs))
 
 
@@ -137,7 +140,7 @@ def parse_options(values: dict[str, str]) -> SilOptions:
     """
     unknown = sorted(set(values) - set(_KEYS))
     if unknown:
-        raise OptionError(f"unknown option {', '.join(unknown)}; options are: {', '.join(_KEYS)}")
+        raise OptionError(f"unknown option {', '.join(unknown)}", f"options are: {', '.join(_KEYS)}")
     speed = values.get("speed", "max")
     return SilOptions(
         rig=values.get("rig", "makki2024"),
@@ -150,6 +153,7 @@ def parse_options(values: dict[str, str]) -> SilOptions:
         reset_on_open=(
             _flag("reset_on_open", values["reset_on_open"]) if "reset_on_open" in values else None
         ),
+        process=_flag("process", values.get("process", "0")),
         model=values.get("model", ""),
         effects=tuple(filter(None, values.get("effect", "").split(";"))),
         effect_files=tuple(filter(None, values.get("effects", "").split(";"))),
@@ -168,12 +172,12 @@ def _number(key: str, text: str, *, whole: bool = False) -> float:
         return int(text) if whole else float(text)
     except ValueError:
         kind = "whole number" if whole else "number"
-        raise OptionError(f"{key}={text} must be a {kind}") from None
+        raise OptionError(f"{key}={text} is no number", f"give a {kind}") from None
 
 
 def _flag(key: str, text: str) -> bool:
     if text not in ("0", "1"):
-        raise OptionError(f"{key}={text} must be 0 or 1")
+        raise OptionError(f"{key}={text} is no switch", "give 0 or 1")
     return text == "1"
 
 

@@ -120,7 +120,7 @@ class SilProcess:
         self._process.wait()
         reasons = _stream(self._process.stderr).read().strip().splitlines()
         if not reasons:
-            raise EndpointError(f"the simulated board did not start within {timeout_s:g} s; try again")
+            raise EndpointError(f"the simulated board did not start within {timeout_s:g} s", "try again")
         raise EndpointError(f"the simulated board did not start: {reasons[-1]}")
 
 

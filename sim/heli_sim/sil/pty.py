@@ -9,8 +9,10 @@ import tty
 from pathlib import Path
 from typing import Final
 
+from typing_extensions import override
+
 from heli_sim.errors import EndpointError
-from heli_sim.sil.endpoint import LineChange
+from heli_sim.sil.endpoint import Endpoint, LineChange
 
 _CHUNK: Final = 65536
 # Places in what tcgetattr returns.
@@ -18,7 +20,7 @@ _CFLAG: Final = 2
 _OSPEED: Final = 5
 
 
-class PtyEndpoint:
+class PtyEndpoint(Endpoint):
     """The board's side of a pseudo-terminal.
 
     A host opens the link like a device file. When it closes the port, what it has not read is thrown away,
@@ -47,19 +49,14 @@ class PtyEndpoint:
         self.url = ""
         self.plug()
 
+    @override
     @property
     def ready(self) -> bool:
         """Whether a host has the port open and takes its bytes."""
         return self._open and not self._kept
 
+    @override
     def receive(self) -> bytes:
-        """Take what the host wrote.
-
-        Returns
-        -------
-        bytes
-            Empty when there is nothing, or nobody.
-        """
         if self._master < 0:
             return b""
         try:
@@ -76,14 +73,8 @@ class PtyEndpoint:
             self._set_dtr(True)
         return data
 
+    @override
     def send(self, data: bytes) -> None:
-        """Give bytes to the host.
-
-        Parameters
-        ----------
-        data : bytes
-            Bytes for the host.
-        """
         if not self._open:
             return
         self._kept += data
@@ -96,29 +87,18 @@ class PtyEndpoint:
         except OSError:
             self._hang_up()
 
+    @override
     def take_lines(self) -> list[LineChange]:
-        """What became of DTR since the last call.
-
-        Returns
-        -------
-        list of LineChange
-            In order.
-        """
         changes, self._changes = self._changes, []
         return changes
 
+    @override
     def fileno(self) -> int:
-        """File descriptor to watch for bytes.
-
-        Returns
-        -------
-        int
-            -1 while no host has the port open: the terminal would report its hang-up for ever.
-        """
+        # While no host has the port open the terminal would report its hang-up for ever.
         return self._master if self._open else -1
 
+    @override
     def unplug(self) -> None:
-        """Take the terminal and its link away; a host that has it open gets an error."""
         if self._master < 0:
             return
         if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self.terminal:
@@ -127,20 +107,14 @@ class PtyEndpoint:
         self._master = -1
         self._open, self._dtr, self._kept = False, False, b""
 
+    @override
     def plug(self) -> None:
-        """Make a new terminal, and the link to it.
-
-        Raises
-        ------
-        EndpointError
-            When there is no terminal to be had, or the link cannot be made.
-        """
         if self._master >= 0:
             return
         try:
             self._master, slave = os.openpty()
         except OSError as error:
-            raise EndpointError(f"no pseudo-terminal: {error.strerror}; close other programs") from None
+            raise EndpointError(f"no pseudo-terminal: {error.strerror}", "close other programs") from None
         self.terminal = os.ttyname(slave)
         """Name of the terminal itself, such as ``/dev/pts/3``."""
         # Without this a host sees its own bytes, and the board's zeros and returns changed, until it sets the
@@ -159,22 +133,22 @@ class PtyEndpoint:
             raise
         self.url = str(self._link) if self._link is not None else self.terminal
 
+    @override
     def close(self) -> None:
-        """Take the terminal and its link away for good."""
         self.unplug()
 
     def _make_link(self) -> None:
         if self._link is None:
             return
         if self._link.exists() and not self._link.is_symlink():
-            raise EndpointError(f"{self._link} exists and is no link; choose another path for the port")
+            raise EndpointError(f"{self._link} exists and is no link", "choose another path for the port")
         beside = self._link.with_name(f".{self._link.name}.{os.getpid()}")
         try:
             beside.symlink_to(self.terminal)
             beside.replace(self._link)
         except OSError as error:
             raise EndpointError(
-                f"cannot make the port {self._link}: {error.strerror}; choose a folder that can be written"
+                f"cannot make the port {self._link}: {error.strerror}", "choose a folder that can be written"
             ) from None
 
     def _hang_up(self) -> None:

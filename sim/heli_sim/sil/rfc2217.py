@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import serial
 from serial import rfc2217
+from typing_extensions import override
 
 from heli_sim.sil.endpoint import LineChange
 from heli_sim.sil.tcp import TcpEndpoint
@@ -77,32 +78,21 @@ class Rfc2217Endpoint(TcpEndpoint):
         self._manager: rfc2217.PortManager | None = None
         super().__init__(host, port)
 
+    @override
     @property
     def ready(self) -> bool:
         """Whether a host is connected, has raised DTR, and takes its bytes."""
         return super().ready and self._lines is not None and self._lines.dtr
 
+    @override
     def receive(self) -> bytes:
-        """Take what the host wrote, and do what it asks of the port.
-
-        Returns
-        -------
-        bytes
-            What is for the board; empty when there is nothing, or nobody.
-        """
         data = super().receive()
         if self._manager is None or not data:
             return b""
         return b"".join(self._manager.filter(data))
 
+    @override
     def send(self, data: bytes) -> None:
-        """Give bytes to the host.
-
-        Parameters
-        ----------
-        data : bytes
-            Bytes of the board.
-        """
         escaped = b"".join(self._manager.escape(data)) if self._manager is not None else b""
         super().send(escaped)
 
@@ -116,11 +106,13 @@ class Rfc2217Endpoint(TcpEndpoint):
         """
         super().send(data)
 
+    @override
     def _rise(self) -> None:
         self._lines = Lines(self._changes)
         # The stubs ask for a whole serial port, the code for what is in Lines.
         self._manager = rfc2217.PortManager(cast(Any, self._lines), cast(Any, self))
 
+    @override
     def _fall(self) -> None:
         if self._lines is not None:
             self._lines.dtr = False

@@ -20,9 +20,9 @@ from typing import Any
 from urllib.parse import parse_qsl
 
 from heli_sim.errors import OptionError, SimError
+from heli_sim.sil.clock import Clock, make_clock
 from heli_sim.sil.endpoint import Endpoint
 from heli_sim.sil.options import DUE, SilOptions, parse_options
-from heli_sim.sil.pace import Pace, make_pace
 from heli_sim.sil.pty import PtyEndpoint
 from heli_sim.sil.rfc2217 import Rfc2217Endpoint
 from heli_sim.sil.tcp import TcpEndpoint
@@ -34,27 +34,23 @@ class SilServer:
 
     Parameters
     ----------
-    endpoint : Endpoint
-        The port.
-    world : SilWorld
-        Board, line and plant.
-    pace : Pace
-        How fast time may pass.
-    clock : callable
-        Monotonic clock, s.
+    clock : Clock
+        How fast simulated time may pass.
+    now_s : callable
+        Monotonic clock of the machine, s.
     """
 
     def __init__(
         self,
         endpoint: Endpoint,
         world: SilWorld,
-        pace: Pace,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Clock,
+        now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._endpoint = endpoint
         self._world = world
-        self._pace = pace
         self._clock = clock
+        self._now_s = now_s
         resets = world.options.reset_on_open
         self._resets = resets if resets is not None else world.options.board == DUE
         self._plugged = True
@@ -68,25 +64,25 @@ class SilServer:
         float
             Seconds until the next turn is worth while; 0 for at once.
         """
-        endpoint, world, now_s = self._endpoint, self._world, self._clock()
+        endpoint, world, now_s = self._endpoint, self._world, self._now_s()
         self._follow_cable()
         received = endpoint.receive()
         if received:
             self._received += received
-            self._pace.heard(now_s, world.tick)
+            self._clock.heard(now_s, world.tick)
         for change in endpoint.take_lines():
             if self._resets:
                 world.control_lines(dtr=change.dtr, baud=change.baud)
-        ticks = self._pace.due(now_s, world.tick)
+        ticks = self._clock.due(now_s, world.tick)
         if ticks == 0:
-            return self._pace.wait_s(now_s, world.tick)
+            return self._clock.wait_s(now_s, world.tick)
         endpoint.send(b"")
         world.host_reading = endpoint.ready
         sent = world.advance(ticks, self._received)
         self._received = b""
         if sent:
             endpoint.send(sent)
-        return self._pace.wait_s(now_s, world.tick)
+        return self._clock.wait_s(now_s, world.tick)
 
     def watched(self) -> list[int]:
         """File descriptors whose bytes are worth waking up for.
@@ -94,10 +90,10 @@ class SilServer:
         Returns
         -------
         list of int
-            The port, where the pace follows the host; else none.
+            The port, where the clock follows the host; else none.
         """
         fd = self._endpoint.fileno()
-        return [fd] if self._pace.follows_host and fd >= 0 else []
+        return [fd] if self._clock.follows_host and fd >= 0 else []
 
     def _follow_cable(self) -> None:
         if self._world.unplugged == self._plugged:
@@ -109,21 +105,17 @@ class SilServer:
                 self._received = b""
 
 
-def serve(endpoint: Endpoint, world: SilWorld, pace: Pace, stop_fd: int | None = None) -> None:
+def serve(endpoint: Endpoint, world: SilWorld, clock: Clock, stop_fd: int | None = None) -> None:
     """Serve a world until told to stop.
 
     Parameters
     ----------
-    endpoint : Endpoint
-        The port; the caller closes it.
-    world : SilWorld
-        Board, line and plant.
-    pace : Pace
-        How fast time may pass.
+    clock : Clock
+        How fast simulated time may pass.
     stop_fd : int or None
         File descriptor; serving ends as soon as something can be read from it, or it is at its end.
     """
-    server = SilServer(endpoint, world, pace)
+    server = SilServer(endpoint, world, clock)
     stops = [] if stop_fd is None else [stop_fd]
     while True:
         wait_s = server.turn()
@@ -146,8 +138,6 @@ def run_server(
 
     Parameters
     ----------
-    options : SilOptions
-        What to simulate, and how fast.
     pty : str or Path or None
         Symbolic link to make to the pseudo-terminal.
     tcp : str or None
@@ -183,7 +173,7 @@ def run_server(
         endpoint = PtyEndpoint(pty)
     try:
         on_ready(endpoint.url)
-        serve(endpoint, world, make_pace(options.speed), stop_fd)
+        serve(endpoint, world, make_clock(options.speed), stop_fd)
     except KeyboardInterrupt:
         pass
     finally:
@@ -194,7 +184,7 @@ def run_server(
 def _address(text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     if not port.isdigit():
-        raise OptionError(f"'{text}' is no address; write HOST:PORT")
+        raise OptionError(f"'{text}' is no address", "write HOST:PORT")
     return host or "127.0.0.1", int(port)
 
 
@@ -215,11 +205,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ----------
     arguments : sequence of str or None
         Command line without the program's name; None for that of the process.
-
-    Returns
-    -------
-    int
-        Exit status.
     """
     parser = argparse.ArgumentParser(prog="heli_sim.sil.server", description="Serve a simulated board.")
     parser.add_argument("--pty", help="symbolic link to make to the pseudo-terminal")

@@ -6,8 +6,10 @@ import contextlib
 import socket
 from typing import Final
 
+from typing_extensions import override
+
 from heli_sim.errors import EndpointError
-from heli_sim.sil.endpoint import LineChange
+from heli_sim.sil.endpoint import Endpoint, LineChange
 
 _CHUNK: Final = 65536
 # A host that does not read must see the bridge overflow in the end, as with a serial driver, and not only
@@ -15,8 +17,10 @@ _CHUNK: Final = 65536
 _SEND_BUFFER: Final = 16384
 
 
-class TcpEndpoint:
+class TcpEndpoint(Endpoint):
     """The board's side of a TCP connection; one host at a time, the next one waits.
+
+    A connection carries no DTR: its beginning stands for a rise of the line, its end for a fall.
 
     Parameters
     ----------
@@ -43,19 +47,14 @@ class TcpEndpoint:
         self.url = ""
         self.plug()
 
+    @override
     @property
     def ready(self) -> bool:
         """Whether a host is connected and takes its bytes."""
         return self._peer is not None and not self._kept
 
+    @override
     def receive(self) -> bytes:
-        """Take what the host wrote, or accept the next host.
-
-        Returns
-        -------
-        bytes
-            Empty when there is nothing, or nobody.
-        """
         if self._peer is None:
             self._accept()
         if self._peer is None:
@@ -70,14 +69,8 @@ class TcpEndpoint:
             self._hang_up()
         return data
 
+    @override
     def send(self, data: bytes) -> None:
-        """Give bytes to the host.
-
-        Parameters
-        ----------
-        data : bytes
-            Bytes for the host.
-        """
         if self._peer is None:
             return
         self._kept += data
@@ -90,43 +83,25 @@ class TcpEndpoint:
         except OSError:
             self._hang_up()
 
+    @override
     def take_lines(self) -> list[LineChange]:
-        """What became of DTR since the last call: a connection carries none, so it stands for it.
-
-        Returns
-        -------
-        list of LineChange
-            A rise for each connection, a fall for each end of one.
-        """
         changes, self._changes[:] = self._changes[:], []
         return changes
 
+    @override
     def fileno(self) -> int:
-        """File descriptor to watch for bytes, or for the next host.
-
-        Returns
-        -------
-        int
-            -1 while the cable is out.
-        """
         watched = self._peer or self._listener
         return watched.fileno() if watched is not None else -1
 
+    @override
     def unplug(self) -> None:
-        """Close the connection and stop listening."""
         self._hang_up()
         if self._listener is not None:
             self._listener.close()
             self._listener = None
 
+    @override
     def plug(self) -> None:
-        """Listen, on the same port as before.
-
-        Raises
-        ------
-        EndpointError
-            When the address cannot be listened on.
-        """
         if self._listener is not None:
             return
         try:
@@ -134,14 +109,14 @@ class TcpEndpoint:
         except (OSError, OverflowError) as error:
             host, port = self._address
             reason = getattr(error, "strerror", None) or str(error)
-            raise EndpointError(f"cannot listen on {host}:{port}: {reason}; choose another port") from None
+            raise EndpointError(f"cannot listen on {host}:{port}: {reason}", "choose another port") from None
         listener.setblocking(False)
         self._listener = listener
         self._address = (self._address[0], listener.getsockname()[1])
         self.url = f"{self.scheme}://{self._address[0]}:{self._address[1]}"
 
+    @override
     def close(self) -> None:
-        """Close the connection and stop listening, for good."""
         self.unplug()
 
     def _accept(self) -> None:

@@ -12,11 +12,11 @@ from heli_sim import _native
 from heli_sim.due.errors import BoardStopped
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig
-from heli_sim.sil.boards import make_board, settled
+from heli_sim.sil.arm_support import ArmSupport
+from heli_sim.sil.boards import make_board, resolved
 from heli_sim.sil.faults import FaultyStream
-from heli_sim.sil.flown import plant_of
-from heli_sim.sil.hand import Hand
 from heli_sim.sil.options import SilOptions
+from heli_sim.sil.plant_factory import plant_of
 
 # Counters of the encoders stand anywhere at power-up.
 _OFFSET_COUNTS: Final = 50_000.0
@@ -28,8 +28,6 @@ class SilWorld:
 
     Parameters
     ----------
-    options : SilOptions
-        What to simulate.
     plant : Plant or None
         Plant to fly instead of the one that the options ask for.
 
@@ -46,7 +44,7 @@ class SilWorld:
     """
 
     def __init__(self, options: SilOptions, plant: Plant | None = None) -> None:
-        self.options = options = settled(options)
+        self.options = options = resolved(options)
         self.plant = plant if plant is not None else plant_of(options)
         self.rig: Rig = self.plant.rig
         random = np.random.default_rng(options.seed)
@@ -64,7 +62,7 @@ class SilWorld:
             offset_count=random.uniform(-_OFFSET_COUNTS, _OFFSET_COUNTS, 3).tolist(),
             board=self.board.sim,
         )
-        self._hand = Hand(self.plant)
+        self._arm_support = ArmSupport(self.plant)
         self.to_board = FaultyStream(options.faults, options.seed, 0)
         self.to_host = FaultyStream(options.faults, options.seed, 1)
         self.host_reading = True
@@ -133,7 +131,7 @@ class SilWorld:
             if write:
                 self._held = b""
             most = min(ticks, least) if until_output and received else ticks
-            stretch = self._hand.tend(self.native, min(most, faults.next_edge(tick) - tick))
+            stretch = self._arm_support.update(self.native, min(most, faults.next_edge(tick) - tick))
             passed, data = self._pass(stretch, write, until_output, max(1, least))
             received += data
             ticks -= passed
@@ -181,6 +179,6 @@ class SilWorld:
         try:
             passed = self.native.advance(ticks, write, until_output, least)
         except self.board.stops as error:
-            raise BoardStopped(f"the emulated Due stopped: {error}; mend the firmware") from error
+            raise BoardStopped(f"the emulated Due stopped: {error}", "mend the firmware") from error
         self.board.keep_flash()
         return passed

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from typing import Final
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import AXES
 from heli_sim.rig.quantity import Prior
@@ -20,39 +21,18 @@ class AxisTilt(Effect):
     0, by `y_rad` a quarter of a turn in positive travel from there.
     """
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
-        """Minus the gradient of the potential that the tilt adds.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state and parameters.
-
-        Returns
-        -------
-        casadi.SX
-            Torque in N m, shape (3, 1).
-        """
+    @override
+    def torque_Nm(self, at: Operands) -> ca.SX:
+        # Minus the gradient of the potential that the tilt adds.
         q = ca.SX.sym("q", 3)
         torque = -ca.gradient(self._potential_J(at, q), q)
         return ca.substitute(torque, q, ca.vertcat(*(at.state[f"{axis}_rad"] for axis in AXES)))
 
-    def energy_J(self, at: Situation) -> ca.SX:
-        """Potential energy, less that about a plumb axis.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state and parameters.
-
-        Returns
-        -------
-        casadi.SX
-            Energy in J.
-        """
+    @override
+    def energy_J(self, at: Operands) -> ca.SX:
         return self._potential_J(at, ca.vertcat(*(at.state[f"{axis}_rad"] for axis in AXES)))
 
-    def _potential_J(self, at: Situation, q: ca.SX) -> ca.SX:
+    def _potential_J(self, at: Operands, q: ca.SX) -> ca.SX:
         x, y = self.own(at, "x_rad"), self.own(at, "y_rad")
         size2 = x**2 + y**2
         # The unit vector (sin, cos) of small angles, finite at 0: sin|a|/|a| to 4th order is enough to 1 rad.
@@ -77,7 +57,7 @@ def _moment_kg_m(p: Mapping[str, ca.SX], q: ca.SX) -> ca.SX:
 KIND: Final = EffectKind(
     id="axis_tilt",
     effect=AxisTilt,
-    says="the travel axis leans: plumb is off by {x_rad} towards the arm at travel 0 and {y_rad} across",
+    sentence="the travel axis leans: plumb is off by {x_rad} towards the arm at travel 0 and {y_rad} across",
     equation=r"U = g\, \boldsymbol{n} \cdot \sum m_j \boldsymbol{r}_j,\ \boldsymbol{n} \approx (a_x, a_y, 1)",
     acts_on="torque.travel",
     stage=Stage.TORQUE,
@@ -86,5 +66,6 @@ KIND: Final = EffectKind(
         Parameter("y_rad", "rad", "lean a_y across the arm", 0.0, Prior(0.0, 0.03, -0.5, 0.5), size=True),
     ),
     needs=("M_f", "M_b", "M_w", "M_h", "M_l", "L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x", "g"),
+    rank=140,
     source="potential of the five masses of Table 2",
 )

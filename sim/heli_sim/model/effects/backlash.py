@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from typing import Final
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import AXES
 from heli_sim.rig.quantity import Prior, Quantity
@@ -20,54 +21,20 @@ class Backlash(Effect):
     axis and encoder, and moves nothing but what is measured.
     """
 
-    def settled(self, at: Situation) -> ca.SX:
-        """Where the shaft is after a step: taken along by whichever side of the play touches it.
-
-        Parameters
-        ----------
-        at : Situation
-            State after the step and parameters.
-
-        Returns
-        -------
-        casadi.SX
-            The shaft's angle, rad.
-        """
+    @override
+    def reset_map(self, at: Operands) -> ca.SX:
         angle, half = at.state[f"{self.place}_rad"], 0.5 * self.own(at, "rad")
         return ca.fmin(ca.fmax(self.own(at, "shaft_rad"), angle - half), angle + half)
 
-    def sides(self, parameters: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
-        """The axis at either end of its play; the angles seen put it into the middle.
-
-        Parameters
-        ----------
-        parameters : Mapping[str, float]
-            Values of all parameters of the model.
-
-        Returns
-        -------
-        tuple of Mapping[str, float]
-            Shifts of the axis' angle, rad.
-        """
+    @override
+    def alternative_starts(self, parameters: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
+        # The angles seen put the axis into the middle of its play; it may lie at either end.
         half_rad = 0.5 * parameters[f"{self.prefix}_rad"]
         return ({f"{self.place}_rad": half_rad}, {f"{self.place}_rad": -half_rad})
 
-    def measured_rad(self, at: Situation, angles_rad: ca.SX) -> ca.SX:
-        """Put the shaft's angle in place of the axis'.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state and parameters.
-        angles_rad : casadi.SX
-            Angles without play, shape (3, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Angles with it, shape (3, 1).
-        """
-        index, shaft = AXES.index(self.place), self.settled(at)
+    @override
+    def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
+        index, shaft = AXES.index(self.place), self.reset_map(at)
         behind = shaft - at.state[f"{self.place}_rad"]
         return angles_rad + ca.vertcat(*(behind if i == index else ca.SX(0) for i in range(3)))
 
@@ -76,7 +43,7 @@ def _kind(axis: str) -> EffectKind:
     return EffectKind(
         id=f"backlash.{axis}",
         effect=Backlash,
-        says=f"the {axis} encoder has a play of {{rad}}",
+        sentence=f"the {axis} encoder has a play of {{rad}}",
         equation=r"y \to \min(\max(y, q - b/2), q + b/2)",
         acts_on=f"measurement.{axis}",
         stage=Stage.PLAY,
@@ -87,7 +54,8 @@ def _kind(axis: str) -> EffectKind:
             ),
         ),
         states=(Quantity("shaft_rad", "rad", f"angle y of the {axis} encoder's shaft"),),
-        shown={"shaft_rad": axis},
+        measured_as={"shaft_rad": axis},
+        rank=160,
         source="play operator; the play lies between axis and encoder, since no gear drives the arm",
     )
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import on_axis
 from heli_sim.rig.quantity import Prior
@@ -15,37 +16,15 @@ from heli_sim.rig.quantity import Prior
 class CableSpring(Effect):
     """Torque towards the angle at which the cable is at rest."""
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
-        """Torque towards the rest angle.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state and parameters.
-
-        Returns
-        -------
-        casadi.SX
-            Torque in N m, shape (3, 1).
-        """
+    @override
+    def torque_Nm(self, at: Operands) -> ca.SX:
         return on_axis(self.place, -self.own(at, "Nm_per_rad") * self._bent_rad(at))
 
-    def energy_J(self, at: Situation) -> ca.SX:
-        """Energy in the bent cable.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state and parameters.
-
-        Returns
-        -------
-        casadi.SX
-            Energy in J.
-        """
+    @override
+    def energy_J(self, at: Operands) -> ca.SX:
         return 0.5 * self.own(at, "Nm_per_rad") * self._bent_rad(at) ** 2
 
-    def _bent_rad(self, at: Situation) -> ca.SX:
+    def _bent_rad(self, at: Operands) -> ca.SX:
         return at.state[f"{self.place}_rad"] - self.own(at, "rest_rad")
 
 
@@ -53,7 +32,7 @@ def _kind(axis: str) -> EffectKind:
     return EffectKind(
         id=f"cable_spring.{axis}",
         effect=CableSpring,
-        says=f"a cable pulls {axis} with {{Nm_per_rad}} towards {{rest_rad}}",
+        sentence=f"a cable pulls {axis} with {{Nm_per_rad}} towards {{rest_rad}}",
         equation=r"\tau = -k (q - q_0)",
         acts_on=f"torque.{axis}",
         stage=Stage.TORQUE,
@@ -63,6 +42,7 @@ def _kind(axis: str) -> EffectKind:
             ),
             Parameter("rest_rad", "rad", "rest angle q_0", 0.0, Prior(0.0, 0.5, low=-6.3, high=6.3)),
         ),
+        rank=130,
         source="Hooke; a constant pull beside it is the rig's torque_" + axis,
     )
 

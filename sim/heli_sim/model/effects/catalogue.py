@@ -1,14 +1,16 @@
-"""All effects: those that come with the package, and those of users' files."""
+"""All effects: those of the files in this folder, found by themselves, and those of users' files."""
 
 from __future__ import annotations
 
+import functools
+import importlib
 import importlib.util
 import inspect
+import pkgutil
 import traceback
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Final
 
 import casadi as ca
 import numpy as np
@@ -16,61 +18,10 @@ import numpy as np
 from heli_sim.errors import EffectError
 from heli_sim.model.base import Model
 from heli_sim.model.effect import Effect
-from heli_sim.model.effects import (
-    axis_tilt,
-    backlash,
-    cable_spring,
-    coulomb_friction,
-    counterweight_shift,
-    edgewise_flow,
-    encoder_eccentricity,
-    ground_effect,
-    gyroscopic_torque,
-    inflow_damping,
-    input_delay,
-    periodic_torque,
-    random_torque,
-    removed,
-    rotor_lag,
-    rotor_reaction_torque,
-    supply_sag,
-    thrust_asymmetry,
-    thrust_fade,
-    thrust_quadratic,
-    thrust_step,
-    travel_drag_quadratic,
-    zero_offset,
-)
 from heli_sim.model.effects.kind import EffectKind
 from heli_sim.model.multibody import MultibodyModel
 from heli_sim.model.paper import PaperModel
 from heli_sim.rig import load_rig
-
-_BUILT_IN: Final[tuple[EffectKind, ...]] = (
-    rotor_lag.KIND,
-    input_delay.KIND,
-    thrust_quadratic.KIND,
-    thrust_asymmetry.KIND,
-    thrust_fade.KIND,
-    *thrust_step.KINDS,
-    supply_sag.KIND,
-    inflow_damping.KIND,
-    ground_effect.KIND,
-    rotor_reaction_torque.KIND,
-    *coulomb_friction.KINDS,
-    travel_drag_quadratic.KIND,
-    *cable_spring.KINDS,
-    axis_tilt.KIND,
-    counterweight_shift.KIND,
-    *backlash.KINDS,
-    *encoder_eccentricity.KINDS,
-    *zero_offset.KINDS,
-    *periodic_torque.KINDS,
-    *random_torque.KINDS,
-    edgewise_flow.KIND,
-    gyroscopic_torque.KIND,
-    *removed.KINDS,
-)
 
 
 def catalogue(extra: Sequence[str | Path] = ()) -> dict[str, EffectKind]:
@@ -84,27 +35,37 @@ def catalogue(extra: Sequence[str | Path] = ()) -> dict[str, EffectKind]:
     Returns
     -------
     dict of EffectKind
-        Those that come with the package first, in the order of the documentation.
+        Those that come with the package first, by `EffectKind.rank`; then the users', in the order given.
 
     Raises
     ------
     EffectError
         When a file cannot be read, holds no effect, or one that is badly written or has a name in use.
     """
-    kinds = {kind.id: kind for kind in _BUILT_IN}
+    kinds = {kind.id: kind for kind in _built_in()}
     for path in extra:
         for kind in _kinds_of(Path(path)):
             if kind.id in kinds:
-                raise EffectError(f"effect file {path}: '{kind.id}' exists already; give it another id")
+                raise EffectError(f"effect file {path}: '{kind.id}' exists already", "give it another id")
             kinds[kind.id] = kind
     return kinds
+
+
+@functools.cache
+def _built_in() -> tuple[EffectKind, ...]:
+    """Kinds of all modules of this folder; the sort is stable, so that a file's own order holds."""
+    package = importlib.import_module(__name__.rpartition(".")[0])
+    names = sorted(f"{package.__name__}.{info.name}" for info in pkgutil.iter_modules(package.__path__))
+    modules = [importlib.import_module(name) for name in names if name != __name__]
+    kinds = [kind for module in modules for kind in _kinds_in(module)]
+    return tuple(sorted(kinds, key=lambda kind: kind.rank))
 
 
 def _kinds_of(path: Path) -> list[EffectKind]:
     module = _module(path)
     found = list(_kinds_in(module))
     if not found:
-        raise EffectError(f"effect file {path} has no EffectKind at its top level; see docs/effects.md")
+        raise EffectError(f"effect file {path} has no EffectKind at its top level", "see docs/effects.md")
     for kind in found:
         _try(path, kind)
     return found
@@ -114,14 +75,14 @@ def _module(path: Path) -> ModuleType:
     name = f"heli_sim_user_effects_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None or not path.is_file():
-        raise EffectError(f"effect file {path} cannot be read; give a Python file, FILE.py")
+        raise EffectError(f"effect file {path} cannot be read", "give a Python file, FILE.py")
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
     except SyntaxError as error:
-        raise EffectError(f"effect file {path}, line {error.lineno}: {error.msg}; correct it") from None
+        raise EffectError(f"effect file {path}, line {error.lineno}: {error.msg}", "correct it") from None
     except Exception as error:  # noqa: BLE001 - a user's file may raise anything
-        raise EffectError(f"effect file {path}: {_line(path, error)}; correct it") from None
+        raise EffectError(f"effect file {path}: {_line(path, error)}", "correct it") from None
     return module
 
 
@@ -135,36 +96,39 @@ def _kinds_in(module: ModuleType) -> Iterator[EffectKind]:
 
 
 def _try(path: Path, kind: EffectKind) -> None:
-    """Put the effect on a model: what is wrong with it shows here and not in the middle of a fit."""
+    """Evaluate a model with the effect, so that what is wrong with it shows here and not during a fit."""
     where = f"effect file {path}: '{kind.id}'"
     if not (inspect.isclass(kind.effect) and issubclass(kind.effect, Effect)):
-        raise EffectError(f"{where}: effect must be a class derived from Effect; see docs/effects.md")
+        raise EffectError(f"{where}: effect must be a class derived from Effect", "see docs/effects.md")
     if not kind.numbers or not kind.size:
-        raise EffectError(f"{where} has no number with size=True; say which one measures it")
+        raise EffectError(f"{where} has no number with size=True", "say which one measures it")
     models = [model for model in (MultibodyModel, PaperModel) if kind.suits(model())]
     if not models:
-        raise EffectError(f"{where} needs {', '.join({*kind.needs, *kind.held})}, which no model has")
+        raise EffectError(
+            f"{where} needs {', '.join({*kind.needs, *kind.override})}, which no model has",
+            "name what a model has; see docs/effects.md",
+        )
     try:
-        kind.sentence(kind.typical)
+        kind.describe(kind.typical)
         for values in (kind.neutral, kind.typical):
             bad = _not_finite(models[0]((kind.make(values),)))
             if bad:
-                raise EffectError(f"{where}: {bad} is not a finite number at {values}; correct it")
+                raise EffectError(f"{where}: {bad} is not a finite number at {values}", "correct it")
     except EffectError:
         raise
     except Exception as error:  # noqa: BLE001 - a user's file may raise anything
-        raise EffectError(f"{where}: {_line(path, error)}; correct it") from None
+        raise EffectError(f"{where}: {_line(path, error)}", "correct it") from None
 
 
 def _not_finite(model: Model) -> str:
-    """What of a model with an effect cannot be computed, in words; empty when all can."""
+    """Name what of a model with an effect is not finite; empty when all of it is."""
     x, u, t = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2), ca.SX.sym("t")
     p = ca.SX.sym("p", len(model.parameters))
     results = {
         "the rate of a state": model.dynamics(x, u, p, t),
         "a measured angle": model.measurement(x, u, p, t),
-        "a state after a step": model.settled(x, u, p, t),
-        "a random push": model.pushed(x, u, p, t, 1e-3, ca.SX.ones(model.shaken)),
+        "a state after a step": model.reset_map(x, u, p, t),
+        "the noise of a state": model.diffusion(x, u, p, t, 1e-3, ca.SX.ones(model.noise_inputs)),
     }
     values = ca.Function(
         "values", [x, u, p, t], [ca.vertcat(r, ca.vec(ca.jacobian(r, p))) for r in results.values()]

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
@@ -20,23 +21,8 @@ class CoulombFriction(Effect):
     heavy and a light axis.
     """
 
-    def friction_Nm(self, at: Situation, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
-        """Torque against the motion.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state and parameters.
-        acceleration_rad_s2 : casadi.SX
-            Acceleration of the axes without dry friction, shape (3, 1).
-        inertia_kg_m2 : casadi.SX
-            What an axis has to be turned against, shape (3, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Torque in N m, shape (3, 1).
-        """
+    @override
+    def friction_Nm(self, at: Operands, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
         axis = AXES.index(self.place)
         slowing = acceleration_rad_s2[axis] + at.state[f"{self.place}_rate_rad_s"] / self.own(at, "hold_s")
         most_Nm = self.own(at, "Nm")
@@ -47,7 +33,7 @@ def _kind(axis: str, typical_Nm: float) -> EffectKind:
     return EffectKind(
         id=f"coulomb_friction.{axis}",
         effect=CoulombFriction,
-        says=f"the {axis} axis has dry friction of {{Nm}}",
+        sentence=f"the {axis} axis has dry friction of {{Nm}}",
         equation=r"\tau = -\min(\max(J (\dot\omega_0 + \omega / T), -c), c)",
         acts_on=f"torque.{axis}",
         stage=Stage.TORQUE,
@@ -70,6 +56,7 @@ def _kind(axis: str, typical_Nm: float) -> EffectKind:
                 Prior(0.008, 0.005, low=0.004, high=0.05),
             ),
         ),
+        rank=110,
         source=(
             "Coulomb, with standstill as a damped constraint as solvers of rigid bodies pose it; Runge-Kutta "
             "steps of 10 ms, as identification takes them, are stable down to T = 3.6 ms"

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from typing import Final
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.effects.thrust_step import moments_s
 from heli_sim.model.parts import since
@@ -17,19 +18,8 @@ from heli_sim.rig.quantity import Prior
 class CounterweightShift(Effect):
     """From an unknown moment on the counterweight is elsewhere on the arm."""
 
-    def changed(self, at: Situation) -> Mapping[str, ca.SX]:
-        """Move the counterweight.
-
-        Parameters
-        ----------
-        at : Situation
-            Parameters and time.
-
-        Returns
-        -------
-        Mapping[str, casadi.SX]
-            New L_b.
-        """
+    @override
+    def modified_parameters(self, at: Operands) -> Mapping[str, ca.SX]:
         moved = self.own(at, "m") * since(at.time_s, self.own(at, "at_s"))
         return {"L_b": at.parameter["L_b"] + moved}
 
@@ -37,7 +27,7 @@ class CounterweightShift(Effect):
 KIND: Final = EffectKind(
     id="counterweight_shift",
     effect=CounterweightShift,
-    says="the counterweight slips by {m} outwards at {at_s}",
+    sentence="the counterweight slips by {m} outwards at {at_s}",
     equation=r"L_b \to L_b + \Delta\, [t > t_0]",
     acts_on="parameters",
     stage=Stage.TORQUE,
@@ -45,8 +35,9 @@ KIND: Final = EffectKind(
         Parameter(
             "m", "m", "distance Delta, outwards", 0.005, Prior(0.0, 0.01, low=-0.1, high=0.1), size=True
         ),
-        Parameter("at_s", "s", "moment t_0", 20.0, Prior(30.0, 60.0, low=0.0), scan=moments_s),
+        Parameter("at_s", "s", "moment t_0", 20.0, Prior(30.0, 60.0, low=0.0), grid=moments_s),
     ),
     needs=("L_b", "M_w"),
+    rank=150,
     source="definition; a mass that falls off it is told apart from a shift by no flight",
 )

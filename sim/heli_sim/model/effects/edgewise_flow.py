@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.rig.quantity import Prior
 
@@ -18,21 +19,8 @@ class EdgewiseFlow(Effect):
     about pitch raises the side that leads, against the lean that drives travel: speed steadies the rig.
     """
 
-    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
-        """Give to one rotor what the other loses.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages and parameters.
-        thrust_N : casadi.SX
-            Thrust of rotors that do not move edgewise, shape (2, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Thrust of these, shape (2, 1).
-        """
+    @override
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         state, p = at.state, at.parameter
         c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
         around_m_s = (p["L_a"] * c + p["L_theta"] * s) * state["travel_rate_rad_s"]
@@ -46,7 +34,9 @@ class EdgewiseFlow(Effect):
 KIND: Final = EffectKind(
     id="edgewise_flow",
     effect=EdgewiseFlow,
-    says="the rotor that leads in travel gains a share of {s_per_m} of its thrust, and the other loses it",
+    sentence=(
+        "the rotor that leads in travel gains a share of {s_per_m} of its thrust, and the other loses it"
+    ),
     equation=(
         r"F_f \to F_f (1 - c\, v), \quad F_b \to F_b (1 + c\, v), "
         r"\quad v = L_a (\dot\psi \cos\theta \cos\phi - \dot\theta \sin\phi)"
@@ -57,5 +47,6 @@ KIND: Final = EffectKind(
         Parameter("s_per_m", "s/m", "share c for each m/s", 0.08, Prior(0.0, 0.1, 0.0, 1.0), size=True),
     ),
     needs=("L_a", "L_theta"),
+    rank=210,
     source="helicopter theory: a rotor in edgewise flow has more inflow at its trailing edge, and pitches up",
 )

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import rotor_height_m
 from heli_sim.rig.quantity import Prior
@@ -19,21 +20,8 @@ class GroundEffect(Effect):
     air, both feel the height of the arm's end (`own` = 0).
     """
 
-    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
-        """Add what the table gives.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages and parameters.
-        thrust_N : casadi.SX
-            Thrust far from the table, shape (2, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Thrust at this height, shape (2, 1).
-        """
+    @override
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         height_m = rotor_height_m(at.state, at.parameter)
         end_m = ca.sum1(height_m) / 2
         above_m = end_m + self.own(at, "own") * (height_m - end_m) + self.own(at, "table_m")
@@ -43,7 +31,7 @@ class GroundEffect(Effect):
 KIND: Final = EffectKind(
     id="ground_effect",
     effect=GroundEffect,
-    says="at the table the rotors push {share} more; over {height_m} of height this falls by a factor e",
+    sentence="at the table the rotors push {share} more; over {height_m} of height this falls by a factor e",
     equation=r"F_i \to F_i (1 + a\, e^{-h_i / h_0})",
     acts_on="thrust",
     stage=Stage.GROUND,
@@ -55,12 +43,13 @@ KIND: Final = EffectKind(
             "height h_0 over which it falls by a factor e",
             0.15,
             Prior(0.15, 0.1, low=0.02, high=1.5),
-            scan=(0.05, 0.1, 0.2, 0.4),
+            grid=(0.05, 0.1, 0.2, 0.4),
         ),
-        Parameter("own", "1", "how far each rotor has a height of its own", 1.0, scan=(0.0, 1.0)),
+        Parameter("own", "1", "how far each rotor has a height of its own", 1.0, grid=(0.0, 1.0)),
         Parameter("table_m", "m", "how far below the elevation axis the table is, where h_i = 0", 0.25),
     ),
     needs=("L_a", "L_h", "L_theta"),
+    rank=90,
     source=(
         "measured thrust of rotors near the ground falls off about exponentially; between one and two radii "
         "of height Cheeseman and Bennett's 1 / (1 - (R / 4h)^2) differs from that by 0.4 % of the thrust"

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.rig.quantity import Prior
 
@@ -18,19 +19,9 @@ class GyroscopicTorque(Effect):
     on a rig with 0.2 m propellers. It does no work: what it takes from one axis it gives to another.
     """
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
-        """Torque of the angular momentum being turned, n x omega H, as the three axes feel it.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, parameters and final thrust.
-
-        Returns
-        -------
-        casadi.SX
-            Torque in N m, shape (3, 1).
-        """
+    @override
+    def torque_Nm(self, at: Operands) -> ca.SX:
+        # n x omega H, as the three axes feel it.
         state = at.state
         momentum_Nms = self.own(at, "m_s") * (at.thrust_N[0] + at.thrust_N[1])
         c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
@@ -47,7 +38,9 @@ class GyroscopicTorque(Effect):
 KIND: Final = EffectKind(
     id="gyroscopic_torque",
     effect=GyroscopicTorque,
-    says="the rotors spin the same way, with an angular momentum of {m_s} for each newton of their thrust",
+    sentence=(
+        "the rotors spin the same way, with an angular momentum of {m_s} for each newton of their thrust"
+    ),
     equation=(
         r"H = h (F_f + F_b), \quad \tau = H (\cos\phi\, (\dot\phi - \dot\psi \sin\theta),\, "
         r"-\dot\theta \cos\phi - \dot\psi \cos\theta \sin\phi,\, "
@@ -65,5 +58,6 @@ KIND: Final = EffectKind(
             size=True,
         ),
     ),
+    rank=220,
     source="rigid-body mechanics; going with the thrust, it suits measured flights better than a constant",
 )

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import rotor_climb_m_s
 from heli_sim.rig.quantity import Prior
@@ -20,21 +21,8 @@ class InflowDamping(Effect):
     soon turns with the rig; then it is not.
     """
 
-    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
-        """Take away what the climb costs.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages and parameters.
-        thrust_N : casadi.SX
-            Thrust of rotors that stand still in the air, shape (2, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Thrust of these, shape (2, 1).
-        """
+    @override
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         through_air = {"travel_rate_rad_s": self.own(at, "still") * at.state["travel_rate_rad_s"]}
         climb_m_s = rotor_climb_m_s({**at.state, **through_air}, at.parameter)
         loaded = self.own(at, "loaded")
@@ -48,7 +36,7 @@ _AT_N: Final = 1.0
 KIND: Final = EffectKind(
     id="inflow_damping",
     effect=InflowDamping,
-    says="each rotor loses a share of {s_per_m} of its thrust to its own climb along its axis",
+    sentence="each rotor loses a share of {s_per_m} of its thrust to its own climb along its axis",
     equation=(
         r"F_i \to F_i - c\, v_i (l F_i + (1 - l) \cdot 1\,\mathrm{N}), "
         r"\quad v_i = \boldsymbol{n} \cdot \dot{\boldsymbol{r}}_i"
@@ -62,16 +50,17 @@ KIND: Final = EffectKind(
             "1",
             "1 where the loss goes with the thrust, 0 where it is that of 1 N at any thrust",
             1.0,
-            scan=(1.0, 0.0),
+            grid=(1.0, 0.0),
         ),
         Parameter(
             "still",
             "1",
             "1 in air that stands still, 0 in air that turns with travel",
             1.0,
-            scan=(1.0, 0.0),
+            grid=(1.0, 0.0),
         ),
     ),
     needs=("L_a", "L_h", "L_theta"),
+    rank=80,
     source="blade element theory: the loss goes with axial speed over blade speed, and with the thrust",
 )

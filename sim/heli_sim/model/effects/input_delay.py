@@ -16,11 +16,12 @@ class InputDelay(Effect):
 KIND: Final = EffectKind(
     id="input_delay",
     effect=InputDelay,
-    says="the voltages act {s} late",
+    sentence="the voltages act {s} late",
     equation=r"V_i \to V_i(t - T_d)",
     acts_on="input",
     stage=Stage.CURVE,
     numbers=(Parameter("s", "s", "delay T_d", 0.02, Prior(0.02, 0.03, low=0.0, high=0.25), size=True),),
     delay="s",
+    rank=20,
     source="definition",
 )

@@ -1,4 +1,4 @@
-"""What is known of an effect before a flight: its numbers, what they mean, and how to make one."""
+"""What is known of an effect before a flight: its parameters, their priors, and how to make one."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from heli_sim.model.base import Model
 from heli_sim.model.effect import Effect, Stage
 from heli_sim.rig.quantity import Prior, Quantity
 
-Scan = tuple[float, ...] | Callable[[float], tuple[float, ...]]
-"""Values to try, or a function that gives them for a flight of so many seconds."""
+GridValues = tuple[float, ...] | Callable[[float], tuple[float, ...]]
+"""Values to start a fit from, or a function that gives them for a flight of so many seconds."""
 
 _DEG: Final = 180.0 / math.pi
-_SHOWN: Final[Mapping[str, tuple[float, str]]] = {
+_SPELLED: Final[Mapping[str, tuple[float, str]]] = {
     "rad": (_DEG, " deg"),
     "1": (100.0, " %"),
     "count": (1.0, ""),
@@ -27,7 +27,7 @@ _SHOWN: Final[Mapping[str, tuple[float, str]]] = {
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of an effect.
+    """A parameter of an effect.
 
     Parameters
     ----------
@@ -38,17 +38,18 @@ class Parameter:
     meaning : str
         One line in words.
     typical : float
-        A size at which the effect is plain to see, or for a number that is no size the value to start from.
+        A size at which the effect shows clearly, or for a parameter that is no size the value to start from.
     prior : Prior or None
-        What is known before a flight; None for a number that no flight is to find.
+        What is known before a flight; None for a parameter that is never estimated.
     size : bool
-        Whether it measures the size of the effect: at `neutral` there is no effect, and it enters about
-        linearly.
+        Whether it measures the size of the effect: at `neutral` there is no effect, and the model is about
+        linear in it.
     neutral : float or None
-        Value at which the effect does nothing while derivatives still exist; of a number that is no size,
+        Value at which the effect does nothing while derivatives still exist; of a parameter that is no size,
         any value does. None stands for 0 where it is a size, and for `typical` where it is none.
-    scan : tuple of float, callable or None
-        Values to search over, for a number that no descent finds; a callable gets the flight's length in s.
+    grid : tuple of float, callable or None
+        Values to start from where the likelihood is multimodal in this parameter; a callable gets the
+        flight's length in s.
     """
 
     what: str
@@ -58,10 +59,10 @@ class Parameter:
     prior: Prior | None = None
     size: bool = False
     neutral: float | None = None
-    scan: Scan | None = None
+    grid: GridValues | None = None
 
     @property
-    def at_rest(self) -> float:
+    def neutral_value(self) -> float:
         """Value at which the effect does nothing, or where it is no size the one to start from."""
         if self.neutral is not None:
             return self.neutral
@@ -78,39 +79,39 @@ class EffectKind:
         Its name, with the axis, rotor or term after a dot where it has one.
     effect : type of Effect
         Class of its equations; made with the keyword arguments of `Effect`.
-    says : str
-        One sentence for the report, with ``{what}`` where the number of that name belongs.
+    sentence : str
+        One sentence for the report, with ``{what}`` where the parameter of that name belongs.
     equation : str
         LaTeX.
     acts_on : str
         ``input``, ``thrust``, ``torque.<axis>``, ``measurement.<axis>`` or ``parameters``.
-    stage : Stage
-        Where in the chain it acts.
     numbers : tuple of Parameter
-        Its numbers. The first is the one that ``ID=VALUE`` sets.
+        Its parameters. The first is the one that ``ID=VALUE`` sets.
     states : tuple of Quantity
         Its states, named without the effect's name.
     source : str
         Where the equation comes from.
     delay : str
-        Which of its numbers delays the voltages; empty for none.
-    shaken : int
-        Random pushes a millisecond in a simulation.
-    shown : Mapping[str, str]
-        States that are what an encoder shows, and the axis of each.
+        Which of its parameters delays the voltages; empty for none.
+    noise_inputs : int
+        Dimension of the white noise that drives its states in a simulation.
+    measured_as : Mapping[str, str]
+        States that an encoder measures, and the axis of each.
     needs : tuple of str
         Numbers of the rig that a model must use for the effect to make sense.
     models : tuple of str
         Names of the models that it makes sense for; empty for all that have what it needs.
     baseline : bool
         Whether it takes away a term that the model has, instead of adding one that it lacks.
-    held : Mapping[str, float]
+    override : Mapping[str, float]
         With `baseline`: numbers of the rig and the value that each has with the term gone.
+    rank : int
+        Place in the catalogue, lowest first; equal ranks by the name of the file.
     """
 
     id: str
     effect: type[Effect]
-    says: str
+    sentence: str
     equation: str
     acts_on: str
     stage: Stage
@@ -118,12 +119,13 @@ class EffectKind:
     states: tuple[Quantity, ...] = ()
     source: str = ""
     delay: str = ""
-    shaken: int = 0
-    shown: Mapping[str, str] = field(default_factory=dict)
+    noise_inputs: int = 0
+    measured_as: Mapping[str, str] = field(default_factory=dict)
     needs: tuple[str, ...] = ()
     models: tuple[str, ...] = ()
     baseline: bool = False
-    held: Mapping[str, float] = field(default_factory=dict)
+    override: Mapping[str, float] = field(default_factory=dict)
+    rank: int = 500
 
     @property
     def prefix(self) -> str:
@@ -143,11 +145,11 @@ class EffectKind:
     @property
     def neutral(self) -> dict[str, float]:
         """Values of all numbers at which the effect does nothing, by full name."""
-        return {self.full(one.what): one.at_rest for one in self.numbers}
+        return {self.full(one.what): one.neutral_value for one in self.numbers}
 
     @property
     def typical(self) -> dict[str, float]:
-        """Values of all numbers at which the effect is plain to see, by full name."""
+        """Values of all parameters at which the effect shows clearly, by full name."""
         return {self.full(one.what): one.typical for one in self.numbers}
 
     @property
@@ -156,9 +158,9 @@ class EffectKind:
         return tuple(self.full(one.what) for one in self.numbers if one.size)
 
     @property
-    def scan(self) -> dict[str, Scan]:
-        """Numbers that must be searched, by full name, with the values to try."""
-        return {self.full(one.what): one.scan for one in self.numbers if one.scan is not None}
+    def grid(self) -> dict[str, GridValues]:
+        """Parameters in which the likelihood is multimodal, by full name, with the values to start from."""
+        return {self.full(one.what): one.grid for one in self.numbers if one.grid is not None}
 
     def full(self, what: str) -> str:
         """Full name of a number.
@@ -178,11 +180,6 @@ class EffectKind:
     def suits(self, model: Model) -> bool:
         """Whether a model has what the effect changes.
 
-        Parameters
-        ----------
-        model : Model
-            The model.
-
         Returns
         -------
         bool
@@ -190,7 +187,7 @@ class EffectKind:
         """
         if self.models and model.name not in self.models:
             return False
-        return {*self.needs, *self.held} <= {quantity.name for quantity in model.parameters}
+        return {*self.needs, *self.override} <= {quantity.name for quantity in model.parameters}
 
     def make(self, values: Mapping[str, float] | None = None) -> Effect:
         """Make the effect.
@@ -199,11 +196,6 @@ class EffectKind:
         ----------
         values : Mapping[str, float], optional
             Values by full name; `neutral` for those not given.
-
-        Returns
-        -------
-        Effect
-            The effect, for a model.
 
         Raises
         ------
@@ -221,13 +213,13 @@ class EffectKind:
             priors=self.priors,
             delay=self.full(self.delay) if self.delay else "",
             stage=self.stage,
-            shaken=self.shaken,
-            shown={self.full(state): axis for state, axis in self.shown.items()},
-            searched=tuple(name for name in self.scan if name in self.priors),
+            noise_inputs=self.noise_inputs,
+            measured_as={self.full(state): axis for state, axis in self.measured_as.items()},
+            multimodal=tuple(name for name in self.grid if name in self.priors),
         )
 
-    def scanned(self, seconds: float) -> dict[str, tuple[float, ...]]:
-        """Values to search over on a flight.
+    def grid_values(self, seconds: float) -> dict[str, tuple[float, ...]]:
+        """Values to start from on a flight, for each parameter of `grid`.
 
         Parameters
         ----------
@@ -237,15 +229,15 @@ class EffectKind:
         Returns
         -------
         dict
-            Values of each number of `scan`, those outside the range of its prior left out.
+            Values of each parameter of `grid`, those outside the range of its prior left out.
         """
         return {
             name: self._in_range(name, one(seconds) if callable(one) else one)
-            for name, one in self.scan.items()
+            for name, one in self.grid.items()
         }
 
-    def sentence(self, values: Mapping[str, float], stds: Mapping[str, float] | None = None) -> str:
-        """Say the effect with its numbers.
+    def describe(self, values: Mapping[str, float], stds: Mapping[str, float] | None = None) -> str:
+        """Describe the effect with its numbers in one sentence.
 
         Parameters
         ----------
@@ -261,13 +253,15 @@ class EffectKind:
         """
         known = {**self.neutral, **values}
         texts = {
-            one.what: spell(known[self.full(one.what)], (stds or {}).get(self.full(one.what)), one.unit)
+            one.what: format_estimate(
+                known[self.full(one.what)], (stds or {}).get(self.full(one.what)), one.unit
+            )
             for one in self.numbers
         }
-        return self.says.format(**texts)
+        return self.sentence.format(**texts)
 
     def _in_range(self, name: str, values: tuple[float, ...]) -> tuple[float, ...]:
-        """Scale of a scan is the flight's length: in a very short one values may be out of range."""
+        """A grid scales with the flight's length: in a very short flight values may be out of range."""
         prior = self.priors.get(name)
         if prior is None:
             return values
@@ -276,16 +270,16 @@ class EffectKind:
     def _check(self, name: str, value: float) -> None:
         ranges = {q.name: self.priors.get(q.name) for q in self.parameters}
         if name not in ranges:
-            raise EffectError(f"'{self.id}' has no '{name}'; it has: {', '.join(ranges)}")
+            raise EffectError(f"'{self.id}' has no '{name}'", f"it has: {', '.join(ranges)}")
         prior = ranges[name]
         low, high = (prior.low, prior.high) if prior is not None else (-math.inf, math.inf)
         if not (math.isfinite(value) and low <= value <= high):
             unit = next(q.unit for q in self.parameters if q.name == name)
-            raise EffectError(f"{name} = {value:g} {unit} is out of range; give {low:g} to {high:g}")
+            raise EffectError(f"{name} = {value:g} {unit} is out of range", f"give {low:g} to {high:g}")
 
 
-def spell(value: float, std: float | None, unit: str) -> str:
-    """Write a number with its standard error, as people read it.
+def format_estimate(value: float, std: float | None, unit: str) -> str:
+    """Format an estimate with its standard error, as people read it.
 
     Parameters
     ----------
@@ -301,7 +295,7 @@ def spell(value: float, std: float | None, unit: str) -> str:
     str
         Such as ``0.12 +- 0.01 s``; two digits of the error, three of a number without one.
     """
-    factor, name = _SHOWN.get(unit, (1.0, f" {unit}"))
+    factor, name = _SPELLED.get(unit, (1.0, f" {unit}"))
     value *= factor
     if std is None or not math.isfinite(std) or std <= 0.0:
         return f"{value:.3g}{name}"

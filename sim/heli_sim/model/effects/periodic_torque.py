@@ -6,8 +6,9 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
+from typing_extensions import override
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
@@ -19,19 +20,8 @@ _HIGHEST_Hz: Final = 5.0
 class PeriodicTorque(Effect):
     """Sine and cosine of time."""
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
-        """Torque now.
-
-        Parameters
-        ----------
-        at : Situation
-            Parameters and time.
-
-        Returns
-        -------
-        casadi.SX
-            Torque in N m, shape (3, 1).
-        """
+    @override
+    def torque_Nm(self, at: Operands) -> ca.SX:
         turned = 2 * np.pi * self.own(at, "Hz") * at.time_s
         torque = self.own(at, "sin_Nm") * ca.sin(turned) + self.own(at, "cos_Nm") * ca.cos(turned)
         return on_axis(self.place, torque)
@@ -47,7 +37,7 @@ def _kind(axis: str, typical_Nm: float) -> EffectKind:
     return EffectKind(
         id=f"periodic_torque.{axis}",
         effect=PeriodicTorque,
-        says=f"a torque of {{sin_Nm}} (sine) and {{cos_Nm}} (cosine) shakes {axis} at {{Hz}}",
+        sentence=f"a torque of {{sin_Nm}} (sine) and {{cos_Nm}} (cosine) shakes {axis} at {{Hz}}",
         equation=r"\tau = a \sin 2\pi f t + b \cos 2\pi f t",
         acts_on=f"torque.{axis}",
         stage=Stage.TORQUE,
@@ -55,9 +45,10 @@ def _kind(axis: str, typical_Nm: float) -> EffectKind:
             Parameter("sin_Nm", "N m", "amplitude a of the sine", typical_Nm, wide, size=True),
             Parameter("cos_Nm", "N m", "amplitude b of the cosine", 0.0, wide, size=True),
             Parameter(
-                "Hz", "Hz", "frequency f", 0.5, Prior(0.5, 2.0, low=0.01, high=20.0), scan=_frequencies_Hz
+                "Hz", "Hz", "frequency f", 0.5, Prior(0.5, 2.0, low=0.01, high=20.0), grid=_frequencies_Hz
             ),
         ),
+        rank=190,
         source="definition",
     )
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior, Quantity
@@ -19,53 +20,17 @@ class RandomTorque(Effect):
     was at a window's beginning dies out.
     """
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
-        """Torque now.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state.
-
-        Returns
-        -------
-        casadi.SX
-            Torque in N m, shape (3, 1).
-        """
+    @override
+    def torque_Nm(self, at: Operands) -> ca.SX:
         return on_axis(self.place, self.own(at, "now_Nm"))
 
-    def state_rates(self, at: Situation) -> ca.SX:
-        """Forget.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state and parameters.
-
-        Returns
-        -------
-        casadi.SX
-            Rate in N m/s.
-        """
+    @override
+    def state_rates(self, at: Operands) -> ca.SX:
         return -self.own(at, "now_Nm") / self.own(at, "s")
 
-    def pushed(self, at: Situation, step_s: float, normal: ca.SX) -> ca.SX:
-        """Push it by what keeps its standard deviation.
-
-        Parameters
-        ----------
-        at : Situation
-            Parameters.
-        step_s : float
-            Length of the step.
-        normal : casadi.SX
-            One random number, shape (1, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Change in N m.
-        """
+    @override
+    def diffusion(self, at: Operands, step_s: float, normal: ca.SX) -> ca.SX:
+        # The process sampled exactly: the stationary standard deviation is Nm at any length of step.
         return self.own(at, "Nm") * ca.sqrt(1 - ca.exp(-2 * step_s / self.own(at, "s"))) * normal
 
 
@@ -73,7 +38,7 @@ def _kind(axis: str, typical_Nm: float) -> EffectKind:
     return EffectKind(
         id=f"random_torque.{axis}",
         effect=RandomTorque,
-        says=f"gusts of {{Nm}} (standard deviation) that last {{s}} push {axis}",
+        sentence=f"gusts of {{Nm}} (standard deviation) that last {{s}} push {axis}",
         equation=r"\dot d = -d / T + \sigma \sqrt{2 / T}\, w, \quad \tau = d",
         acts_on=f"torque.{axis}",
         stage=Stage.TORQUE,
@@ -89,7 +54,8 @@ def _kind(axis: str, typical_Nm: float) -> EffectKind:
             Parameter("s", "s", "time T over which it forgets", 0.5, Prior(0.5, 0.5, low=0.02, high=20.0)),
         ),
         states=(Quantity("now_Nm", "N m", f"random torque d on the {axis} axis"),),
-        shaken=1,
+        noise_inputs=1,
+        rank=200,
         source="the simplest coloured noise; Dryden's gusts are of this kind",
     )
 

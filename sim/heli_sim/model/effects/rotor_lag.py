@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Final
 
 import casadi as ca
+from typing_extensions import override
 
 from heli_sim.errors import PlantError
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.rig.quantity import Prior, Quantity
 
@@ -38,52 +39,30 @@ class RotorLag(Effect):
     def __init__(self, lag_s: float = 0.0, **fields: object) -> None:
         if not fields:
             if not lag_s >= 0.0:
-                raise PlantError(f"rotor_lag_s = {lag_s} must not be negative; leave the effect out instead")
+                raise PlantError(
+                    f"rotor_lag_s = {lag_s} must not be negative", "leave the effect out instead"
+                )
             made = KIND.make({"rotor_lag_s": lag_s})
             fields = {name: getattr(made, name) for name in Effect.__dataclass_fields__}
         super().__init__(**fields)  # type: ignore[arg-type]
 
-    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
-        """Thrust that the rotors have reached.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages and parameters.
-        thrust_N : casadi.SX
-            Thrust that the voltages ask for, shape (2, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Lagged thrust, shape (2, 1).
-        """
+    @override
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         share = ca.fmin(self.own(at, "s") / _LEAST_s, 1.0)
         return share * self._reached_N(at) + (1 - share) * thrust_N
 
-    def state_rates(self, at: Situation) -> ca.SX:
-        """Pull each thrust towards what its voltage asks for.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages and parameters.
-
-        Returns
-        -------
-        casadi.SX
-            Rates in N/s, shape (2, 1).
-        """
+    @override
+    def state_rates(self, at: Operands) -> ca.SX:
         return (at.thrust_N - self._reached_N(at)) / ca.fmax(self.own(at, "s"), _LEAST_s)
 
-    def _reached_N(self, at: Situation) -> ca.SX:
+    def _reached_N(self, at: Operands) -> ca.SX:
         return ca.vertcat(self.own(at, "front_N"), self.own(at, "back_N"))
 
 
 KIND: Final = EffectKind(
     id="rotor_lag",
     effect=RotorLag,
-    says="the rotors' thrust lags their voltage by {s}",
+    sentence="the rotors' thrust lags their voltage by {s}",
     equation=r"T \dot F_i = F(V_i) - F_i",
     acts_on="thrust",
     stage=Stage.LAG,
@@ -92,5 +71,6 @@ KIND: Final = EffectKind(
         Quantity("front_N", "N", "thrust that the front rotor has reached"),
         Quantity("back_N", "N", "thrust that the back rotor has reached"),
     ),
+    rank=10,
     source="first-order model of a motor with a propeller about an operating point",
 )

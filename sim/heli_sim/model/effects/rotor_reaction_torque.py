@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.rig.quantity import Prior
 
@@ -18,19 +19,8 @@ class RotorReactionTorque(Effect):
     they turn against each other.
     """
 
-    def torque_Nm(self, at: Situation) -> ca.SX:
-        """Torque about the short arm's upright, as the three axes feel it.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, parameters and final thrust.
-
-        Returns
-        -------
-        casadi.SX
-            Torque in N m, shape (3, 1).
-        """
+    @override
+    def torque_Nm(self, at: Operands) -> ca.SX:
         torque = self.own(at, "front_m") * at.thrust_N[0] + self.own(at, "back_m") * at.thrust_N[1]
         pitch, elevation = at.state["pitch_rad"], at.state["elevation_rad"]
         return torque * ca.vertcat(-ca.sin(pitch), 0, ca.cos(pitch) * ca.cos(elevation))
@@ -39,7 +29,7 @@ class RotorReactionTorque(Effect):
 KIND: Final = EffectKind(
     id="rotor_reaction_torque",
     effect=RotorReactionTorque,
-    says="the rotors' air drag turns the rig about their axes by {front_m} (front) and {back_m} (back)",
+    sentence="the rotors' air drag turns the rig about their axes by {front_m} (front) and {back_m} (back)",
     equation=r"\tau_n = q_f F_f + q_b F_b, \quad \tau = \tau_n (-\sin\phi,\, 0,\, \cos\phi \cos\theta)",
     acts_on="torque.travel",
     stage=Stage.TORQUE,
@@ -61,5 +51,6 @@ KIND: Final = EffectKind(
             size=True,
         ),
     ),
+    rank=100,
     source="propeller theory: thrust and drag torque both go with the square of the speed",
 )

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.rig.quantity import Prior
 
@@ -18,21 +19,8 @@ class SupplySag(Effect):
     line that both share takes the same voltage from each.
     """
 
-    def voltage_V(self, at: Situation, volts_V: ca.SX) -> ca.SX:
-        """Lower both voltages.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages and parameters.
-        volts_V : casadi.SX
-            Voltages from a stiff supply, shape (2, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Voltages from this one, shape (2, 1).
-        """
+    @override
+    def voltage_V(self, at: Operands, volts_V: ca.SX) -> ca.SX:
         load_V = ca.fabs(volts_V[0]) + ca.fabs(volts_V[1])
         line = self.own(at, "line")
         return volts_V - self.own(at, "per_V") * load_V * ((1 - line) * volts_V + line * _LINE_V)
@@ -44,7 +32,7 @@ _LINE_V: Final = 1.0
 KIND: Final = EffectKind(
     id="supply_sag",
     effect=SupplySag,
-    says="the supply sags by {per_V}, a share for each volt on either motor",
+    sentence="the supply sags by {per_V}, a share for each volt on either motor",
     equation=r"V_i \to V_i - s (|V_f| + |V_b|) ((1 - l) V_i + l \cdot 1\,\mathrm{V})",
     acts_on="input",
     stage=Stage.CURVE,
@@ -55,8 +43,9 @@ KIND: Final = EffectKind(
             "1",
             "0 where each driver loses a share of its voltage, 1 where both lose the same voltage",
             0.0,
-            scan=(0.0, 1.0),
+            grid=(0.0, 1.0),
         ),
     ),
+    rank=70,
     source="Ohm: a driver passes on a share of the supply, whose current goes with both motors' voltages",
 )

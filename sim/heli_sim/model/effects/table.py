@@ -54,15 +54,15 @@ def with_table(text: str) -> str:
 def _row(kind: EffectKind) -> str:
     equation = kind.equation.replace("|", r"\vert ")
     numbers = "; ".join(_number(one) for one in kind.numbers)
-    return f"| `{kind.id}` | {kind.sentence(kind.typical)} | ${equation}$ | {numbers} |"
+    return f"| `{kind.id}` | {kind.describe(kind.typical)} | ${equation}$ | {numbers} |"
 
 
 def _number(one: Parameter) -> str:
     low, high = (one.prior.low, one.prior.high) if one.prior is not None else (math.nan, math.nan)
     unit = "" if one.unit == "1" else f" {one.unit}"
     bounds = "fixed" if one.prior is None else f"{_bound(low, '-')} to {_bound(high, '')}"
-    searched = ", searched" if one.scan is not None else ""
-    return f"`{one.what}` {one.meaning}:{unit} {bounds}{searched}, {one.typical:g}"
+    grid = ", grid" if one.grid is not None else ""
+    return f"`{one.what}` {one.meaning}:{unit} {bounds}{grid}, {one.typical:g}"
 
 
 def _bound(value: float, sign: str) -> str:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.rig.quantity import Prior
 
@@ -14,21 +15,8 @@ from heli_sim.rig.quantity import Prior
 class ThrustAsymmetry(Effect):
     """The front rotor pushes more by a share, the back rotor less by the same."""
 
-    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
-        """Scale both thrusts.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages and parameters.
-        thrust_N : casadi.SX
-            Thrust of equal rotors, shape (2, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Thrust of these, shape (2, 1).
-        """
+    @override
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         share = self.own(at, "share")
         return thrust_N * ca.vertcat(1 + share, 1 - share)
 
@@ -36,10 +24,11 @@ class ThrustAsymmetry(Effect):
 KIND: Final = EffectKind(
     id="thrust_asymmetry",
     effect=ThrustAsymmetry,
-    says="the front rotor pushes {share} more, and the back rotor as much less, than their mean",
+    sentence="the front rotor pushes {share} more, and the back rotor as much less, than their mean",
     equation=r"F_f \to (1 + a) F_f, \quad F_b \to (1 - a) F_b",
     acts_on="thrust",
     stage=Stage.GAIN,
     numbers=(Parameter("share", "1", "share a", 0.05, Prior(0.0, 0.1, low=-0.9, high=0.9), size=True),),
+    rank=40,
     source="definition; what both rotors gain together is the thrust gain k",
 )

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.rig.quantity import Prior
 
@@ -14,21 +15,8 @@ from heli_sim.rig.quantity import Prior
 class ThrustFade(Effect):
     """Both thrusts fall with time, in a straight line or towards a lower level."""
 
-    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
-        """Scale both thrusts by what time has left of them.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages, parameters and time.
-        thrust_N : casadi.SX
-            Thrust at the flight's beginning, shape (2, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Thrust now, shape (2, 1).
-        """
+    @override
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         bent = self.own(at, "bend_per_s") * at.time_s
         straight = ca.fabs(bent) < 1e-3  # there the quotient below is 0 / 0
         safe = ca.if_else(straight, 1.0, bent)
@@ -44,7 +32,7 @@ def _bends_per_s(seconds: float) -> tuple[float, ...]:
 KIND: Final = EffectKind(
     id="thrust_fade",
     effect=ThrustFade,
-    says="the thrust fades by {per_s} at first, levelling off at {bend_per_s}",
+    sentence="the thrust fades by {per_s} at first, levelling off at {bend_per_s}",
     equation=r"F_i \to F_i (1 - r (1 - e^{-\kappa t}) / \kappa), \quad \kappa \to 0: 1 - r t",
     acts_on="thrust",
     stage=Stage.GAIN,
@@ -56,8 +44,9 @@ KIND: Final = EffectKind(
             "rate kappa at which the loss levels off; kappa = r is an exponential fall to nothing",
             0.0,
             Prior(0.0, 0.03, low=-0.02, high=1.0),
-            scan=_bends_per_s,
+            grid=_bends_per_s,
         ),
     ),
+    rank=50,
     source="first-order warming of a motor, of which a straight line and an exponential are limits",
 )

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import casadi as ca
+from typing_extensions import override
 
-from heli_sim.model.effect import Effect, Situation, Stage
+from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import since
 from heli_sim.rig.quantity import Prior
@@ -15,21 +16,8 @@ from heli_sim.rig.quantity import Prior
 class ThrustStep(Effect):
     """From an unknown moment on one rotor pushes less."""
 
-    def thrust_N(self, at: Situation, thrust_N: ca.SX) -> ca.SX:
-        """Scale one thrust from the moment on.
-
-        Parameters
-        ----------
-        at : Situation
-            Present state, voltages, parameters and time.
-        thrust_N : casadi.SX
-            Thrust of whole rotors, shape (2, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Thrust of these, shape (2, 1).
-        """
+    @override
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
         left = 1 - self.own(at, "share") * since(at.time_s, self.own(at, "at_s"))
         return thrust_N * (ca.vertcat(left, 1) if self.place == "front" else ca.vertcat(1, left))
 
@@ -54,14 +42,15 @@ def _kind(rotor: str) -> EffectKind:
     return EffectKind(
         id=f"thrust_step.{rotor}",
         effect=ThrustStep,
-        says=f"the {rotor} rotor loses {{share}} of its thrust at {{at_s}}",
+        sentence=f"the {rotor} rotor loses {{share}} of its thrust at {{at_s}}",
         equation=rf"F_{rotor[0]} \to F_{rotor[0]} (1 - s\, [t > t_0])",
         acts_on="thrust",
         stage=Stage.GAIN,
         numbers=(
             Parameter("share", "1", "share s lost", 0.1, Prior(0.0, 0.2, low=-1.0, high=1.0), size=True),
-            Parameter("at_s", "s", "moment t_0", 20.0, Prior(30.0, 60.0, low=0.0), scan=moments_s),
+            Parameter("at_s", "s", "moment t_0", 20.0, Prior(30.0, 60.0, low=0.0), grid=moments_s),
         ),
+        rank=60,
         source="definition",
     )
 

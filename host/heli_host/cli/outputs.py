@@ -1,0 +1,56 @@
+"""Files that a verb is going to write: refused before the work, not after it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Final
+
+import typer
+
+FIGURE_ENDS: Final = (".png", ".pdf", ".svg")
+
+
+def check_place(path: Path) -> None:
+    """Refuse a file that could not be written, and make its folder.
+
+    Parameters
+    ----------
+    path : Path
+        File to be written later.
+
+    Raises
+    ------
+    typer.BadParameter
+        When it is a folder, or may not be written.
+    """
+    folder = path.absolute().parent
+    folder.mkdir(parents=True, exist_ok=True)
+    if path.is_dir() or not os.access(path if path.exists() else folder, os.W_OK):
+        raise typer.BadParameter(f"{path} cannot be written; choose another place")
+
+
+def check_result_places(*files: Path | None, figure: Path | None = None, report: Path | None = None) -> None:
+    """Refuse places that the results of long work cannot be written to, before the work begins.
+
+    Parameters
+    ----------
+    *files : Path or None
+        Files to write; None for one that nobody asked for.
+    figure : Path, optional
+        File of a figure; its ending says the format.
+    report : Path, optional
+        Folder of a page.
+
+    Raises
+    ------
+    typer.BadParameter
+        As `check_place` does, and for a figure in none of the formats that can be drawn.
+    """
+    if figure is not None and figure.suffix.lower() not in FIGURE_ENDS:
+        raise typer.BadParameter(f"--figure {figure}: give a file that ends in {', '.join(FIGURE_ENDS)}")
+    for target in (*files, figure):
+        if target is not None:
+            check_place(target)
+    if report is not None:
+        check_place(report / "index.html")

@@ -1,0 +1,213 @@
+"""Options of a simulated board, and the address that they spell.
+
+Nothing here simulates: a ``sil://`` address is opened by whichever package provides such transports.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Final
+from urllib.parse import urlencode
+
+import typer
+
+DEFAULT_RIG: Final = "makki2024"
+MAX_SPEED: Final = "max"
+BOARDS: Final = ("native", "due", "auto")
+
+SilOption = Annotated[bool, typer.Option("--sil", help="Fly the simulated board instead.")]
+RigOption = Annotated[
+    str | None,
+    typer.Option(
+        "--rig", metavar="NAME|FILE", help="Rig simulated: a name or a TOML file; of a real board: its name."
+    ),
+]
+BoardOption = Annotated[
+    str | None,
+    typer.Option(
+        "--board",
+        metavar="native|due|auto",
+        help="Board simulated: the flight code on this machine, or its ELF on an emulated Due; auto: the Due "
+        "when there is an ELF.  [default: native]",
+        show_default=False,
+    ),
+]
+ElfOption = Annotated[
+    Path | None,
+    typer.Option("--elf", metavar="FILE", help="ELF for the emulated Due; else the newest that is built."),
+]
+ModelOption = Annotated[
+    str | None,
+    typer.Option(
+        "--model",
+        metavar="NAME",
+        help="Model simulated: multibody, paper, ...; else the one that the rig's file names, or multibody.",
+        show_default=False,
+    ),
+]
+EffectOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--effect",
+        metavar="ID[=VALUE]",
+        help="Effect simulated beyond the model, such as rotor_lag=0.1 or thrust_step.front=0.1@25; may be "
+        "repeated. docs/effects.md lists them.",
+        show_default=False,
+    ),
+]
+EffectFilesOption = Annotated[
+    list[Path] | None,
+    typer.Option("--effects", metavar="FILE.py", help="More effects; may be repeated.", show_default=False),
+]
+SpeedOption = Annotated[
+    str,
+    typer.Option("--speed", metavar="N|max", help="Simulated seconds a second, or max: as fast as possible."),
+]
+SeedOption = Annotated[
+    int, typer.Option("--seed", min=0, help="Seed of everything random in the simulation.")
+]
+
+
+def rig_name(rig: str | None, *, simulated: bool) -> str:
+    """Name a rig for the log.
+
+    Parameters
+    ----------
+    rig : str or None
+        What was asked for.
+    simulated : bool
+        Whether the board is simulated; without a name it then is the default rig.
+
+    Returns
+    -------
+    str
+        Empty when nobody knows.
+    """
+    if rig is not None:
+        return Path(rig).stem
+    return DEFAULT_RIG if simulated else ""
+
+
+def parse_speed(text: str) -> float | None:
+    """Read a ``--speed``.
+
+    Parameters
+    ----------
+    text : str
+        A positive number, or ``max``.
+
+    Returns
+    -------
+    float or None
+        Simulated seconds a second; None for ``max``.
+
+    Raises
+    ------
+    typer.BadParameter
+        If it is neither.
+    """
+    if text == MAX_SPEED:
+        return None
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = 0.0
+    if not 0.0 < speed < 1e4:
+        raise typer.BadParameter(f"--speed takes a number between 0 and 10000, or {MAX_SPEED}, not '{text}'")
+    return speed
+
+
+def which_board(board: str | None, elf: Path | None) -> str:
+    """Settle which simulated board is meant.
+
+    Parameters
+    ----------
+    board : str or None
+        ``--board``; None for the native one, or the Due when there is an `elf`.
+    elf : Path or None
+        ``--elf``; None where it was not given.
+
+    Raises
+    ------
+    typer.BadParameter
+        When the two contradict each other.
+    """
+    board = board if board is not None else ("due" if elf is not None else "native")
+    if board not in BOARDS:
+        raise typer.BadParameter(f"--board takes {', '.join(BOARDS)}, not '{board}'")
+    if board == "native" and elf is not None:
+        raise typer.BadParameter("--elf runs on --board due only; leave one of them out")
+    return board
+
+
+def sil_address(
+    *,
+    rig: str | None = None,
+    speed: str = "1",
+    seed: int = 1,
+    board: str | None = None,
+    elf: Path | None = None,
+    model: str | None = None,
+    effect: Sequence[str] | None = None,
+    effect_files: Sequence[Path] | None = None,
+) -> str:
+    """Spell a simulated board as an address that ``heli_host.connect`` takes.
+
+    Parameters
+    ----------
+    rig : str or None
+        Name or file; None for the default rig.
+    speed : str
+        Simulated seconds a second, or ``max``: in this process, in lockstep. With a number the board runs in
+        a process of its own behind a serial port, and the host talks to it exactly as to hardware.
+    seed : int
+        Seed of everything random, 0 or more.
+    board : str or None
+        One of `BOARDS`; None for the native one, or the Due when there is an `elf`.
+    elf : Path or None
+        ELF for the emulated Due; None for the newest.
+    model : str or None
+        Name of the equations of motion; None for the rig's own.
+    effect : sequence of str or None
+        Effects beyond the model, as typed.
+    effect_files : sequence of Path or None
+        Python files with more effects.
+
+    Raises
+    ------
+    typer.BadParameter
+        When an option cannot be read, or two contradict each other.
+    """
+    factor = parse_speed(speed)
+    options = {
+        "rig": rig if rig is not None else DEFAULT_RIG,
+        "seed": str(seed),
+        "speed": MAX_SPEED if factor is None else repr(factor),
+        "process": "" if factor is None else "1",
+        "board": which_board(board, elf),
+        "elf": str(elf) if elf is not None else "",
+        "model": model or "",
+        "effect": ";".join(effect or ()),
+        "effects": ";".join(str(path.absolute()) for path in effect_files or ()),
+    }
+    return "sil://?" + urlencode({key: value for key, value in options.items() if value})
+
+
+def refuse_without_sil(**options: object) -> None:
+    """Refuse options that only a simulated board takes, of a board that is real.
+
+    Parameters
+    ----------
+    **options : object
+        By name as typed, with ``_`` for ``-``; None or empty where not given.
+
+    Raises
+    ------
+    typer.BadParameter
+        When one is given.
+    """
+    given = [f"--{name.replace('_', '-')}" for name, value in options.items() if value]
+    if given:
+        verb = "is" if len(given) == 1 else "are"
+        raise typer.BadParameter(f"{' and '.join(given)} {verb} for a simulated board; add --sil")

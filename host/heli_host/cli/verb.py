@@ -1,0 +1,99 @@
+"""What a verb of the command line is, and where verbs are found.
+
+A verb is a module with a `VERB`. Verbs are looked for in every module of the packages that the entry-point
+group ``heli_host.verbs`` names: this package's own, the simulation's, the laboratory's, and those of anybody
+who installs a package of their own.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Final
+
+import typer
+
+from heli_host.cli.variadic import Variadic
+
+ENTRY_POINT_GROUP: Final = "heli_host.verbs"
+DISTRIBUTION: Final = "heli-host"
+PANELS: Final = ("Fly", "Board", "Logs", "Simulation", "Laboratory")
+"""Headings of ``--help``, in this order; others come after them."""
+
+
+@dataclass(frozen=True)
+class Verb:
+    """One verb.
+
+    Parameters
+    ----------
+    command : callable or typer.Typer
+        A function whose signature holds options as typer reads them, or several under one name.
+    panel : str
+        Heading of ``--help`` that it stands under.
+    variadic : bool
+        Whether its repeatable options take several words each, see `Variadic`; functions only.
+    """
+
+    command: Callable[..., Any] | typer.Typer
+    panel: str
+    variadic: bool = False
+
+    def add_to(self, app: typer.Typer, name: str) -> None:
+        """Make it a verb of a command line.
+
+        Parameters
+        ----------
+        app : typer.Typer
+            The command line.
+        name : str
+            What is typed.
+        """
+        if isinstance(self.command, typer.Typer):
+            app.add_typer(self.command, name=name, rich_help_panel=self.panel)
+        elif self.variadic:
+            app.command(name, cls=Variadic, rich_help_panel=self.panel)(self.command)
+        else:
+            app.command(name, rich_help_panel=self.panel)(self.command)
+
+
+def installed_verbs() -> dict[str, Verb]:
+    """Find the verbs of all installed packages.
+
+    Returns
+    -------
+    dict of str to Verb
+        By name: that of the verb's module. Ordered by panel, then by name. A package that cannot be imported
+        is named in one line on stderr and left out, so that it takes no other verb with it.
+    """
+    found: dict[str, Verb] = {}
+    for entry in sorted(entry_points(group=ENTRY_POINT_GROUP), key=_order):
+        try:
+            for name, verb in _verbs_in(entry.value):
+                if found.setdefault(name, verb) is not verb:
+                    print(f"warning: {entry.value} has another verb '{name}'; left out", file=sys.stderr)
+        except Exception as error:  # noqa: BLE001  -- whatever a stranger's package raises when it is imported
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            print(f"warning: the verbs of {entry.value} do not load ({reason}); left out", file=sys.stderr)
+    rank = {panel: place for place, panel in enumerate(PANELS)}
+    return dict(sorted(found.items(), key=lambda item: (rank.get(item[1].panel, len(rank)), item[0])))
+
+
+def _order(entry: EntryPoint) -> tuple[bool, str]:
+    """Verbs of this distribution come first: nobody takes the name of one of them."""
+    return entry.dist is None or entry.dist.name != DISTRIBUTION, entry.value
+
+
+def _verbs_in(package_name: str) -> Iterator[tuple[str, Verb]]:
+    package = importlib.import_module(package_name)
+    modules = [package]
+    for info in pkgutil.iter_modules(getattr(package, "__path__", ())):
+        modules.append(importlib.import_module(f"{package_name}.{info.name}"))
+    for module in modules:
+        verb = getattr(module, "VERB", None)
+        if isinstance(verb, Verb):
+            yield module.__name__.rpartition(".")[2], verb

@@ -1,0 +1,162 @@
+"""``heli-host doctor``: what keeps this computer from flying, and the remedy."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from heli_host.cli.board import is_due, is_due_native
+from heli_host.cli.finding import ENTRY_POINT_GROUP, Finding, Verdict
+from heli_host.cli.modem_manager import check_modem_manager
+from heli_host.cli.verb import Verb
+
+if TYPE_CHECKING:
+    from heli_host.link.transport import PortInfo
+
+
+def doctor() -> None:
+    """Check this computer: Python, packages, compiler, serial port, ModemManager.
+
+    Says the remedy of each problem; the exit code is 1 when something that is needed does not work.
+
+    Example: `heli-host doctor`
+    """
+    from rich.console import Console
+    from rich.markup import escape
+
+    marks = {Verdict.GOOD: "[green]✓[/]", Verdict.NOTE: "[yellow]–[/]", Verdict.BAD: "[red]✗[/]"}
+    console = Console(highlight=False, soft_wrap=True)
+    bad_count = 0
+    for finding in examine():
+        console.print(f"{marks[finding.verdict]} {escape(finding.what)}")
+        if finding.remedy:
+            console.print(f"    {escape(finding.remedy)}")
+        bad_count += finding.verdict is Verdict.BAD
+    if bad_count:
+        console.print(f"{bad_count} thing{'s' if bad_count > 1 else ''} to mend, see ✗ above")
+        raise typer.Exit(1)
+    console.print("ready to fly")
+
+
+def examine() -> Iterator[Finding]:
+    """Look at everything, one finding at a time; what other packages need is theirs to check.
+
+    Yields
+    ------
+    Finding
+        In the order in which things depend on each other.
+    """
+    yield check_python()
+    yield check_packages()
+    for entry in entry_points(group=ENTRY_POINT_GROUP):
+        yield from entry.load()()
+    from heli_host.link.transport import available_ports
+
+    ports = available_ports()
+    yield from check_boards(ports)
+    yield from check_permissions(ports)
+    yield check_modem_manager(any(is_due(port) for port in ports))
+
+
+def check_python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
+    """Check the interpreter's version.
+
+    Parameters
+    ----------
+    version : tuple of int
+        Major, minor, micro.
+    """
+    text = f"Python {'.'.join(map(str, version))}"
+    if version >= (3, 11):
+        return Finding(Verdict.GOOD, text)
+    return Finding(Verdict.BAD, f"{text} is too old", "install Python 3.11 or newer, then: make setup")
+
+
+def check_packages(is_installed: Callable[[str], bool] | None = None) -> Finding:
+    """Check that every package this one depends on is installed.
+
+    Parameters
+    ----------
+    is_installed : callable, optional
+        Takes a distribution's name and says whether it is there.
+
+    Returns
+    -------
+    Finding
+        Bad when one is missing.
+    """
+    is_installed = is_installed or _is_installed
+    required = importlib.metadata.requires("heli-host") or []
+    names = [re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in required if "extra ==" not in line]
+    missing = [name for name in names if not is_installed(name)]
+    if missing:
+        return Finding(Verdict.BAD, f"packages missing: {', '.join(missing)}", "run: make setup")
+    return Finding(Verdict.GOOD, f"{len(names)} packages: {', '.join(names)}")
+
+
+def _is_installed(name: str) -> bool:
+    try:
+        importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def check_boards(ports: list[PortInfo]) -> Iterator[Finding]:
+    """Say which boards are plugged in.
+
+    Yields
+    ------
+    Finding
+        One a board; a note when there is none.
+    """
+    boards = [port for port in ports if is_due(port)]
+    for port in boards:
+        yield Finding(Verdict.GOOD, f"board: Arduino Due, programming port, on {port.device}")
+    for port in ports:
+        if is_due_native(port):
+            yield Finding(
+                Verdict.BAD,
+                f"board: a Due on {port.device}, but by its native port",
+                "move the cable to the programming port, next to the power jack",
+            )
+    if not boards:
+        yield Finding(Verdict.NOTE, "no Due is plugged in: only the simulated board can fly")
+
+
+def check_permissions(ports: list[PortInfo]) -> Iterator[Finding]:
+    """Check that this user may open the serial ports.
+
+    Yields
+    ------
+    Finding
+        Bad for a Due that may not be opened, a note for any other port.
+    """
+    for port in ports:
+        if not port.device.startswith("/") or os.access(port.device, os.R_OK | os.W_OK):
+            continue
+        group = _group_of(port.device)
+        yield Finding(
+            Verdict.BAD if is_due(port) else Verdict.NOTE,
+            f"no permission for {port.device}",
+            f"run: sudo usermod -aG {group} $USER, then log out and in again",
+        )
+
+
+def _group_of(device: str) -> str:
+    """Group that may open a port: dialout on Debian, uucp on Arch."""
+    try:
+        return Path(device).group()
+    except (OSError, KeyError):
+        return "dialout"
+
+
+VERB = Verb(doctor, "Board")

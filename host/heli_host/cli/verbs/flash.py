@@ -1,0 +1,135 @@
+"""``heli-host flash``: write a firmware image into the Due."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from heli_host.cli.options import PortOption
+from heli_host.cli.verb import Verb
+
+if TYPE_CHECKING:
+    from heli_host.flash import Bossac
+
+ANSWER_TIMEOUT_S = 5.0
+"""Longest wait for the board's welcome, before and after; a Due takes up to 3 s after its port was opened."""
+
+
+def flash(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE.bin", help="Image to write: build/pio/due/firmware.bin.")
+    ],
+    port: PortOption = None,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before erasing.")] = False,
+    bossac: Annotated[
+        Path | None,
+        typer.Option("--bossac", metavar="PROGRAM", help="Uploader to use; else the best one that is found."),
+    ] = None,
+) -> None:
+    """Check an image, keep the board's parameters in a file, erase, write, verify, greet what was flashed.
+
+    Erasing takes the parameters saved on the board with it: whatever can be read of them before goes to
+    parameters-TIME.toml, for params restore. Shown on a stand-in for the uploader and a simulated board only.
+
+    Example: `heli-host flash build/pio/due/firmware.bin`
+    """
+    from heli_host.cli.board import find_board
+    from heli_host.cli.finding import Verdict
+    from heli_host.cli.modem_manager import check_modem_manager
+    from heli_host.declaration import LINK_HASH
+    from heli_host.flash import erase_chip, find_bossac, read_image, restart_chip, write_image
+
+    image = read_image(file)
+    print(f"{file}: {len(image.content)} bytes, firmware for the Due, link {LINK_HASH:08x}")
+    uploader = find_bossac(bossac)
+    port = port if port is not None else find_board()
+    if "://" in port:
+        raise typer.BadParameter(f"{port} cannot be flashed: give a serial port of this computer")
+    if uploader.doubtful:
+        print(f"note: {_doubt(uploader)}")
+    manager = check_modem_manager(due_is_present=True)
+    if manager.verdict is Verdict.BAD:
+        print(f"note: {manager.what}; {manager.remedy}")
+
+    kept = _keep_parameters(port)
+    if not yes:
+        if not sys.stdin.isatty():
+            raise typer.BadParameter("nobody can be asked whether to erase the board: add --yes")
+        typer.confirm("This erases the whole flash, the saved parameters too. Go on?", abort=True)
+
+    print(f"erasing the board on {port}", flush=True)
+    erase_chip(port)
+    print(f"writing and verifying with bossac {uploader.version}", flush=True)
+    write_image(uploader, port, file)
+    restart_chip(port)
+    print(f"flashed: {_greet(port, uploader)}")
+    if kept is not None:
+        print(f"its parameters are the defaults; yours: heli-host params restore {kept} --save --port {port}")
+
+
+def _doubt(uploader: Bossac) -> str:
+    from heli_host.flash.bossac import GET_BOSSAC
+
+    return (
+        f"bossac {uploader.version} is reported to leave some Dues that do not start; "
+        f"if yours does not answer afterwards, {GET_BOSSAC}"
+    )
+
+
+def _keep_parameters(port: str) -> Path | None:
+    """Write the board's parameters into a file, where it has any that are not the defaults."""
+    import heli_host
+    from heli_host.cli.board import board_text, board_versions
+    from heli_host.errors import FlashError, LinkError, PortError, WaitTimeout
+    from heli_host.parameter_file import parameters_text
+    from heli_host.parameters import spec_of
+
+    try:
+        heli = heli_host.connect(port, handshake_timeout_s=ANSWER_TIMEOUT_S)
+    except PortError:
+        raise
+    except (LinkError, WaitTimeout) as error:
+        print(f"no parameters could be read: {error.cause}")
+        return None
+    with heli:
+        if heli.motors_may_run:
+            raise FlashError(f"the board on {port} is {heli.state.name.lower()}", "land or stop first")
+        print(f"found: {board_text(heli)}")
+        values = heli.params.dump()
+        if all(
+            abs(value - spec_of(name).default) <= 1e-6 * max(1.0, abs(value))
+            for name, value in values.items()
+        ):
+            print("its parameters are the defaults: there is nothing to keep")
+            return None
+        file = Path(time.strftime("parameters-%Y-%m-%d_%H-%M-%S.toml"))
+        file.write_text(parameters_text(values, board_versions(heli.info)), encoding="utf-8")
+    print(f"its {len(values)} parameters -> {file}")
+    return file
+
+
+def _greet(port: str, uploader: Bossac) -> str:
+    """Say which firmware answers now."""
+    import heli_host
+    from heli_host.cli.board import board_text
+    from heli_host.errors import FlashError, HandshakeTimeout, WaitTimeout, WrongDevice
+
+    try:
+        with heli_host.connect(port, handshake_timeout_s=ANSWER_TIMEOUT_S) as heli:
+            return board_text(heli)
+    except (HandshakeTimeout, WrongDevice, WaitTimeout) as error:
+        remedy = (
+            "press RESET on the board, then try heli-host watch; if it stays silent, see docs/flashing.md"
+        )
+        if uploader.doubtful:
+            remedy = f"{_doubt(uploader)}; {remedy}"
+        raise FlashError(
+            f"the flash was written and verified, but the board does not answer ({error.cause})", remedy
+        ) from error
+
+
+VERB = Verb(flash, "Board")

@@ -1,0 +1,133 @@
+"""``heli-host fly``: fly plans, and leave a log, a summary and a figure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from heli_host.cli.gains import GainsOption, ParamsFileOption, check_gains, chosen_parameters
+from heli_host.cli.options import ClearFaultOption, PortOption, flight_folder
+from heli_host.cli.simulated import (
+    BoardOption,
+    EffectFilesOption,
+    EffectOption,
+    ElfOption,
+    ModelOption,
+    RigOption,
+    SeedOption,
+    SilOption,
+    SpeedOption,
+    parse_speed,
+    refuse_without_sil,
+    rig_name,
+    sil_address,
+)
+from heli_host.cli.verb import Verb
+
+
+def fly(
+    plans: Annotated[
+        list[str], typer.Argument(metavar="PLAN...", help="Built-in plans (hover, sine, ...) or TOML files.")
+    ],
+    port: PortOption = None,
+    sil: SilOption = False,
+    board: BoardOption = None,
+    elf: ElfOption = None,
+    rig: RigOption = None,
+    model: ModelOption = None,
+    effect: EffectOption = None,
+    effects: EffectFilesOption = None,
+    speed: SpeedOption = "1",
+    seed: SeedOption = 1,
+    clear_fault: ClearFaultOption = False,
+    gains: GainsOption = None,
+    params: ParamsFileOption = None,
+    log: Annotated[Path | None, typer.Option("--log", metavar="FILE", help="Log, MCAP.")] = None,
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Summary.")] = None,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", metavar="FILE", help="Figure: .png, .pdf or .svg.")
+    ] = None,
+) -> None:
+    """Take off, fly plans one after the other, land. Ctrl-C lands too; a second Ctrl-C stops the motors.
+
+    Without --log, --json and --figure the three files go into a new folder, flights/<time>/. With any of them
+    only those are written, and the log always is.
+
+    Example: `heli-host fly hover sine --sil --speed 5`
+    """
+    from heli_host.cli.board import board_text, clear_latched_fault, open_board
+    from heli_host.cli.outputs import check_result_places
+    from heli_host.cli.progress import LiveLine
+    from heli_host.cli.report import summary_lines
+    from heli_host.errors import FlightAborted
+    from heli_host.fly.plan import load_plan
+    from heli_host.fly.runner import Progress
+    from heli_host.fly.runner import fly as fly_plans
+    from heli_host.link.transport import transport_label, transport_note
+    from heli_host.published_gains import load_gains
+
+    parse_speed(speed)
+    if not sil:
+        refuse_without_sil(board=board, elf=elf, model=model, effect=effect, effects=effects)
+    address = sil_address(
+        rig=rig,
+        speed=speed,
+        seed=seed,
+        board=board,
+        elf=elf,
+        model=model,
+        effect=effect,
+        effect_files=effects,
+    )
+    check_gains(gains, sil)
+    parameters = chosen_parameters(params, gains)
+    loaded = [load_plan(plan) for plan in plans]
+    check_result_places(json, figure=figure)
+    with open_board(port, address if sil else None) as heli:
+        if clear_fault:
+            clear_latched_fault(heli)
+        load_gains(heli.params, gains)
+        if parameters:
+            heli.params.restore(parameters)
+        everything = log is None and json is None and figure is None
+        folder = flight_folder() if log is None else log.parent
+        log = log if log is not None else folder / "flight.mcap"
+        json, figure = (folder / "summary.json", folder / "figure.png") if everything else (json, figure)
+        text, transport = board_text(heli), heli.session.transport
+        if note := transport_note(transport):
+            print(note)
+        print(f"{text}\nflying: {', then '.join(plan.title for plan in loaded)}", flush=True)
+        with LiveLine() as live:
+
+            def show(progress: Progress) -> None:
+                live.show(
+                    progress.sample,
+                    progress.counters,
+                    t_s=progress.t_s,
+                    phase=progress.phase,
+                    left_s=progress.left_s,
+                )
+
+            summary = fly_plans(
+                heli,
+                loaded,
+                log_path=log,
+                json_path=json,
+                figure_path=figure,
+                on_progress=show,
+                rig_name=rig_name(rig, simulated=sil),
+                board_name=transport_label(transport).partition(",")[0].removesuffix(" board"),
+            )
+    for line in summary_lines(summary):
+        print(line)
+    print(f"board: {text}")
+    print(f"files: {', '.join(str(path) for path in (log, json, figure) if path is not None)}")
+    if summary.outcome.startswith("aborted: Ctrl-C"):
+        raise KeyboardInterrupt
+    if not summary.completed:
+        raise FlightAborted(summary.outcome)
+
+
+VERB = Verb(fly, "Fly")

@@ -1,0 +1,85 @@
+"""``heli-host motors``: fixed voltages on the bench, without any control."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from heli_host.cli.options import ClearFaultOption, PortOption
+from heli_host.cli.simulated import RigOption, SilOption, SpeedOption, sil_address
+from heli_host.cli.verb import Verb
+
+if TYPE_CHECKING:
+    from heli_host.heli import Heli
+
+MOST_S = 30.0
+# The board switches off by itself when it has not heard of open loop for setpoint_hold_s (0.5 s).
+REFRESH_S = 0.1
+
+
+def motors(
+    front_V: Annotated[
+        float, typer.Option("--front-V", metavar="V", help="Front motor; 0 only enables.")
+    ] = 0.0,
+    back_V: Annotated[float, typer.Option("--back-V", metavar="V", help="Back motor; 0 only enables.")] = 0.0,
+    for_s: Annotated[
+        float, typer.Option("--for-s", metavar="S", min=0.1, max=MOST_S, help="How long; then off.")
+    ] = 2.0,
+    clear_fault: ClearFaultOption = False,
+    port: PortOption = None,
+    sil: SilOption = False,
+    rig: RigOption = None,
+    speed: SpeedOption = "1",
+) -> None:
+    """Bench only: enable the drivers, put fixed voltages on the motors, then switch everything off.
+
+    No propellers until docs/first-power-up.md says so: nothing holds the arm. Ctrl-C switches off at once,
+    and so does the board itself when this program dies.
+
+    Example: `heli-host motors --front-V 1.0 --for-s 2`
+    """
+    from heli_host.cli.board import clear_latched_fault, open_board
+
+    with open_board(port, sil_address(rig=rig, speed=speed) if sil else None) as heli:
+        if clear_fault:
+            clear_latched_fault(heli)
+        _check(heli, front_V, back_V)
+        heli.arm()
+        try:
+            _drive(heli, front_V, back_V, for_s)
+        finally:
+            heli.stop()
+        print(f"front {front_V:g} V, back {back_V:g} V for {for_s:g} s; drivers off again")
+
+
+def _check(heli: Heli, front_V: float, back_V: float) -> None:
+    """Refuse a voltage before anything is enabled."""
+    from heli_host.errors import SetpointError
+
+    least_V, most_V = heli.params["motor_min_V"], heli.params["motor_max_V"]
+    if not (least_V <= front_V <= most_V and least_V <= back_V <= most_V):
+        raise SetpointError(
+            f"voltages {front_V:g} and {back_V:g} V are outside the board's limits",
+            f"give {least_V:g} to {most_V:g} V, or set motor_min_V and motor_max_V",
+        )
+
+
+def _drive(heli: Heli, front_V: float, back_V: float, for_s: float) -> None:
+    from heli_host.declaration import Axes, State
+    from heli_host.errors import CommandRefused, FlightAborted, fault_text
+
+    start_s = heli.latest.t_s
+    while (passed_s := heli.latest.t_s - start_s) < for_s:
+        try:
+            heli.control(Axes(0), front_V, back_V)
+        except CommandRefused as refused:
+            # Telemetry says a moment later which fault it was.
+            heli.wait(REFRESH_S)
+            if heli.state is not State.FAULT:
+                raise
+            raise FlightAborted(f"the board switched the motors off: {fault_text(heli.fault)}") from refused
+        heli.wait(min(REFRESH_S, for_s - passed_s))
+
+
+VERB = Verb(motors, "Board")

@@ -1,0 +1,35 @@
+"""``heli-host ports``: which serial ports there are."""
+
+from __future__ import annotations
+
+from heli_host.cli.verb import Verb
+
+
+def ports() -> None:
+    """List the serial ports, the Due's programming port first.
+
+    Example: `heli-host ports`
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from heli_host.cli.board import is_due, is_due_native
+    from heli_host.link.transport import available_ports
+
+    found = sorted(available_ports(), key=lambda port: not is_due(port))
+    console = Console(highlight=False)
+    if not found:
+        console.print("no serial port; plug the board in by its programming port, next to the power jack")
+        return
+    table = Table("port", "what", "name that stays", box=None, pad_edge=False)
+    for port in found:
+        what = port.description if port.description != "n/a" else "serial port"
+        if is_due(port):
+            what = "Arduino Due, programming port"
+        elif is_due_native(port):
+            what = "Arduino Due, native port: use the other one"
+        table.add_row(port.device, what, port.stable_name if port.stable_name != port.device else "")
+    console.print(table)
+
+
+VERB = Verb(ports, "Board")

@@ -1,0 +1,120 @@
+"""``heli-host setpoint``: hold a setpoint for a while, by hand."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from heli_host.cli.options import ClearFaultOption, PortOption
+from heli_host.cli.simulated import RigOption, SilOption, SpeedOption, rig_name, sil_address
+from heli_host.cli.verb import Verb
+
+if TYPE_CHECKING:
+    from heli_host.declaration import Axes
+    from heli_host.heli import Heli
+
+STEP_S = 0.1
+"""Device time between two looks at the clock."""
+
+
+def setpoint(
+    elevation_deg: Annotated[
+        float | None, typer.Option("--elevation-deg", metavar="DEG", help="Elevation; 0 is level.")
+    ] = None,
+    travel_deg: Annotated[float | None, typer.Option("--travel-deg", metavar="DEG", help="Travel.")] = None,
+    pitch_deg: Annotated[
+        float | None, typer.Option("--pitch-deg", metavar="DEG", help="Pitch; leaves travel free.")
+    ] = None,
+    for_s: Annotated[float, typer.Option("--for-s", metavar="S", min=0.1, help="How long.")] = 10.0,
+    take_off: Annotated[bool, typer.Option("--take-off", help="Arm and take off first, if idle.")] = False,
+    clear_fault: ClearFaultOption = False,
+    keep: Annotated[
+        bool,
+        typer.Option("--keep", help="Do not land at the end; another command may take over."),
+    ] = False,
+    log: Annotated[Path | None, typer.Option("--log", metavar="FILE", help="Record into this log.")] = None,
+    port: PortOption = None,
+    sil: SilOption = False,
+    rig: RigOption = None,
+    speed: SpeedOption = "1",
+) -> None:
+    """Step to a setpoint and hold it for a while, then land. Ctrl-C lands too.
+
+    Example: `heli-host setpoint --take-off --elevation-deg 5 --travel-deg 10 --for-s 20`
+    """
+    given = {"elevation": elevation_deg, "pitch": pitch_deg, "travel": travel_deg}
+    targets_deg = {axis: value for axis, value in given.items() if value is not None}
+    if not targets_deg:
+        raise typer.BadParameter("give at least one of --elevation-deg, --travel-deg and --pitch-deg")
+    if "pitch" in targets_deg and "travel" in targets_deg:
+        raise typer.BadParameter("give --travel-deg or --pitch-deg: flying to a travel needs the pitch")
+    from heli_host.cli.board import clear_latched_fault, open_board
+    from heli_host.declaration import Axes
+    from heli_host.fly.recorder import Recorder
+    from heli_host.open_loop import ALL_AXES
+    from heli_host.setpoints import check_setpoint
+
+    axes = Axes.ELEVATION | Axes.PITCH if "pitch" in targets_deg else ALL_AXES
+    with contextlib.ExitStack() as stack:
+        heli = stack.enter_context(open_board(port, sil_address(rig=rig, speed=speed) if sil else None))
+        check_setpoint(targets_deg, heli.params)
+        if clear_fault:
+            clear_latched_fault(heli)
+        if log is not None:
+            stack.enter_context(Recorder(heli, log, rig_name=rig_name(rig, simulated=sil)))
+        try:
+            _start(heli, axes, take_off)
+            _hold(heli, targets_deg, for_s)
+        except KeyboardInterrupt:
+            if heli.motors_may_run:
+                heli.land()
+            raise
+        sample = heli.latest
+        print(
+            f"elevation {sample.elevation_deg:.1f}, pitch {sample.pitch_deg:.1f}, "
+            f"travel {sample.travel_deg:.1f} deg after {for_s:g} s"
+        )
+        if keep:
+            # Ends the session but not the flight; the board holds level, and lands when nobody takes over.
+            heli.session.close()
+            print("left flying: it holds level, and lands by itself unless another command takes over")
+        else:
+            heli.land()
+            print("landed")
+
+
+def _start(heli: Heli, axes: Axes, take_off: bool) -> None:
+    from heli_host.declaration import State
+    from heli_host.errors import SetpointError
+
+    if heli.state in (State.IDLE, State.ARMED):
+        if not take_off:
+            raise SetpointError(f"the board is {heli.state.name.lower()}, not flying", "add --take-off")
+        heli.take_off(axes=axes)
+    elif heli.state is State.FAULT:
+        heli.arm()  # is refused, and says which fault it is
+    else:
+        heli.control(axes)
+
+
+def _hold(heli: Heli, targets_deg: Mapping[str, float], for_s: float) -> None:
+    from heli_host.cli.progress import LiveLine
+    from heli_host.declaration import State
+    from heli_host.errors import FlightAborted, fault_text
+
+    heli.setpoint(**{f"{axis}_deg": value_deg for axis, value_deg in targets_deg.items()})
+    start_s = heli.latest.t_s
+    with LiveLine() as live:
+        while (passed_s := heli.latest.t_s - start_s) < for_s:
+            heli.wait(min(STEP_S, for_s - passed_s))
+            sample = heli.latest
+            if sample.state in (State.FAULT, State.IDLE):
+                raise FlightAborted(f"the motors were switched off: {fault_text(sample.fault)}")
+            live.show(sample, heli.counters, t_s=passed_s, phase="setpoint", left_s=for_s - passed_s)
+
+
+VERB = Verb(setpoint, "Fly")

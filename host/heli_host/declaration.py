@@ -1,0 +1,1373 @@
+"""Messages, channels, parameters and faults of the link.
+
+Written by firmware/generate.py from firmware/link.toml. Do not edit.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from typing import TYPE_CHECKING, ClassVar
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+LINK_HASH = 0xAB677F82
+LINK_VERSION = "1.0"
+FIRMWARE_VERSION = "0.1.0"
+PROTOCOL = 1
+BAUD = 250000
+TICK_US = 1000
+MAX_COMMAND_PAYLOAD = 64
+MAX_TELEMETRY_PAYLOAD = 480
+
+
+class Axis(IntEnum):
+    """Axes in the order used everywhere: in telemetry, masks and messages."""
+
+    ELEVATION = 0  # long arm up and down; positive is up
+    PITCH = 1  # short arm about the long arm; positive when the front rotor pushes more
+    TRAVEL = 2  # about the vertical; accelerates positive at positive pitch
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+class State(IntEnum):
+    """State of the supervisor, sent with every tick."""
+
+    IDLE = 0  # drivers disabled, motors off; the only state that may be configured freely
+    ARMED = 1  # drivers enabled at zero voltage, pre-flight checks passed
+    CLOSED_LOOP = 2  # the on-board control law flies the axes of the mask
+    OPEN_LOOP = 3  # fixed voltages plus excitation, no axis closed
+    STREAMED = 4  # voltages streamed by the host, each valid for a bounded time
+    HOLD = 5  # no fresh setpoint: hovering level in place
+    LANDING = 6  # controlled descent to the table, then motors off
+    FAULT = 7  # motors off and latched until clear_fault
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+class Result(IntEnum):
+    """Answer to a command."""
+
+    OK = 0  # done
+    UNKNOWN_COMMAND = 1  # no such message id
+    BAD_LENGTH = 2  # payload length does not fit the message
+    BAD_VALUE = 3  # a field is out of range or not finite; detail says which, by its position on the wire counted from 0
+    BAD_STATE = 4  # not allowed in the present state; detail is the state
+    CHECK_FAILED = 5  # a pre-flight check failed; detail is the fault code
+    OUT_OF_RANGE = 6  # parameter value outside its range; detail is the parameter
+    NO_SUCH_PARAMETER = 7  # parameter index beyond the table
+    UNSAFE_NOW = 8  # this parameter may only be set while idle; detail is the parameter
+    FLASH_FAILED = 9  # the parameter page could not be written and verified
+    NO_HANDSHAKE = 10  # hello with a matching declaration must come first
+    HASH_MISMATCH = 11  # the two ends were built from different declarations
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+class Reset(IntEnum):
+    """Why the board last started."""
+
+    POWER_UP = 0  # power applied
+    USER = 1  # reset line: opening the port, or the button
+    WATCHDOG = 2  # the watchdog fired: control tick or idle loop had hung
+    SOFTWARE = 3  # reset asked for by the firmware after it recorded a fault
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+class ParamsSource(IntEnum):
+    """Where the parameters of this boot came from."""
+
+    DEFAULTS = 0  # no stored set: the declared defaults
+    STORED = 1  # the newest valid copy in flash
+    FALLBACK = 2  # the newest copy was damaged; the older valid copy is used
+    CORRUPT = 3  # both copies damaged or from another declaration: defaults, and arming is refused until a save
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+class Excitation(IntEnum):
+    """Kinds of excitation generated on board and added to the motor voltages."""
+
+    NONE = 0  # no excitation
+    STEP = 1  # constant amplitude for the duration
+    DOUBLET = 2  # plus amplitude for the first half, minus for the second
+    CHIRP = 3  # sine whose frequency rises linearly from start_Hz to stop_Hz
+    MULTISINE = 4  # eight sines spread evenly from start_Hz to stop_Hz, Schroeder phases; the back motor uses frequencies between those of the front
+    PRBS = 5  # pseudo-random binary sequence that may switch every 1/stop_Hz, seeded
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+class Event(IntEnum):
+    """What an event message reports."""
+
+    BOOT = 0  # first message after start; detail = reset cause, value = boot count
+    STATE = 1  # state changed; detail = new state, cause = the supervisor event that did it
+    FAULT = 2  # a fault tripped; detail = fault code, value = the offending quantity
+    SETPOINT_STALE = 3  # setpoints stopped coming; value = rate in Hz seen over the last second before
+    SETPOINT_FRESH = 4  # setpoints came back while holding
+    PARAMS_SAVED = 5  # parameters written to flash; value = generation
+    EXCITATION_END = 6  # excitation finished or was stopped; detail = kind
+    SETPOINT_REJECTED = 7  # a streamed value was refused; detail = result code
+    ZEROED = 8  # encoder zeros taken; detail = axis mask
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+class Trigger(IntEnum):
+    """Supervisor events: rows of its state table, and the cause in state events."""
+
+    ARM = 0  # arm command
+    STOP = 1  # stop command
+    CLOSE_LOOP = 2  # control command with at least one axis
+    OPEN_LOOP = 3  # control command without any axis
+    STREAM = 4  # stream command
+    LAND = 5  # land command
+    SETPOINT_FRESH = 6  # a valid setpoint arrived while holding
+    STALE_HOLD = 7  # setpoint (or link, or streamed voltage) older than the hold time
+    STALE_LAND = 8  # setpoint or link older than the land time
+    TOUCHDOWN = 9  # at rest on the table while landing
+    TRIP = 10  # a fault tripped
+    CLEAR = 11  # clear_fault command
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+class Axes(IntFlag):
+    """Axis mask."""
+
+    ELEVATION = 1  # elevation loop
+    PITCH = 2  # pitch loop
+    TRAVEL = 4  # travel loop; needs pitch
+
+
+class Flags(IntFlag):
+    """Sent with every tick."""
+
+    FRONT_SATURATED = 1  # front motor voltage was limited
+    BACK_SATURATED = 2  # back motor voltage was limited
+    EXCITATION = 4  # excitation is being added
+    LINK_ALIVE = 8  # a valid host frame arrived within the hold time
+    PITCH_LIMITED = 16  # the travel loop's pitch setpoint was limited
+    OVERRUN = 32  # the tick before this one was late
+
+
+class Fault(IntEnum):
+    """Fault codes."""
+
+    NONE = 0  # no fault
+    ELEVATION_LIMIT = 1  # elevation above its limit
+    PITCH_LIMIT = 2  # pitch beyond its limit
+    TRAVEL_LIMIT = 3  # travel beyond its limit: the cables wind up
+    ELEVATION_RATE = 4  # elevation moved faster than its limit
+    PITCH_RATE = 5  # pitch moved faster than its limit
+    TRAVEL_RATE = 6  # travel moved faster than its limit
+    ENCODER_ELEVATION = 7  # too many illegal transitions of the elevation encoder
+    ENCODER_PITCH = 8  # too many illegal transitions of the pitch encoder
+    ENCODER_TRAVEL = 9  # too many illegal transitions of the travel encoder
+    LANDING_TIMEOUT = 10  # the table was not reached in time
+    TICK_OVERRUN = 11  # too many control ticks ran late
+    HARDWARE_STOP = 12  # the hardware stop input is active
+    NOT_AT_REST = 20  # the arm does not rest on the table
+    MOVING = 21  # an axis is moving
+    LINK_NOT_ALIVE = 22  # no recent frame from the host
+    PARAMETERS_INVALID = 23  # the stored parameters are damaged or contradict each other
+    PITCH_NOT_LEVEL = 24  # the short arm is not level
+    WATCHDOG = 30  # the watchdog reset the board: control tick or idle loop had hung
+    HARD_FAULT = 31  # the processor faulted; bridges were switched off and the board reset
+    UNEXPECTED_INTERRUPT = 32  # an interrupt without a handler; bridges were switched off and the board reset
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+class Param(IntEnum):
+    """Position of each parameter in the table."""
+
+    ELEVATION_COUNTS_PER_REV = 0  # count: elevation encoder counts a revolution, x4; negative reverses its direction
+    PITCH_COUNTS_PER_REV = 1  # count: pitch encoder counts a revolution, x4; negative reverses its direction
+    TRAVEL_COUNTS_PER_REV = 2  # count: travel encoder counts a revolution, x4; negative reverses its direction
+    ELEVATION_REST_DEG = 3  # deg: elevation when the arm rests on the table; makes level zero
+    SUPPLY_V = 4  # V: supply of the motor drivers; full duty means this voltage
+    MOTOR_MIN_V = 5  # V: lowest motor voltage; 0 never reverses a rotor
+    MOTOR_MAX_V = 6  # V: highest motor voltage
+    MOTOR_FRONT_SIGN = 7  # : -1 swaps the front motor's leads in software
+    MOTOR_BACK_SIGN = 8  # : -1 swaps the back motor's leads in software
+    DEAD_ZONE_V = 9  # V: voltage below which a rotor gives no thrust (paper eq. 31); added back by the control law
+    HOVER_V = 10  # V: feed-forward of the sum of both voltages above the dead zone that carries the arm at level
+    HOVER_SLOPE = 11  # V/deg: change of hover_V with elevation: masses that hang below the axis want more lift the higher the arm is
+    ELEVATION_KP = 12  # V/deg: elevation proportional gain (paper Table 6: 0.5)
+    ELEVATION_KI = 13  # V/(deg s): elevation integral gain (paper Table 6: 1)
+    ELEVATION_KD = 14  # V s/deg: elevation derivative gain, on the measurement (paper Table 6: 0.1)
+    ELEVATION_RATE_FF = 15  # : share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone
+    ELEVATION_ACCELERATION_FF = 16  # V s2/deg: collective for the setpoint's own acceleration: inertia over thrust gain and arm
+    PITCH_KP = 17  # V/deg: pitch proportional gain (paper Table 6: 0.66)
+    PITCH_KI = 18  # V/(deg s): pitch integral gain (paper Table 6: 3)
+    PITCH_KD = 19  # V s/deg: pitch derivative gain, on the measurement (paper Table 6: 0.1)
+    PITCH_HOLD_FF = 20  # V/deg: difference of the voltages that holds a degree of pitch setpoint against masses that hang below the pitch axis
+    TRAVEL_KP = 21  # deg/deg: travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)
+    TRAVEL_KI = 22  # deg/(deg s): travel integral gain (paper Table 6 with P and I exchanged: 0.13)
+    TRAVEL_KD = 23  # deg s/deg: travel derivative gain, on the measurement (paper Table 6: 1.462)
+    TRAVEL_RATE_FF = 24  # : share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone
+    TRAVEL_ACCELERATION_FF = 25  # deg s2/deg: pitch for the setpoint's own acceleration: inertia over hover thrust and arm
+    ELEVATION_INTEGRAL_MAX_V = 26  # V: bound of the elevation integrator
+    PITCH_INTEGRAL_MAX_V = 27  # V: bound of the pitch integrator
+    TRAVEL_INTEGRAL_MAX_DEG = 28  # deg: bound of the travel integrator
+    ELEVATION_FILTER_HZ = 29  # Hz: cut-off of the elevation rate filter (two poles)
+    PITCH_FILTER_HZ = 30  # Hz: cut-off of the pitch rate filter (two poles)
+    TRAVEL_FILTER_HZ = 31  # Hz: cut-off of the travel rate filter (two poles)
+    PITCH_SETPOINT_MAX_DEG = 32  # deg: bound of the pitch setpoint, from the travel loop or the host
+    DIFFERENTIAL_MAX_V = 33  # V: bound of front minus back: pitch has priority in the mixer, so more than this would lift the arm
+    ELEVATION_SLEW_DEG_S = 34  # deg/s: fastest change of the elevation setpoint
+    PITCH_SLEW_DEG_S = 35  # deg/s: fastest change of the pitch setpoint, from the travel loop or the host
+    TRAVEL_SLEW_DEG_S = 36  # deg/s: fastest change of the travel setpoint
+    ELEVATION_ACCELERATION_DEG_S2 = 37  # deg/s2: fastest change of the elevation setpoint's rate: a step becomes a ramp that starts and stops gently
+    TRAVEL_ACCELERATION_DEG_S2 = 38  # deg/s2: fastest change of the travel setpoint's rate; travel can only accelerate by tilting
+    BUMPLESS_S = 39  # s: time constant with which the jump of a mode change is faded out
+    ELEVATION_MAX_DEG = 40  # deg: elevation above which the motors are cut; setpoints are refused from 2 degrees below it
+    PITCH_MAX_DEG = 41  # deg: pitch beyond which the motors are cut
+    TRAVEL_MAX_DEG = 42  # deg: travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it
+    ELEVATION_RATE_MAX_DEG_S = 43  # deg/s: elevation rate beyond which the motors are cut
+    PITCH_RATE_MAX_DEG_S = 44  # deg/s: pitch rate beyond which the motors are cut
+    TRAVEL_RATE_MAX_DEG_S = 45  # deg/s: travel rate beyond which the motors are cut
+    ENCODER_ILLEGAL_MAX = 46  # : illegal transitions of one encoder since arming that are tolerated
+    OVERRUN_MAX = 47  # : late ticks since arming that are tolerated
+    ARM_RATE_MAX_DEG_S = 48  # deg/s: arming needs every axis slower than this
+    ARM_ELEVATION_TOLERANCE_DEG = 49  # deg: arming needs the elevation this close to rest
+    ARM_PITCH_TOLERANCE_DEG = 50  # deg: arming needs the pitch this close to level
+    SETPOINT_HOLD_S = 51  # s: without a fresh setpoint for this long the board holds level
+    SETPOINT_LAND_S = 52  # s: without a fresh setpoint for this long the board lands
+    LANDING_RATE_DEG_S = 53  # deg/s: descent of the elevation setpoint while landing
+    LANDING_TIMEOUT_S = 54  # s: landing takes at most this long; then motors off with a fault
+    VOLTAGE_VALID_MAX_MS = 55  # ms: a streamed voltage acts at most this long, whatever its sender asked for
+    EXCITATION_MAX_V = 56  # V: largest amplitude that excite accepts
+    EXCITATION_MAX_S = 57  # s: longest duration that excite accepts
+    TELEMETRY_BATCH_TICKS = 58  # tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+class Channel(IntEnum):
+    """Position of each telemetry channel."""
+
+    ELEVATION_COUNT = 0  # count: elevation encoder, level = 0, up positive
+    PITCH_COUNT = 1  # count: pitch encoder, level = 0, front rotor up positive
+    TRAVEL_COUNT = 2  # count: travel encoder, 0 where the zero was taken
+    ELEVATION_SETPOINT = 3  # rad: slew-limited elevation setpoint that the control law used
+    PITCH_SETPOINT = 4  # rad: pitch setpoint that the control law used: the travel loop's output, or the host's
+    TRAVEL_SETPOINT = 5  # rad: slew-limited travel setpoint that the control law used
+    FRONT = 6  # V: voltage that acted on the front motor during this tick: duty times supply, after every limit
+    BACK = 7  # V: voltage that acted on the back motor during this tick
+    STATE = 8  # enum state: supervisor state
+    FAULT = 9  # enum fault: fault code, 0 while none
+    FLAGS = 10  # bits flags: flag bits
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+class MessageId(IntEnum):
+    """Second byte of a frame."""
+
+    HELLO = 1  # Opens a session. Its layout and welcome's never change, so that any two versions can tell each other apart.
+    PING = 2  # Heartbeat and clock exchange.
+    ARM = 3  # Runs the pre-flight checks; enables the drivers at zero voltage when they pass.
+    STOP = 4  # Motors off now, from any state; also ends the armed state.
+    CONTROL = 5  # Closes the loops of the mask; axes not closed get their share of the given voltages. Mask 0 is open loop.
+    STREAM = 6  # Hands the motor voltages to the host's voltage stream.
+    LAND = 7  # Controlled descent, then motors off.
+    EXCITE = 8  # Starts an excitation on top of whatever drives the motors.
+    EXCITE_STOP = 9  # Ends a running excitation.
+    PARAM_SET = 10  # Sets one parameter in memory; ack.value is the value now in force.
+    PARAMS_READ = 11  # Reads up to 32 parameters from `first` on.
+    PARAMS_SAVE = 12  # Writes all parameters to flash; only while idle.
+    PARAMS_DEFAULT = 13  # Puts the declared defaults into memory; only while idle; does not save.
+    ZERO = 14  # Takes the present position as rest (elevation) or zero (pitch, travel); only while idle.
+    CLEAR_FAULT = 15  # Leaves the fault state for idle.
+    STATUS_READ = 16  # Asks for the counters now; they also come once a second.
+    SETPOINT = 32  # Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
+    VOLTAGES = 33  # Motor voltages in the streamed state.
+    ACK = 128  # Answer to a command.
+    WELCOME = 129  # Answer to hello.
+    PONG = 130  # Answer to ping.
+    PARAMS = 131  # Parameter values, as many as `count` says (at most 32), in table order.
+    STATUS = 132  # Counters since start; sent once a second with request = 0, and on status_read.
+    TELEMETRY = 133  # A batch of consecutive ticks, delta-coded; layout below.
+    EVENT = 134  # Something happened; also visible in telemetry, but with its reason here.
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+AXES: tuple[str, ...] = ("elevation", "pitch", "travel",)
+"""Names of the axes in the order of `Axis`."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParamSpec:
+    """One row of the parameter table; ``min``, ``max`` and ``default`` are in ``unit``."""
+
+    index: int
+    name: str
+    unit: str
+    min: float
+    max: float
+    default: float
+    nonzero: bool
+    integer: bool
+    idle_only: bool
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class FaultSpec:
+    """One fault: its number, the parameter that set its limit, and what to do."""
+
+    code: int
+    name: str
+    kind: str
+    parameter: str | None
+    meaning: str
+    remedy: str
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelSpec:
+    """One telemetry channel: value = raw * scale, in ``unit``.
+
+    Parameters
+    ----------
+    name : str
+        As in `Channel`, in small letters.
+    code : str
+        Its type on the wire, as `struct` spells it.
+    unit : str
+        Unit of its values.
+    scale : float
+        Value of a raw 1 [unit].
+    column : str
+        Its name in samples, flights and tables; an encoder's is its axis' angle in rad.
+    field : str
+        Its name in a log.
+    axis : Axis or None
+        Axis whose encoder it counts.
+    kind : type or None
+        Enumeration or set of bits that its numbers are of.
+    meaning : str
+        What it is.
+    """
+
+    name: str
+    code: str
+    unit: str
+    scale: float
+    column: str
+    field: str
+    axis: Axis | None
+    kind: type[IntEnum] | type[IntFlag] | None
+    meaning: str
+
+
+PARAMS: tuple[ParamSpec, ...] = (
+    ParamSpec(0, "elevation_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, "elevation encoder counts a revolution, x4; negative reverses its direction"),
+    ParamSpec(1, "pitch_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, "pitch encoder counts a revolution, x4; negative reverses its direction"),
+    ParamSpec(2, "travel_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, "travel encoder counts a revolution, x4; negative reverses its direction"),
+    ParamSpec(3, "elevation_rest_deg", "deg", -60.0, 0.0, -25.0, False, False, True, "elevation when the arm rests on the table; makes level zero"),
+    ParamSpec(4, "supply_V", "V", 5.0, 24.0, 12.0, False, False, True, "supply of the motor drivers; full duty means this voltage"),
+    ParamSpec(5, "motor_min_V", "V", -24.0, 0.0, 0.0, False, False, True, "lowest motor voltage; 0 never reverses a rotor"),
+    ParamSpec(6, "motor_max_V", "V", 0.5, 24.0, 10.0, False, False, True, "highest motor voltage"),
+    ParamSpec(7, "motor_front_sign", "", -1.0, 1.0, 1.0, True, False, True, "-1 swaps the front motor's leads in software"),
+    ParamSpec(8, "motor_back_sign", "", -1.0, 1.0, 1.0, True, False, True, "-1 swaps the back motor's leads in software"),
+    ParamSpec(9, "dead_zone_V", "V", 0.0, 5.0, 1.0, False, False, False, "voltage below which a rotor gives no thrust (paper eq. 31); added back by the control law"),
+    ParamSpec(10, "hover_V", "V", 0.0, 20.0, 1.4, False, False, False, "feed-forward of the sum of both voltages above the dead zone that carries the arm at level"),
+    ParamSpec(11, "hover_slope", "V/deg", -1.0, 1.0, 0.06, False, False, False, "change of hover_V with elevation: masses that hang below the axis want more lift the higher the arm is"),
+    ParamSpec(12, "elevation_kp", "V/deg", 0.0, 20.0, 0.28, False, False, False, "elevation proportional gain (paper Table 6: 0.5)"),
+    ParamSpec(13, "elevation_ki", "V/(deg s)", 0.0, 20.0, 0.49, False, False, False, "elevation integral gain (paper Table 6: 1)"),
+    ParamSpec(14, "elevation_kd", "V s/deg", 0.0, 20.0, 0.22, False, False, False, "elevation derivative gain, on the measurement (paper Table 6: 0.1)"),
+    ParamSpec(15, "elevation_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, "share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone"),
+    ParamSpec(16, "elevation_acceleration_ff", "V s2/deg", 0.0, 1.0, 0.036, False, False, False, "collective for the setpoint's own acceleration: inertia over thrust gain and arm"),
+    ParamSpec(17, "pitch_kp", "V/deg", 0.0, 20.0, 0.09, False, False, False, "pitch proportional gain (paper Table 6: 0.66)"),
+    ParamSpec(18, "pitch_ki", "V/(deg s)", 0.0, 20.0, 0.0025, False, False, False, "pitch integral gain (paper Table 6: 3)"),
+    ParamSpec(19, "pitch_kd", "V s/deg", 0.0, 20.0, 0.028, False, False, False, "pitch derivative gain, on the measurement (paper Table 6: 0.1)"),
+    ParamSpec(20, "pitch_hold_ff", "V/deg", -1.0, 1.0, 0.033, False, False, False, "difference of the voltages that holds a degree of pitch setpoint against masses that hang below the pitch axis"),
+    ParamSpec(21, "travel_kp", "deg/deg", 0.0, 20.0, 0.6, False, False, False, "travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)"),
+    ParamSpec(22, "travel_ki", "deg/(deg s)", 0.0, 20.0, 0.06, False, False, False, "travel integral gain (paper Table 6 with P and I exchanged: 0.13)"),
+    ParamSpec(23, "travel_kd", "deg s/deg", 0.0, 20.0, 3.15, False, False, False, "travel derivative gain, on the measurement (paper Table 6: 1.462)"),
+    ParamSpec(24, "travel_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, "share of the setpoint's own rate that the derivative term does not brake; 0 is derivative on measurement alone"),
+    ParamSpec(25, "travel_acceleration_ff", "deg s2/deg", 0.0, 20.0, 1.09, False, False, False, "pitch for the setpoint's own acceleration: inertia over hover thrust and arm"),
+    ParamSpec(26, "elevation_integral_max_V", "V", 0.0, 20.0, 3.0, False, False, False, "bound of the elevation integrator"),
+    ParamSpec(27, "pitch_integral_max_V", "V", 0.0, 20.0, 2.0, False, False, False, "bound of the pitch integrator"),
+    ParamSpec(28, "travel_integral_max_deg", "deg", 0.0, 45.0, 10.0, False, False, False, "bound of the travel integrator"),
+    ParamSpec(29, "elevation_filter_Hz", "Hz", 0.5, 200.0, 6.0, False, False, False, "cut-off of the elevation rate filter (two poles)"),
+    ParamSpec(30, "pitch_filter_Hz", "Hz", 0.5, 200.0, 16.0, False, False, False, "cut-off of the pitch rate filter (two poles)"),
+    ParamSpec(31, "travel_filter_Hz", "Hz", 0.5, 200.0, 3.0, False, False, False, "cut-off of the travel rate filter (two poles)"),
+    ParamSpec(32, "pitch_setpoint_max_deg", "deg", 1.0, 45.0, 30.0, False, False, False, "bound of the pitch setpoint, from the travel loop or the host"),
+    ParamSpec(33, "differential_max_V", "V", 0.1, 24.0, 1.4, False, False, False, "bound of front minus back: pitch has priority in the mixer, so more than this would lift the arm"),
+    ParamSpec(34, "elevation_slew_deg_s", "deg/s", 0.5, 200.0, 15.0, False, False, False, "fastest change of the elevation setpoint"),
+    ParamSpec(35, "pitch_slew_deg_s", "deg/s", 1.0, 1000.0, 90.0, False, False, False, "fastest change of the pitch setpoint, from the travel loop or the host"),
+    ParamSpec(36, "travel_slew_deg_s", "deg/s", 0.5, 200.0, 20.0, False, False, False, "fastest change of the travel setpoint"),
+    ParamSpec(37, "elevation_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 29.0, False, False, False, "fastest change of the elevation setpoint's rate: a step becomes a ramp that starts and stops gently"),
+    ParamSpec(38, "travel_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 4.5, False, False, False, "fastest change of the travel setpoint's rate; travel can only accelerate by tilting"),
+    ParamSpec(39, "bumpless_s", "s", 0.02, 5.0, 0.3, False, False, False, "time constant with which the jump of a mode change is faded out"),
+    ParamSpec(40, "elevation_max_deg", "deg", 1.0, 60.0, 24.0, False, False, True, "elevation above which the motors are cut; setpoints are refused from 2 degrees below it"),
+    ParamSpec(41, "pitch_max_deg", "deg", 5.0, 80.0, 45.0, False, False, True, "pitch beyond which the motors are cut"),
+    ParamSpec(42, "travel_max_deg", "deg", 10.0, 3600.0, 175.0, False, False, True, "travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it"),
+    ParamSpec(43, "elevation_rate_max_deg_s", "deg/s", 10.0, 1000.0, 120.0, False, False, True, "elevation rate beyond which the motors are cut"),
+    ParamSpec(44, "pitch_rate_max_deg_s", "deg/s", 10.0, 2000.0, 400.0, False, False, True, "pitch rate beyond which the motors are cut"),
+    ParamSpec(45, "travel_rate_max_deg_s", "deg/s", 10.0, 1000.0, 150.0, False, False, True, "travel rate beyond which the motors are cut"),
+    ParamSpec(46, "encoder_illegal_max", "", 0.0, 1000.0, 5.0, False, False, True, "illegal transitions of one encoder since arming that are tolerated"),
+    ParamSpec(47, "overrun_max", "", 0.0, 1000.0, 10.0, False, False, True, "late ticks since arming that are tolerated"),
+    ParamSpec(48, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, "arming needs every axis slower than this"),
+    ParamSpec(49, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, "arming needs the elevation this close to rest"),
+    ParamSpec(50, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, "arming needs the pitch this close to level"),
+    ParamSpec(51, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, "without a fresh setpoint for this long the board holds level"),
+    ParamSpec(52, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, "without a fresh setpoint for this long the board lands"),
+    ParamSpec(53, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, "descent of the elevation setpoint while landing"),
+    ParamSpec(54, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, "landing takes at most this long; then motors off with a fault"),
+    ParamSpec(55, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, "a streamed voltage acts at most this long, whatever its sender asked for"),
+    ParamSpec(56, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, "largest amplitude that excite accepts"),
+    ParamSpec(57, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, "longest duration that excite accepts"),
+    ParamSpec(58, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, "ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data"),
+)
+
+FAULTS: tuple[FaultSpec, ...] = (
+    FaultSpec(1, "elevation_limit", "trip", "elevation_max_deg", "elevation above its limit", "lower the setpoint, or check the gains and the elevation encoder's sign"),
+    FaultSpec(2, "pitch_limit", "trip", "pitch_max_deg", "pitch beyond its limit", "check the gains, the motor order and the pitch encoder's sign"),
+    FaultSpec(3, "travel_limit", "trip", "travel_max_deg", "travel beyond its limit: the cables wind up", "bring the arm back by hand and zero it"),
+    FaultSpec(4, "elevation_rate", "trip", "elevation_rate_max_deg_s", "elevation moved faster than its limit", "check the gains and the elevation encoder"),
+    FaultSpec(5, "pitch_rate", "trip", "pitch_rate_max_deg_s", "pitch moved faster than its limit", "check the gains and the pitch encoder"),
+    FaultSpec(6, "travel_rate", "trip", "travel_rate_max_deg_s", "travel moved faster than its limit", "check the gains and the travel encoder"),
+    FaultSpec(7, "encoder_elevation", "trip", "encoder_illegal_max", "too many illegal transitions of the elevation encoder", "check its wiring and pull-ups"),
+    FaultSpec(8, "encoder_pitch", "trip", "encoder_illegal_max", "too many illegal transitions of the pitch encoder", "check its wiring and pull-ups"),
+    FaultSpec(9, "encoder_travel", "trip", "encoder_illegal_max", "too many illegal transitions of the travel encoder", "check its wiring and pull-ups"),
+    FaultSpec(10, "landing_timeout", "trip", "landing_timeout_s", "the table was not reached in time", "check that nothing holds the arm; hover_V may be too high"),
+    FaultSpec(11, "tick_overrun", "trip", "overrun_max", "too many control ticks ran late", "report it with the log: the firmware missed its deadline"),
+    FaultSpec(12, "hardware_stop", "trip", None, "the hardware stop input is active", "release the stop, then clear the fault"),
+    FaultSpec(20, "not_at_rest", "check", "arm_elevation_tolerance_deg", "the arm does not rest on the table", "let it rest on the table and zero it"),
+    FaultSpec(21, "moving", "check", "arm_rate_max_deg_s", "an axis is moving", "wait until everything is still"),
+    FaultSpec(22, "link_not_alive", "check", "setpoint_hold_s", "no recent frame from the host", "keep the session open while arming"),
+    FaultSpec(23, "parameters_invalid", "check", None, "the stored parameters are damaged or contradict each other", "restore or set them, then params save"),
+    FaultSpec(24, "pitch_not_level", "check", "arm_pitch_tolerance_deg", "the short arm is not level", "level it, or zero it while level"),
+    FaultSpec(30, "watchdog", "boot", None, "the watchdog reset the board: control tick or idle loop had hung", "report it with the log"),
+    FaultSpec(31, "hard_fault", "boot", None, "the processor faulted; bridges were switched off and the board reset", "report it with the log"),
+    FaultSpec(32, "unexpected_interrupt", "boot", None, "an interrupt without a handler; bridges were switched off and the board reset", "report it with the log"),
+)
+
+CHANNELS: tuple[ChannelSpec, ...] = (
+    ChannelSpec("elevation_count", "<i", "count", 1.0, "elevation_rad", "elevation_count", Axis.ELEVATION, None, "elevation encoder, level = 0, up positive"),
+    ChannelSpec("pitch_count", "<i", "count", 1.0, "pitch_rad", "pitch_count", Axis.PITCH, None, "pitch encoder, level = 0, front rotor up positive"),
+    ChannelSpec("travel_count", "<i", "count", 1.0, "travel_rad", "travel_count", Axis.TRAVEL, None, "travel encoder, 0 where the zero was taken"),
+    ChannelSpec("elevation_setpoint", "<i", "rad", 1e-05, "elevation_setpoint_rad", "elevation_setpoint_rad", None, None, "slew-limited elevation setpoint that the control law used"),
+    ChannelSpec("pitch_setpoint", "<i", "rad", 1e-05, "pitch_setpoint_rad", "pitch_setpoint_rad", None, None, "pitch setpoint that the control law used: the travel loop's output, or the host's"),
+    ChannelSpec("travel_setpoint", "<i", "rad", 1e-05, "travel_setpoint_rad", "travel_setpoint_rad", None, None, "slew-limited travel setpoint that the control law used"),
+    ChannelSpec("front", "<h", "V", 0.001, "front_V", "front_volt", None, None, "voltage that acted on the front motor during this tick: duty times supply, after every limit"),
+    ChannelSpec("back", "<h", "V", 0.001, "back_V", "back_volt", None, None, "voltage that acted on the back motor during this tick"),
+    ChannelSpec("state", "<B", "enum state", 1.0, "state", "state", None, State, "supervisor state"),
+    ChannelSpec("fault", "<B", "enum fault", 1.0, "fault", "fault", None, Fault, "fault code, 0 while none"),
+    ChannelSpec("flags", "<B", "bits flags", 1.0, "flags", "flags", None, Flags, "flag bits"),
+)
+
+
+@dataclass(frozen=True)
+class ChannelValues:
+    """Every channel of one tick, in its unit.
+
+    Parameters
+    ----------
+    tick : int
+        Device time [tick], counted on over 2^32.
+    elevation_rad : float
+        elevation encoder, level = 0, up positive [rad]
+    pitch_rad : float
+        pitch encoder, level = 0, front rotor up positive [rad]
+    travel_rad : float
+        travel encoder, 0 where the zero was taken [rad]
+    elevation_setpoint_rad : float
+        slew-limited elevation setpoint that the control law used [rad]
+    pitch_setpoint_rad : float
+        pitch setpoint that the control law used: the travel loop's output, or the host's [rad]
+    travel_setpoint_rad : float
+        slew-limited travel setpoint that the control law used [rad]
+    front_V : float
+        voltage that acted on the front motor during this tick: duty times supply, after every limit [V]
+    back_V : float
+        voltage that acted on the back motor during this tick [V]
+    state : State
+        supervisor state
+    fault : Fault
+        fault code, 0 while none
+    flags : Flags
+        flag bits
+    """
+
+    tick: int
+    elevation_rad: float
+    pitch_rad: float
+    travel_rad: float
+    elevation_setpoint_rad: float
+    pitch_setpoint_rad: float
+    travel_setpoint_rad: float
+    front_V: float
+    back_V: float
+    state: State
+    fault: Fault
+    flags: Flags
+
+
+@dataclass(frozen=True)
+class ChannelArrays:
+    """Every channel of many ticks, in its unit: one array a channel, one entry a tick.
+
+    Parameters
+    ----------
+    tick : ndarray of int64, shape (n,)
+        Device time [tick], counted on over 2^32; a gap is a loss.
+    elevation_rad : ndarray of float64, shape (n,)
+        elevation encoder, level = 0, up positive [rad]
+    pitch_rad : ndarray of float64, shape (n,)
+        pitch encoder, level = 0, front rotor up positive [rad]
+    travel_rad : ndarray of float64, shape (n,)
+        travel encoder, 0 where the zero was taken [rad]
+    elevation_setpoint_rad : ndarray of float64, shape (n,)
+        slew-limited elevation setpoint that the control law used [rad]
+    pitch_setpoint_rad : ndarray of float64, shape (n,)
+        pitch setpoint that the control law used: the travel loop's output, or the host's [rad]
+    travel_setpoint_rad : ndarray of float64, shape (n,)
+        slew-limited travel setpoint that the control law used [rad]
+    front_V : ndarray of float64, shape (n,)
+        voltage that acted on the front motor during this tick: duty times supply, after every limit [V]
+    back_V : ndarray of float64, shape (n,)
+        voltage that acted on the back motor during this tick [V]
+    state : ndarray of uint8, shape (n,)
+        supervisor state
+    fault : ndarray of uint8, shape (n,)
+        fault code, 0 while none
+    flags : ndarray of uint8, shape (n,)
+        flag bits
+    """
+
+    tick: NDArray[np.int64]
+    elevation_rad: NDArray[np.float64]
+    pitch_rad: NDArray[np.float64]
+    travel_rad: NDArray[np.float64]
+    elevation_setpoint_rad: NDArray[np.float64]
+    pitch_setpoint_rad: NDArray[np.float64]
+    travel_setpoint_rad: NDArray[np.float64]
+    front_V: NDArray[np.float64]
+    back_V: NDArray[np.float64]
+    state: NDArray[np.uint8]
+    fault: NDArray[np.uint8]
+    flags: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class HelloMessage:
+    """Opens a session. Its layout and welcome's never change, so that any two versions can tell each other apart.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    link_hash : int
+        hash of the host's declaration
+    session : int
+        random number of this host session; a new one clears the memory of past requests
+    """
+
+    ID: ClassVar[MessageId] = MessageId.HELLO
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BII")
+    REPLY: ClassVar[MessageId] = MessageId.WELCOME
+    request: int
+    link_hash: int
+    session: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.link_hash, self.session)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> HelloMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class PingMessage:
+    """Heartbeat and clock exchange.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    host_us : int
+        host clock when sent, echoed [us]
+    """
+
+    ID: ClassVar[MessageId] = MessageId.PING
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BQ")
+    REPLY: ClassVar[MessageId] = MessageId.PONG
+    request: int
+    host_us: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.host_us)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> PingMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ArmMessage:
+    """Runs the pre-flight checks; enables the drivers at zero voltage when they pass.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    """
+
+    ID: ClassVar[MessageId] = MessageId.ARM
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
+    REPLY: ClassVar[MessageId] = MessageId.ACK
+    request: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ArmMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class StopMessage:
+    """Motors off now, from any state; also ends the armed state.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    """
+
+    ID: ClassVar[MessageId] = MessageId.STOP
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
+    REPLY: ClassVar[MessageId] = MessageId.ACK
+    request: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> StopMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ControlMessage:
+    """Closes the loops of the mask; axes not closed get their share of the given voltages. Mask 0 is open loop.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    axes : int
+        axes to close [bits axes]
+    front_V : float
+        front voltage for what is not closed [V]
+    back_V : float
+        back voltage for what is not closed [V]
+    """
+
+    ID: ClassVar[MessageId] = MessageId.CONTROL
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBff")
+    REPLY: ClassVar[MessageId] = MessageId.ACK
+    request: int
+    axes: int
+    front_V: float
+    back_V: float
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.axes, self.front_V, self.back_V)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ControlMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class StreamMessage:
+    """Hands the motor voltages to the host's voltage stream.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    """
+
+    ID: ClassVar[MessageId] = MessageId.STREAM
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
+    REPLY: ClassVar[MessageId] = MessageId.ACK
+    request: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> StreamMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class LandMessage:
+    """Controlled descent, then motors off.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    """
+
+    ID: ClassVar[MessageId] = MessageId.LAND
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
+    REPLY: ClassVar[MessageId] = MessageId.ACK
+    request: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> LandMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ExciteMessage:
+    """Starts an excitation on top of whatever drives the motors.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    kind : int
+        signal [enum excitation]
+    front_V : float
+        amplitude on the front motor [V]
+    back_V : float
+        amplitude on the back motor [V]
+    start_Hz : float
+        lowest frequency (chirp, multisine) [Hz]
+    stop_Hz : float
+        highest frequency (chirp, multisine), switching rate (prbs) [Hz]
+    duration_s : float
+        length; then the excitation ends by itself [s]
+    seed : int
+        seed of prbs; must not be 0 there
+    """
+
+    ID: ClassVar[MessageId] = MessageId.EXCITE
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBfffffI")
+    REPLY: ClassVar[MessageId] = MessageId.ACK
+    request: int
+    kind: int
+    front_V: float
+    back_V: float
+    start_Hz: float
+    stop_Hz: float
+    duration_s: float
+    seed: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.kind, self.front_V, self.back_V, self.start_Hz, self.stop_Hz, self.duration_s, self.seed)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ExciteMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ExciteStopMessage:
+    """Ends a running excitation.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    """
+
+    ID: ClassVar[MessageId] = MessageId.EXCITE_STOP
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
+    REPLY: ClassVar[MessageId] = MessageId.ACK
+    request: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ExciteStopMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ParamSetMessage:
+    """Sets one parameter in memory; ack.value is the value now in force.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    index : int
+        position in the parameter table [enum param]
+    value : float
+        new value [as declared]
+    """
+
+    ID: ClassVar[MessageId] = MessageId.PARAM_SET
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBf")
+    REPLY: ClassVar[MessageId] = MessageId.ACK
+    request: int
+    index: int
+    value: float
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.index, self.value)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ParamSetMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ParamsReadMessage:
+    """Reads up to 32 parameters from `first` on.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    first : int
+        first index wanted [enum param]
+    """
+
+    ID: ClassVar[MessageId] = MessageId.PARAMS_READ
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BB")
+    REPLY: ClassVar[MessageId] = MessageId.PARAMS
+    request: int
+    first: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.first)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ParamsReadMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ParamsSaveMessage:
+    """Writes all parameters to flash; only while idle.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    """
+
+    ID: ClassVar[MessageId] = MessageId.PARAMS_SAVE
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
+    REPLY: ClassVar[MessageId] = MessageId.ACK
+    request: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ParamsSaveMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ParamsDefaultMessage:
+    """Puts the declared defaults into memory; only while idle; does not save.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    """
+
+    ID: ClassVar[MessageId] = MessageId.PARAMS_DEFAULT
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
+    REPLY: ClassVar[MessageId] = MessageId.ACK
+    request: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ParamsDefaultMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ZeroMessage:
+    """Takes the present position as rest (elevation) or zero (pitch, travel); only while idle.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    axes : int
+        axes to zero [bits axes]
+    """
+
+    ID: ClassVar[MessageId] = MessageId.ZERO
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BB")
+    REPLY: ClassVar[MessageId] = MessageId.ACK
+    request: int
+    axes: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.axes)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ZeroMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ClearFaultMessage:
+    """Leaves the fault state for idle.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    """
+
+    ID: ClassVar[MessageId] = MessageId.CLEAR_FAULT
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
+    REPLY: ClassVar[MessageId] = MessageId.ACK
+    request: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ClearFaultMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class StatusReadMessage:
+    """Asks for the counters now; they also come once a second.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    """
+
+    ID: ClassVar[MessageId] = MessageId.STATUS_READ
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
+    REPLY: ClassVar[MessageId] = MessageId.STATUS
+    request: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> StatusReadMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class SetpointMessage:
+    """Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
+
+    Parameters
+    ----------
+    apply_tick : int
+        tick at which the target is to be reached; past: at once; more than 500 ahead: refused [tick]
+    elevation_rad : float
+        elevation target [rad]
+    pitch_rad : float
+        pitch target; used only while travel is not closed [rad]
+    travel_rad : float
+        travel target [rad]
+    """
+
+    ID: ClassVar[MessageId] = MessageId.SETPOINT
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<Ifff")
+    apply_tick: int
+    elevation_rad: float
+    pitch_rad: float
+    travel_rad: float
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.apply_tick, self.elevation_rad, self.pitch_rad, self.travel_rad)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> SetpointMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class VoltagesMessage:
+    """Motor voltages in the streamed state.
+
+    Parameters
+    ----------
+    front_V : float
+        front motor [V]
+    back_V : float
+        back motor [V]
+    valid_ms : int
+        how long it may act; then the board holds level by itself [ms]
+    """
+
+    ID: ClassVar[MessageId] = MessageId.VOLTAGES
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<ffH")
+    front_V: float
+    back_V: float
+    valid_ms: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.front_V, self.back_V, self.valid_ms)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> VoltagesMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class AckMessage:
+    """Answer to a command.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    command : int
+        command answered [message id]
+    result : int
+        result [enum result]
+    detail : int
+        see the result's meaning
+    value : float
+        value in force, or the offending quantity
+    """
+
+    ID: ClassVar[MessageId] = MessageId.ACK
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBBBf")
+    request: int
+    command: int
+    result: int
+    detail: int
+    value: float
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.command, self.result, self.detail, self.value)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> AckMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class WelcomeMessage:
+    """Answer to hello.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    result : int
+        ok or hash_mismatch [enum result]
+    link_hash : int
+        hash of the board's declaration
+    link_major : int
+        version of the board's declaration
+    link_minor : int
+        version of the board's declaration
+    firmware_major : int
+        version of the flight code
+    firmware_minor : int
+        version of the flight code
+    firmware_patch : int
+        version of the flight code
+    board : int
+        0 native, 1 Arduino Due
+    reset : int
+        why the board started [enum reset]
+    boot_fault : int
+        fault recorded before that start, 0 for none [enum fault]
+    boot_count : int
+        changes with every start; tells a reconnect from a reboot
+    tick : int
+        device time [tick]
+    params_source : int
+        where the parameters came from [enum params_source]
+    """
+
+    ID: ClassVar[MessageId] = MessageId.WELCOME
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBIBBBBBBBBIIB")
+    request: int
+    result: int
+    link_hash: int
+    link_major: int
+    link_minor: int
+    firmware_major: int
+    firmware_minor: int
+    firmware_patch: int
+    board: int
+    reset: int
+    boot_fault: int
+    boot_count: int
+    tick: int
+    params_source: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.result, self.link_hash, self.link_major, self.link_minor, self.firmware_major, self.firmware_minor, self.firmware_patch, self.board, self.reset, self.boot_fault, self.boot_count, self.tick, self.params_source)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> WelcomeMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class PongMessage:
+    """Answer to ping.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    host_us : int
+        as sent [us]
+    tick : int
+        device time at the answer [tick]
+    """
+
+    ID: ClassVar[MessageId] = MessageId.PONG
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BQI")
+    request: int
+    host_us: int
+    tick: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.host_us, self.tick)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> PongMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class ParamsMessage:
+    """Parameter values, as many as `count` says (at most 32), in table order.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    first : int
+        index of the first value [enum param]
+    count : int
+        number of f32 values that follow
+    """
+
+    ID: ClassVar[MessageId] = MessageId.PARAMS
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBB")
+    request: int
+    first: int
+    count: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.first, self.count)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> ParamsMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class StatusMessage:
+    """Counters since start; sent once a second with request = 0, and on status_read.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    tick : int
+        device time [tick]
+    frames_ok : int
+        frames accepted from the host
+    frames_bad : int
+        frames refused: COBS, length, CRC, protocol
+    frames_lost : int
+        gaps in the host's sequence numbers
+    duplicates : int
+        retried commands answered from memory
+    stale_streams : int
+        streamed values refused
+    ticks_dropped : int
+        telemetry ticks not sent because the line was full [tick]
+    overruns : int
+        ticks that ran late
+    tick_max_us : int
+        longest tick [us]
+    illegal_elevation : int
+        illegal encoder transitions
+    illegal_pitch : int
+        illegal encoder transitions
+    illegal_travel : int
+        illegal encoder transitions
+    setpoint_rate_Hz : int
+        streamed values accepted during the last second [Hz]
+    """
+
+    ID: ClassVar[MessageId] = MessageId.STATUS
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BIIIIIIIIHHHHH")
+    request: int
+    tick: int
+    frames_ok: int
+    frames_bad: int
+    frames_lost: int
+    duplicates: int
+    stale_streams: int
+    ticks_dropped: int
+    overruns: int
+    tick_max_us: int
+    illegal_elevation: int
+    illegal_pitch: int
+    illegal_travel: int
+    setpoint_rate_Hz: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.tick, self.frames_ok, self.frames_bad, self.frames_lost, self.duplicates, self.stale_streams, self.ticks_dropped, self.overruns, self.tick_max_us, self.illegal_elevation, self.illegal_pitch, self.illegal_travel, self.setpoint_rate_Hz)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> StatusMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class TelemetryMessage:
+    """A batch of consecutive ticks, delta-coded; layout below.
+
+    Parameters
+    ----------
+    first_tick : int
+        tick of the first sample [tick]
+    count : int
+        number of ticks in the batch, at least 1
+    """
+
+    ID: ClassVar[MessageId] = MessageId.TELEMETRY
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<IB")
+    first_tick: int
+    count: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.first_tick, self.count)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> TelemetryMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class EventMessage:
+    """Something happened; also visible in telemetry, but with its reason here.
+
+    Parameters
+    ----------
+    tick : int
+        when [tick]
+    kind : int
+        what [enum event]
+    detail : int
+        see the event's meaning
+    cause : int
+        see the event's meaning [enum trigger]
+    value : float
+        see the event's meaning
+    """
+
+    ID: ClassVar[MessageId] = MessageId.EVENT
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<IBBBf")
+    tick: int
+    kind: int
+    detail: int
+    cause: int
+    value: float
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.tick, self.kind, self.detail, self.cause, self.value)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> EventMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))

@@ -1,0 +1,141 @@
+"""What a flight must be before any analysis trusts it: long enough, finite, even in time, in SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from heli_host.declaration import AXES
+from heli_host.errors import FlightDataError
+from heli_host.flight.flight import MIN_ROWS, Flight, Floats, find_gaps
+
+_MAX_ANGLE_RAD = {"elevation_rad": 1.6, "pitch_rad": 3.2}
+"""No arm stands higher than upright, and no short arm turns over; travel may turn many times."""
+_MAX_COUNT_RAD = 0.02
+"""An encoder with fewer than 314 counts a turn is none; in degrees, 16384 counts are steps of 0.022."""
+_LEAST_MOVES = 20
+_MAX_RATE_RAD_S = 20.0
+"""Over a tenth of a second, in one row of a hundred; the board's own limits are below 10."""
+_MAX_VOLTAGE_V = 100.0
+_MAX_STEP_S = 0.5
+
+
+def data_row(row: int) -> str:
+    """Name a row in a message.
+
+    Parameters
+    ----------
+    row : int
+        Row, counted from 0.
+    """
+    return f"data row {row + 1}"
+
+
+def check(
+    flight: Flight, source: str, *, allow_gaps: bool = False, where: Callable[[int], str] = data_row
+) -> None:
+    """Refuse a flight that no analysis could trust.
+
+    Parameters
+    ----------
+    source : str
+        File name for the message.
+    allow_gaps : bool
+        Accept missing rows.
+    where : callable
+        Names a row, counted from 0, in a message.
+
+    Raises
+    ------
+    FlightDataError
+        If it is too short, not finite, not rising in time, has gaps, or is in other units.
+    """
+    if len(flight) < MIN_ROWS:
+        raise FlightDataError(
+            f"{source}: t_s has only {len(flight)} rows",
+            f"a flight needs at least {MIN_ROWS}; record a longer one",
+        )
+    for name, column in flight.columns().items():
+        if name in flight.extra or column.dtype.kind != "f":
+            continue
+        bad = np.flatnonzero(~np.isfinite(column))
+        if bad.size:
+            raise FlightDataError(
+                f"{source}: {name} is {column[bad[0]]} in {where(int(bad[0]))} ({bad.size} such rows)",
+                "remove these rows, or the part of the flight around them",
+            )
+    _check_time(flight.t_s, source, allow_gaps, where)
+    _check_units(flight, source, where)
+
+
+def _check_time(t_s: Floats, source: str, allow_gaps: bool, where: Callable[[int], str]) -> None:
+    step_s = np.diff(t_s)
+    back = np.flatnonzero(step_s <= 0.0)
+    if back.size:
+        row = int(back[0]) + 1
+        raise FlightDataError(
+            f"{source}: t_s does not rise in {where(row)}: {t_s[row]:.9g} after {t_s[row - 1]:.9g} s",
+            "sort the rows by time and remove doubled ones",
+        )
+    typical_s = float(np.median(step_s))
+    if typical_s > _MAX_STEP_S:
+        raise FlightDataError(
+            f"{source}: t_s rises by {typical_s:g} a row, as in {where(1)}, which looks like milliseconds or "
+            "samples",
+            "give t_s in seconds",
+        )
+    gaps = find_gaps(t_s)
+    if gaps.size and not allow_gaps:
+        row = int(gaps[0]) + 1
+        raise FlightDataError(
+            f"{source}: t_s jumps by {step_s[row - 1]:.6g} s in {where(row)}, a step is "
+            f"{typical_s:.6g} s ({gaps.size} gaps)",
+            "cut the flight there, or read it with allow_gaps=True",
+        )
+
+
+def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> None:
+    degrees = "looks like degrees", "multiply the angles by pi/180"
+    for name, most in _MAX_ANGLE_RAD.items():
+        column = getattr(flight, name)
+        row = int(np.argmax(np.abs(column)))
+        if abs(column[row]) > most:
+            raise FlightDataError(
+                f"{source}: {name} is {column[row]:.4g} in {where(row)}, which {degrees[0]}", degrees[1]
+            )
+        row, rate_rad_s = _usual_highest_rate(column, flight.step_s)
+        if rate_rad_s > _MAX_RATE_RAD_S:
+            raise FlightDataError(
+                f"{source}: {name} moves by {rate_rad_s:.3g} a second in {where(row)}, which {degrees[0]}",
+                degrees[1],
+            )
+    for name in (f"{axis}_rad" for axis in AXES):
+        moves = np.abs(np.diff(getattr(flight, name)))
+        rows = np.flatnonzero(moves > 0.0)
+        if rows.size >= _LEAST_MOVES and float(moves[rows].min()) > _MAX_COUNT_RAD:
+            raise FlightDataError(
+                f"{source}: {name} moves in steps of {moves[rows].min():.4g} (the first in "
+                f"{where(int(rows[0]) + 1)}), which {degrees[0]}",
+                degrees[1],
+            )
+    for name in ("front_V", "back_V"):
+        column = getattr(flight, name)
+        row = int(np.argmax(np.abs(column)))
+        if abs(column[row]) > _MAX_VOLTAGE_V:
+            raise FlightDataError(
+                f"{source}: {name} is {column[row]:.4g} in {where(row)}, which looks like millivolts or a "
+                "duty",
+                "give volts",
+            )
+
+
+def _usual_highest_rate(angle_rad: Floats, step_s: float) -> tuple[int, float]:
+    """A row and the rate there over a tenth of a second that one row in a hundred exceeds."""
+    reach = max(1, round(0.1 / step_s))
+    if angle_rad.size <= reach:
+        return 0, 0.0
+    rates = np.abs(angle_rad[reach:] - angle_rad[:-reach]) / (reach * step_s)
+    rank = int(0.99 * (rates.size - 1))
+    row = int(np.argpartition(rates, rank)[rank])
+    return row, float(rates[row])

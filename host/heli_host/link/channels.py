@@ -1,0 +1,109 @@
+"""Raw numbers of telemetry channels to values in units, and back.
+
+A row of raw numbers is int32, whatever types its channels have on the wire: an unsigned 32-bit number from
+2^31 on stands there as its two's complement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from heli_host.declaration import AXES, CHANNELS, Axis, Channel, ChannelSpec
+
+Floats = npt.NDArray[np.float64]
+
+ENCODERS: tuple[Channel, ...] = tuple(
+    next(channel for channel in Channel if CHANNELS[channel].axis is axis) for axis in Axis
+)
+"""The channel that counts each axis' encoder, in the order of `Axis`."""
+
+_TYPES = tuple(np.dtype(spec.code) for spec in CHANNELS)
+
+
+def is_whole(spec: ChannelSpec) -> bool:
+    """Whether a channel's values are its raw numbers: counts, enumerations, bits.
+
+    Parameters
+    ----------
+    spec : ChannelSpec
+        The channel.
+    """
+    return spec.scale == 1.0
+
+
+def numbers(raw: npt.NDArray[np.int32], channel: Channel) -> npt.NDArray[np.integer]:
+    """Return a channel in its own type.
+
+    Parameters
+    ----------
+    raw : ndarray of int32, shape (..., channels)
+        Rows of raw numbers.
+    channel : Channel
+        Which one.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Its raw numbers; unsigned where the declaration says so.
+    """
+    return raw[..., channel].astype(_TYPES[channel])
+
+
+def physical(raw: npt.NDArray[np.int32], channel: Channel) -> Floats:
+    """Return a channel in its unit.
+
+    Parameters
+    ----------
+    raw : ndarray of int32, shape (..., channels)
+        Rows of raw numbers.
+    channel : Channel
+        Which one.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Its values, in the unit that the declaration gives it.
+    """
+    return numbers(raw, channel).astype(np.float64) * CHANNELS[channel].scale
+
+
+def raw_numbers(
+    values: npt.NDArray[np.floating] | npt.NDArray[np.integer], channel: Channel
+) -> npt.NDArray[np.int32]:
+    """Undo `physical`.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+        Values in the channel's unit, right to less than half its scale.
+    channel : Channel
+        Which one.
+
+    Returns
+    -------
+    ndarray of int32, shape (n,)
+        The raw numbers.
+    """
+    counted = np.rint(values.astype(np.float64) / CHANNELS[channel].scale)
+    return counted.astype(np.int64).astype(np.uint32).view(np.int32)
+
+
+def rad_per_count(parameters: Mapping[str, float]) -> Floats:
+    """Return the angle of one count of each axis' encoder.
+
+    Parameters
+    ----------
+    parameters : Mapping of str to float
+        The board's parameters, of which ``*_counts_per_rev`` are used. A negative one reverses the direction
+        on the board, which has done so before it sends counts.
+
+    Returns
+    -------
+    ndarray, shape (axes,)
+        In the order of `Axis` [rad]; nan for an axis whose parameter is not known, or 0.
+    """
+    known = (abs(parameters.get(f"{axis}_counts_per_rev", 0.0)) for axis in AXES)
+    return np.array([2.0 * np.pi / counts if counts else np.nan for counts in known])

@@ -1,0 +1,42 @@
+"""A flight from any file that holds one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from heli_host.errors import FlightDataError
+from heli_host.flight import Flight, check
+from heli_host.log.reader import read_log
+from heli_host.log.table import read_csv
+
+
+def read_flight(path: str | Path, *, allow_gaps: bool = False) -> Flight:
+    """Read a log or a table.
+
+    Parameters
+    ----------
+    path : str or Path
+        ``.mcap`` (this package's logs, complete or cut short), ``.csv`` or ``.csv.gz`` (at least the
+        columns ``t_s, front_V, back_V, elevation_rad, pitch_rad, travel_rad``; lines that start with
+        ``#`` are notes).
+    allow_gaps : bool
+        Accept rows that are missing in between; `Flight.gaps` then tells where.
+
+    Raises
+    ------
+    FlightDataError
+        If the table lacks a column, holds something that is not a number, does not rise in time, has a
+        gap, is in degrees or milliseconds, or is too short. The message names the file, the column and
+        the row.
+    LogError
+        If the log is not one of this package, or nothing of it can be read.
+    """
+    path = Path(path)
+    name = path.name.lower()
+    if name.endswith(".mcap"):
+        flight = read_log(path).flight()
+        check(flight, str(path), allow_gaps=allow_gaps)
+        return flight
+    if name.endswith((".csv", ".csv.gz")):
+        return read_csv(path, allow_gaps=allow_gaps)
+    raise FlightDataError(f"{path}: not a flight file", "give a .mcap, .csv or .csv.gz file")

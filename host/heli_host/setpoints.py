@@ -1,0 +1,78 @@
+"""The setpoints that a board takes, as its parameters say; the one check of them before they are sent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from heli_host.errors import SetpointError
+
+# The board keeps these distances between setpoints and the limits that cut the motors.
+_ELEVATION_MARGIN_DEG = 2.0
+_TRAVEL_MARGIN_DEG = 5.0
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Bounds of one axis' setpoint, both included.
+
+    Parameters
+    ----------
+    least_deg, most_deg : float
+        The bounds [deg].
+    least_name, most_name : str
+        The parameters that they come from, for messages.
+    """
+
+    least_deg: float
+    most_deg: float
+    least_name: str
+    most_name: str
+
+
+def setpoint_bounds(parameters: Mapping[str, float]) -> dict[str, Bounds]:
+    """Return what the board takes.
+
+    Parameters
+    ----------
+    parameters : Mapping of str to float
+        The board's parameters.
+    """
+    pitch_deg = parameters["pitch_setpoint_max_deg"]
+    travel_deg = parameters["travel_max_deg"] - _TRAVEL_MARGIN_DEG
+    travel_name = f"travel_max_deg - {_TRAVEL_MARGIN_DEG:g}"
+    return {
+        "elevation": Bounds(
+            parameters["elevation_rest_deg"],
+            parameters["elevation_max_deg"] - _ELEVATION_MARGIN_DEG,
+            "elevation_rest_deg",
+            f"elevation_max_deg - {_ELEVATION_MARGIN_DEG:g}",
+        ),
+        "pitch": Bounds(-pitch_deg, pitch_deg, "-pitch_setpoint_max_deg", "pitch_setpoint_max_deg"),
+        "travel": Bounds(-travel_deg, travel_deg, f"-({travel_name})", travel_name),
+    }
+
+
+def check_setpoint(targets_deg: Mapping[str, float], parameters: Mapping[str, float]) -> None:
+    """Refuse targets that the board would refuse.
+
+    Parameters
+    ----------
+    targets_deg : Mapping of str to float
+        Targets by axis [deg].
+    parameters : Mapping of str to float
+        The board's parameters.
+
+    Raises
+    ------
+    SetpointError
+        A target lies outside the bounds.
+    """
+    bounds = setpoint_bounds(parameters)
+    for axis, value_deg in targets_deg.items():
+        least_deg, most_deg = bounds[axis].least_deg, bounds[axis].most_deg
+        if not least_deg <= value_deg <= most_deg:
+            raise SetpointError(
+                f"{axis} setpoint of {value_deg:g} degrees is outside the board's limits",
+                f"give {least_deg:g} to {most_deg:g} degrees",
+            )

@@ -1,0 +1,264 @@
+"""What a session shows of a board, in units: its samples, events, counts, and what it says of itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from heli_host.declaration import Fault, ParamsSource, Reset, State
+from heli_host.errors import LinkError, WaitTimeout, fault_text
+from heli_host.link.accounting import LinkCounters
+from heli_host.link.clock import TICK_S, ClockEstimate
+from heli_host.link.events import BOARD_RESTARTED, LinkEvent
+from heli_host.link.session import Session
+from heli_host.link.subscribers import EventCallback, Unsubscribe
+from heli_host.link.telemetry import Ticks
+from heli_host.parameters import Parameters
+from heli_host.samples import Sample, SampleRing, Samples, Scales
+
+HISTORY_S = 120.0
+
+_FIRST_SAMPLE_TIMEOUT_S = 5.0
+_BOARDS = {0: "native", 1: "Arduino Due"}
+
+
+@dataclass(frozen=True)
+class BoardInfo:
+    """What the board said of itself when it welcomed this session.
+
+    Parameters
+    ----------
+    board : str
+        ``"native"`` (simulated) or ``"Arduino Due"``.
+    firmware_version, link_version : str
+        Versions of the flight code and of the link's declaration.
+    link_hash : int
+        Hash of that declaration.
+    reset : str
+        Why the board last started: ``power_up``, ``user``, ``watchdog`` or ``software``.
+    boot_fault : str
+        Fault recorded before that start, with its remedy; empty for none.
+    boot_count : int
+        Changes with every start.
+    params_source : str
+        Where its parameters came from: ``defaults``, ``stored``, ``fallback`` or ``corrupt``.
+    """
+
+    board: str
+    firmware_version: str
+    link_version: str
+    link_hash: int
+    reset: str
+    boot_fault: str
+    boot_count: int
+    params_source: str
+
+
+class TelemetryView:
+    """Reads a board, and commands nothing.
+
+    Parameters
+    ----------
+    history_s : float
+        How much `samples` keeps [s].
+
+    Attributes
+    ----------
+    session : Session
+        The session, for what this class does not offer.
+    params : Parameters
+        The board's parameters.
+
+    Raises
+    ------
+    WaitTimeout
+        The board sends no samples.
+    """
+
+    def __init__(self, session: Session, history_s: float = HISTORY_S) -> None:
+        self.session = session
+        self.params = Parameters(session)
+        self._ring = SampleRing(max(round(history_s / TICK_S), 1))
+        self.params.refresh()
+        self._scales, self._scales_of = Scales(self.params), self.params.revision
+        session.subscribe_events(self._take_event)
+        session.subscribe_ticks(self._take_ticks)
+        if not session.wait_for(lambda: session.latest is not None, _FIRST_SAMPLE_TIMEOUT_S):
+            raise WaitTimeout("the board answers but sends no samples", "reset it, then connect again")
+
+    @property
+    def info(self) -> BoardInfo:
+        """What the board said of itself."""
+        welcome = self.session.welcome
+        return BoardInfo(
+            board=_BOARDS.get(welcome.board, f"board {welcome.board}"),
+            firmware_version=f"{welcome.firmware_major}.{welcome.firmware_minor}.{welcome.firmware_patch}",
+            link_version=f"{welcome.link_major}.{welcome.link_minor}",
+            link_hash=welcome.link_hash,
+            reset=Reset(welcome.reset).name.lower(),
+            boot_fault=fault_text(welcome.boot_fault) if welcome.boot_fault else "",
+            boot_count=welcome.boot_count,
+            params_source=ParamsSource(welcome.params_source).name.lower(),
+        )
+
+    @property
+    def latest(self) -> Sample:
+        """Newest sample.
+
+        Raises
+        ------
+        LinkError
+            None has come since the board started.
+        """
+        newest = self.session.latest
+        if newest is None:
+            raise LinkError("no sample has come from the board yet", "wait a moment, then try again")
+        return self._convert().sample(*newest)
+
+    @property
+    def state(self) -> State:
+        """Supervisor state in the newest sample."""
+        return self.latest.state
+
+    @property
+    def fault(self) -> Fault:
+        """Fault in the newest sample, ``Fault.NONE`` for none."""
+        return self.latest.fault
+
+    @property
+    def motors_may_run(self) -> bool:
+        """Whether the motors are on, or may be, for all that is known."""
+        state = self.session.state
+        return state not in (State.IDLE, State.FAULT)
+
+    @property
+    def counters(self) -> LinkCounters:
+        """All counts of the link."""
+        return self.session.counters
+
+    @property
+    def clock(self) -> ClockEstimate | None:
+        """Device time to host time."""
+        return self.session.clock
+
+    @property
+    def events(self) -> tuple[LinkEvent, ...]:
+        """The last thousand events of board and link, oldest first."""
+        return self.session.events
+
+    def samples(self, last_s: float | None = None) -> Samples:
+        """Return the newest samples as arrays.
+
+        Parameters
+        ----------
+        last_s : float or None
+            How much device time [s]; None for all that is kept.
+
+        Returns
+        -------
+        Samples
+            Oldest first; copies, not changed by what comes later.
+        """
+        count = None if last_s is None else round(last_s / TICK_S)
+        return self._in_units(self._ring.newest(count))
+
+    def on_ticks(self, callback: Callable[[Samples], None]) -> Unsubscribe:
+        """Have new samples handed over as they come, some milliseconds' worth at a time.
+
+        Parameters
+        ----------
+        callback : callable taking Samples
+            Runs in the reading thread. When it raises, it is called no more and the next call here raises.
+
+        Returns
+        -------
+        callable
+            Ends it.
+        """
+
+        def convert(ticks: Ticks) -> None:
+            callback(self._in_units(ticks))
+
+        return self.session.subscribe_ticks(convert)
+
+    def on_event(self, callback: EventCallback) -> Unsubscribe:
+        """Have events of board and link handed over as they come.
+
+        Parameters
+        ----------
+        callback : callable taking LinkEvent
+            As in `on_ticks`.
+
+        Returns
+        -------
+        callable
+            Ends it.
+        """
+        return self.session.subscribe_events(callback)
+
+    def wait(self, duration_s: float) -> None:
+        """Wait in device time, whatever the speed of a simulation.
+
+        Parameters
+        ----------
+        duration_s : float
+            Device time [s].
+
+        Raises
+        ------
+        LinkLost
+            The board is gone for good, or started anew.
+        """
+        self.session.wait(duration_s)
+
+    def wait_until(self, predicate: Callable[[Sample], bool], timeout_s: float) -> Sample:
+        """Wait until a sample fulfils a condition; only the newest sample of each reading is looked at.
+
+        Parameters
+        ----------
+        predicate : callable taking Sample, returning bool
+            The condition.
+        timeout_s : float
+            Longest wait in device time [s].
+
+        Raises
+        ------
+        WaitTimeout
+            None did in time.
+        LinkLost
+            The board is gone for good.
+        """
+        first = self.latest
+        end_tick = first.tick + timeout_s / TICK_S
+        found: list[Sample] = []
+
+        def looked_at() -> bool:
+            if self.session.latest is None:
+                return False
+            sample = self.latest
+            if predicate(sample):
+                found.append(sample)
+            # A board that started anew begins again at tick 0.
+            return bool(found) or sample.tick >= end_tick or sample.tick < first.tick
+
+        self.session.wait_for(looked_at)
+        if not found:
+            raise WaitTimeout(
+                f"what was waited for did not happen in {timeout_s:g} s", "look at heli.events for why"
+            )
+        return found[0]
+
+    def _in_units(self, ticks: Ticks) -> Samples:
+        return self._convert().samples(self.session.ticks_counted_on(ticks), ticks.raw)
+
+    def _convert(self) -> Scales:
+        if self._scales_of != self.params.revision:
+            self._scales, self._scales_of = Scales(self.params), self.params.revision
+        return self._scales
+
+    def _take_ticks(self, ticks: Ticks) -> None:
+        self._ring.append(ticks)
+
+    def _take_event(self, event: LinkEvent) -> None:
+        if event.kind == BOARD_RESTARTED:
+            self._ring.clear()

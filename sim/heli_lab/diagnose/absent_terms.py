@@ -1,0 +1,188 @@
+"""Terms of the baseline that the rig does not have.
+
+A parameter whose prior is wide, such as a friction, is estimated as zero (`absent_terms`). One whose prior is
+narrow, such as the length of a pendulum, cannot be: there the model is refitted without the term before any
+effect is tried in its place (`without_absent_terms`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from heli_sim.model.effects import EffectKind
+from heli_sim.rig import Prior, Rig
+
+from heli_lab.diagnose.candidate import Candidate
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis, errors
+from heli_lab.diagnose.thresholds import (
+    ABSENT_MAX_SHARE,
+    ABSENT_MIN_CONFIDENCE,
+    ABSENT_MIN_ERROR,
+    ABSENT_MIN_STD,
+    ABSENT_PRIOR,
+    CLOSELY_STATED,
+    MAX_CONFIDENCE,
+    PRESENT_LOG_STD,
+)
+from heli_lab.errors import IdentifyError
+from heli_lab.identify import Fit, Problem, solve
+
+_WHOLE: Final = Prior(1.0, 0.03, 0.0, 1.0)
+"""Of the share of a term that is absent: all of it or nothing. A wider prior would let a share of the term
+stand in for a parameter that is merely off."""
+_START_SHARE: Final = 0.99
+"""Just inside the bound of that prior."""
+
+
+@dataclass(frozen=True)
+class AbsentTerm:
+    """A term of the baseline that the rig does not have.
+
+    Parameters
+    ----------
+    id : str
+        Its id in the catalogue, such as ``removed.friction.travel``.
+    share, std : float
+        Share of the term that is absent, at most 1, and its standard error.
+    confidence : float
+        Probability that it is absent, see `absence_probability`.
+    z_from_zero : float
+        Standard errors by which its parameter differs from 0; of several, the most.
+    z_from_rig : float
+        Standard errors by which its parameter differs from the rig's; of several, the least.
+    """
+
+    id: str
+    share: float
+    std: float
+    confidence: float
+    z_from_zero: float
+    z_from_rig: float
+
+
+def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[AbsentTerm, ...]:
+    """Find the terms whose parameters are zero within their standard errors.
+
+    Parameters
+    ----------
+    fit : Fit
+        The final model on the flights fitted.
+
+    Returns
+    -------
+    tuple of AbsentTerm
+        The terms that are more likely absent than not, the most likely first.
+    """
+    values, stds = fit.values, fit.std
+    found = []
+    for id_, kind in kinds.items():
+        names = [name for name in kind.override if name in values and rig[name].value > 0.0]
+        if not kind.baseline or not names:
+            continue
+        numbers = [
+            (0.0 if name in fit.at_bound else values[name] / rig[name].value, stds[name] / rig[name].value)
+            for name in names
+        ]
+        confidence = math.prod(absence_probability(value, std) for value, std in numbers)
+        if confidence < ABSENT_MIN_CONFIDENCE:
+            continue
+        share, std = 1.0 - numbers[0][0], max(numbers[0][1], ABSENT_MIN_STD)
+        found.append(
+            AbsentTerm(
+                id_,
+                min(max(share, 0.0), 1.0),
+                std,
+                confidence,
+                max(abs(value) / max(std, ABSENT_MIN_STD) for value, std in numbers),
+                min((1.0 - value) / max(std, ABSENT_MIN_STD) for value, std in numbers),
+            )
+        )
+    return tuple(sorted(found, key=lambda one: -one.confidence))
+
+
+def absence_probability(value: float, std: float) -> float:
+    """Posterior probability that a parameter is zero, rather than log-normal about the rig's value.
+
+    Parameters
+    ----------
+    value, std : float
+        The estimate and its standard error, in units of the rig's value.
+
+    Returns
+    -------
+    float
+        Probability, at most 0.99.
+    """
+    std = max(std, ABSENT_MIN_STD)
+    there = np.geomspace(1e-3, 1e3, 4001)
+    likely = np.exp(-0.5 * (np.log(there) / PRESENT_LOG_STD) ** 2)
+    likely /= likely.sum()
+    # The normal densities' common factor cancels.
+    absent = math.exp(-0.5 * min((value / std) ** 2, 1e3)) * ABSENT_PRIOR
+    present = float(likely @ np.exp(-0.5 * ((value - there) / std) ** 2)) * (1.0 - ABSENT_PRIOR)
+    return min(MAX_CONFIDENCE, absent / max(absent + present, 1e-300))
+
+
+def closely_stated(kind: EffectKind, rig: Rig) -> bool:
+    """Whether a term's priors are so narrow that no fit would estimate its parameters as zero.
+
+    Returns
+    -------
+    bool
+        False also where the rig does not have the term.
+    """
+    return bool(kind.override) and all(
+        name in rig and 0.0 < rig[name].tolerance < CLOSELY_STATED * rig[name].value for name in kind.override
+    )
+
+
+def without_absent_terms(
+    comparison: Comparison, baseline: Hypothesis, kinds: Iterable[EffectKind]
+) -> Hypothesis:
+    """Remove the one closely stated term without which the model predicts far better, if there is one.
+
+    Returns
+    -------
+    Hypothesis
+        The model without the term, or the baseline.
+    """
+    before = baseline.train.normalised
+    if before < ABSENT_MIN_ERROR:
+        return baseline
+    best: tuple[float, EffectKind, Fit] | None = None
+    for kind in kinds:
+        if not (kind.baseline and kind.suits(comparison.model) and closely_stated(kind, comparison.rig)):
+            continue
+        names = [one.quantity for one in baseline.fit.problem.free if one.quantity not in kind.override]
+        problem = Problem(
+            comparison.model,
+            comparison.rig,
+            comparison.train,
+            free=tuple(dict.fromkeys(names)),
+            window_s=comparison.window_s,
+            step_s=baseline.fit.problem.step_s,
+            values=kind.override,
+        )
+        try:
+            fit = solve(problem, fine=False)
+        except IdentifyError:
+            continue
+        after = errors(fit).normalised
+        if after - 1.0 < ABSENT_MAX_SHARE * (before - 1.0) and (best is None or after < best[0]):
+            best = after, kind, fit
+    if best is None:
+        return baseline
+    _, kind, fit = best
+    (name,) = kind.size
+    effect = replace(kind.make({name: 1.0}), priors={name: _WHOLE})
+    start = {
+        **fit.values,
+        **{number: comparison.rig[number].value for number in kind.override},
+        name: _START_SHARE,
+    }
+    less = comparison.refit([Candidate(kind.id, effect, (name,))], start)
+    return less if comparison.evidence(less, baseline).iid > 0.0 else baseline

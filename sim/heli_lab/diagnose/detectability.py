@@ -1,0 +1,42 @@
+"""Detectability of effects and identifiability of parameters in the flights given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from heli_sim.model.effects import EffectKind
+
+from heli_lab.diagnose.screening import Scored
+from heli_lab.diagnose.thresholds import DETECTION_STD_ERRORS
+from heli_lab.identify import Fit
+from heli_lab.identify.uncertainty import uninformed_parameters
+
+
+def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectKind]) -> tuple[str, ...]:
+    """Find the effects that would not be significant at a typical size.
+
+    Returns
+    -------
+    tuple of str
+        Their ids.
+    """
+    undetectable = []
+    for one in screened:
+        kind = kinds[one.candidate.id]
+        # Without linear parameters there is one regressor, the effect at the size tried.
+        name = kind.size[0]
+        unit = 1.0 if one.candidate.linear_parameters else one.candidate.effect.values[name]
+        if one.result.std[0] * abs(unit) * DETECTION_STD_ERRORS > abs(kind.typical[name]):
+            undetectable.append(kind.id)
+    return tuple(sorted(undetectable))
+
+
+def unidentifiable_parameters(fit: Fit) -> tuple[str, ...]:
+    """Find the parameters of the rig whose posterior is as wide as their prior.
+
+    Returns
+    -------
+    tuple of str
+        Their names.
+    """
+    return tuple(uninformed_parameters(fit.problem.names, fit.covariance, fit.problem.prior_std))

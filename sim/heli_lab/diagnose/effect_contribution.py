@@ -1,0 +1,42 @@
+"""The acceleration that an effect contributes along a flight."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from heli_lab.diagnose.linearisation import Linearisation, MapEvaluator
+from heli_lab.identify import Fit
+from heli_lab.identify.functions import Floats
+
+
+def accelerations(fit: Fit, name: str, index: int = 0) -> tuple[Floats, Floats]:
+    """Acceleration that one of a fit's effects makes along the free run of a flight.
+
+    Parameters
+    ----------
+    name : str
+        Id of the effect.
+    index : int
+        Which flight.
+
+    Returns
+    -------
+    t_s : ndarray (n,)
+        Times since the flight's first sample.
+    change_rad_s2 : ndarray (n, 3)
+        Acceleration of elevation, pitch and travel with the effect less that without it; zero for a delay and
+        for an effect on what is measured.
+    """
+    model, linearisation = fit.problem.model, Linearisation(fit, index)
+    less = type(model)(tuple(effect for effect in model.effects if effect.name != name))
+    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
+    t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
+    states = [state.name for state in model.states]
+    names = [quantity.name for quantity in model.parameters]
+    x_less = ca.vertcat(*(x[states.index(state.name)] for state in less.states))
+    p_less = ca.vertcat(*(p[names.index(q.name)] for q in less.parameters))
+    change = model.dynamics(x, u, p, t)[3:6] - less.dynamics(x_less, u, p_less, t)[3:6]
+    function = ca.Function("change", [x, u, t, p], [ca.densify(change)])
+    (result,) = MapEvaluator(function, linearisation.rows)(linearisation.trajectory)
+    return linearisation.trajectory.t_s, np.ascontiguousarray(result[:, :, 0])

@@ -1,0 +1,322 @@
+"""Figures of a diagnosis.
+
+Margins are set by hand: matplotlib's own layout takes as long as everything else in the report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from heli_sim.model.parts import AXES
+
+from heli_lab.diagnose.disturbance_torque import DisturbanceTorque, estimate_disturbance
+from heli_lab.diagnose.linearisation import Linearisation
+from heli_lab.diagnose.model_comparison import Hypothesis
+from heli_lab.diagnose.result import Diagnosis
+from heli_lab.diagnose.search_record import Round
+from heli_lab.diagnose.spline_curve import SplineCurve
+from heli_lab.diagnose.spline_term import readable_id
+from heli_lab.identify import Fit, Trace, trace
+from heli_lab.identify.functions import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_BEFORE, _AFTER = "#d1495b", "#0b5fa5"
+_MEASURED: Final = "#b9bec4"
+_MOST_POINTS: Final = 5000
+_EQUATION_POINTS: Final = 12.0
+
+
+def _judged(hypothesis: Hypothesis) -> Fit:
+    return hypothesis.held_out_fit or hypothesis.fit
+
+
+def figure_of_flight(before: Hypothesis, after: Hypothesis, index: int = 0) -> Figure:
+    """Draw measured and simulated angles before and after, on a flight held out where there is one.
+
+    Parameters
+    ----------
+    index : int
+        Which flight.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Angle and error of each axis.
+    """
+    from matplotlib.figure import Figure
+
+    old, new = trace(_judged(before), index), trace(_judged(after), index)
+    figure = Figure(figsize=(11, 9))
+    panels = figure.subplots(6, 1, sharex=True, height_ratios=[2, 1.2, 2, 1.2, 2, 1.2])
+    figure.subplots_adjust(0.06, 0.06, 0.87, 0.95, hspace=0.12)
+    keep = slice(None, None, max(1, len(old.t_s) // _MOST_POINTS))
+    for axis in range(3):
+        above, below = panels[2 * axis], panels[2 * axis + 1]
+        above.plot(
+            old.t_s[keep], _deg(old.measured_rad, axis, keep), color=_MEASURED, lw=3.5, label="measured"
+        )
+        above.plot(*_broken(old, axis), color=_BEFORE, lw=1.0, label="simulated before")
+        above.plot(*_broken(new, axis), color=_AFTER, lw=1.0, label="simulated after")
+        above.set_ylabel(f"{AXES[axis]} [deg]")
+        for one, color in ((old, _BEFORE), (new, _AFTER)):
+            error = np.rad2deg(one.residual[:, axis] * one.sigma_rad[axis])
+            below.plot(one.t_s[keep], error[keep], color=color, lw=0.7, label=f"rms {_rms(error):.3g}")
+        below.set_ylabel("error [deg]")
+        _beside(below)
+        for panel in (above, below):
+            panel.grid(alpha=0.25)
+    _beside(panels[0])
+    panels[-1].set_xlabel("time [s]; every 2 s the simulation starts anew from the measured state")
+    figure.suptitle(f"{old.label}: measured against simulated", fontsize=11)
+    return figure
+
+
+def figure_of_windows(before: Hypothesis, after: Hypothesis, index: int = 0) -> Figure:
+    """Draw the window of the baseline's largest error on each axis.
+
+    Parameters
+    ----------
+    index : int
+        Which flight.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Three panels.
+    """
+    from matplotlib.figure import Figure
+
+    old, new = trace(_judged(before), index), trace(_judged(after), index)
+    figure = Figure(figsize=(11, 3.4))
+    panels = figure.subplots(1, 3)
+    figure.subplots_adjust(0.06, 0.22, 0.98, 0.92, wspace=0.18)
+    for axis, panel in enumerate(panels):
+        worst = max(old.windows, key=lambda part: float(np.mean(old.residual[part, axis] ** 2)))
+        t_s = old.t_s[worst]
+        panel.plot(t_s, np.rad2deg(old.measured_rad[worst, axis]), color=_MEASURED, lw=4, label="measured")
+        panel.plot(t_s, np.rad2deg(old.predicted_rad[worst, axis]), color=_BEFORE, lw=1.3, label="before")
+        panel.plot(t_s, np.rad2deg(new.predicted_rad[worst, axis]), color=_AFTER, lw=1.3, label="after")
+        errors_deg = [np.rad2deg(_rms(one.residual[worst, axis]) * one.sigma_rad[axis]) for one in (old, new)]
+        title = f"{AXES[axis]}: rms {errors_deg[0]:.3g} deg before, {errors_deg[1]:.3g} after"
+        panel.set_title(title, fontsize=9)
+        panel.set_xlabel("time [s]")
+        panel.grid(alpha=0.25)
+    panels[0].set_ylabel("angle [deg]")
+    lines, names = panels[0].get_legend_handles_labels()
+    figure.legend(lines, names, loc="lower center", ncols=3, fontsize=8, frameon=False)
+    return figure
+
+
+def figure_of_torque(diagnosis: Diagnosis) -> Figure:
+    """Draw the torque that each axis lacks, before and after, over time and as a spectrum.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Time on the left, spectrum on the right.
+    """
+    from matplotlib.figure import Figure
+
+    before = estimate_disturbance(Linearisation(diagnosis.search.baseline.fit))
+    after = estimate_disturbance(Linearisation(diagnosis.extended.fit))
+    figure = Figure(figsize=(11, 6.5))
+    panels = figure.subplots(3, 2, width_ratios=[2.4, 1])
+    figure.subplots_adjust(0.07, 0.08, 0.98, 0.91, wspace=0.12, hspace=0.35)
+    for axis in range(3):
+        for torque, color, label in ((before, _BEFORE, "before"), (after, _AFTER, "after")):
+            value_mNm = 1e3 * torque.value_Nm[:, axis]
+            text = f"{label}: rms {_rms(value_mNm):.3g} mN m"
+            panels[axis, 0].plot(torque.t_s, value_mNm, color=color, lw=0.7, label=text)
+            panels[axis, 1].loglog(*_spectrum(torque, axis), color=color, lw=0.9)
+        panels[axis, 0].set_ylabel(f"{AXES[axis]} [mN m]")
+        _above(panels[axis, 0])
+        for panel in panels[axis]:
+            panel.grid(alpha=0.25)
+    figure.suptitle("torque that the model lacks, over the flight fitted, and its spectrum", fontsize=11)
+    panels[0, 1].set_title("[mN m / sqrt(Hz)]", fontsize=8)
+    panels[2, 0].set_xlabel("time [s]")
+    panels[2, 1].set_xlabel("frequency [Hz]")
+    return figure
+
+
+def figure_of_ranking(rounds: tuple[Round, ...]) -> Figure:
+    """Draw the candidates of each round by their scores.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel a round; full bars are held-out scores of candidates that were refitted.
+    """
+    from matplotlib.figure import Figure
+
+    shown = rounds[:4]
+    height = 2.9 * len(shown)
+    figure = Figure(figsize=(11, height))
+    panels: Floats = np.atleast_1d(figure.subplots(len(shown), 1))
+    figure.subplots_adjust(0.3, 0.5 / height, 0.98, 1.0 - 0.3 / height, hspace=0.4)
+    for number, (one, panel) in enumerate(zip(shown, panels, strict=True), 1):
+        _rank(one, number, panel)
+    return figure
+
+
+def _rank(one: Round, number: int, panel: Axes) -> None:
+    refits = {refit.candidate.id: refit for refit in one.refits}
+    every = sorted(
+        (*one.screened[:7], *one.splines[:3]), key=lambda scored: scored.result.log_likelihood_gain
+    )
+    names = [readable_id(scored.candidate.id) for scored in every]
+    place = np.arange(len(every))
+    gains = [max(scored.result.log_likelihood_gain, 0.1) for scored in every]
+    panel.barh(place, gains, color="#dddddd", label="screened, flight fitted")
+    for row, scored in enumerate(every):
+        refit = refits.get(scored.candidate.id)
+        if refit is not None:
+            color = _AFTER if scored.candidate.id == one.taken else "#8fb3d1"
+            panel.barh(row, max(refit.evidence.held_out, 0.1), height=0.4, color=color)
+            text = f"  {refit.evidence.held_out:.0f} held out"
+            panel.text(
+                max(scored.result.log_likelihood_gain, refit.evidence.held_out, 1.0),
+                row,
+                text,
+                va="center",
+                fontsize=7,
+            )
+    panel.set_xscale("log")
+    panel.set_xlim(1.0, max(10.0, 5.0 * max(gains)))
+    panel.set_yticks(place, names, fontsize=8)
+    taken = f"taken: {readable_id(one.taken)}" if one.taken else "nothing taken"
+    panel.set_title(f"round {number}: {taken}", fontsize=10, loc="left")
+    panel.set_xlabel("log likelihood ratio; grey: screened, blue: refitted, held out", fontsize=8)
+
+
+def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
+    """Draw the acceleration that each cause contributes along the flight.
+
+    Returns
+    -------
+    matplotlib.figure.Figure or None
+        Difference of accelerations with and without each cause; None without causes.
+    """
+    from matplotlib.figure import Figure
+
+    from heli_lab.diagnose.effect_contribution import accelerations
+
+    if not diagnosis.verdict.causes:
+        return None
+    figure = Figure(figsize=(11, 5.5))
+    panels = figure.subplots(3, 1, sharex=True)
+    figure.subplots_adjust(0.08, 0.09, 0.98, 0.9, hspace=0.3)
+    for number, found in enumerate(diagnosis.verdict.causes):
+        t_s, change = accelerations(diagnosis.extended.fit, found.candidate.id)
+        for axis, panel in enumerate(panels):
+            degrees = np.rad2deg(change[:, axis])
+            size = f"rms {_rms(degrees):.3g} deg/s$^2$" if degrees.any() else "none of its own"
+            text = f"{found.candidate.id}: {size}"
+            panel.plot(t_s, degrees, lw=0.7, color=f"C{number}", label=text)
+    for axis, panel in enumerate(panels):
+        panel.set_ylabel(f"{AXES[axis]} [deg/s$^2$]")
+        panel.grid(alpha=0.25)
+        _above(panel)
+    figure.suptitle("acceleration that each cause makes over the flight fitted", fontsize=11)
+    panels[-1].set_xlabel("time [s]")
+    return figure
+
+
+def figure_of_curves(curves: Sequence[SplineCurve]) -> Figure:
+    """Draw the spline terms that stand for causes outside the catalogue.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel a curve, with twice its standard error.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 3.4))
+    panels = np.atleast_1d(figure.subplots(1, len(curves)))
+    figure.subplots_adjust(0.08, 0.16, 0.98, 0.92, wspace=0.25)
+    for curve, panel in zip(curves, panels, strict=True):
+        low, high = curve.value - 2.0 * curve.std, curve.value + 2.0 * curve.std
+        panel.fill_between(curve.place, low, high, color=_AFTER, alpha=0.2, lw=0)
+        panel.plot(curve.place, curve.value, color=_AFTER)
+        panel.set_xlabel(f"{curve.on} [{curve.place_unit}]")
+        panel.set_ylabel(f"{curve.channel} [{curve.value_unit}]")
+        panel.grid(alpha=0.25)
+    return figure
+
+
+def figure_of_equation(latex: str) -> Figure | None:
+    """Set an equation.
+
+    Parameters
+    ----------
+    latex : str
+        LaTeX, without dollars.
+
+    Returns
+    -------
+    matplotlib.figure.Figure or None
+        As small as the equation; None where matplotlib cannot set it.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.mathtext import MathTextParser
+
+    text = "$" + latex.replace("\\boldsymbol", "\\mathbf") + "$"
+    try:
+        width, height, depth, *_ = MathTextParser("path").parse(text, dpi=72)
+    except ValueError:
+        return None
+    scale = _EQUATION_POINTS / 10.0 / 72.0
+    figure = Figure(figsize=(width * scale + 0.1, (height + depth) * scale + 0.1))
+    figure.text(0.5, 0.5, text, ha="center", va="center", fontsize=_EQUATION_POINTS)
+    return figure
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _beside(panel: Axes) -> None:
+    """A legend that hides no data."""
+    panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.03), fontsize=8, frameon=False)
+
+
+def _above(panel: Axes) -> None:
+    """A legend that hides no data, in a line over the panel."""
+    place = (1.0, 0.97)
+    panel.legend(loc="lower right", bbox_to_anchor=place, ncols=4, fontsize=8, frameon=False)
+
+
+def _deg(angles_rad: Floats, axis: int, keep: slice) -> Floats:
+    result: Floats = np.rad2deg(angles_rad[keep, axis])
+    return result
+
+
+def _broken(one: Trace, axis: int) -> tuple[Floats, Floats]:
+    """A prediction with a gap between windows."""
+    t_s: list[Floats] = []
+    values: list[Floats] = []
+    for window in one.windows:
+        step = max(1, len(one.t_s) // _MOST_POINTS)
+        part = slice(window.start, window.stop, step)
+        t_s += [one.t_s[part], one.t_s[window.stop - 1 : window.stop]]
+        values += [np.rad2deg(one.predicted_rad[part, axis]), np.array([np.nan])]
+    return np.concatenate(t_s), np.concatenate(values)
+
+
+def _spectrum(torque: DisturbanceTorque, axis: int) -> tuple[Floats, Floats]:
+    value = 1e3 * torque.value_Nm[:, axis]
+    step_s = float(np.median(np.diff(torque.t_s)))
+    size = min(len(value), 1 << 10)
+    parts = [value[i : i + size] for i in range(0, len(value) - size + 1, size // 2)]
+    window = np.hanning(size)
+    power = np.mean([np.abs(np.fft.rfft((p - p.mean()) * window)) ** 2 for p in parts], axis=0)
+    density: Floats = np.sqrt(2.0 * power * step_s / np.sum(window**2)).astype(np.float64)
+    frequency: Floats = np.fft.rfftfreq(size, step_s).astype(np.float64)
+    keep = (frequency > 0.0) & (frequency < 20.0)
+    return frequency[keep], np.maximum(density[keep], 1e-6)

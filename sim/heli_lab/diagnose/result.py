@@ -1,0 +1,209 @@
+"""The result of a diagnosis as data, and the extended rig that can be flown.
+
+`summary.py` puts it in sentences, `serialize.py` in JSON, `report.py` on a page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from heli_sim.model.effects import EffectKind, effect_numbers
+from heli_sim.rig import Number, Rig
+
+from heli_lab.diagnose.absent_terms import AbsentTerm
+from heli_lab.diagnose.error_reduction import ErrorReduction
+from heli_lab.diagnose.experiment_design import ExperimentDesign
+from heli_lab.diagnose.model_comparison import Hypothesis
+from heli_lab.diagnose.residual_analysis import ResidualAnalysis
+from heli_lab.diagnose.search_record import Cause, Search
+from heli_lab.diagnose.spline_curve import SplineCurve, spline_curve_of
+from heli_lab.diagnose.spline_term import SplineTerm
+from heli_lab.diagnose.thresholds import FEW_WINDOWS
+from heli_lab.diagnose.verdict import Verdict
+from heli_lab.identify import Fit
+from heli_lab.identify.result import Identification
+
+METRIC: Final = "2 s free-run rms on the validation flights, deg"
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Everything that a diagnosis found.
+
+    Parameters
+    ----------
+    residual_analysis : ResidualAnalysis
+        What the final model still lacks.
+    extended : Hypothesis
+        The model with the causes of the catalogue alone, as the extended rig flies it.
+    gains : Mapping[str, ErrorReduction]
+        Free-run errors before and after, by axis.
+    spline_gains : Mapping[str, ErrorReduction]
+        The same with the spline terms that stand for causes outside the catalogue; empty without any.
+    absent : tuple of AbsentTerm
+        Terms of the baseline whose parameters the fit estimated as zero.
+    undetectable : tuple of str
+        Effects that would not be significant in these flights at a typical size.
+    unidentifiable : tuple of str
+        Parameters of the rig that these flights do not identify.
+    skipped : tuple of str
+        Why each flight without excitation was left out.
+    next_flight : ExperimentDesign or None
+        An experiment that would tell more.
+    seconds : float
+        Time taken.
+    """
+
+    search: Search
+    verdict: Verdict
+    residual_analysis: ResidualAnalysis
+    extended: Hypothesis
+    gains: Mapping[str, ErrorReduction]
+    spline_gains: Mapping[str, ErrorReduction]
+    absent: tuple[AbsentTerm, ...]
+    kinds: Mapping[str, EffectKind]
+    undetectable: tuple[str, ...]
+    unidentifiable: tuple[str, ...]
+    skipped: tuple[str, ...]
+    next_flight: ExperimentDesign | None
+    seconds: float
+
+    def values(self, found: Cause) -> dict[str, tuple[float, float, str]]:
+        """Parameters of a cause.
+
+        Returns
+        -------
+        dict of (float, float, str)
+            Value, standard error and unit by full name.
+        """
+        kind, fit = self.kinds[found.candidate.id], self.extended.fit
+        std = stds(fit)
+        return {
+            q.name: (
+                fit.values.get(q.name, found.candidate.effect.values[q.name]),
+                std.get(q.name, 0.0),
+                q.unit,
+            )
+            for q in kind.parameters
+        }
+
+    def sentence(self, found: Cause) -> str:
+        """A cause with its parameters, in words.
+
+        Returns
+        -------
+        str
+            One sentence without its full stop.
+        """
+        numbers = self.values(found)
+        return self.kinds[found.candidate.id].describe(
+            {name: value for name, (value, _, _) in numbers.items()},
+            {name: std for name, (_, std, _) in numbers.items()},
+        )
+
+    @property
+    def label(self) -> str:
+        """The verdict."""
+        return self.verdict.label
+
+    @property
+    def curves(self) -> list[SplineCurve]:
+        """The spline terms in the place of causes outside the catalogue, the strongest first."""
+        effects = (one.candidate.effect for one in self.verdict.off_list)
+        return [spline_curve_of(one, self.search.final.fit) for one in effects if isinstance(one, SplineTerm)]
+
+    @property
+    def random_torque(self) -> dict[str, tuple[float, float, str]]:
+        """Parameters of the random torque, value, standard error and unit; empty when there is none."""
+        if not self.verdict.gust:
+            return {}
+        remaining = self.residual_analysis
+        fits = (self.search.baseline.fit, self.search.baseline.held_out_fit)
+        seconds = sum(record.used_s for fit in fits if fit is not None for record in fit.problem.records)
+        independent = max(seconds / (2.0 * remaining.correlation_time_s), 2.0)
+        prefix = f"random_torque_{remaining.axis}"
+        relative = 1.0 / np.sqrt(2.0 * independent)
+        return {
+            f"{prefix}_Nm": (remaining.sigma_Nm, remaining.sigma_Nm * float(relative), "N m"),
+            f"{prefix}_s": (
+                remaining.correlation_time_s,
+                remaining.correlation_time_s * float(2.0 * relative),
+                "s",
+            ),
+        }
+
+    @property
+    def cautions(self) -> list[str]:
+        """What weakens the result, a line each; empty when nothing does."""
+        cautions = [f"left out: {why}" for why in self.skipped]
+        held_out = self.extended.held_out_fit
+        if held_out is None:
+            cautions.append("no flight was held out: nothing here is confirmed; give one to --validate")
+        elif len(self.extended.held_out.rows) < FEW_WINDOWS:
+            seconds = sum(record.used_s for record in held_out.problem.records)
+            cautions.append(f"only {seconds:.0f} s were held out: too few for the intervals of the ratios")
+        if not self.search.complete:
+            cautions.append("the time ran out before everything was tried; give more with --budget")
+        return cautions
+
+    def rig(self, name: str) -> Rig:
+        """Make the extended rig.
+
+        Parameters
+        ----------
+        name : str
+            What the new rig is called.
+
+        Returns
+        -------
+        Rig
+            The refitted parameters, and the causes with theirs; `heli-host sil|fly --rig` flies it.
+        """
+        found = Identification(self.extended.fit, (), (), (), ()).rig(name)
+        labels = ", ".join(record.label for record in self.extended.fit.problem.records)
+        source = f"found by heli-host diagnose from {labels}"
+        effects: dict[str, Mapping[str, Number]] = dict(found.effects)
+        for one in self.verdict.causes:
+            numbers = self.values(one)
+            effects[one.candidate.id] = effect_numbers(
+                self.kinds[one.candidate.id],
+                {key: value for key, (value, _, _) in numbers.items()},
+                {key: 2.0 * std for key, (_, std, _) in numbers.items()},
+                source,
+            )
+        if self.verdict.gust:
+            numbers = self.random_torque
+            id_ = f"random_torque.{self.residual_analysis.axis}"
+            effects[id_] = effect_numbers(
+                self.kinds[id_],
+                {key: value for key, (value, _, _) in numbers.items()},
+                {key: 2.0 * std for key, (_, std, _) in numbers.items()},
+                source,
+            )
+        return Rig(found.name, found.description, found.numbers, effects, found.model)
+
+    @property
+    def metric(self) -> str:
+        """What the gains measure, with its unit."""
+        return METRIC if self.extended.held_out_fit else METRIC.replace("validation", "fitted")
+
+
+def stds(fit: Fit) -> dict[str, float]:
+    """Standard errors, none finer than what the log's sampling resolves.
+
+    Voltages are held over a sample: a time constant or a delay is uncertain by a part of it, whichever way
+    board and simulator count it.
+
+    Returns
+    -------
+    dict of float
+        By name.
+    """
+    units = {one.name: one.unit for one in fit.problem.free}
+    half_s = 0.5 * fit.problem.records[0].step_s
+    return {
+        name: float(np.hypot(std, half_s)) if units[name] == "s" else std for name, std in fit.std.items()
+    }

@@ -1,0 +1,233 @@
+"""Diagnosis from beginning to end: flights in, causes and an extended model out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from heli_host.flight import Flight
+from heli_sim.model.base import Model
+from heli_sim.model.effects import EffectKind, catalogue
+from heli_sim.rig import Rig
+
+from heli_lab.diagnose.absent_terms import absent_terms
+from heli_lab.diagnose.detectability import undetectable_effects, unidentifiable_parameters
+from heli_lab.diagnose.error_reduction import error_reduction
+from heli_lab.diagnose.experiment_design import (
+    ExperimentDesign,
+    Pair,
+    compose_experiment,
+    discriminating_experiment,
+    informative_experiment,
+)
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.residual_analysis import residual_analysis
+from heli_lab.diagnose.result import Diagnosis
+from heli_lab.diagnose.search import search
+from heli_lab.diagnose.search_record import Search
+from heli_lab.diagnose.spline_curve import spline_curve_of
+from heli_lab.diagnose.spline_term import SplineTerm
+from heli_lab.diagnose.thresholds import AMBIGUOUS, MANY_UNDETECTABLE, SHORT_s
+from heli_lab.diagnose.verdict import Verdict, ambiguous_with, judge, remains
+from heli_lab.errors import IdentifyError, NotExcited
+from heli_lab.identify import Record, prepare
+
+_MIN_FOR_EXPERIMENTS_s, _MAX_FOR_EXPERIMENTS_s = 5.0, 25.0
+"""Time for simulating experiments: at least one is simulated, however much of the budget is gone."""
+
+
+def diagnose(
+    model: Model,
+    rig: Rig,
+    flights: Sequence[Flight | Record],
+    validation: Sequence[Flight | Record] = (),
+    *,
+    kinds: Mapping[str, EffectKind] | None = None,
+    labels: Sequence[str] | None = None,
+    start_s: float | None = None,
+    stop_s: float | None = None,
+    seed: int = 0,
+    seconds: float = float("inf"),
+    say: Callable[[str, float], None] | None = None,
+) -> Diagnosis:
+    """Find what a model lacks.
+
+    Parameters
+    ----------
+    model : Model
+        The model, with effects that are known beforehand.
+    rig : Rig
+        Start values and priors of its parameters.
+    kinds : Mapping[str, EffectKind], optional
+        The catalogue; the package's own where not given.
+    labels : sequence of str, optional
+        Names of all flights, those to fit first.
+    start_s, stop_s : float, optional
+        Use only this part of the flights to fit.
+    seed : int
+        Seed of the bootstrap behind the intervals.
+    seconds : float
+        Time limit, nearly kept; the result says whether everything was tried.
+    say : callable, optional
+        Called with what is being done, and the share of the work that is done, 0 to 1.
+
+    Raises
+    ------
+    NotExcited
+        When nothing flies in the flights to fit; `insufficient_excitation` makes the result for it.
+    IdentifyError
+        When a flight cannot be used, or is given both to fit and to validate.
+    """
+    started_s = time.perf_counter()
+    tell = say or (lambda _what, _share: None)
+    every = catalogue() if kinds is None else dict(kinds)
+    names = list(labels or [f"flight {i + 1}" for i in range(len(flights) + len(validation))])
+    train, lost = _ready(flights, names[: len(flights)], rig, start_s, stop_s)
+    if not train:
+        raise lost[0]
+    held_out, lost_held = _ready(validation, names[len(flights) :], rig, None, None)
+    _refuse_twins(train, held_out)
+    comparison = Comparison(model, rig, train, held_out, seed=seed)
+    known = {effect.name for effect in model.effects}
+    tried = {id_: kind for id_, kind in every.items() if _candidate(kind, model, known)}
+    left_s = seconds - (time.perf_counter() - started_s)
+    found = search(comparison, tried, removable=tuple(every.values()), say=tell, seconds=left_s)
+    tell("looking at what remains", 0.9)
+    remaining = residual_analysis(found.screening, found.disturbance if remains(found) else None)
+    extended = _extended(comparison, found)
+    absent = absent_terms(extended.fit, rig, every)
+    verdict = judge(found, remaining, bool(absent))
+    undetectable = undetectable_effects(found.rounds[-1].screened, every)
+    return Diagnosis(
+        found,
+        verdict,
+        remaining,
+        extended,
+        error_reduction(found.baseline, extended, seed),
+        error_reduction(found.baseline, found.final, seed) if verdict.off_list else {},
+        absent,
+        every,
+        undetectable,
+        tuple(unidentifiable_parameters(found.baseline.fit)),
+        tuple(str(one) for one in (*lost, *lost_held)),
+        _next(comparison, verdict, found, extended, every, undetectable, started_s + seconds),
+        time.perf_counter() - started_s,
+    )
+
+
+def _candidate(kind: EffectKind, model: Model, known: set[str]) -> bool:
+    """Whether an effect is searched for; a removed term whose parameter is free shows in the fit itself."""
+    if not kind.suits(model) or kind.id in known or kind.noise_inputs:
+        return False
+    return not kind.baseline or (not kind.override and model.name != "multibody")
+
+
+def _next(
+    comparison: Comparison,
+    verdict: Verdict,
+    found: Search,
+    extended: Hypothesis,
+    kinds: Mapping[str, EffectKind],
+    undetectable: Sequence[str],
+    until_s: float,
+) -> ExperimentDesign | None:
+    """The experiment that would tell more, where these flights left something open."""
+    pair = _pair(comparison, verdict, found, extended) if verdict.label == "ambiguous" else None
+    if pair is not None:
+        stop_s = max(until_s, time.perf_counter() + _MIN_FOR_EXPERIMENTS_s)
+        stop_s = min(stop_s, time.perf_counter() + _MAX_FOR_EXPERIMENTS_s)
+        return discriminating_experiment(
+            pair, comparison, kinds, AMBIGUOUS, lambda: time.perf_counter() < stop_s
+        )
+    if verdict.label == "unexplained":
+        on = {one.candidate.id.rpartition(":")[2] for one in verdict.off_list}
+        parts = {part for part in ("travel", "elevation", "time") if any(part in name for name in on)}
+        parts |= {"motors"} if any("thrust" in name for name in on) or not on else set()
+        curves = [
+            spline_curve_of(effect, found.final.fit)
+            for effect in (one.candidate.effect for one in verdict.off_list)
+            if isinstance(effect, SplineTerm)
+        ]
+        covered = " and ".join(
+            f"{one.on} only from {one.place[0]:.3g} to {one.place[-1]:.3g} {one.place_unit}" for one in curves
+        )
+        reason = "What is missing should be seen over a wider range"
+        return compose_experiment(
+            f"{reason}: these flights have {covered}." if covered else f"{reason}.", parts
+        )
+    seconds = sum(record.used_s for record in found.baseline.fit.problem.records)
+    if seconds < SHORT_s or len(undetectable) > MANY_UNDETECTABLE:
+        which = ", ".join(undetectable) or "small effects"
+        return informative_experiment(
+            f"{seconds:.0f} s of free flight show too little to tell about {which}.",
+            undetectable,
+            found.baseline,
+            kinds,
+        )
+    return None
+
+
+def _pair(comparison: Comparison, verdict: Verdict, found: Search, extended: Hypothesis) -> Pair | None:
+    """The least certain cause and its closest alternative, both fitted in the place of the same effect."""
+    unclear = [one for one in verdict.causes if ambiguous_with(one)]
+    if not unclear:
+        return None
+    one = min(unclear, key=lambda cause: cause.alternatives[0].log_likelihood_ratio)
+    alternative = one.alternatives[0]
+    refit = next(
+        (
+            refit
+            for tried in found.rounds
+            if tried.taken == one.candidate.id
+            for refit in tried.refits
+            if refit.candidate.id == alternative.id
+        ),
+        None,
+    )
+    if refit is None:
+        return None
+    rest = [candidate for candidate in extended.candidates if candidate.id != one.candidate.id]
+    second = refit.hypothesis
+    if rest:
+        second = comparison.refit([*rest, refit.candidate], {**extended.fit.values, **second.fit.values})
+    return Pair(extended, second, (one.candidate.id, alternative.id), alternative.log_likelihood_ratio)
+
+
+def _extended(comparison: Comparison, found: Search) -> Hypothesis:
+    """The final model without spline terms, which no simulator flies."""
+    named = [candidate for candidate in found.final.candidates if not candidate.is_spline]
+    if len(named) == len(found.final.candidates):
+        return found.final
+    if not named:
+        return found.baseline
+    return comparison.refit(named, found.final.fit.values)
+
+
+def _ready(
+    flights: Sequence[Flight | Record],
+    labels: Sequence[str],
+    rig: Rig,
+    start_s: float | None,
+    stop_s: float | None,
+) -> tuple[list[Record], list[NotExcited]]:
+    """Flights that can be fitted, and what is wrong with those without excitation."""
+    records, lost = [], []
+    for flight, label in zip(flights, labels, strict=True):
+        if isinstance(flight, Record):
+            records.append(flight)
+            continue
+        try:
+            records.append(prepare(flight, rig, label, start_s=start_s, stop_s=stop_s))
+        except NotExcited as nothing:
+            lost.append(nothing)
+    return records, lost
+
+
+def _refuse_twins(train: Sequence[Record], held_out: Sequence[Record]) -> None:
+    for one in train:
+        for other in held_out:
+            if np.array_equal(one.angles_rad, other.angles_rad):
+                raise IdentifyError(
+                    f"{other.label} is both fitted and validated on; give another flight to --validate"
+                )

@@ -1,0 +1,299 @@
+"""A diagnosis as JSON for other programs; docs/diagnosing.md describes the keys."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from heli_sim.model.parts import AXES
+
+from heli_lab.diagnose.error_reduction import ErrorReduction
+from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
+from heli_lab.diagnose.model_comparison import Errors
+from heli_lab.diagnose.residual_analysis import correlates
+from heli_lab.diagnose.result import METRIC, Diagnosis
+from heli_lab.diagnose.thresholds import CONFIDENCE_BESIDE_UNKNOWN, CONFIDENCE_GUST, MIN_UNEXPLAINED
+from heli_lab.diagnose.verdict import ambiguous_with, confidence
+from heli_lab.identify import check
+
+
+def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
+    """Write a result as lists, dicts and numbers.
+
+    Parameters
+    ----------
+    result : Diagnosis or InsufficientExcitation
+        The result; where nothing was excited, numbers are null.
+
+    Returns
+    -------
+    dict
+        verdict, causes, residual, gain, unexplained, next_flight and more.
+    """
+    if isinstance(result, InsufficientExcitation):
+        return _of_insufficient_excitation(result)
+    asked = result.next_flight
+    return {
+        "verdict": result.label,
+        "causes": causes(result),
+        "residual": residual(result),
+        "gain": {"metric": result.metric, "axis": gains(result.gains)},
+        "unexplained": unexplained(result),
+        "next_flight": {"why": asked.why, "plan": asked.plan} if asked else None,
+        "undetectable": list(result.undetectable),
+        "unidentifiable": list(result.unidentifiable),
+        "cautions": result.cautions,
+        "flights": flights(result),
+        "ranking": ranking(result),
+        "seconds_taken": result.seconds,
+        "complete": result.search.complete,
+    }
+
+
+def _of_insufficient_excitation(result: InsufficientExcitation) -> dict[str, Any]:
+    unknown = {"before": None, "after": None}
+    return {
+        "verdict": result.label,
+        "causes": [],
+        "residual": {"axis": dict.fromkeys(AXES, unknown), "normalised": unknown, "white": {}},
+        "gain": {
+            "metric": METRIC,
+            "axis": {axis: {**unknown, "ratio": None, "interval95": None} for axis in AXES},
+        },
+        "unexplained": None,
+        "next_flight": {"why": result.next_flight.why, "plan": result.next_flight.plan},
+        "why": result.why,
+        "undetectable": list(result.undetectable),
+        "unidentifiable": list(result.unidentifiable),
+        "cautions": [],
+        "flights": [],
+        "ranking": [],
+        "complete": True,
+    }
+
+
+def causes(found: Diagnosis) -> list[dict[str, Any]]:
+    """Write the causes.
+
+    Returns
+    -------
+    list of dict
+        Effect, parameters, confidence, sentence, equation, evidence and alternatives of each, strongest
+        first.
+    """
+    causes: list[dict[str, Any]] = []
+    unexplained = found.verdict.label == "unexplained"
+    beside = CONFIDENCE_BESIDE_UNKNOWN if unexplained else 1.0
+    for one in found.verdict.causes:
+        causes.append(
+            {
+                "effect": one.candidate.id,
+                "parameters": _parameters(found.values(one)),
+                "confidence": round(confidence(one, found.search, unexplained), 3),
+                "sentence": found.sentence(one),
+                "equation": found.kinds[one.candidate.id].equation,
+                "evidence": {
+                    "log_likelihood_ratio_train": one.evidence.train,
+                    "log_likelihood_ratio_held_out": one.evidence.held_out,
+                    "held_out_5_percent": one.evidence.held_out_low,
+                    "penalty": one.penalty,
+                    "variance_reduction": one.evidence.variance_reduction,
+                    "alternatives": {other.id: other.log_likelihood_ratio for other in one.alternatives},
+                },
+                "ambiguous_with": ambiguous_with(one),
+            }
+        )
+    if found.verdict.gust:
+        id_ = f"random_torque.{found.residual_analysis.axis}"
+        causes.append(
+            {
+                "effect": id_,
+                "parameters": _parameters(found.random_torque),
+                "confidence": CONFIDENCE_GUST,
+                "sentence": found.kinds[id_].describe(
+                    {key: value for key, (value, _, _) in found.random_torque.items()},
+                    {key: std for key, (_, std, _) in found.random_torque.items()},
+                ),
+                "equation": found.kinds[id_].equation,
+                "evidence": {
+                    "sigma_over_std": found.residual_analysis.sigma_over_std,
+                    "log_likelihood_ratio": found.residual_analysis.gain_over_none,
+                    "log_likelihood_ratio_to_all_axes": found.residual_analysis.loss_to_all_axes,
+                },
+                "ambiguous_with": [],
+            }
+        )
+    for term in found.absent:
+        kind = found.kinds[term.id]
+        (name,) = kind.size
+        causes.append(
+            {
+                "effect": term.id,
+                "parameters": _parameters({name: (term.share, term.std, "1")}),
+                "confidence": round(term.confidence * beside, 3),
+                "sentence": kind.describe({name: term.share}, {name: term.std}),
+                "equation": kind.equation,
+                "evidence": {
+                    "standard_errors_from_zero": term.z_from_zero,
+                    "standard_errors_from_rig": term.z_from_rig,
+                },
+                "ambiguous_with": [],
+            }
+        )
+    return causes
+
+
+def residual(found: Diagnosis) -> dict[str, Any]:
+    """Write the errors before and after.
+
+    Returns
+    -------
+    dict
+        Normalised errors by axis and of all, and whether they are white.
+    """
+    before, after = found.search.baseline, found.extended
+    white, correlation = {}, {}
+    for role, before_fit, after_fit in (
+        ("train", before.fit, after.fit),
+        ("held_out", before.held_out_fit, after.held_out_fit),
+    ):
+        if before_fit is not None and after_fit is not None:
+            checks = {"before": check(before_fit), "after": check(after_fit)}
+            white[role] = {when: one.white for when, one in checks.items()}
+            correlation[role] = {when: one.correlation for when, one in checks.items()}
+    return {
+        "axis": {
+            axis: {
+                "before": float(before.train.axis_normalised[i]),
+                "after": float(after.train.axis_normalised[i]),
+            }
+            for i, axis in enumerate(AXES)
+        },
+        "normalised": {
+            "before": before.train.normalised,
+            "after": after.train.normalised,
+            "held_out_before": before.held_out.normalised,
+            "held_out_after": after.held_out.normalised,
+        },
+        "white": white,
+        "correlation": correlation,
+    }
+
+
+def unexplained(found: Diagnosis) -> dict[str, Any] | None:
+    """Write what no effect explains.
+
+    Returns
+    -------
+    dict or None
+        Axis, what it correlates with and its share; None when nothing is.
+    """
+    after = found.extended.train
+    excess = float(1.0 - 1.0 / max(after.normalised**2, 1.0))
+    if not found.verdict.off_list:
+        if found.verdict.label in ("explained",) or excess < MIN_UNEXPLAINED or found.verdict.gust:
+            return None
+        named = [one.what for one in found.residual_analysis.dependences] or correlates(
+            found.search.screening.splines()
+        )
+        return {
+            "axis": found.residual_analysis.axis,
+            "correlates_with": named,
+            "share_of_variance": round(excess, 4),
+            "sigma_Nm": found.residual_analysis.sigma_Nm,
+        }
+    strongest = found.verdict.off_list[0]
+    _, channel, on = strongest.candidate.id.split(":")
+    first = next(r for r in found.search.rounds if r.taken == strongest.candidate.id)
+    others = [name for name in correlates(first.splines) if name != f"{channel} on {on}"]
+    where = channel.rpartition(".")[2]
+    axis = where if where in AXES else ("pitch" if where == "difference" else "elevation")
+    base, final = found.search.baseline.train, found.search.final.train
+    return {
+        "axis": axis,
+        "channel": channel,
+        "correlates_with": [f"{channel} on {on}", *others],
+        "share_of_variance": round(_share(base, final, axis), 4),
+        "splines": [one.candidate.id.removeprefix("spline:") for one in found.verdict.off_list],
+        "gain_with_splines": gains(found.spline_gains),
+    }
+
+
+def flights(found: Diagnosis) -> list[dict[str, Any]]:
+    """Write which parts of the flights were used.
+
+    Returns
+    -------
+    list of dict
+        One a flight.
+    """
+    flights = []
+    held_out = found.search.baseline.held_out_fit
+    for role, fit in (("train", found.search.baseline.fit), ("held_out", held_out)):
+        for record in fit.problem.records if fit is not None else ():
+            flights.append(
+                {
+                    "flight": record.label,
+                    "role": role,
+                    "seconds_used": record.used_s,
+                    "used": [[float(record.t_s[a]), float(record.t_s[b - 1])] for a, b in record.segments],
+                    "left_out": [{"from_s": c.start_s, "to_s": c.stop_s, "why": c.why} for c in record.cuts],
+                    "notes": list(record.notes),
+                }
+            )
+    return flights
+
+
+def ranking(found: Diagnosis) -> list[dict[str, Any]]:
+    """Write the candidates with their scores.
+
+    Returns
+    -------
+    list of dict
+        One a candidate and round.
+    """
+    rows = []
+    for number, one in enumerate(found.search.rounds, 1):
+        tried = {refit.candidate.id: refit for refit in one.refits}
+        for scored in (*one.screened[:8], *one.splines[:3]):
+            refit = tried.get(scored.candidate.id)
+            rows.append(
+                {
+                    "round": number,
+                    "candidate": scored.candidate.id,
+                    "score": scored.result.log_likelihood_gain,
+                    "train": refit.evidence.train if refit else None,
+                    "held_out": refit.evidence.held_out if refit else None,
+                    "penalty": refit.penalty if refit else None,
+                    "taken": scored.candidate.id == one.taken,
+                }
+            )
+    return rows
+
+
+def _parameters(values: Mapping[str, tuple[float, float, str]]) -> dict[str, dict[str, float | str]]:
+    return {name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in values.items()}
+
+
+def gains(measured: Mapping[str, ErrorReduction]) -> dict[str, dict[str, Any]]:
+    """Write free-run errors before and after.
+
+    Returns
+    -------
+    dict
+        before, after, ratio and interval95 of each axis.
+    """
+    return {
+        axis: {
+            "before": one.before_deg,
+            "after": one.after_deg,
+            "ratio": one.ratio,
+            "interval95": list(one.interval95),
+        }
+        for axis, one in measured.items()
+    }
+
+
+def _share(before: Errors, after: Errors, axis: str) -> float:
+    i = AXES.index(axis)
+    return float(max(0.0, 1.0 - after.variance[i] / before.variance[i]))

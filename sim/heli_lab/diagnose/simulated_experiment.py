@@ -1,0 +1,116 @@
+"""Simulated experiments: a plan flown by the flight code on the simulated board, on the rig as a fit has
+it.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from heli_host.errors import HeliError
+from heli_host.flight import Flight
+from heli_host.fly.plan import Plan
+from heli_host.fly.runner import fly
+from heli_host.heli import Heli
+from heli_host.link.session import Session
+from heli_host.log.flight_file import read_flight
+from heli_sim.errors import SimError
+from heli_sim.model.linear import trim
+from heli_sim.plant import Plant
+from heli_sim.sil.inprocess import InProcessTransport
+from heli_sim.sil.options import SilOptions
+from heli_sim.sil.world import SilWorld
+
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.identify import Fit, Record, prepare
+from heli_lab.identify.result import Identification
+
+_DECIMATION: Final = 2
+"""The board logs each millisecond; fits are as good with every second one, in half the time."""
+_FAILED_FIT: Final = 1.1
+"""Normalised error from which on a fit of the true model has failed, so that the comparison means nothing."""
+
+
+def simulate_experiment(fit: Fit, plan: str, seed: int = 0) -> Record | None:
+    """Fly a plan on the rig as a fit has it.
+
+    Parameters
+    ----------
+    fit : Fit
+        Model, its effects and the rig's parameters.
+    plan : str
+        The plan, TOML.
+    seed : int
+        Seed of where the encoders start.
+
+    Returns
+    -------
+    Record or None
+        The flight, ready for fitting; None when this rig cannot fly the plan.
+    """
+    rig = Identification(fit, (), (), (), ()).rig("simulated")
+    values = fit.values
+    model = fit.problem.model
+    effects = tuple(
+        replace(effect, values={name: values.get(name, was) for name, was in effect.values.items()})
+        for effect in model.effects
+    )
+    try:
+        plant = Plant(type(model)(effects), rig, seed)
+        volts_V = trim(type(model)(), rig).volts_V
+        world = SilWorld(SilOptions(seed=seed), plant)
+        session = Session(InProcessTransport(world))
+        session.connect()
+        with tempfile.TemporaryDirectory() as folder, Heli(session) as heli:
+            # What the operator of this rig would have set: its hover voltage, and how far off its arm may
+            # rest.
+            heli.params["hover_V"] = float(sum(volts_V)) - 2.0 * rig["dead_zone"].value
+            heli.params["arm_elevation_tolerance_deg"] = 20.0
+            path = Path(folder) / "flight.mcap"
+            summary = fly(heli, Plan.parse(plan, "next flight"), log_path=path)
+            if not summary.completed and "landing" not in summary.outcome:
+                return None
+            return prepare(_thinned(read_flight(path)), rig, "simulated")
+    except (HeliError, SimError):
+        return None
+
+
+def expected_log_likelihood_ratio(
+    truth: Hypothesis, alternative: Hypothesis, comparison: Comparison, plan: str, seed: int = 0
+) -> float | None:
+    """Log-likelihood ratio of two hypotheses expected of a plan, with one of them true.
+
+    Parameters
+    ----------
+    truth, alternative : Hypothesis
+        The one that is flown, and the one that is fitted to the flight in its place. All parameters of both
+        are refitted with the rig's priors: this is what the new flight tells by itself.
+    plan : str
+        The plan, TOML.
+    seed : int
+        Seed of where the encoders start.
+
+    Returns
+    -------
+    float or None
+        In nats, with the effective number of rows; None when the plan cannot be flown or fitted.
+    """
+    record = simulate_experiment(truth.fit, plan, seed)
+    if record is None:
+        return None
+    new = Comparison(comparison.model, comparison.rig, [record], (), comparison.window_s, comparison.seed)
+    try:
+        more = new.refit(truth.candidates, truth.fit.values)
+        less = new.refit(alternative.candidates, alternative.fit.values)
+    except SimError:
+        return None
+    return None if more.train.normalised > _FAILED_FIT else new.evidence(more, less).train
+
+
+def _thinned(flight: Flight) -> Flight:
+    rows = len(flight) // _DECIMATION * _DECIMATION
+    mean_V = flight.voltages_V[:rows].reshape(-1, _DECIMATION, 2).mean(axis=1)
+    kept = slice(0, rows, _DECIMATION)
+    return Flight(flight.t_s[kept], mean_V[:, 0], mean_V[:, 1], *flight.angles_rad[kept].T)

@@ -1,0 +1,80 @@
+"""Spline terms of a fit as curves in units for people."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from heli_lab.diagnose.spline_term import KNOTS, QUANTITIES, SplineTerm, bspline_basis
+from heli_lab.identify import Fit
+from heli_lab.identify.functions import Floats
+
+_DRAWN: Final = 200
+"""Points that a curve is drawn with."""
+_SHOWN: Final = {
+    "rad": (180.0 / np.pi, "deg"),
+    "rad/s": (180.0 / np.pi, "deg/s"),
+    "N m": (1e3, "mN m"),
+    "1": (100.0, "%"),
+}
+
+
+@dataclass(frozen=True)
+class SplineCurve:
+    """A torque, a share of the thrust or an angle as a curve of one quantity.
+
+    Parameters
+    ----------
+    channel : str
+        Where it acts, such as ``torque.pitch``.
+    on : str
+        The quantity that it depends on, such as ``elevation``.
+    place, value, std : ndarray (n,)
+        The quantity over its range in the flights fitted, the curve about its mean, and its standard error.
+    place_unit, value_unit : str
+        Their units: degrees, mN m, per cent.
+    """
+
+    channel: str
+    on: str
+    place: Floats
+    value: Floats
+    std: Floats
+    place_unit: str
+    value_unit: str
+
+    @property
+    def what(self) -> str:
+        """The curve in words with its range and its values."""
+        return (
+            f"{self.channel} on {self.on}, seen from {self.place[0]:.3g} to {self.place[-1]:.3g} "
+            f"{self.place_unit}: {self.value.min():.2g} to {self.value.max():.2g} {self.value_unit}"
+        )
+
+
+def spline_curve_of(effect: SplineTerm, fit: Fit) -> SplineCurve:
+    """Evaluate a spline term with the coefficients of a fit."""
+    low, step = effect.values[f"{effect.name}_low"], effect.values[f"{effect.name}_step"]
+    place = np.linspace(low, low + step * (KNOTS - 3), _DRAWN)
+    weights = bspline_basis(place, low, step)
+    # A constant torque, thrust or angle is a parameter of the rig: only what varies is the curve's own.
+    weights -= weights.mean(axis=0)
+    names = [one.name for one in fit.problem.free]
+    columns = [names.index(f"{effect.name}_{i}") for i in range(KNOTS)]
+    covariance = fit.covariance[np.ix_(columns, columns)]
+    variance = np.einsum("ni,ij,nj->n", weights, covariance, weights)
+    unit = next(q.unit for q in effect.parameters if q.name == f"{effect.name}_0")
+    on_unit = QUANTITIES[effect.on][1]
+    factor, value_unit = _SHOWN.get(unit, (1.0, unit))
+    on_factor, place_unit = _SHOWN.get(on_unit, (1.0, on_unit))
+    return SplineCurve(
+        effect.channel,
+        effect.on,
+        on_factor * place,
+        factor * (weights @ fit.theta[columns]),
+        factor * np.sqrt(np.maximum(variance, 0.0)),
+        place_unit,
+        value_unit,
+    )

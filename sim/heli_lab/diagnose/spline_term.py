@@ -1,0 +1,285 @@
+"""Spline terms: alternative hypotheses without an equation, for what is not in the catalogue.
+
+A spline term lets a torque, the thrust or a measured angle depend on one quantity as a cubic B-spline. An
+effect that explains the flights must predict at least as well as such a curve on any quantity; where a curve
+does much better, the cause is not in the catalogue, and the curve is what is reported of it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import casadi as ca
+import numpy as np
+from heli_sim.model.base import Effect, Model, Operands
+from heli_sim.model.parts import AXES
+from heli_sim.model.parts import thrust_N as static_thrust_N
+from heli_sim.rig.quantity import Prior, Quantity
+
+from heli_lab.diagnose.linearisation import MapEvaluator, Trajectory
+from heli_lab.identify.functions import Floats
+
+KNOTS: Final = 8
+"""Basis functions of a curve. By judgement: fewer follow no kink or bump, more pay a higher penalty."""
+_TAIL: Final = 0.005
+"""Share of the flight beyond each end of the curve, where it is constant: a few samples do not stretch it."""
+# Prior standard deviations of a coefficient: about what holds the arm up, and what no machine exceeds by
+# judgement. Smaller: large unlisted effects are not followed. Larger: badly covered coefficients run away.
+_TORQUE_Nm: Final = 0.3
+_SHARE: Final = 0.2
+_ANGLE_rad: Final = 0.02
+
+_UNITS: Final = {
+    "torque": ("N m", _TORQUE_Nm),
+    "thrust": ("1", _SHARE),
+    "measurement": ("rad", _ANGLE_rad),
+}
+
+_Expression = Callable[[Operands], ca.SX]
+
+
+def _state(name: str) -> _Expression:
+    return lambda at: at.state[name]
+
+
+def _static(at: Operands) -> ca.SX:
+    p = at.parameter
+    return static_thrust_N(at.volts_V, p["thrust_gain"], p["dead_zone"], p["reverse_thrust"])
+
+
+QUANTITIES: Final[Mapping[str, tuple[_Expression, str]]] = {
+    "elevation": (_state("elevation_rad"), "rad"),
+    "pitch": (_state("pitch_rad"), "rad"),
+    "travel": (_state("travel_rad"), "rad"),
+    "elevation_rate": (_state("elevation_rate_rad_s"), "rad/s"),
+    "pitch_rate": (_state("pitch_rate_rad_s"), "rad/s"),
+    "travel_rate": (_state("travel_rate_rad_s"), "rad/s"),
+    "thrust": (lambda at: ca.sum1(_static(at)), "N"),
+    "thrust_difference": (lambda at: _static(at)[0] - _static(at)[1], "N"),
+    "front_thrust": (lambda at: _static(at)[0], "N"),
+    "back_thrust": (lambda at: _static(at)[1], "N"),
+    "time": (lambda at: at.time_s, "s"),
+}
+"""What a spline term may depend on: its expression and its unit."""
+
+CHANNELS: Final = (
+    *(f"torque.{axis}" for axis in AXES),
+    *("thrust.both", "thrust.difference"),
+    *(f"measurement.{axis}" for axis in AXES),
+)
+"""Where a spline term may act."""
+
+
+@dataclass(frozen=True)
+class SplineTerm(Effect):
+    """A smooth dependence of one channel on one quantity.
+
+    Parameters
+    ----------
+    name, parameters, values, states, priors, delay, stage, noise_inputs, measured_as, multimodal
+        Inherited from `Effect`; `spline_term` makes them.
+    channel : str
+        One of `CHANNELS`; ``torque`` in N m, ``thrust`` as a share of itself, ``measurement`` in rad.
+    on : str
+        One of `QUANTITIES`.
+    """
+
+    channel: str = ""
+    on: str = ""
+
+    def _curve(self, at: Operands) -> ca.SX:
+        p = at.parameter
+        place = 1.0 + (QUANTITIES[self.on][0](at) - p[f"{self.name}_low"]) / p[f"{self.name}_step"]
+        place = ca.fmin(ca.fmax(place, 1.0), KNOTS - 2.0)
+        return sum((p[f"{self.name}_{i}"] * bspline(place - i) for i in range(KNOTS)), ca.SX(0))
+
+    def torque_Nm(self, at: Operands) -> ca.SX:
+        """Add the curve to its axis; see `Effect.torque_Nm`.
+
+        Returns
+        -------
+        casadi.SX
+            Torques in N m, shape (3, 1).
+        """
+        kind, where = self.channel.split(".")
+        return ca.vertcat(*(self._curve(at) if kind == "torque" and where == axis else 0 for axis in AXES))
+
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
+        """Scale the thrust by the curve; see `Effect.thrust_N`.
+
+        Parameters
+        ----------
+        thrust_N : casadi.SX
+            Thrust before, shape (2, 1).
+
+        Returns
+        -------
+        casadi.SX
+            Thrust with the curve's share, shape (2, 1).
+        """
+        kind, where = self.channel.split(".")
+        if kind != "thrust":
+            return thrust_N
+        share = self._curve(at)
+        return thrust_N * ca.vertcat(1 + share, 1 + share if where == "both" else 1 - share)
+
+    def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
+        """Add the curve to what its encoder shows; see `Effect.measured_rad`.
+
+        Parameters
+        ----------
+        angles_rad : casadi.SX
+            Angles before, shape (3, 1).
+
+        Returns
+        -------
+        casadi.SX
+            Angles with the curve, shape (3, 1).
+        """
+        kind, where = self.channel.split(".")
+        if kind != "measurement":
+            return angles_rad
+        return angles_rad + ca.vertcat(*(self._curve(at) if where == axis else 0 for axis in AXES))
+
+
+def bspline(distance: ca.SX) -> ca.SX:
+    """Cubic B-spline with knots at distance 1.
+
+    Parameters
+    ----------
+    distance : casadi.SX
+        Distance from its middle.
+
+    Returns
+    -------
+    casadi.SX
+        2/3 in the middle, 0 from distance 2 on.
+    """
+    far = ca.fmax(2.0 - ca.fabs(distance), 0.0)
+    near = ca.fmax(1.0 - ca.fabs(distance), 0.0)
+    return (far**3 - 4.0 * near**3) / 6.0
+
+
+def spline_term(channel: str, on: str, low: float, step: float, number: int = 0) -> SplineTerm:
+    """Make a spline term with all coefficients at 0.
+
+    Parameters
+    ----------
+    channel : str
+        One of `CHANNELS`.
+    on : str
+        One of `QUANTITIES`.
+    low, step : float
+        Where the curve begins, at the middle of its second basis function, and distance of the knots.
+    number : int
+        Distinguishes the spline terms of one model.
+    """
+    name = f"spline{number}"
+    unit, std = _UNITS[channel.partition(".")[0]]
+    coefficients = [Quantity(f"{name}_{i}", unit, f"coefficient {i} of the curve") for i in range(KNOTS)]
+    span = [
+        Quantity(f"{name}_low", QUANTITIES[on][1], "second knot of the curve, where it begins"),
+        Quantity(f"{name}_step", QUANTITIES[on][1], "distance of its knots"),
+    ]
+    return SplineTerm(
+        name,
+        parameters=(*coefficients, *span),
+        values={q.name: 0.0 for q in coefficients} | {f"{name}_low": low, f"{name}_step": step},
+        priors={q.name: Prior(0.0, std) for q in coefficients},
+        channel=channel,
+        on=on,
+    )
+
+
+def knot_span(values: Floats) -> tuple[float, float]:
+    """Lay the knots of a curve over the values of a quantity in a flight.
+
+    Parameters
+    ----------
+    values : ndarray (n,)
+        Values of the quantity.
+
+    Returns
+    -------
+    low, step : float
+        Second knot, and distance of the knots.
+    """
+    low, high = np.quantile(values, [_TAIL, 1.0 - _TAIL])
+    step = max(float(high - low), 1e-9) / (KNOTS - 3)
+    return float(low), step
+
+
+def bspline_basis(values: Floats, low: float, step: float) -> Floats:
+    """Evaluate the B-spline basis of a curve.
+
+    Parameters
+    ----------
+    values : ndarray (n,)
+        Values of the quantity.
+    low, step : float
+        As `knot_span` gives them.
+
+    Returns
+    -------
+    ndarray (n, KNOTS)
+        Each row sums to 1.
+    """
+    place = np.clip(1.0 + (values - low) / step, 1.0, KNOTS - 2.0)
+    distance = np.abs(place[:, None] - np.arange(KNOTS))
+    result: Floats = (np.maximum(2.0 - distance, 0.0) ** 3 - 4.0 * np.maximum(1.0 - distance, 0.0) ** 3) / 6.0
+    return result
+
+
+def quantity_values(model: Model, trajectory: Trajectory) -> dict[str, Floats]:
+    """Values of every quantity along a free run.
+
+    Returns
+    -------
+    dict of ndarray (n,)
+        By name, in the order of `QUANTITIES`.
+    """
+    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
+    t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
+    at = model.operands(x, u, p, t)
+    values = ca.vertcat(*(evaluation(at) for evaluation, _ in QUANTITIES.values()))
+    (result,) = MapEvaluator(
+        ca.Function("quantities", [x, u, t, p], [ca.densify(values)]), len(trajectory.t_s)
+    )(trajectory)
+    return dict(zip(QUANTITIES, result[:, :, 0].T, strict=True))
+
+
+def channel_quantity_pairs() -> list[tuple[str, str]]:
+    """Every spline term that is tried.
+
+    Returns
+    -------
+    list of (str, str)
+        Channel and quantity.
+    """
+    # The controller feeds the quantisation error back, so voltages are correlated with it in any flight: a
+    # measurement that depends on thrust would always be found.
+    return [
+        (channel, on)
+        for channel, on in itertools.product(CHANNELS, QUANTITIES)
+        if not (channel.startswith("measurement") and "thrust" in on)
+    ]
+
+
+def readable_id(candidate: str) -> str:
+    """Write a candidate's id for people.
+
+    Parameters
+    ----------
+    candidate : str
+        Its id.
+
+    Returns
+    -------
+    str
+        ``a curve: CHANNEL on QUANTITY`` for a spline term; an effect's id as it is.
+    """
+    kind, _, rest = candidate.partition(":")
+    return f"a curve: {rest.replace(':', ' on ')}" if kind == "spline" else candidate

@@ -1,0 +1,31 @@
+"""Finds the numbers of a model from flights, and how sure they are."""
+
+from __future__ import annotations
+
+from heli_lab.identify.check import Check, Trace, check, trace, validate
+from heli_lab.identify.fit import Budget, Fit, Progress
+from heli_lab.identify.problem import Problem
+from heli_lab.identify.record import Record, prepare
+from heli_lab.identify.screen import Score, screen
+from heli_lab.identify.solve import solve
+from heli_lab.identify.uncertainty import Combination, combinations, uninformed_parameters
+
+__all__ = [
+    "Budget",
+    "Check",
+    "Combination",
+    "Fit",
+    "Problem",
+    "Progress",
+    "Record",
+    "Score",
+    "Trace",
+    "check",
+    "combinations",
+    "prepare",
+    "screen",
+    "solve",
+    "trace",
+    "uninformed_parameters",
+    "validate",
+]

@@ -1,0 +1,107 @@
+"""Input of every kernel: rates, measurement and Jacobians of a model, and voltages of the windows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+from heli_sim.model.base import Model
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What drives the windows, one row a step; the windows' rows lie one after the other.
+
+    Within a step each voltage is a straight line: its mean and its change over the step. A step as long as
+    the flight's sample has no change; a longer one keeps the voltage's integral and the integral of that, so
+    that speeds and angles come out as under the voltages sample by sample.
+
+    Parameters
+    ----------
+    steps : ndarray of int64 (w,)
+        Number of steps of each window.
+    start_s : ndarray (w,)
+        Time of each window's first sample since the flight's first.
+    step_s : float
+        Length of a step.
+    mean_V : ndarray (n, 2)
+        Mean front and back voltage over each step.
+    change_V : ndarray (n, 2)
+        Change of the voltages from the beginning to the end of each step.
+    substeps : int
+        Runge-Kutta steps in each step.
+    shaped_by : tuple of (str, ndarray (n, 2), ndarray (n, 2))
+        Free parameters that shape the voltages, each with the derivatives of mean and change to it.
+    """
+
+    steps: Integers
+    start_s: Floats
+    step_s: float
+    mean_V: Floats
+    change_V: Floats
+    substeps: int = 1
+    shaped_by: tuple[tuple[str, Floats, Floats], ...] = ()
+
+    @property
+    def first(self) -> Integers:
+        """Row of each window's first step, shape (w,)."""
+        return np.concatenate(([0], np.cumsum(self.steps)[:-1])).astype(np.int64)
+
+    @property
+    def rows(self) -> int:
+        """Number of steps of all windows."""
+        return int(self.steps.sum())
+
+
+class Functions:
+    """Rates, measurement and their Jacobians as CasADi functions.
+
+    Parameters
+    ----------
+    free : tuple of str
+        Names of the parameters to differentiate to, in this order.
+    """
+
+    def __init__(self, model: Model, free: tuple[str, ...]) -> None:
+        names = [quantity.name for quantity in model.parameters]
+        self.state_count = len(model.states)
+        self.parameter_count = len(names)
+        self.free_index = [names.index(name) for name in free]
+        self.free = free
+        shaping = (model.delay, "dead_zone")
+        self.shaping = tuple(name for name in shaping if name in free)
+        """Free parameters that may shape the voltages, see `Inputs.shaped_by`."""
+        x, u = ca.SX.sym("x", self.state_count), ca.SX.sym("u", 2)
+        t, p = ca.SX.sym("t"), ca.SX.sym("p", len(names))
+        rates = ca.densify(model.dynamics(x, u, p, t))
+        angles = ca.densify(model.measurement(x, u, p, t))
+        to_free = [p[i] for i in self.free_index]
+        self.identity = bool(ca.is_equal(angles, x[:3], 10))
+
+        def with_derivatives(value: ca.SX) -> list[ca.SX]:
+            to_p = ca.jacobian(value, ca.vertcat(*to_free)) if to_free else ca.SX(value.numel(), 0)
+            return [value, ca.jacobian(value, x), to_p, ca.jacobian(value, u)]
+
+        def function(name: str, results: list[ca.SX]) -> ca.Function:
+            return ca.Function(name, [x, u, t, p], ca.cse(results))
+
+        self.rates = function("heli_rates", [rates])
+        self.rates_jacobian = function("heli_rates_jacobian", with_derivatives(rates))
+        self.angles = function("heli_angles", [angles])
+        self.angles_jacobian = function("heli_angles_jacobian", with_derivatives(angles))
+        reset_map = ca.densify(model.reset_map(x, u, p, t))
+        self.has_reset = not ca.is_equal(reset_map, x, 10)
+        """Whether a reset map acts on the state after each step."""
+        self.reset_map = function("heli_reset_map", [reset_map])
+        self.reset_map_jacobian = function("heli_reset_map_jacobian", with_derivatives(reset_map))
+
+    @property
+    def all(self) -> tuple[ca.Function, ...]:
+        """Every function that the loop calls."""
+        moving = (self.rates, self.rates_jacobian, self.angles, self.angles_jacobian)
+        return (*moving, self.reset_map, self.reset_map_jacobian) if self.has_reset else moving

@@ -1,0 +1,178 @@
+"""Windows over a record, and the voltages within their steps."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from heli_lab.identify.functions import Floats, Inputs, Integers
+from heli_lab.identify.record import Record
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Windows over a record at one step: what the kernel needs, and what it is compared with.
+
+    Parameters
+    ----------
+    rows : ndarray of int64 (m,)
+        Row of the flight at the beginning of each step.
+    every : int
+        Rows in a step.
+    """
+
+    record: Record
+    inputs: Inputs
+    rows: Integers
+    every: int
+
+    @property
+    def measured_rad(self) -> Floats:
+        """Angles at the beginning of each step, shape (m, 3)."""
+        return self.record.angles_rad[self.rows]
+
+    @property
+    def slices(self) -> list[slice]:
+        """Steps of each window."""
+        first = self.inputs.first
+        return [slice(int(f), int(f + n)) for f, n in zip(first, self.inputs.steps, strict=True)]
+
+    def only(self, which: Integers) -> Grid:
+        """Keep some windows.
+
+        Parameters
+        ----------
+        which : ndarray of int64 (k,)
+            Which windows, in the order wanted.
+
+        Returns
+        -------
+        Grid
+            These windows alone.
+        """
+        inputs, slices = self.inputs, self.slices
+        kept = np.concatenate([np.arange(slices[i].start, slices[i].stop) for i in which])
+        own = Inputs(
+            inputs.steps[which],
+            inputs.start_s[which],
+            inputs.step_s,
+            inputs.mean_V[kept],
+            inputs.change_V[kept],
+            inputs.substeps,
+            tuple((name, mean[kept], change[kept]) for name, mean, change in inputs.shaped_by),
+        )
+        return Grid(self.record, own, self.rows[kept], self.every)
+
+
+def window_starts(record: Record, window_s: float, every: int) -> list[tuple[int, int]]:
+    """Split the free segments into windows of nearly equal length.
+
+    Parameters
+    ----------
+    window_s : float
+        Wanted length, s.
+    every : int
+        Each window is a whole number of this many rows.
+
+    Returns
+    -------
+    list of (int, int)
+        First row and number of rows of each window.
+    """
+    windows = []
+    for start, stop in record.segments:
+        blocks = (stop - start) // every
+        count = max(1, round(blocks * every * record.step_s / window_s))
+        edges = np.linspace(0, blocks, count + 1).astype(int)
+        windows += [
+            (start + int(low) * every, int(high - low) * every)
+            for low, high in itertools.pairwise(edges)
+            if high > low
+        ]
+    return windows
+
+
+def make_grid(
+    record: Record,
+    windows: Sequence[tuple[int, int]],
+    every: int,
+    *,
+    longest_step_s: float = 0.01,
+    delay: tuple[str, float] | None = None,
+    dead_zone_V: float | None = None,
+) -> Grid:
+    """Lay a grid of steps over windows.
+
+    Parameters
+    ----------
+    windows : sequence of (int, int)
+        First row and number of rows of each window.
+    every : int
+        Rows in a step.
+    longest_step_s : float
+        Longest Runge-Kutta step.
+    delay : (str, float), optional
+        Name and value in s of the parameter that delays the voltages, for models that have one.
+    dead_zone_V : float, optional
+        Voltages below this give no thrust and are lifted to it before they are averaged over a step, so that
+        the thrust of the mean is the mean of the thrust.
+
+    Returns
+    -------
+    Grid
+        The windows with their inputs.
+    """
+    rows = np.concatenate([np.arange(first, first + count, every) for first, count in windows]).astype(
+        np.int64
+    )
+    step_s = record.step_s * every
+    volts, late_s = record.voltages_V, 0.0 if delay is None else delay[1]
+    shaped: list[tuple[str, Floats, Floats]] = []
+    if dead_zone_V is not None and every > 1:
+        below = (volts < dead_zone_V).astype(float)
+        volts = np.maximum(volts, dead_zone_V)
+        shaped.append(("dead_zone", *_ramp(below, record.step_s, rows, every, late_s)))
+    shape = _ramp(volts, record.step_s, rows, every, late_s)
+    if delay is not None:
+        half_s = 0.5 * record.step_s
+        more = _ramp(volts, record.step_s, rows, every, late_s + half_s)
+        less = _ramp(volts, record.step_s, rows, every, late_s - half_s)
+        shaped.append((delay[0], (more[0] - less[0]) / record.step_s, (more[1] - less[1]) / record.step_s))
+    inputs = Inputs(
+        np.array([count // every for _, count in windows], np.int64),
+        np.array([record.t_s[first] - record.t_s[0] for first, _ in windows]),
+        step_s,
+        *shape,
+        max(1, math.ceil(step_s / longest_step_s - 1e-9)),
+        tuple(shaped),
+    )
+    return Grid(record, inputs, rows, every)
+
+
+def _ramp(volts: Floats, dt: float, rows: Integers, every: int, delay_s: float) -> tuple[Floats, Floats]:
+    """Mean and change over each step, with the integral and the double integral of the delayed voltages."""
+    if every == 1 and delay_s == 0.0:
+        return volts[rows], np.zeros((len(rows), 2))
+    # Before the record the first voltage is taken to have acted.
+    once = np.vstack((np.zeros(2), np.cumsum(volts, axis=0))) * dt
+    twice = np.vstack((np.zeros(2), np.cumsum(0.5 * (once[1:] + once[:-1]), axis=0))) * dt
+
+    def integrals(at: Floats) -> tuple[Floats, Floats]:
+        place = np.clip(at / dt, None, len(volts) - 1e-9)
+        index = np.clip(np.floor(place + 1e-9).astype(int), 0, len(volts) - 1)
+        rest = (place - index)[:, None] * dt
+        return (
+            once[index] + volts[index] * rest,
+            twice[index] + once[index] * rest + 0.5 * volts[index] * rest**2,
+        )
+
+    start: Floats = rows.astype(float) * dt - delay_s
+    span = every * dt
+    (a1, a2), (b1, b2) = integrals(start), integrals(start + span)
+    mean = (b1 - a1) / span
+    moment = (0.5 * (a1 + b1) * span - (b2 - a2)) / span**2
+    return mean, 12.0 * moment

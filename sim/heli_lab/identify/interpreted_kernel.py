@@ -1,0 +1,119 @@
+"""The kernel without a compiler: NumPy on CasADi's virtual machine; the compiled one is tested by it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+from typing_extensions import override
+
+from heli_lab.identify.functions import Floats, Functions, Inputs, Integers
+from heli_lab.identify.windows import Kernel
+
+
+class InterpretedKernel(Kernel):
+    """Windows run in NumPy, all of them side by side, on CasADi's virtual machine."""
+
+    def __init__(self, functions: Functions) -> None:
+        self._functions = functions
+
+    @override
+    def _run(
+        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool
+    ) -> tuple[Floats, Floats | None]:
+        angles, jacobian, _ = self._loop(inputs, start, parameters, derivatives)
+        return angles, jacobian
+
+    @override
+    def _products(
+        self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
+    ) -> tuple[Floats, Floats]:
+        angles, jacobian, _ = self._loop(inputs, start, parameters, True)
+        assert jacobian is not None
+        columns = np.concatenate((jacobian, (measured_rad - angles)[:, :, None]), axis=2)
+        columns /= sigma_rad[:, None]
+        edges = np.append(inputs.first, inputs.rows)
+        parts = [columns[low:high].transpose(1, 0, 2) for low, high in itertools.pairwise(edges)]
+        return angles, np.array([part.transpose(0, 2, 1) @ part for part in parts])
+
+    @override
+    def _end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
+        return self._loop(inputs, start, parameters, False)[2]
+
+    def _loop(
+        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool
+    ) -> tuple[Floats, Floats | None, Floats]:
+        nx = self._functions.state_count
+        nz = nx + len(self._functions.free_index)
+        windows = len(inputs.steps)
+        angles = np.empty((inputs.rows, 3))
+        jacobian = np.empty((inputs.rows, 3, nz)) if derivatives else None
+        x = np.array(start, float)
+        s = np.zeros((windows, nx, nz if derivatives else 0))
+        if derivatives:
+            s[:, range(nx), range(nx)] = 1.0
+        share = 1.0 / inputs.substeps
+        h = inputs.step_s * share
+        for k in range(int(inputs.steps.max())):
+            here = np.flatnonzero(inputs.steps > k)
+            rows = inputs.first[here] + k
+            time_s = inputs.start_s[here] + k * inputs.step_s
+
+            def evaluate(
+                which: str, c: float, y: Floats, ys: Floats, rows: Integers = rows, time_s: Floats = time_s
+            ) -> tuple[Floats, Floats]:
+                u = inputs.mean_V[rows] + (c - 0.5) * inputs.change_V[rows]
+                du = {
+                    name: mean_by[rows] + (c - 0.5) * change_by[rows]
+                    for name, mean_by, change_by in inputs.shaped_by
+                }
+                return self._evaluate(which, y, u, time_s + c * inputs.step_s, parameters, ys, du)
+
+            angles[rows], evaluation = evaluate("angles", 0.0, x[here], s[here])
+            if jacobian is not None:
+                jacobian[rows] = evaluation
+            for m in range(inputs.substeps):
+                y, ys = x[here], s[here]
+                k1, s1 = evaluate("rates", m * share, y, ys)
+                k2, s2 = evaluate("rates", (m + 0.5) * share, y + h / 2 * k1, ys + h / 2 * s1)
+                k3, s3 = evaluate("rates", (m + 0.5) * share, y + h / 2 * k2, ys + h / 2 * s2)
+                k4, s4 = evaluate("rates", (m + 1) * share, y + h * k3, ys + h * s3)
+                x[here] += h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+                s[here] += h / 6 * (s1 + 2 * s2 + 2 * s3 + s4)
+                if self._functions.has_reset:
+                    x[here], s[here] = evaluate("reset_map", (m + 1) * share, x[here], s[here])
+        return angles, jacobian, x
+
+    def _evaluate(
+        self,
+        which: str,
+        x: Floats,
+        u: Floats,
+        time_s: Floats,
+        parameters: Floats,
+        s: Floats,
+        du: Mapping[str, Floats],
+    ) -> tuple[Floats, Floats]:
+        """Value (w, rows) and its derivatives through the chain (w, rows, columns)."""
+        count, nx = x.shape
+        plain: ca.Function = getattr(self._functions, which)
+        p = np.tile(parameters[:, None], count)
+        if s.shape[2] == 0:
+            alone: Floats = np.asarray(ca.DM(plain.map(count)(x.T, u.T, time_s[None], p)), float)
+            return alone.T, np.zeros((count, alone.shape[0], 0))
+        jacobian: ca.Function = getattr(self._functions, f"{which}_jacobian")
+        results = jacobian.map(count)(x.T, u.T, time_s[None], p)
+        value, fx, fp, fu = (np.asarray(ca.DM(result), float) for result in results)
+        rows = value.shape[0]
+        to_x = fx.reshape(rows, count, nx).transpose(1, 0, 2)
+        chained: Floats = to_x @ s
+        if fp.size:
+            chained[:, :, nx:] += fp.reshape(rows, count, -1).transpose(1, 0, 2)
+        for name in self._functions.shaping:
+            if name in du:
+                to_u = fu.reshape(rows, count, 2).transpose(1, 0, 2)
+                column = nx + self._functions.free.index(name)
+                chained[:, :, column] += np.einsum("wij,wj->wi", to_u, du[name])
+        return value.T, chained

@@ -1,0 +1,42 @@
+"""Free runs of a model over many windows, with exact derivatives: the inner loop of every fit.
+
+CasADi writes the rates of the state and their Jacobians as C; around them stands a short loop, also C, that
+carries the state and its sensitivities to the window's initial state and to the free parameters through
+Runge-Kutta steps of fourth order. Both are compiled together and kept in the user's cache. Without a compiler
+the same loop runs in NumPy on CasADi's virtual machine.
+"""
+
+from __future__ import annotations
+
+from heli_sim.compiled import compile_source
+from heli_sim.model.base import Model
+
+from heli_lab.identify.compiled_kernel import CompiledKernel, driver
+from heli_lab.identify.functions import Functions
+from heli_lab.identify.interpreted_kernel import InterpretedKernel
+from heli_lab.identify.windows import Kernel
+
+__all__ = ["Kernel", "kernel"]
+
+
+def kernel(model: Model, free: tuple[str, ...]) -> Kernel:
+    """Build or find the kernel of a model.
+
+    Parameters
+    ----------
+    free : tuple of str
+        Names of the parameters to differentiate to, in this order.
+
+    Returns
+    -------
+    Kernel
+        Compiled, or interpreted where there is no C compiler.
+
+    Raises
+    ------
+    PlantError
+        When the compiler fails.
+    """
+    functions = Functions(model, free)
+    library = compile_source("identify", driver(functions))
+    return InterpretedKernel(functions) if library is None else CompiledKernel(functions, str(library))

@@ -1,0 +1,364 @@
+"""The estimation problem: a model with its free parameters, and the windows of the flights."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from heli_host.flight import Flight
+from heli_sim.model.base import Model
+from heli_sim.rig import Prior, Rig
+
+from heli_lab.errors import IdentifyError
+from heli_lab.identify import thresholds
+from heli_lab.identify.free import PER_FLIGHT, FreeParameter, free_parameters
+from heli_lab.identify.functions import Floats
+from heli_lab.identify.grid import Grid, make_grid, window_starts
+from heli_lab.identify.kernel import kernel
+from heli_lab.identify.record import Record, prepare
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Residuals of one record for one guess, with the products of their derivatives.
+
+    Parameters
+    ----------
+    residual : ndarray (m, 3)
+        Measured minus predicted angle, in standard deviations of the quantisation.
+    normal_matrix : ndarray (w, 3, z + 1, z + 1) or None
+        For each window and axis, products of the columns of [Jacobian | residual], z being the number of
+        states and of the free parameters that the record depends on.
+    """
+
+    residual: Floats
+    normal_matrix: Floats | None
+
+
+class Problem:
+    """A model with free parameters, and windows of flights that it is to predict.
+
+    Each window is simulated from its own initial state, with nothing but the voltages. Residuals are in units
+    of the encoders' quantisation; numbers of the rig have normal priors whose standard deviation is half
+    their tolerance.
+
+    Parameters
+    ----------
+    rig : Rig
+        Values of everything fixed, and priors of everything free.
+    flights : sequence of Flight or Record
+        Flights; prepared ones are taken as they are.
+    free : sequence of str, optional
+        Names of the free parameters. Without it: every number of the rig that the model uses and that has a
+        tolerance, gravity excepted, and every parameter of the model's effects that has a prior.
+    per_flight : sequence of str
+        Free parameters that each flight has its own value of.
+    labels : sequence of str, optional
+        Name of each flight, for messages.
+    window_s : float
+        Length of the windows, nearly.
+    step_s : float
+        Longest Runge-Kutta step, and distance of the samples compared, of the coarse grid.
+    priors : Mapping[str, Prior], optional
+        Instead of the rig's and the effects'.
+    values : Mapping[str, float], optional
+        Values of fixed parameters instead of the rig's and the effects'.
+    state_std : Mapping[str, float], optional
+        Prior standard deviation of an effect's state at the beginning of a window about what a free run over
+        the flight before it gives, in the state's unit; else that of `thresholds.STATE_STD`.
+
+    Raises
+    ------
+    IdentifyError
+        When a parameter is unknown or lacks a prior, or a flight cannot be used.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        rig: Rig,
+        flights: Sequence[Flight | Record],
+        *,
+        free: Sequence[str] | None = None,
+        per_flight: Sequence[str] = PER_FLIGHT,
+        labels: Sequence[str] | None = None,
+        window_s: float = 2.0,
+        step_s: float = 0.01,
+        priors: Mapping[str, Prior] | None = None,
+        values: Mapping[str, float] | None = None,
+        state_std: Mapping[str, float] | None = None,
+    ) -> None:
+        self.model = model
+        self.rig = rig
+        wanted = free_parameters(model, rig, free, priors or {})
+        self.records = tuple(
+            flight
+            if isinstance(flight, Record)
+            else prepare(flight, rig, labels[i] if labels is not None else f"flight {i + 1}")
+            for i, flight in enumerate(flights)
+        )
+        if not self.records:
+            raise IdentifyError("there is no flight to identify from; give at least one")
+        if len({record.label for record in self.records}) < len(self.records):
+            raise IdentifyError("two flights have the same label; give each its own")
+        shared = [one for one in wanted if one.quantity not in per_flight]
+        local = [one for one in wanted if one.quantity in per_flight]
+        several = len(self.records) > 1
+        own = [
+            replace(one, record=index, name=f"{one.name}[{record.label}]" if several else one.name)
+            for index, record in enumerate(self.records)
+            for one in local
+        ]
+        self.free: tuple[FreeParameter, ...] = (*shared, *own)
+        self.columns = tuple(
+            np.array([i for i, one in enumerate(self.free) if one.record in (None, index)], int)
+            for index in range(len(self.records))
+        )
+        """For each record, which free parameters it depends on, in the order of the kernel."""
+        self.window_s = window_s
+        self.step_s = step_s
+        self.state_count = len(model.states)
+        thrust_N = thresholds.STATE_STD_V * rig["thrust_gain"].value
+        usual = {**thresholds.STATE_STD, "V": thresholds.STATE_STD_V, "N": thrust_N}
+        usual_std = {s.name: usual.get(s.unit, 1.0) for s in model.states[6:]}
+        self.state_std_by_name = usual_std | dict(state_std or {})
+        """Prior standard deviation of each effect's state about what the flight before its window gives."""
+        self.state_std: Floats = np.array([self.state_std_by_name[s.name] for s in model.states[6:]])
+        names = [quantity.name for quantity in model.parameters]
+        self.base: Floats = model.parameter_values(rig)
+        for name, value in (values or {}).items():
+            if name not in names:
+                raise IdentifyError(f"the model has no parameter '{name}'; names are: {', '.join(names)}")
+            self.base[names.index(name)] = value
+        self._place = np.array([names.index(one.quantity) for one in self.free], int)
+        self._delay = names.index(model.delay) if model.delay else None
+        self.kernel = kernel(model, tuple(one.quantity for one in (*shared, *local)))
+        self._one_way = "reverse_thrust" not in names or not self.base[names.index("reverse_thrust")]
+        self._one_way &= "reverse_thrust" not in self.names
+        self._dead_zone = names.index("dead_zone")
+        self._grids: dict[tuple[int, bool], tuple[object, Grid]] = {}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return tuple(one.name for one in self.free)
+
+    @property
+    def prior_mean(self) -> Floats:
+        """Means of the priors, shape (f,)."""
+        return np.array([one.prior.mean for one in self.free])
+
+    @property
+    def prior_std(self) -> Floats:
+        """Standard deviations of the priors, shape (f,)."""
+        return np.array([one.prior.std for one in self.free])
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Lowest and highest values, each of shape (f,)."""
+        return (
+            np.array([one.prior.low for one in self.free]),
+            np.array([one.prior.high for one in self.free]),
+        )
+
+    @property
+    def start(self) -> Floats:
+        """Values to start from: those of rig and effects, within the bounds; shape (f,)."""
+        result: Floats = np.clip(self.base[self._place], *self.bounds)
+        return result
+
+    def with_windows(self, window_s: float) -> Problem:
+        """Pose the same problem with windows of another length.
+
+        Parameters
+        ----------
+        window_s : float
+            Length of the windows, nearly.
+
+        Returns
+        -------
+        Problem
+            Shares records, parameters and kernel with this one.
+        """
+        other = copy.copy(self)
+        other.window_s = window_s
+        other._grids = {}
+        return other
+
+    def parameters(self, theta: Floats, index: int = 0) -> Floats:
+        """Complete a vector of free parameters.
+
+        Parameters
+        ----------
+        theta : ndarray (f,)
+            Free parameters.
+        index : int
+            For which record.
+
+        Returns
+        -------
+        ndarray (p,)
+            All parameters of the model.
+        """
+        full = self.base.copy()
+        columns = self.columns[index]
+        full[self._place[columns]] = theta[columns]
+        return full
+
+    def grid(self, index: int, fine: bool, theta: Floats) -> Grid:
+        """Windows of a record.
+
+        Parameters
+        ----------
+        index : int
+            Which record.
+        fine : bool
+            Every sample, or steps of about `step_s`.
+        theta : ndarray (f,)
+            Free parameters; a delay among them shifts the voltages.
+
+        Returns
+        -------
+        Grid
+            Windows with inputs. Both grids have the same windows.
+        """
+        delay, dead_zone_V = self.input_shape(self.parameters(theta, index))
+        key = (index, fine)
+        shape = (delay, None if fine else dead_zone_V)
+        if key not in self._grids or self._grids[key][0] != shape:
+            record = self.records[index]
+            coarse = max(1, int(self.step_s / record.step_s + 1e-6))
+            windows = self.windows(index)
+            grid = make_grid(
+                record,
+                windows,
+                1 if fine else coarse,
+                longest_step_s=self.step_s,
+                delay=delay,
+                dead_zone_V=dead_zone_V,
+            )
+            self._grids[key] = (shape, grid)
+        return self._grids[key][1]
+
+    def block_grid(self, index: int, theta: Floats) -> Grid:
+        """The same windows in steps of a block.
+
+        Parameters
+        ----------
+        index : int
+            Which record.
+        theta : ndarray (f,)
+            Free parameters; a delay among them shifts the voltages.
+        """
+        delay, dead_zone_V = self.input_shape(self.parameters(theta, index))
+        record = self.records[index]
+        return make_grid(
+            record,
+            self.windows(index),
+            max(1, int(thresholds.BLOCK_S / record.step_s + 1e-6)),
+            delay=delay,
+            dead_zone_V=dead_zone_V,
+        )
+
+    def windows(self, index: int) -> list[tuple[int, int]]:
+        """Windows of a record, a whole number of steps and of blocks of `BLOCK_S`.
+
+        Parameters
+        ----------
+        index : int
+            Which record.
+
+        Returns
+        -------
+        list of (int, int)
+            First row and number of rows of each window.
+        """
+        record = self.records[index]
+        coarse = max(1, int(self.step_s / record.step_s + 1e-6))
+        block = max(1, int(thresholds.BLOCK_S / record.step_s + 1e-6))
+        return window_starts(record, self.window_s, math.lcm(coarse, block))
+
+    def evaluation(
+        self, index: int, theta: Floats, states: Floats, *, fine: bool = False, derivatives: bool = True
+    ) -> Evaluation:
+        """Predict a record and compare.
+
+        Parameters
+        ----------
+        index : int
+            Which record.
+        theta : ndarray (f,)
+            Free parameters.
+        states : ndarray (w, states)
+            Initial states of the windows.
+        fine : bool
+            Compare every sample.
+        derivatives : bool
+            Whether to compute the products of the Jacobian.
+
+        Returns
+        -------
+        Evaluation
+            Residuals, and what a Gauss-Newton step needs.
+        """
+        grid = self.grid(index, fine, theta)
+        sigma, parameters = grid.record.sigma_rad, self.parameters(theta, index)
+        normal_matrix: Floats | None = None
+        if derivatives:
+            angles, normal_matrix = self.kernel.products(
+                grid.inputs, states, parameters, grid.measured_rad, sigma
+            )
+        else:
+            angles, _ = self.kernel.run(grid.inputs, states, parameters, False)
+        return Evaluation((grid.measured_rad - angles) / sigma, normal_matrix)
+
+    def jacobian(
+        self, index: int, theta: Floats, states: Floats, *, fine: bool = False
+    ) -> tuple[Floats, Floats]:
+        """Residuals of a record with all their derivatives.
+
+        Parameters
+        ----------
+        index : int
+            Which record.
+        theta : ndarray (f,)
+            Free parameters.
+        states : ndarray (w, states)
+            Initial states of the windows.
+        fine : bool
+            Compare every sample.
+
+        Returns
+        -------
+        residual : ndarray (m, 3)
+            As in `Evaluation`.
+        jacobian : ndarray (m, 3, states + f)
+            Derivatives of the predicted angles, in the same unit, to the window's initial state and to the
+            free parameters.
+        """
+        grid = self.grid(index, fine, theta)
+        angles, jacobian = self.kernel.run(grid.inputs, states, self.parameters(theta, index), True)
+        sigma = grid.record.sigma_rad
+        assert jacobian is not None
+        return (grid.measured_rad - angles) / sigma, jacobian / sigma[:, None]
+
+    def input_shape(self, parameters: Floats) -> tuple[tuple[str, float] | None, float | None]:
+        """What shapes the voltages before they act.
+
+        Parameters
+        ----------
+        parameters : ndarray (p,)
+            All parameters of the model.
+
+        Returns
+        -------
+        delay : (str, float) or None
+            Name and value in s of the parameter that delays the voltages.
+        dead_zone_V : float or None
+            Voltage below which there is no thrust; None where rotors push backwards too.
+        """
+        delay = None if self._delay is None else (self.model.delay, float(parameters[self._delay]))
+        return delay, float(parameters[self._dead_zone]) if self._one_way else None

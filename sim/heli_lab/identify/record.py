@@ -1,0 +1,330 @@
+"""A flight prepared for fitting: which rows are free flight, and the size of an encoder count."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from heli_host.flight import Flight
+from heli_sim.model.parts import AXES
+from heli_sim.rig import Rig
+
+from heli_lab.errors import IdentifyError, NotExcited
+from heli_lab.identify.functions import Floats
+from heli_lab.identify.thresholds import (
+    AROUND_STOP_S,
+    BEYOND_STOP_DEG,
+    JUMP_RAD,
+    LEAST_COUNTS,
+    LEAST_SEGMENT_S,
+    MOST_STRAY_STEPS,
+    MOST_UNSURE_DEG,
+    STOP_MARGIN_DEG,
+    TABLE_MARGIN_DEG,
+    TAKE_OFF_DEG,
+    TAKE_OFF_TAIL_S,
+    ROTOR_m,
+)
+
+ON_GROUND: Final = frozenset({"idle", "armed", "fault"})
+"""States of the board's supervisor in which the motors are off."""
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A part of a flight that is not fitted.
+
+    Parameters
+    ----------
+    start_s, stop_s : float
+        From when to when.
+    why : str
+        Reason in a few words.
+    """
+
+    start_s: float
+    stop_s: float
+    why: str
+
+
+@dataclass(frozen=True)
+class Record:
+    """A flight prepared for fitting.
+
+    Parameters
+    ----------
+    label : str
+        Name for messages and reports, such as the file's.
+    t_s : ndarray (n,)
+        Times, s.
+    angles_rad : ndarray (n, 3)
+        Elevation, pitch and travel.
+    voltages_V : ndarray (n, 2)
+        Front and back voltage that act from each row to the next.
+    step_s : float
+        Time from one row to the next.
+    count_rad : ndarray (3,)
+        One count of each encoder.
+    segments : tuple of (int, int)
+        First row and last row plus one of each part in free flight.
+    notes : tuple of str
+        What else was noticed, a sentence each.
+    gaps : tuple of int
+        Rows after which time is missing.
+    """
+
+    label: str
+    t_s: Floats
+    angles_rad: Floats
+    voltages_V: Floats
+    step_s: float
+    count_rad: Floats
+    segments: tuple[tuple[int, int], ...]
+    cuts: tuple[Cut, ...]
+    notes: tuple[str, ...] = ()
+    gaps: tuple[int, ...] = ()
+
+    @property
+    def sigma_rad(self) -> Floats:
+        """Standard deviation of the quantisation to counts, count / sqrt(12), shape (3,)."""
+        return self.count_rad / math.sqrt(12.0)
+
+    @property
+    def used_s(self) -> float:
+        """Seconds in free flight."""
+        return sum(stop - start for start, stop in self.segments) * self.step_s
+
+
+def prepare(
+    flight: Flight,
+    rig: Rig,
+    label: str = "flight",
+    *,
+    start_s: float | None = None,
+    stop_s: float | None = None,
+) -> Record:
+    """Find the rows in free flight and the size of a count.
+
+    Take-off, landing, standing on the table, contact with a stop, gaps, and what the board logged with its
+    motors off are cut out.
+
+    Parameters
+    ----------
+    flight : Flight
+        The flight, as `read_flight` checked it; gaps are allowed.
+    rig : Rig
+        Gives table, stops and, for angles that are not quantised, the encoders' counts.
+    label : str
+        Name for messages and reports.
+    start_s, stop_s : float, optional
+        Use only this part, on the flight's own time axis.
+
+    Returns
+    -------
+    Record
+        The flight with its free segments.
+
+    Raises
+    ------
+    NotExcited
+        When nothing flies in it: it never moves, or no second of it is free.
+    IdentifyError
+        When it is not sound: it has no voltages, or duties in their place, its rows are not evenly spaced, or
+        an angle jumps.
+    """
+    angles, volts, t_s = flight.angles_rad, flight.voltages_V, flight.t_s
+    step_s = _step_s(flight, label)
+    count_rad, notes = _counts(angles, rig)
+    _refuse_dead_columns(flight, label, count_rad)
+    _refuse_duties(flight, label, rig)
+
+    reasons: list[tuple[npt.NDArray[np.bool_], str]] = []
+    if start_s is not None or stop_s is not None:
+        low, high = -math.inf if start_s is None else start_s, math.inf if stop_s is None else stop_s
+        reasons.append(((t_s < low) | (t_s >= high), "not asked for"))
+    if flight.state is not None and flight.state_names:
+        off = [number for number, name in flight.state_names.items() if name in ON_GROUND]
+        reasons.append((np.isin(flight.state, off), "motors off"))
+    reasons.append((_near_table(flight, rig, step_s), "table, take-off or landing"))
+    for axis, at_stop, note in _stops(angles, rig, step_s):
+        reasons.append((at_stop, f"stop of the {axis}"))
+        notes += note
+    gaps = flight.gaps
+    gap = np.zeros(len(t_s), bool)
+    gap[gaps] = True
+
+    segments, cuts = _segments(reasons, gap, t_s, max(2, round(LEAST_SEGMENT_S / step_s)))
+    _refuse_jumps(flight, label, segments)
+    record = Record(
+        label, t_s, angles, volts, step_s, count_rad, segments, cuts, tuple(notes), tuple(map(int, gaps))
+    )
+    if not segments:
+        why = ", ".join(dict.fromkeys(cut.why for cut in cuts)) or "it is too short"
+        raise NotExcited(
+            f"{label}: no second of free flight in t_s {t_s[0]:g} to {t_s[-1]:g}, data row 1 to {len(t_s)} "
+            f"({why}); give a longer flight"
+        )
+    return record
+
+
+def _step_s(flight: Flight, label: str) -> float:
+    """Time from row to row; the mean, because times are often printed in whole milliseconds."""
+    steps_s = np.diff(flight.t_s)
+    steps_s = np.delete(steps_s, flight.gaps)
+    step_s = float(steps_s.mean())
+    stray = np.abs(np.cumsum(steps_s - step_s)) / step_s
+    worst = int(np.argmax(stray))
+    if stray[worst] > MOST_STRAY_STEPS:
+        raise IdentifyError(
+            f"{label}: t_s strays by {stray[worst]:.0f} steps of {step_s:.4g} s from even steps by data row "
+            f"{worst + 2}; log with an even clock, or resample the flight"
+        )
+    return step_s
+
+
+def _refuse_duties(flight: Flight, label: str, rig: Rig) -> None:
+    dead_zone = rig["dead_zone"]
+    least_V = dead_zone.value - dead_zone.tolerance
+    highest = max(("front_V", "back_V"), key=lambda name: float(np.max(np.abs(getattr(flight, name)))))
+    column = np.abs(getattr(flight, highest))
+    row = int(np.argmax(column))
+    if column[row] < least_V:
+        raise IdentifyError(
+            f"{label}: {highest} reaches {column[row]:.3g} at most, in data row {row + 1}, and below the "
+            f"dead zone of {least_V:g} V no rotor pushes; if it is a duty, multiply it by the supply"
+        )
+
+
+def _refuse_jumps(flight: Flight, label: str, segments: tuple[tuple[int, int], ...]) -> None:
+    for index, axis in enumerate(AXES):
+        for start, stop in segments:
+            moves = np.abs(np.diff(flight.angles_rad[start:stop, index]))
+            if moves.size and moves.max() > JUMP_RAD:
+                row = start + int(np.argmax(moves)) + 2
+                raise IdentifyError(
+                    f"{label}: {axis}_rad jumps by {moves.max():.3g} in data row {row}; unwrap the angle, or "
+                    "cut the flight there"
+                )
+
+
+def _counts(angles_rad: Floats, rig: Rig) -> tuple[Floats, list[str]]:
+    counts, notes = [], []
+    for index, axis in enumerate(AXES):
+        moves = np.abs(np.diff(angles_rad[:, index]))
+        moves = moves[moves > 1e-7]
+        count = float(moves.min()) if moves.size else 0.0
+        if count:
+            # Printed angles are rounded to decimals; the mean over single counts is better than the least.
+            count = float(moves[moves < 1.5 * count].mean())
+            multiples = moves[moves < 50 * count] / count
+            if np.mean(np.abs(multiples - np.round(multiples)) < 0.05) < 0.95:
+                count = 0.0
+                notes.append(f"{axis} is not in whole counts: {rig['encoder_counts'].value:g} a turn assumed")
+        if not count:
+            count = 2.0 * math.pi / rig["encoder_counts"].value
+        turn = 2.0 * math.pi / count
+        counts.append(2.0 * math.pi / round(turn) if abs(turn / round(turn) - 1.0) < 1e-3 else count)
+    return np.array(counts), notes
+
+
+def _refuse_dead_columns(flight: Flight, label: str, count_rad: Floats) -> None:
+    rows = len(flight)
+    moved = np.ptp(flight.angles_rad, axis=0) / count_rad
+    if np.all(moved < LEAST_COUNTS):
+        most = int(np.argmax(moved))
+        raise NotExcited(
+            f"{label}: the rig never moves: {AXES[most]}_rad varies by {moved[most]:.0f} counts "
+            f"from data row 1 to {rows}; fly it, for example with heli-host fly identify"
+        )
+    for name in ("front_V", "back_V"):
+        column = getattr(flight, name)
+        if not np.any(column):
+            raise IdentifyError(
+                f"{label}: {name} is 0 from data row 1 to {rows}; "
+                "the flight has no voltages, log those that act"
+            )
+        if float(np.ptp(column)) < 1e-9:
+            raise IdentifyError(
+                f"{label}: {name} is {column[0]:g} from data row 1 to {rows}; "
+                "nothing can be learned from voltages that never change"
+            )
+
+
+def _near_table(flight: Flight, rig: Rig, step_s: float) -> npt.NDArray[np.bool_]:
+    """Rows on the table, taking off or landing."""
+    elevation_deg = np.rad2deg(flight.elevation_rad)
+    table_deg = rig["elevation_min"].value
+    rest = round(0.2 / step_s)
+    start_deg = float(np.median(elevation_deg[:rest]))
+    # A flight that begins at rest at its own lowest point begins on its table, wherever the rig has it.
+    at_rest = float(np.ptp(elevation_deg[:rest])) < 0.1
+    if at_rest and start_deg < elevation_deg.min() + 1.0 and start_deg < np.median(elevation_deg) - 10.0:
+        table_deg = max(table_deg, start_deg)
+    contact = (
+        elevation_deg < table_deg + min(rig["elevation_min"].tolerance, MOST_UNSURE_DEG) + TABLE_MARGIN_DEG
+    )
+    # An arm that leans far reaches the table with its lower rotor long before it stands on it.
+    share = (rig["L_h"].value + ROTOR_m) / rig["L_a"].value
+    low = np.sin(flight.elevation_rad) - share * np.abs(np.sin(flight.pitch_rad)) * np.cos(
+        flight.elevation_rad
+    )
+    contact |= low < math.sin(math.radians(table_deg))
+    if not contact.any():
+        return contact
+    clear = elevation_deg > table_deg + TAKE_OFF_DEG
+    typical_deg = float(np.median(elevation_deg[clear])) if clear.any() else 0.0
+    up = elevation_deg > max(table_deg + TAKE_OFF_DEG, typical_deg - 5.0)
+    cut = contact.copy()
+    tail = round(TAKE_OFF_TAIL_S / step_s)
+    edges = np.flatnonzero(np.diff(contact.astype(int)))
+    for edge in edges:
+        if contact[edge]:
+            above = np.flatnonzero(up[edge:])
+            cut[edge : edge + (int(above[0]) + tail if above.size else len(cut))] = True
+        else:
+            before = np.flatnonzero(up[: edge + 1])
+            cut[int(before[-1]) if before.size else 0 : edge + 1] = True
+    return cut
+
+
+def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, npt.NDArray[np.bool_], list[str]]]:
+    found: list[tuple[str, npt.NDArray[np.bool_], list[str]]] = []
+    around = round(AROUND_STOP_S / step_s)
+    names = ("elevation_max", "pitch_max", "travel_max")
+    for index, (axis, name) in enumerate(zip(AXES, names, strict=True)):
+        stop, degrees = rig[name], np.rad2deg(angles_rad[:, index])
+        beyond = degrees if axis == "elevation" else np.abs(degrees)
+        at_stop = beyond > stop.value - min(stop.tolerance, MOST_UNSURE_DEG) - STOP_MARGIN_DEG
+        if not at_stop.any():
+            continue
+        if beyond.max() > stop.value + stop.tolerance + BEYOND_STOP_DEG:
+            note = f"{axis} reaches {beyond.max():.0f} degrees, beyond the rig's {name} of {stop.value:g}"
+            found.append((axis, np.zeros_like(at_stop), [f"{note}: taken to be free there"]))
+            continue
+        wide = np.convolve(at_stop, np.ones(2 * around + 1), mode="same") > 0.5
+        found.append((axis, wide, []))
+    return found
+
+
+def _segments(
+    reasons: list[tuple[npt.NDArray[np.bool_], str]], gap: npt.NDArray[np.bool_], t_s: Floats, least: int
+) -> tuple[tuple[tuple[int, int], ...], tuple[Cut, ...]]:
+    code = np.zeros(len(t_s), int)  # 0: free; else 1 + index of the first reason
+    for index in reversed(range(len(reasons))):
+        code[reasons[index][0]] = index + 1
+    borders = np.flatnonzero((np.diff(code) != 0) | gap[:-1]) + 1
+    edges = [0, *(int(border) for border in borders), len(t_s)]
+    segments, cuts = [], []
+    for start, stop in itertools.pairwise(edges):
+        why = reasons[code[start] - 1][1] if code[start] else ""
+        if not why and stop - start < least:
+            why = "too short between cuts"
+        if why:
+            cuts.append(Cut(float(t_s[start]), float(t_s[stop - 1]), why))
+        else:
+            segments.append((start, stop))
+    return tuple(segments), tuple(cuts)

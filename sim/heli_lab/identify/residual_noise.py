@@ -1,0 +1,182 @@
+"""The noise that residuals show: variance, autocorrelation, outlying windows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from heli_lab.identify.functions import Floats
+from heli_lab.identify.thresholds import GROSS, LEAST_SHARE, LEAST_VARIANCE, LONGEST_LAG_S, OUTLIER
+
+
+def autocovariance(residual: Floats, windows: Sequence[slice], lags: int) -> Floats:
+    """Mean lagged product of a residual about zero, pairs within windows only.
+
+    Parameters
+    ----------
+    residual : ndarray (m, a)
+        Residuals, one column an axis.
+    windows : sequence of slice
+        Rows of each window.
+    lags : int
+        Largest lag, in rows.
+
+    Returns
+    -------
+    ndarray (lags + 1, a)
+        Sums of products over the number of all rows, which keeps the spectrum positive.
+    """
+    total = np.zeros((lags + 1, residual.shape[1]))
+    for window in windows:
+        part = residual[window]
+        size = 1 << int(2 * len(part) - 1).bit_length()
+        power = np.abs(np.fft.rfft(part, size, axis=0)) ** 2
+        products = np.fft.irfft(power, size, axis=0)
+        kept = min(lags + 1, len(part))
+        total[:kept] += products[:kept]
+    result: Floats = total / max(1, sum(window.stop - window.start for window in windows))
+    return result
+
+
+def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float) -> Floats:
+    """Long-run (HAC) variance: that of a sum over many neighbouring residuals, for each residual in it.
+
+    Parameters of the rig move the prediction slowly, so what counts for their standard errors is not the
+    residuals' variance but their spectral density at low frequencies (Newey and West, with Bartlett's
+    weights): larger when a count stays for several samples, and much larger when the model is wrong.
+
+    Parameters
+    ----------
+    residual : ndarray (m, 3)
+        Residuals in standard deviations of the quantisation.
+    windows : sequence of slice
+        Rows of each window.
+    step_s : float
+        Time from one row to the next.
+
+    Returns
+    -------
+    ndarray (3,)
+        Factor on the variance, at least 1.
+    """
+    lags = max(1, round(LONGEST_LAG_S / step_s))
+    covariance = autocovariance(residual, windows, lags)
+    taper = 1.0 - np.arange(lags + 1) / (lags + 1)
+    long_run = 2.0 * (taper[:, None] * covariance).sum(axis=0) - covariance[0]
+    result: Floats = np.maximum(1.0, np.maximum(covariance[0], long_run))
+    return result
+
+
+def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floats:
+    """Bound the axes' variances from below, so that a wrong model is not fitted to one axis alone.
+
+    Where a model is wrong, dividing each axis by its own error rewards the axis that the free initial states
+    can hide the error in (travel) and gives up the one that shows it (pitch): on measured flights pitch came
+    out twice as far off. So no axis' variance, in rad^2, is taken to be less than half of the largest
+    that quantisation does not explain.
+
+    Parameters
+    ----------
+    variance : ndarray (..., 3)
+        As `long_run_variance` returns it.
+    mean_square : ndarray (..., 3)
+        Mean square of the residuals.
+    sigma_rad : ndarray (3,)
+        Standard deviation of the quantisation of each axis.
+
+    Returns
+    -------
+    ndarray (..., 3)
+        Variances, none smaller than given; unchanged where only quantisation is left.
+    """
+    wrong = np.maximum(0.0, 1.0 - 2.0 / np.maximum(mean_square, 1e-12))
+    least_rad2 = LEAST_SHARE * np.max(variance * wrong * sigma_rad**2, axis=-1, keepdims=True)
+    result: Floats = np.maximum(variance, least_rad2 / sigma_rad**2)
+    return result
+
+
+def floored_mean_square(mean_square: Floats, sigma_rad: Floats) -> Floats:
+    """Variances of the axes from mean squares, bounded as a fit bounds them.
+
+    Without the bound a score test let travel, whose encoder is fine, decide alone: a candidate that a refit
+    accepts at once on measured flights came 27th.
+
+    Parameters
+    ----------
+    mean_square : ndarray (..., 3)
+        Mean square of the residuals, in units of the quantisation's variance.
+    sigma_rad : ndarray (3,)
+        Standard deviation of the quantisation of each axis.
+
+    Returns
+    -------
+    ndarray (..., 3)
+        Variances, in the same unit.
+    """
+    return floor_axes(np.maximum(mean_square, LEAST_VARIANCE), mean_square, sigma_rad)
+
+
+def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats) -> Floats:
+    """Robust weights, which keep a few disturbed windows from deciding the fit.
+
+    Parameters
+    ----------
+    residual : ndarray (m, 3)
+        Residuals.
+    windows : sequence of slice
+        Rows of each window.
+    variance : ndarray (3,)
+        What the fit divides the squares of each axis by.
+
+    Returns
+    -------
+    ndarray (w,)
+        1 for a window like the others; less for one whose rms is over `OUTLIER` times the median, so
+        that it counts as one at that limit, and next to nothing far beyond `GROSS` times.
+    """
+    rms = np.sqrt([np.mean(residual[window] ** 2 / variance) for window in windows])
+    times = np.maximum(rms, 1e-12) / max(float(np.median(rms)), 1e-12)
+    result: Floats = np.minimum(1.0, OUTLIER / times) ** 2 * np.minimum(1.0, GROSS / times) ** 2
+    return result
+
+
+def normalised(residual: Floats) -> float:
+    """Root mean square of residuals.
+
+    Parameters
+    ----------
+    residual : ndarray
+        Residuals in standard deviations of the quantisation.
+
+    Returns
+    -------
+    float
+        1 when only quantisation is left.
+    """
+    return float(np.sqrt(np.mean(residual**2)))
+
+
+def correlation_at(residual: Floats, windows: Sequence[slice], lag: int) -> tuple[Floats, float]:
+    """Autocorrelation at one lag, and its bound for white residuals.
+
+    Parameters
+    ----------
+    residual : ndarray (m, 3)
+        Residuals.
+    windows : sequence of slice
+        Rows of each window.
+    lag : int
+        Lag in rows.
+
+    Returns
+    -------
+    correlation : ndarray (3,)
+        Autocorrelation of each axis.
+    bound : float
+        Three standard deviations of it for white residuals taken every `lag` rows.
+    """
+    covariance = autocovariance(residual, windows, lag)
+    pairs = sum(max(0, window.stop - window.start - lag) for window in windows) / lag
+    result: Floats = covariance[lag] / np.maximum(covariance[0], 1e-30)
+    return result, 3.0 / float(np.sqrt(max(pairs, 1.0)))

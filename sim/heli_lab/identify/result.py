@@ -1,0 +1,225 @@
+"""The result of an identification: as JSON, and as a rig that can be flown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from heli_sim.model.parts import AXES
+from heli_sim.rig import Number, Rig
+
+from heli_lab.identify.check import Check, Trace
+from heli_lab.identify.fit import Fit
+from heli_lab.identify.thresholds import STRONG_CORRELATION
+from heli_lab.identify.uncertainty import Combination, combinations, uninformed_parameters
+
+
+@dataclass(frozen=True)
+class Identification:
+    """A fit with its checks.
+
+    Parameters
+    ----------
+    validation : tuple of Check
+        Errors on other flights; empty when none were given.
+    """
+
+    fit: Fit
+    training: tuple[Check, ...]
+    validation: tuple[Check, ...]
+    training_traces: tuple[Trace, ...]
+    validation_traces: tuple[Trace, ...]
+
+    @property
+    def combinations(self) -> list[Combination]:
+        """Combinations of parameters that the flights inform less than the priors."""
+        problem = self.fit.problem
+        return combinations(problem.names, self.fit.information, problem.prior_std)
+
+    @property
+    def uninformed_parameters(self) -> list[str]:
+        """Parameters that the flights do not inform."""
+        return uninformed_parameters(self.fit.problem.names, self.fit.covariance, self.fit.problem.prior_std)
+
+    @property
+    def strong_correlations(self) -> list[tuple[str, str, float]]:
+        """Strongly correlated pairs of parameters, strongest first."""
+        names, correlation = self.fit.problem.names, self.fit.correlation
+        pairs = [
+            (names[i], names[j], float(correlation[i, j]))
+            for i in range(len(names))
+            for j in range(i)
+            if abs(correlation[i, j]) > STRONG_CORRELATION
+        ]
+        return sorted(pairs, key=lambda pair: -abs(pair[2]))
+
+    def rig(self, name: str) -> Rig:
+        """Make the rig that was found.
+
+        Parameters
+        ----------
+        name : str
+            What the new rig is called.
+
+        Returns
+        -------
+        Rig
+            The identified numbers with twice their standard errors as tolerances; everything else as it was.
+            It names the model that was fitted, and has that model's effects.
+            Numbers that each of several flights has its own value of stay as they were.
+        """
+        old = self.fit.problem.rig
+        labels = ", ".join(record.label for record in self.fit.problem.records)
+        numbers = dict(old.numbers)
+        several = len(self.fit.problem.records) > 1
+        for one, value, std in zip(self.fit.problem.free, self.fit.theta, self.fit.std.values(), strict=True):
+            if one.quantity not in numbers or (several and one.record is not None):
+                continue
+            was = numbers[one.quantity]
+            source = f"identified from {labels}; before: {was.value:g} +- {was.tolerance:g}"
+            numbers[one.quantity] = Number(float(value), was.unit, 2.0 * std, source)
+        return Rig(
+            name,
+            f"{old.name} as identified from {labels}",
+            numbers,
+            self._effects(),
+            self.fit.problem.model.name,
+        )
+
+    def _effects(self) -> dict[str, dict[str, Number]]:
+        """Effects of the model with the numbers found, as a rig holds them."""
+        problem = self.fit.problem
+        values = dict(zip((q.name for q in problem.model.parameters), problem.base, strict=True))
+        found = self.fit.values
+        labels = ", ".join(record.label for record in problem.records)
+        effects: dict[str, dict[str, Number]] = {}
+        for effect in problem.model.effects:
+            numbers = effects.setdefault(effect.name, {})
+            for own in effect.parameters:
+                what = own.name.removeprefix(f"{effect.name.replace('.', '_')}_")
+                value = float(found.get(own.name, values[own.name]))
+                free = own.name in found
+                source = f"identified from {labels}" if free else "not estimated"
+                numbers[what] = Number(value, own.unit, 2.0 * self.fit.std[own.name] if free else 0.0, source)
+        return effects
+
+    def json(self) -> dict[str, Any]:
+        """The result as JSON has it.
+
+        Returns
+        -------
+        dict
+            parameters{NAME: {value, std, prior: {value, std}, unit}}, normalised_residual{train, validation},
+            free_run_rms_deg{axis: ...}, correlations{NAME: {NAME: ...}}, seconds_used, and more.
+        """
+        fit, problem = self.fit, self.fit.problem
+        judged = self.validation or self.training
+        return {
+            "model": problem.model.name,
+            "effects": [effect.name for effect in problem.model.effects],
+            "rig": problem.rig.name,
+            "parameters": {
+                one.name: {
+                    "value": float(value),
+                    "std": std,
+                    "unit": one.unit,
+                    "prior": {"value": one.prior.mean, "std": one.prior.std},
+                    "at_bound": one.name in fit.at_bound,
+                }
+                for one, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True)
+            },
+            "normalised_residual": {
+                "train": _together([check.normalised for check in self.training], self.training),
+                "validation": _together([check.normalised for check in self.validation], self.validation)
+                if self.validation
+                else None,
+            },
+            "free_run_rms_deg": {
+                axis: _together([check.rms_deg[axis] for check in judged], judged) for axis in AXES
+            },
+            "free_run_s": problem.window_s,
+            "free_run_of": "validation" if self.validation else "train",
+            "correlations": {
+                name: {other: round(float(value), 4) for other, value in zip(problem.names, row, strict=True)}
+                for name, row in zip(problem.names, fit.correlation, strict=True)
+            },
+            "unidentified_combinations": [
+                {"change": combination.change, "std_over_prior": combination.std_over_prior}
+                for combination in self.combinations
+            ],
+            "uninformed_parameters": self.uninformed_parameters,
+            "flights": [self._flight(check, "train") for check in self.training]
+            + [self._flight(check, "validation") for check in self.validation],
+            "seconds_used": sum(check.seconds_used for check in self.training),
+            "seconds_taken": fit.seconds,
+            "converged": fit.converged,
+        }
+
+    def _flight(self, check: Check, role: str) -> dict[str, Any]:
+        records = {record.label: record for record in self.fit.problem.records}
+        entry: dict[str, Any] = {
+            "flight": check.label,
+            "role": role,
+            "seconds_used": check.seconds_used,
+            "normalised_residual": check.normalised,
+            "normalised_residual_axis": check.axis_normalised,
+            "free_run_rms_deg": check.rms_deg,
+            "white": check.white,
+            "autocorrelation_0.1_s": check.correlation,
+        }
+        if role == "train":
+            record = records[check.label]
+            entry["left_out"] = [{"from_s": c.start_s, "to_s": c.stop_s, "why": c.why} for c in record.cuts]
+            entry["notes"] = list(record.notes)
+        return entry
+
+
+def short_names(paths: Sequence[Path]) -> list[str]:
+    """Names of flights for reports: as short as keeps them apart.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Their files.
+
+    Returns
+    -------
+    list of str
+        File names, with as many folders before them as needed.
+    """
+    depth = 1
+    while True:
+        names = ["/".join(path.parts[-depth:]) for path in paths]
+        if len(set(names)) == len(set(paths)) or depth > max(len(path.parts) for path in paths):
+            return names
+        depth += 1
+
+
+def _together(values: Sequence[float], checks: Sequence[Check]) -> float:
+    """Root mean square over flights, by their length."""
+    weight = np.array([check.seconds_used for check in checks])
+    return float(np.sqrt(np.average(np.square(values), weights=weight)))
+
+
+def rounded(number: float, std: float) -> str:
+    """Spell a number to two digits of its standard error.
+
+    Parameters
+    ----------
+    number : float
+        What is to be written.
+    std : float
+        Its standard error.
+
+    Returns
+    -------
+    str
+        As a person would write it.
+    """
+    if not std > 0.0 or not np.isfinite(std):
+        return f"{number:.6g}"
+    digits = max(0, 1 - int(np.floor(np.log10(std))))
+    return f"{number:.{digits}f}"

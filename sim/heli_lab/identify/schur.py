@@ -1,0 +1,156 @@
+"""The normal equations: block elimination by the Schur complement, and steps that keep bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from heli_lab.identify.functions import Floats
+from heli_lab.identify.problem import Evaluation, Problem
+from heli_lab.identify.thresholds import SINGULAR_GUARD
+
+
+def eliminate(matrices: Floats, count: int, guard: float = 0.0) -> tuple[Floats, Floats]:
+    """Eliminate the leading unknowns of symmetric systems [[A, B], [B', C]].
+
+    A right-hand side may stand as the last row and column: then the last column of the complement is the
+    right-hand side of what is left, and the last column of the gain is A^-1 times the eliminated one.
+
+    Parameters
+    ----------
+    matrices : ndarray (..., m, m)
+        The systems.
+    count : int
+        Number of leading unknowns, the order of A.
+    guard : float
+        Added to the diagonal of A, as a share of its largest entry, so that an unknown that no data show
+        does not make A singular.
+
+    Returns
+    -------
+    complement : ndarray (..., m - count, m - count)
+        C - B' A^-1 B.
+    gain : ndarray (..., count, m - count)
+        A^-1 B: minus the change of the eliminated unknowns for each unit of the others.
+    """
+    leading = matrices[..., :count, :count].copy()
+    coupling = matrices[..., :count, count:]
+    diagonal = np.arange(count)
+    if guard:
+        leading[..., diagonal, diagonal] += guard * leading[..., diagonal, diagonal].max(
+            axis=-1, keepdims=True
+        )
+    gain: Floats = np.linalg.solve(leading, coupling).astype(np.float64, copy=False)
+    return matrices[..., count:, count:] - np.swapaxes(coupling, -1, -2) @ gain, gain
+
+
+def add_state_prior(
+    problem: Problem, normal: Floats, states: Floats, reference: Floats, damping: float | Floats = 0.0
+) -> None:
+    """Add the prior of the effects' initial states to the windows' normal equations, and damp the states.
+
+    Parameters
+    ----------
+    normal : ndarray (w, m, m)
+        Normal matrices whose leading unknowns are the initial states and whose last column is the right-hand
+        side; changed in place.
+    states : ndarray (w, states)
+        Initial states.
+    reference : ndarray (w, states)
+        Prior means of the initial states of effects.
+    damping : float or ndarray (w,)
+        What the diagonal of the states grows by, as a share of itself.
+    """
+    nx = problem.state_count
+    diagonal, own = np.arange(nx), np.arange(6, nx)
+    precision = 1.0 / problem.state_std**2
+    normal[:, own, own] += precision
+    pull = precision * (reference - states)[:, 6:]
+    normal[:, 6:nx, -1] += pull
+    normal[:, -1, 6:nx] += pull
+    normal[:, diagonal, diagonal] *= 1.0 + np.reshape(damping, (-1, 1))
+
+
+def eliminate_states(
+    problem: Problem,
+    evaluations: Sequence[Evaluation],
+    states: Sequence[Floats],
+    reference: Sequence[Floats],
+    variance: Sequence[Floats],
+    weights: Sequence[Floats],
+    *,
+    damping: float = 0.0,
+) -> tuple[Floats, Floats, list[tuple[Floats, Floats]]]:
+    """Eliminate the windows' initial states from the normal equations.
+
+    Parameters
+    ----------
+    evaluations : sequence of Evaluation
+        Predictions of all records with their derivatives.
+    states : sequence of ndarray (w, states)
+        Initial states.
+    reference : sequence of ndarray (w, states)
+        Prior means of the initial states of effects.
+    variance, weights : sequence of ndarray
+        As in `Fit`.
+    damping : float
+        What the diagonal of the states grows by, as a share of itself.
+
+    Returns
+    -------
+    information : ndarray (f, f)
+        Of the free parameters, without priors.
+    gradient : ndarray (f,)
+        Negative gradient of half the sum of squares, without priors.
+    follow : list of (ndarray (w, states), ndarray (w, states, k))
+        For each record: the step of the states with the parameters fixed, and minus the change of the states
+        for each unit of the parameters that the record depends on.
+    """
+    nx, count = problem.state_count, len(problem.free)
+    information, gradient = np.zeros((count, count)), np.zeros(count)
+    follow = []
+    for index, evaluation in enumerate(evaluations):
+        assert evaluation.normal_matrix is not None
+        scale = weights[index][:, None] / variance[index]
+        normal = np.einsum("wa,waij->wij", scale, evaluation.normal_matrix)
+        add_state_prior(problem, normal, states[index], reference[index], damping)
+        complement, gain = eliminate(normal, nx, SINGULAR_GUARD)
+        columns = problem.columns[index]
+        information[np.ix_(columns, columns)] += complement[:, :-1, :-1].sum(axis=0)
+        gradient[columns] += complement[:, :-1, -1].sum(axis=0)
+        follow.append((gain[:, :, -1], gain[:, :, :-1]))
+    return information, gradient, follow
+
+
+def bounded_solve(matrix: Floats, right: Floats, low: Floats, high: Floats) -> Floats:
+    """Solve a positive definite system within bounds.
+
+    Parameters
+    ----------
+    matrix : ndarray (f, f)
+        The system.
+    right : ndarray (f,)
+        Its right-hand side.
+    low, high : ndarray (f,)
+        Bounds of the solution.
+
+    Returns
+    -------
+    ndarray (f,)
+        The solution; what would leave its bounds is on them, and the rest is solved again.
+    """
+    move = np.zeros(len(right))
+    fixed = np.zeros(len(right), bool)
+    for _ in range(len(right) + 1):
+        loose = ~fixed
+        if not loose.any():
+            break
+        rest = right[loose] - matrix[np.ix_(loose, fixed)] @ move[fixed]
+        move[loose] = np.linalg.solve(matrix[np.ix_(loose, loose)], rest)
+        outside = loose & ((move < low) | (move > high))
+        if not outside.any():
+            break
+        move[outside] = np.clip(move[outside], low[outside], high[outside])
+        fixed |= outside
+    return move

@@ -1,0 +1,152 @@
+"""Fits a problem: rounds of descent between estimates of the noise, first on the coarse grid."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from heli_lab.errors import IdentifyError
+from heli_lab.identify import thresholds
+from heli_lab.identify.descent import Descent, Point
+from heli_lab.identify.fit import Budget, Fit, Progress
+from heli_lab.identify.functions import Floats
+from heli_lab.identify.initial_states import first_states
+from heli_lab.identify.problem import Problem
+from heli_lab.identify.uncertainty import quantisation_scatter, timing_variance
+
+
+def solve(
+    problem: Problem,
+    *,
+    start: Fit | Mapping[str, float] | None = None,
+    budget: Budget | None = None,
+    robust: bool = True,
+    fine: bool = True,
+    scatter: bool = True,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> Fit:
+    """Fit the free parameters and the windows' initial states.
+
+    The squares of each axis are divided by the long-run variance of its own residuals
+    (`residual_noise.long_run_variance`), so that standard errors stay honest when the model is wrong, or when
+    the same count stands for many samples.
+
+    Parameters
+    ----------
+    start : Fit or Mapping[str, float], optional
+        Where to start: an earlier fit, perhaps of another problem, or values by name; unknown names are
+        passed over.
+    robust : bool
+        Whether outlying windows lose weight.
+    fine : bool
+        Finish on every sample, not on the coarse grid.
+    scatter : bool
+        Widen standard errors by the effect of quantisation, which takes as long as two steps.
+    on_progress : callable, optional
+        Told where the fit is.
+
+    Returns
+    -------
+    Fit
+        The result, also when the budget ran out.
+
+    Raises
+    ------
+    IdentifyError
+        When the model cannot predict the flights at all from the start values.
+    """
+    solver = Descent(problem, budget or Budget(), robust, on_progress)
+    theta, states = _start(problem, start)
+    solver.reference = [array.copy() for array in first_states(problem, theta)]
+    point = solver.evaluate(theta, states)
+    solver.reweight(point)
+    if not math.isfinite(point.cost):
+        raise IdentifyError(
+            "the model's free run diverges from the start values; check the rig's numbers and units"
+        )
+    rounds = thresholds.ROUNDS
+    converged = True
+    multimodal = {name for effect in problem.model.effects for name in effect.multimodal}
+    for number in range(rounds):
+        # While amplitudes are still wrong, a frequency or a moment would leave its basin of attraction.
+        rough = number < thresholds.ROUGH_ROUNDS
+        solver.frozen[:] = [rough and one.quantity in multimodal for one in problem.free]
+        share = (0.6 * number / rounds, 0.6 * (number + 1) / rounds)
+        # Far from the solution the weights are rough: only later rounds need small steps.
+        most = thresholds.ROUGH_STEPS if rough else thresholds.COARSE_STEPS
+        point, finished = solver.descend(point, f"coarse fit, round {number + 1}", share, most)
+        converged = finished
+        restarted = number in (2, 3) and finished and solver.restart_outliers(point)
+        solver.update_state_prior(point)
+        change = solver.reweight(point)
+        solver.damping = 0.0
+        enough = number >= thresholds.ROUGH_ROUNDS - 1 + bool(multimodal)
+        if not finished or (enough and change < thresholds.SETTLED_CHANGE and not restarted):
+            break
+    if fine and not solver.out_of_budget():
+        solver.fine = True
+        point = solver.evaluate(point.theta, point.states)
+        solver.reweight(point)
+        for number in range(thresholds.FINE_ROUNDS):
+            share = (0.6 + 0.4 * number / thresholds.FINE_ROUNDS, 1.0)
+            point, finished = solver.descend(point, "every sample", share, thresholds.FINE_STEPS)
+            converged = converged and finished
+            restarted = number < 2 and finished and solver.restart_outliers(point)
+            solver.update_state_prior(point)
+            change = solver.reweight(point)
+            if not finished or not (restarted or change >= thresholds.SETTLED_CHANGE):
+                break
+    return _result(solver, point, converged, scatter)
+
+
+def _start(problem: Problem, start: Fit | Mapping[str, float] | None) -> tuple[Floats, list[Floats]]:
+    theta = problem.start
+    given = start.values if isinstance(start, Fit) else start or {}
+    for index, name in enumerate(problem.names):
+        if name in given:
+            theta[index] = given[name]
+    theta = np.clip(theta, *problem.bounds).astype(np.float64)
+    states = first_states(problem, theta)
+    if isinstance(start, Fit) and len(start.states) == len(states):
+        # An effect's state and the rates beside it compensate for each other: one without the other is worse
+        # than neither.
+        places = {state.name: i for i, state in enumerate(start.problem.model.states)}
+        known = [(i, places[s.name]) for i, s in enumerate(problem.model.states) if s.name in places]
+        for own, old in zip(states, start.states, strict=True):
+            if len(own) == len(old):
+                for new_place, old_place in known:
+                    own[:, new_place] = old[:, old_place]
+    return theta, states
+
+
+def _result(solver: Descent, point: Point, converged: bool, scatter: bool) -> Fit:
+    problem = solver.problem
+    information, _, _ = solver.reduced(point)
+    weight = np.diag(1.0 / problem.prior_std**2)
+    covariance: Floats = np.linalg.inv(information + weight).astype(np.float64)
+    if scatter and solver.fine and len(problem.free):
+        scattered = quantisation_scatter(
+            problem, point.theta, point.states, solver.variance, solver.weights, covariance
+        )
+        wider = np.maximum(1.0, scattered / np.sqrt(np.diag(covariance)))
+        covariance = covariance * np.outer(wider, wider)
+        covariance = covariance + np.diag(timing_variance(problem))
+    low, high = problem.bounds
+    bound = (point.theta <= low) | (point.theta >= high)
+    return Fit(
+        problem,
+        point.theta,
+        covariance,
+        information,
+        tuple(point.states),
+        tuple(solver.variance),
+        tuple(solver.weights),
+        point.cost,
+        tuple(name for name, there in zip(problem.names, bound, strict=True) if there),
+        solver.evaluations,
+        time.perf_counter() - solver.started_s,
+        converged,
+    )

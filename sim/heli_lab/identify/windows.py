@@ -1,0 +1,89 @@
+"""The interface of the kernels: free runs over many windows, with exact derivatives."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from heli_lab.identify.functions import Floats, Inputs
+
+
+class Kernel(ABC):
+    """Runs windows; compiled and interpreted kernels agree to the rounding of doubles."""
+
+    def run(
+        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool = True
+    ) -> tuple[Floats, Floats | None]:
+        """Run every window from its initial state.
+
+        Parameters
+        ----------
+        start : ndarray (w, states)
+            Initial states.
+        parameters : ndarray (p,)
+            All parameters of the model.
+        derivatives : bool
+            Whether to compute the Jacobian.
+
+        Returns
+        -------
+        angles_rad : ndarray (n, 3)
+            Measured angles at the beginning of each step.
+        jacobian : ndarray (n, 3, states + free) or None
+            Their derivatives to the window's initial state and to the free parameters.
+        """
+        return self._run(inputs, start, parameters, derivatives)
+
+    def products(
+        self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
+    ) -> tuple[Floats, Floats]:
+        """Run every window and sum the products that the normal equations need.
+
+        Parameters
+        ----------
+        start : ndarray (w, states)
+            Initial states.
+        parameters : ndarray (p,)
+            All parameters of the model.
+        measured_rad : ndarray (n, 3)
+            Angles to compare with.
+        sigma_rad : ndarray (3,)
+            Unit of the residuals.
+
+        Returns
+        -------
+        angles_rad : ndarray (n, 3)
+            Measured angles at the beginning of each step.
+        normal_matrix : ndarray (w, 3, states + free + 1, states + free + 1)
+            For each window and axis, products of the columns of [Jacobian | residual], both over sigma.
+        """
+        return self._products(inputs, start, parameters, measured_rad, sigma_rad)
+
+    def end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
+        """Run every window and return the states at their ends.
+
+        Parameters
+        ----------
+        start : ndarray (w, states)
+            Initial states.
+        parameters : ndarray (p,)
+            All parameters of the model.
+
+        Returns
+        -------
+        ndarray (w, states)
+            State after each window's last step.
+        """
+        return self._end(inputs, start, parameters)
+
+    @abstractmethod
+    def _run(
+        self, inputs: Inputs, start: Floats, parameters: Floats, derivatives: bool
+    ) -> tuple[Floats, Floats | None]: ...
+
+    @abstractmethod
+    def _products(
+        self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
+    ) -> tuple[Floats, Floats]: ...
+
+    @abstractmethod
+    def _end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats: ...

@@ -1,0 +1,133 @@
+"""The bench tests of section IV of the paper: which axes are locked, where it starts, what the motors get.
+
+The paper says which axes it locked and from which angles pitch was released, and no more: neither voltages
+nor lengths are in its text. They are chosen here so that the free axes move far without touching a stop.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from heli_host.flight import Flight
+from heli_sim.model import MultibodyModel
+from heli_sim.model.linear import trim
+from heli_sim.rig import Rig
+
+from heli_lab.errors import IdentifyError
+from heli_lab.identify.record import Record
+
+Floats = npt.NDArray[np.float64]
+
+TABLE_DEG: Final = -25.0
+_HOVER_V: Final = 1.7
+# Beyond this the elevation steps end at a stop or on the table.
+_HOVER_SLACK_V: Final = 0.15
+
+
+@dataclass(frozen=True)
+class BenchTest:
+    """One experiment on a rig some of whose axes are locked.
+
+    Parameters
+    ----------
+    name : str
+        What it is called in lists and records.
+    panel : str
+        Panel of the paper's figure that shows it.
+    locked : tuple of bool
+        Which of elevation, pitch and travel are locked throughout.
+    elevation_deg : float
+        Elevation at the start; all axes are locked until then.
+    pitch_deg : float
+        Pitch at the start.
+    front_V, back_V : float
+        Voltages from the start on; both 0 leaves the motors off.
+    duration_s : float
+        Length.
+    """
+
+    name: str
+    panel: str
+    locked: tuple[bool, bool, bool]
+    elevation_deg: float = 0.0
+    pitch_deg: float = 0.0
+    front_V: float = 0.0
+    back_V: float = 0.0
+    duration_s: float = 15.0
+
+
+PITCH_RELEASES: Final = (
+    BenchTest("pitch released from 13 deg", "16 (a)", (True, False, True), pitch_deg=13.0),
+    BenchTest("pitch released from 8.8 deg", "16 (b)", (True, False, True), pitch_deg=8.8),
+)
+ELEVATION_STEPS: Final = (
+    BenchTest("elevation, 1.5 V each", "17 (a)", (False, True, True), TABLE_DEG, 0.0, 1.5, 1.5, 30.0),
+    BenchTest("elevation, 1.7 V each", "17 (b)", (False, True, True), TABLE_DEG, 0.0, 1.7, 1.7, 30.0),
+)
+TRAVEL_STEPS: Final = (
+    BenchTest("travel, 1.85 V and 1.55 V", "18 (a)", (True, False, False), 0.0, 0.0, 1.85, 1.55, 7.5),
+    BenchTest("travel, 2.1 V and 1.6 V", "18 (b)", (True, False, False), 0.0, 0.0, 2.1, 1.6, 5.5),
+)
+BENCH_TESTS: Final = (*PITCH_RELEASES, *ELEVATION_STEPS, *TRAVEL_STEPS)
+
+THRUST_V: Final[tuple[float, ...]] = (0.5, *(float(volts) for volts in range(1, 11)))
+"""Voltages of the thrust curve, Fig. 15."""
+SCALE_N: Final = 0.00981
+"""Smallest step of the scale that thrust is read from: a gram."""
+
+
+def check_rig(rig: Rig) -> None:
+    """Refuse a rig that the voltages of these tests do not suit.
+
+    Raises
+    ------
+    IdentifyError
+        When it hovers at other voltages than Table 2's masses do.
+    PlantError
+        When it cannot hover at all.
+    """
+    hover_V = float(np.mean(trim(MultibodyModel(), rig).volts_V))
+    if abs(hover_V - _HOVER_V) > _HOVER_SLACK_V:
+        raise IdentifyError(
+            f"the paper's tests and flights are set for hover at {_HOVER_V:g} V on each motor, rig "
+            f"'{rig.name}' hovers at {hover_V:.2f}",
+            "give makki2024 or one like it",
+        )
+
+
+def record_of(test: BenchTest, flight: Flight, rig: Rig) -> Record:
+    """Make a bench test ready for fitting: all of it counts, from the moment of release.
+
+    Raises
+    ------
+    IdentifyError
+        When a free axis reached a stop, or time is missing.
+    """
+    angles_deg = np.rad2deg(flight.angles_rad)
+    elevation_deg, pitch_deg, travel_deg = (angles_deg[:, axis] for axis in range(3))
+    free = [not held for held in test.locked]
+    hit = (free[0] and (elevation_deg.max() >= rig["elevation_max"].value)) or any(
+        free[axis] and np.abs(angle).max() >= rig[stop].value
+        for axis, angle, stop in ((1, pitch_deg, "pitch_max"), (2, travel_deg, "travel_max"))
+    )
+    if hit:
+        raise IdentifyError(
+            f"{test.name}: the rig '{rig.name}' reaches a stop, its numbers are too far from Table 2",
+            "give makki2024 or one like it",
+        )
+    if flight.gaps.size:
+        raise IdentifyError(f"{test.name}: rows are missing", "run it again")
+    per_rev = rig["encoder_counts"].value * np.array([1.0, 1.0, rig["encoder_travel_ratio"].value])
+    return Record(
+        test.name,
+        flight.t_s,
+        flight.angles_rad,
+        flight.voltages_V,
+        flight.step_s,
+        2.0 * np.pi / per_rev,
+        ((0, len(flight)),),
+        (),
+    )

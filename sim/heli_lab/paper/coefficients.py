@@ -1,0 +1,140 @@
+"""P_1 to P_18 of (30): what the paper prints, how that reads, and what a rig's masses give.
+
+Inside, every coefficient is in rad, s and V of the sums U+ = V_f + V_b and U- = V_f - V_b. Tables 3 to 5
+print no units and do not share any; `PRINTED` says how each table reads.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from heli_sim.rig import Rig
+
+DEG: Final = math.degrees(1.0)
+
+
+@dataclass(frozen=True)
+class Printed:
+    """A coefficient as a table prints it.
+
+    Parameters
+    ----------
+    name : str
+        P_1 to P_18.
+    table : int
+        3, 4 or 5.
+    value, tolerance : float
+        As printed.
+    unit : str
+        How the number reads best.
+    per_si : float
+        Factor from rad, s and V of U+ and U- to that unit.
+    term : str
+        What it multiplies in (30).
+    """
+
+    name: str
+    table: int
+    value: float
+    tolerance: float
+    unit: str
+    per_si: float
+    term: str
+
+
+PRINTED: Final[tuple[Printed, ...]] = (
+    Printed("P_7", 3, 6.61464, 0.1, "rad/s2", 1.0, "cos phi"),
+    Printed("P_8", 3, -6.323, 0.4, "rad/s2", 1.0, "sin phi"),
+    Printed("P_9", 3, -1.395, 0.5, "1/s", 1.0, "phi'"),
+    Printed("P_10", 3, -5.974, 0.7, "rad/s2", 1.0, "1"),
+    Printed("P_11", 3, 96.728, 0.5, "deg/s2/V", DEG, "U-"),
+    Printed("P_1", 4, -56.57475, 1.0, "deg/s2", DEG, "cos phi"),
+    Printed("P_2", 4, 0.83576, 0.5, "deg/s2", DEG, "cos theta"),
+    Printed("P_3", 4, -0.06123, 0.1, "deg/s2", DEG, "sin theta"),
+    Printed("P_4", 4, -0.3366, 0.01, "1/s", 1.0, "theta'"),
+    Printed("P_5", 4, -380.789, 5.0, "deg/s2", DEG, "1"),
+    # 2: the input is the voltage of each motor, not their sum.
+    Printed("P_6", 4, 59.201, 1.0, "deg/s2/V each", 2.0 * DEG, "cos phi U+"),
+    Printed("P_12", 5, -0.0072, 0.01, "1/s", 1.0, "psi'"),
+    Printed("P_13", 5, -0.0006, 0.0003, "1/rad", 1.0, "psi'^2"),
+    Printed("P_14", 5, 0.003, 0.001, "rad/s2", 1.0, "1"),
+    Printed("P_15", 5, -0.00022, 0.0001, "rad/s2", 1.0, "sin phi"),
+    Printed("P_16", 5, -0.224, 0.01, "1/rad", 1.0, "psi'^2 sin phi"),
+    Printed("P_17", 5, -0.03, 0.002, "rad/s2/V", 1.0, "sin phi U+"),
+    Printed("P_18", 5, 0.01, 0.001, "rad/s2/V", 1.0, "sin phi U-"),
+)
+"""Tables 3, 4 and 5, in their order."""
+
+AXIS_OF_TABLE: Final[Mapping[int, str]] = {3: "pitch", 4: "elevation", 5: "travel"}
+
+
+def printed_inertias_kg_m2(rig: Rig, elevation_rad: float = 0.0, pitch_rad: float = 0.0) -> dict[str, float]:
+    """(27), (28) and (29) as they are printed, at given angles.
+
+    Parameters
+    ----------
+    elevation_rad, pitch_rad : float
+        Angles at which to evaluate them.
+
+    Returns
+    -------
+    dict of str to float
+        J_theta, J_phi and J_psi, kg m2.
+    """
+    v = {name: number.value for name, number in rig.items()}
+    rotors, across2 = v["M_f"] + v["M_b"], v["L_h"] ** 2 + v["L_phi"] ** 2
+    below2, level = v["L_theta"] ** 2, math.cos(elevation_rad)
+    return {
+        "J_theta": rotors * (across2 * math.sin(pitch_rad) ** 2 + v["L_a"] ** 2)
+        + v["M_l"] * (v["L_x"] ** 2 + below2)
+        + v["M_w"] * (v["L_b"] ** 2 + below2)
+        + v["M_h"] * (v["L_a"] ** 2 + below2),
+        "J_phi": rotors * across2 + v["M_h"] * v["L_phi"] ** 2,
+        "J_psi": rotors * (across2 * math.cos(pitch_rad) ** 2 + (v["L_a"] * level) ** 2)
+        + (v["M_l"] * v["L_x"] ** 2 + v["M_w"] * v["L_b"] ** 2 + v["M_h"] * v["L_a"] ** 2) * level**2,
+    }
+
+
+def analytic(rig: Rig, corrected: bool = True) -> dict[str, float]:
+    """P_1 to P_18 from a rig's numbers, by the formulas below (30).
+
+    Parameters
+    ----------
+    corrected : bool
+        Leave P_18 out, and give P_13 and P_16 the arm L_a that a torque of the drag (22) has; False is as
+        printed.
+
+    Returns
+    -------
+    dict of str to float
+        In rad, s and V of U+ and U-.
+    """
+    v = {name: number.value for name, number in rig.items()}
+    inertia = printed_inertias_kg_m2(rig)
+    j_theta, j_phi, j_psi = (inertia[name] for name in ("J_theta", "J_phi", "J_psi"))
+    k, offset_N = v["thrust_gain"], 2.0 * v["thrust_gain"] * v["dead_zone"]
+    short = (v["M_f"] + v["M_b"] + v["M_h"]) * v["g"]
+    drag = 0.5 * v["air_density"] * v["L_a"] ** (3 if corrected else 2) / j_psi
+    return {
+        "P_1": -offset_N * v["L_a"] / j_theta,
+        "P_2": (v["M_w"] * v["L_b"] * v["g"] - short * v["L_a"] - v["M_l"] * v["g"] * v["L_x"]) / j_theta,
+        "P_3": -(short + (v["M_w"] + v["M_l"]) * v["g"]) * v["L_theta"] / j_theta,
+        "P_4": -v["friction_elevation"] / j_theta,
+        "P_5": v["torque_elevation"] / j_theta,
+        "P_6": k * v["L_a"] / j_theta,
+        "P_7": (v["M_b"] - v["M_f"]) * v["g"] * v["L_h"] / j_phi,
+        "P_8": -short * v["L_phi"] / j_phi,
+        "P_9": -v["friction_pitch"] / j_phi,
+        "P_10": v["torque_pitch"] / j_phi,
+        "P_11": k * v["L_h"] / j_phi,
+        "P_12": -v["friction_travel"] / j_psi,
+        "P_13": -drag * v["drag_area_arm"],
+        "P_14": v["torque_travel"] / j_psi,
+        "P_15": -offset_N * v["L_a"] / j_psi,
+        "P_16": -drag * v["drag_area_body"],
+        "P_17": k * v["L_a"] / j_psi,
+        "P_18": 0.0 if corrected else k * v["L_h"] / j_psi,
+    }

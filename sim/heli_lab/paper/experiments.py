@@ -1,0 +1,246 @@
+"""The paper's experiments flown on the simulated rig, through the flight code and the whole link."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from heli_host.flight import Flight
+    from heli_host.heli import Heli
+    from heli_sim.plant import Plant
+    from heli_sim.sil.world import SilWorld
+
+    from heli_lab.paper.bench_tests import BenchTest
+    from heli_lab.paper.figures_flight import Flown
+    from heli_lab.paper.thrust import ThrustCurve
+
+_BOOT_S = 0.5
+_SETTLE_S = 1.0
+_FREE_TICKS = 20
+"""Left out after the release and before the end, where locks and voltages change at once."""
+_ALL_LOCKED = [True, True, True]
+TABLE_DEG = -25.0
+
+_START = """
+[start]
+elevation_deg = 0
+rate_deg_s = 15
+settle_s = 4
+"""
+# The paper's text gives neither amplitudes nor times; these stay within its rig's stops.
+PLANS: Final = {
+    "hover": f"""
+title = "Hover"
+{_START}
+[[segment]]
+kind = "hold"
+duration_s = 10
+""",
+    "irregular": f"""
+title = "Irregular travel path, constant elevation"
+{_START}
+[[segment]]
+kind = "waypoints"
+path = "smooth"
+points = [
+  {{ at_s = 4, travel_deg = 20 }}, {{ at_s = 9, travel_deg = 20 }}, {{ at_s = 14, travel_deg = -10 }},
+  {{ at_s = 18, travel_deg = 5 }}, {{ at_s = 23, travel_deg = 5 }}, {{ at_s = 30, travel_deg = 40 }},
+  {{ at_s = 34, travel_deg = 30 }}, {{ at_s = 42, travel_deg = 0 }},
+]
+duration_s = 48
+""",
+    "sine": f"""
+title = "Sines on travel and elevation"
+{_START}
+[[segment]]
+kind = "sine"
+elevation_amplitude_deg = 5
+elevation_period_s = 15
+travel_amplitude_deg = 25
+travel_period_s = 20
+duration_s = 60
+""",
+}
+"""Plans of the flights behind Figs. 21 to 25, as TOML."""
+
+
+@contextlib.contextmanager
+def board_on(plant: Plant, seed: int, elevation_deg: float) -> Iterator[tuple[Heli, SilWorld]]:
+    """Start a simulated board on a rig whose axes are locked, level in pitch.
+
+    Parameters
+    ----------
+    seed : int
+        Of the encoders' starting points.
+    elevation_deg : float
+        Where the arm is held; the board is told that this is its rest.
+
+    Yields
+    ------
+    Heli
+        Connected, idle.
+    SilWorld
+        The world that it is in.
+    """
+    from heli_host.heli import Heli
+    from heli_host.link.session import Session
+    from heli_sim.sil.inprocess import InProcessTransport
+    from heli_sim.sil.options import SilOptions
+    from heli_sim.sil.world import SilWorld
+
+    world = SilWorld(SilOptions(seed=seed), plant)
+    state = world.state
+    state[0] = np.deg2rad(elevation_deg)
+    world.state = state
+    world.native.locked = _ALL_LOCKED
+    session = Session(InProcessTransport(world))
+    session.connect()
+    with Heli(session) as heli:
+        heli.params["elevation_rest_deg"] = elevation_deg
+        heli.zero()
+        heli.wait(_BOOT_S)
+        yield heli, world
+
+
+def run_bench_test(test: BenchTest, plant: Plant, seed: int = 1) -> Flight:
+    """Do one of the bench tests.
+
+    Parameters
+    ----------
+    seed : int
+        Of the encoders' starting points.
+
+    Returns
+    -------
+    Flight
+        Every tick from the release on, time 0 at the release.
+    """
+    from heli_host.declaration import Axes
+    from heli_host.fly.recorder import Recorder
+    from heli_host.log.reader import read_log
+
+    powered = test.front_V > 0.0 or test.back_V > 0.0
+    with board_on(plant, seed, test.elevation_deg) as (heli, world), tempfile.TemporaryDirectory() as folder:
+        if powered:
+            heli.arm()
+            heli.control(Axes(0))
+        state = world.state
+        state[1] = np.deg2rad(test.pitch_deg)
+        world.state = state
+        heli.wait(_SETTLE_S)
+        path = Path(folder) / "test.mcap"
+        with Recorder(heli, path):
+            if powered:
+                heli.control(Axes(0), test.front_V, test.back_V)
+            world.native.locked = list(test.locked)
+            # The board and the world count the same milliseconds.
+            release_tick = world.tick + _FREE_TICKS
+            heli.wait(test.duration_s)
+            last_tick = world.tick - _FREE_TICKS
+            if powered:
+                heli.stop()
+            heli.wait(_BOOT_S)
+        log = read_log(path)
+    ticks, flight = log.ticks["tick"].astype(np.int64), log.flight()
+    first, last = np.searchsorted(ticks, [release_tick, last_tick])
+    cut = flight.between(float(flight.t_s[first]), float(flight.t_s[last]))
+    return replace(cut, t_s=cut.t_s - cut.t_s[0])
+
+
+def read_thrust(plant: Plant, seed: int = 1) -> ThrustCurve:
+    """Read thrust against voltage from a scale, every axis locked.
+
+    Parameters
+    ----------
+    seed : int
+        Of the encoders' starting points.
+
+    Returns
+    -------
+    ThrustCurve
+        One point for each of the voltages of Fig. 15.
+    """
+    from heli_host.declaration import Axes
+
+    from heli_lab.paper.bench_tests import THRUST_V
+    from heli_lab.paper.thrust import Scale, ThrustCurve
+
+    scale = Scale(plant)
+    points = []
+    with board_on(plant, seed, 0.0) as (heli, world):
+        heli.params["motor_max_V"] = max(THRUST_V)
+        heli.arm()
+        for volts in THRUST_V:
+            heli.control(Axes(0), volts, volts)
+            heli.wait(_SETTLE_S)
+            acted_V = world.native.volts_V
+            points.append((*acted_V, *scale.read_N(world.state, acted_V)))
+    columns = np.array(points)
+    return ThrustCurve(columns[:, :2], columns[:, 2:])
+
+
+def fly_plan(
+    name: str,
+    plant: Plant,
+    label: str,
+    gains: str | None = None,
+    seed: int = 1,
+    on_progress: Callable[[float], None] | None = None,
+) -> Flown:
+    """Fly one of the plans behind Figs. 21 to 25.
+
+    Parameters
+    ----------
+    name : str
+        A name of `PLANS`.
+    label : str
+        What the flight is called in the figure.
+    gains : str or None
+        Gains, as ``--gains`` names them; None for the board's own.
+    seed : int
+        Of the encoders' starting points.
+    on_progress : callable, optional
+        Told the share that is done.
+
+    Returns
+    -------
+    Flown
+        The flight beside what the plan asked for; also when a fault ended it.
+    """
+    from heli_host.declaration import State
+    from heli_host.fly.plan import Plan, take_off
+    from heli_host.fly.runner import Progress, fly
+    from heli_host.log.reader import read_log
+    from heli_host.published_gains import load_gains
+
+    from heli_lab.paper.figures_flight import flown
+
+    plan = Plan.parse(PLANS[name], f"plan {name}", name)
+    length_s = plan.duration_s + plan.start.settle_s
+
+    with board_on(plant, seed, TABLE_DEG) as (heli, world), tempfile.TemporaryDirectory() as folder:
+
+        def tell(progress: Progress) -> None:
+            # Table 2 as point masses balances above the table: the axes stay locked until the loops close.
+            if progress.sample.state is State.CLOSED_LOOP:
+                world.native.locked = [False, False, False]
+            if on_progress is not None:
+                on_progress(min(1.0, progress.t_s / length_s))
+
+        load_gains(heli.params, gains)
+        sample = heli.latest
+        start_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
+        route = take_off([plan], dict(heli.params), start_deg)
+        path = Path(folder) / "flight.mcap"
+        summary = fly(heli, plan, log_path=path, on_progress=tell)
+        flight = read_log(path).flight()
+    closed = np.flatnonzero(flight.state == State.CLOSED_LOOP)
+    start_s = float(flight.t_s[closed[0]]) if closed.size else 0.0
+    return flown(label, flight, route.evaluate(flight.t_s - start_s), summary.outcome)

@@ -1,0 +1,155 @@
+"""Counterparts of Figs. 15 to 19: thrust, pitch released, elevation and travel steps, sensitivity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import numpy.typing as npt
+from heli_sim.model.parts import AXES
+from heli_sim.rig import Rig
+
+from heli_lab.identify.check import Trace, trace
+from heli_lab.identify.problem import Problem
+from heli_lab.identify.record import Record
+from heli_lab.identify.solve import solve
+from heli_lab.paper.bench_tests import ELEVATION_STEPS
+from heli_lab.paper.coefficients import analytic
+from heli_lab.paper.sensitivity import CASES, response_deg
+from heli_lab.paper.tables import TESTS_OF_TABLE, Table
+from heli_lab.paper.thrust import ThrustCurve
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Floats = npt.NDArray[np.float64]
+
+MEASURED: Final = "#222222"
+MODEL: Final = "#d1495b"
+PRINTED: Final = "#0b5fa5"
+GREY: Final = "#8a8a8a"
+_SHOWN: Final = {3: "pitch", 4: "elevation", 5: "travel"}
+_NUMBERS: Final = {3: "16", 4: "17", 5: "18"}
+_PANEL_SIZE: Final = (6.4, 3.4)
+_WHOLE_s: Final = 1000.0
+_SMALL: Final = 8
+
+
+def thrust_figure(curve: ThrustCurve) -> Figure:
+    """Draw Fig. 15: thrust against voltage with the line through it.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel.
+    """
+    from matplotlib.figure import Figure
+
+    line = curve.line()
+    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    panel = figure.subplots()
+    for index, (name, marker) in enumerate((("front", "o"), ("back", "x"))):
+        panel.plot(
+            curve.volts_V[:, index],
+            curve.thrust_N[:, index],
+            marker,
+            color=MEASURED,
+            mfc="none",
+            label=f"{name} motor, simulated scale",
+        )
+    volts = np.linspace(0.0, float(curve.volts_V.max()), 200)
+    fitted = f"fit: F = {line.gain_N_per_V:.4f} (V - {line.dead_zone_V:.3f})"
+    panel.plot(
+        volts,
+        np.maximum(0.0, line.gain_N_per_V * (volts - line.dead_zone_V)),
+        color=MODEL,
+        label=fitted,
+    )
+    panel.plot(volts, 0.5839 * (volts - 1.0), "--", color=PRINTED, lw=1.0, label="(31) as printed")
+    panel.set_xlabel("voltage of the motor [V]")
+    panel.set_ylabel("thrust [N]")
+    panel.grid(alpha=0.25)
+    panel.legend(fontsize=_SMALL)
+    figure.suptitle("Thrust against voltage (after Fig. 15)")
+    return figure
+
+
+def bench_figure(table: Table, records: Sequence[Record], rig: Rig) -> Figure:
+    """Draw one of Figs. 16 to 18: the bench tests of a table, measured and by (30) as identified from them.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Two panels, (a) and (b), one above the other.
+    """
+    from matplotlib.figure import Figure
+
+    tests, axis = TESTS_OF_TABLE[table.number], _SHOWN[table.number]
+    figure = Figure(figsize=(_PANEL_SIZE[0], 2.0 * _PANEL_SIZE[1]), layout="constrained")
+    panels = figure.subplots(2, 1)
+    for panel, test, record in zip(panels, tests, records, strict=True):
+        run = _whole_run(table, record, rig)
+        column = AXES.index(axis)
+        panel.plot(run.t_s, np.rad2deg(run.measured_rad[:, column]), color=MEASURED, label="measured")
+        panel.plot(
+            run.t_s, np.rad2deg(run.predicted_rad[:, column]), "--", color=MODEL, label="(30), identified"
+        )
+        if table.number == 5:
+            panel.plot(
+                run.t_s, np.rad2deg(run.measured_rad[:, 1]), color=GREY, lw=0.8, label="pitch, measured"
+            )
+        error_deg = np.rad2deg(run.measured_rad[:, column] - run.predicted_rad[:, column])
+        rms_deg = float(np.sqrt(np.mean(error_deg**2)))
+        panel.set_title(
+            f"{test.panel[3:]} {test.name}: error {rms_deg:.3f} deg rms over the whole run", fontsize=9
+        )
+        panel.set_ylabel(f"{axis} angle [deg]")
+        panel.grid(alpha=0.25)
+        panel.legend(fontsize=_SMALL)
+    panels[-1].set_xlabel("time [s]")
+    figure.suptitle(f"Measured and simulated at the {axis} axis (after Fig. {_NUMBERS[table.number]})")
+    return figure
+
+
+def sensitivity_figure(rig: Rig) -> Figure:
+    """Draw Fig. 19: the elevation's step response with parameters changed or neglected.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel.
+    """
+    from matplotlib.figure import Figure
+
+    test, t_s = ELEVATION_STEPS[0], np.arange(0.0, 20.0, 0.02)
+    base = analytic(rig)
+    figure = Figure(figsize=(7.4, 4.6), layout="constrained")
+    panel = figure.subplots()
+    colours = (MEASURED, MODEL, PRINTED, "#157a4a", "#c98a00", "#6b3fa0")
+    for case, colour in zip(CASES, colours, strict=True):
+        changed = base | {name: factor * base[name] for name, factor in case.changes.items()}
+        width = 1.8 if not case.changes else 1.1
+        path_deg = response_deg(changed, test, t_s)
+        panel.plot(t_s, np.where(path_deg < 90.0, path_deg, np.nan), color=colour, lw=width, label=case.label)
+    panel.set_ylim(-30.0, 60.0)
+    panel.axhspan(rig["elevation_max"].value, 60.0, color="#eeeeee", label="beyond the upper stop")
+    panel.set_xlabel(f"time since the step to {test.front_V:g} V on each motor [s]")
+    panel.set_ylabel("elevation angle [deg]")
+    panel.grid(alpha=0.25)
+    panel.legend(fontsize=_SMALL, ncols=2)
+    figure.suptitle("Effect of parameter variations on the elevation dynamics (after Fig. 19)")
+    return figure
+
+
+def _whole_run(table: Table, record: Record, rig: Rig) -> Trace:
+    """Predict a test from its beginning to its end in one run, with what the table found."""
+    fit = table.fit
+    index = next(i for i, own in enumerate(fit.problem.records) if own.label == record.label)
+    values = {
+        one.quantity: float(value)
+        for one, value in zip(fit.problem.free, fit.theta, strict=True)
+        if one.record in (None, index)
+    }
+    problem = Problem(fit.problem.model, rig, [record], free=[], window_s=_WHOLE_s, values=values)
+    return trace(solve(problem))

@@ -1,0 +1,84 @@
+"""Equations (30) with P_1 to P_18 themselves as parameters: what the paper identified.
+
+Signs and shapes are those of (30), drag's psi'^2 and P_18 included; in the bench tests travel only moves
+forwards, where psi'^2 and psi' |psi'| are the same. The rotors' 1 V lies in P_1 and P_15, so the voltages
+have to stay above it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import casadi as ca
+from heli_sim.model.base import Effect, Model, Operands
+from heli_sim.rig.quantity import Prior, Quantity
+from typing_extensions import override
+
+from heli_lab.paper.coefficients import PRINTED
+
+_UNITS: Final = {
+    "P_4": "1/s",
+    "P_9": "1/s",
+    "P_12": "1/s",
+    "P_13": "1/rad",
+    "P_16": "1/rad",
+    **dict.fromkeys(("P_6", "P_11", "P_17", "P_18"), "rad/s2/V"),
+}
+
+
+class Coefficients(Effect):
+    """P_1 to P_18 as parameters, in rad, s and V of U+ and U-.
+
+    Parameters
+    ----------
+    values : Mapping[str, float]
+        Where a fit starts.
+    prior_std : Mapping[str, float]
+        Standard deviations of what is known beforehand, about `values`.
+    """
+
+    def __init__(self, values: Mapping[str, float], prior_std: Mapping[str, float]) -> None:
+        super().__init__(
+            "coefficients",
+            parameters=tuple(
+                Quantity(one.name, _UNITS.get(one.name, "rad/s2"), f"factor of {one.term} in (30)")
+                for one in PRINTED
+            ),
+            values=dict(values),
+            priors={name: Prior(values[name], std) for name, std in prior_std.items()},
+        )
+
+
+class LumpedModel(Model):
+    """The paper's (30)."""
+
+    name = "lumped"
+    rig_parameters = ()
+
+    def __init__(self, coefficients: Coefficients) -> None:
+        super().__init__((coefficients,))
+
+    @override
+    def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
+        p, state = at.parameter, at.state
+        theta, phi = state["elevation_rad"], state["pitch_rad"]
+        travel_rate2 = state["travel_rate_rad_s"] ** 2
+        both_V, difference_V = at.volts_V[0] + at.volts_V[1], at.volts_V[0] - at.volts_V[1]
+        return ca.vertcat(
+            (p["P_1"] + p["P_6"] * both_V) * ca.cos(phi)
+            + p["P_2"] * ca.cos(theta)
+            + p["P_3"] * ca.sin(theta)
+            + p["P_4"] * state["elevation_rate_rad_s"]
+            + p["P_5"],
+            p["P_7"] * ca.cos(phi)
+            + p["P_8"] * ca.sin(phi)
+            + p["P_9"] * state["pitch_rate_rad_s"]
+            + p["P_10"]
+            + p["P_11"] * difference_V,
+            p["P_12"] * state["travel_rate_rad_s"]
+            + p["P_13"] * travel_rate2
+            + p["P_14"]
+            + (p["P_15"] + p["P_16"] * travel_rate2 + p["P_17"] * both_V + p["P_18"] * difference_V)
+            * ca.sin(phi),
+        )

@@ -1,0 +1,142 @@
+"""Fig. 19: sensitivity of the elevation's step response to its parameters, P_1 to P_6 of (30)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from heli_sim.rig import Rig
+
+from heli_lab.paper.bench_tests import ELEVATION_STEPS, TABLE_DEG, BenchTest
+from heli_lab.paper.coefficients import analytic
+
+Floats = npt.NDArray[np.float64]
+
+_STEP_s: Final = 0.01
+_NAMES: Final = ("P_1", "P_2", "P_3", "P_4", "P_6")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One curve of the figure.
+
+    Parameters
+    ----------
+    label : str
+        What was changed.
+    changes : Mapping[str, float]
+        Factor on each coefficient that was; 0 neglects it.
+    """
+
+    label: str
+    changes: Mapping[str, float]
+
+
+CASES: Final[tuple[Case, ...]] = (
+    Case("as in Table 2", {}),
+    Case("case 1: gravity moment P_2 + 10 %", {"P_2": 1.1}),
+    Case("case 2: thrust P_6 + 10 %", {"P_6": 1.1}),
+    Case("pendulum P_3 neglected", {"P_3": 0.0}),
+    Case("friction P_4 neglected", {"P_4": 0.0}),
+    Case("dead zone P_1 neglected", {"P_1": 0.0}),
+)
+"""The paper's text speaks of small changes in its cases 1 and 2, and of parameters neglected."""
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """What one percent of a coefficient does.
+
+    Parameters
+    ----------
+    name : str
+        The coefficient.
+    equilibrium_deg : float
+        Change of the equilibrium elevation, for + 1 %.
+    rms_deg : float
+        Root mean square change of the whole response, for + 1 %.
+    """
+
+    name: str
+    equilibrium_deg: float
+    rms_deg: float
+
+
+def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats) -> Floats:
+    """Elevation of (30) after a step of both voltages, pitch and travel locked, from the table on.
+
+    Parameters
+    ----------
+    coefficients : Mapping[str, float]
+        P_1 to P_6, in rad, s and V of U+.
+    t_s : ndarray (n,)
+        Times since the step, evenly spaced.
+
+    Returns
+    -------
+    ndarray (n,)
+        Degrees; no stop but the table.
+    """
+    p, both_V = coefficients, test.front_V + test.back_V
+    table = math.radians(TABLE_DEG)
+
+    def rates(x: Floats) -> Floats:
+        forced = p["P_1"] + p["P_5"] + p["P_6"] * both_V
+        return np.array(
+            [x[1], forced + p["P_2"] * math.cos(x[0]) + p["P_3"] * math.sin(x[0]) + p["P_4"] * x[1]]
+        )
+
+    x = np.array([table, 0.0])
+    every = max(1, math.ceil((t_s[1] - t_s[0]) / _STEP_s))
+    h = float(t_s[1] - t_s[0]) / every
+    out = np.empty(t_s.size)
+    for row in range(t_s.size):
+        out[row] = x[0]
+        for _ in range(every):
+            k1 = rates(x)
+            k2 = rates(x + 0.5 * h * k1)
+            k3 = rates(x + 0.5 * h * k2)
+            x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + rates(x + h * k3))
+            if x[0] <= table:
+                x = np.array([table, max(x[1], 0.0)])
+    return np.degrees(out)
+
+
+def equilibrium_deg(coefficients: Mapping[str, float], test: BenchTest) -> float:
+    """Elevation at which thrust and gravity balance.
+
+    Parameters
+    ----------
+    coefficients : Mapping[str, float]
+        P_1 to P_6, in rad, s and V of U+.
+
+    Returns
+    -------
+    float
+        Degrees; not a number when nothing balances.
+    """
+    p = coefficients
+    forced = p["P_1"] + p["P_5"] + p["P_6"] * (test.front_V + test.back_V)
+    # forced + P_2 cos + P_3 sin = 0
+    size = math.hypot(p["P_2"], p["P_3"])
+    if abs(forced) > size:
+        return math.nan
+    return math.degrees(math.atan2(p["P_2"], -p["P_3"]) + math.asin(forced / size))
+
+
+def sensitivities(rig: Rig, test: BenchTest = ELEVATION_STEPS[0]) -> list[Sensitivity]:
+    """One percent of every coefficient, one after the other."""
+    base, t_s = analytic(rig), np.arange(0.0, 20.0, 0.02)
+    path, rest = response_deg(base, test, t_s), equilibrium_deg(base, test)
+    out = []
+    for name in _NAMES:
+        changed = base | {name: 1.01 * base[name]}
+        moved = response_deg(changed, test, t_s) - path
+        out.append(
+            Sensitivity(name, equilibrium_deg(changed, test) - rest, float(np.sqrt(np.mean(moved**2))))
+        )
+    return sorted(out, key=lambda one: -one.rms_deg)

@@ -1,0 +1,136 @@
+"""The paper's tables beside what was found, as lines for a terminal and as JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from heli_sim.model.parts import AXES
+
+if TYPE_CHECKING:
+    from heli_sim.plant import Plant
+
+    from heli_lab.paper.compare import Distance
+    from heli_lab.paper.rig_table import RigTable
+    from heli_lab.paper.table6 import Verdict
+    from heli_lab.paper.tables import Table
+    from heli_lab.paper.thrust import Line
+
+
+def table_lines(line: Line, by_rig: RigTable, found: Sequence[Table]) -> list[str]:
+    """Format Tables 2 to 5 for a terminal.
+
+    Returns
+    -------
+    list of str
+        Lines.
+    """
+    out = [
+        f"Fig. 15: F = {line.gain_N_per_V:.4f} +- {line.gain_half:.4f} N/V "
+        f"(V - {line.dead_zone_V:.3f} +- {line.dead_zone_half:.3f} V); printed: 0.5839 (V - 1)",
+        "",
+        "Table 2 (intervals hold 95 %; the bench tests are fitted by the multibody model)",
+        f"  {'':19} {'printed':>8} {'rig file':>18} {'bench tests':>23}",
+    ]
+    for row in by_rig.rows:
+        told = _interval(row.found, row.half) if row.found is not None else "-"
+        printed = "-" if row.printed is None else f"{row.printed:g}"
+        was = f"{row.value:.4g} +- {row.tolerance:g}" if row.tolerance else f"{row.value:.4f}"
+        out.append(f"  {row.name:19} {printed:>8} {was:>18} {told:>23} {row.unit:9} {row.note}".rstrip())
+    for table in found:
+        error = by_rig.normalised[table.number]
+        out += [
+            "",
+            f"Table {table.number} (by masses: the formulas below (30), drag and P_18 corrected; "
+            "bench tests: by (30))",
+            f"  {'':22} {'printed':>18} {'by masses':>10} {'bench tests':>23}",
+        ]
+        for own in table.rows:
+            tolerance = "" if own.tolerance is None else f" +- {own.tolerance:.3g}"
+            printed = "-" if own.printed is None else f"{own.printed:.5g}{tolerance}"
+            told = "-" if own.found is None or own.half is None else _interval(own.found, own.half)
+            numbers = f"{printed:>18} {own.analytic:>10.4g} {told:>23}"
+            out.append(f"  {own.name:22} {numbers} {own.unit:14} {own.note}".rstrip())
+        out.append(
+            f"  error of a 4 s prediction over the encoder's quantisation: (30) {table.normalised:.2f}, "
+            f"multibody {error:.2f}"
+        )
+    return out
+
+
+def model_lines(found: Sequence[Distance]) -> list[str]:
+    """Format the models' errors for a terminal.
+
+    Returns
+    -------
+    list of str
+        Lines.
+    """
+    out = [
+        "Free runs of 2 s over a multibody rig's sines, rig file's numbers, rms error",
+        f"  {'model':14} {' '.join(f'{axis:>10}' for axis in AXES)}      over the encoder's quantisation",
+    ]
+    for one in found:
+        errors = " ".join(f"{one.rms_deg[axis]:>10.3f}" for axis in AXES)
+        out.append(f"  {one.model:14} {errors} deg  {one.normalised:.2f}")
+    return out
+
+
+def gain_lines(found: dict[str, list[Verdict]]) -> list[str]:
+    """Format the readings of Table 6 for a terminal.
+
+    Returns
+    -------
+    list of str
+        Lines.
+    """
+    reading = {"degrees": "pitch in deg", "u3": "u3 in V"}
+    out = ["Table 6 on the linearised rig: are pitch and travel stable, and up to which lag (399 ms: any)?"]
+    for model, rows in found.items():
+        out += ["", f"model {model}"]
+        for one in rows:
+            if one.growth_1_per_s < 0.0:
+                step = f"15 deg step peaks at {one.peak_deg:.1f}, settles in {one.settling_time_s:.0f} s"
+                lag = f"to {1e3 * one.lag_s:3.0f} ms of thrust lag"
+                text = f"stable,   decays at {-one.growth_1_per_s:.3f} 1/s, {lag}; {step}"
+            else:
+                text = f"unstable, grows at {one.growth_1_per_s:5.3f} 1/s, period {one.period_s:.2f} s"
+            law = f"{one.gains:10} {reading[one.reading]:13} derivative of {one.derivative:12}"
+            out.append(f"  {law} {text}")
+    return out
+
+
+def tables_json(plant: Plant, line: Line, by_rig: RigTable, found: Sequence[Table]) -> dict[str, Any]:
+    """Tables 2 to 5 as JSON has them.
+
+    Returns
+    -------
+    dict
+        rig, model, thrust, table_2, table_3, table_4, table_5, each with its rows and errors.
+    """
+    return {
+        "rig": plant.rig.name,
+        "model": plant.model.name,
+        "thrust": asdict(line),
+        "table_2": {"rows": [asdict(row) for row in by_rig.rows]},
+        **{
+            f"table_{table.number}": {
+                "rows": [asdict(row) for row in table.rows],
+                "normalised_residual": {
+                    "lumped": table.normalised,
+                    "multibody": by_rig.normalised[table.number],
+                },
+            }
+            for table in found
+        },
+    }
+
+
+def _interval(value: float | None, half: float | None) -> str:
+    """A value with two digits of its interval."""
+    if value is None or half is None:
+        return "-"
+    digits = max(0, 1 - math.floor(math.log10(half))) if half > 0.0 else 4
+    return f"{value:.{digits}f} +- {half:.{digits}f}"

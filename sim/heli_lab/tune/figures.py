@@ -1,0 +1,105 @@
+"""Figure of a design: the flights on the left, every loop on every plant on the right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from heli_host.flight import Flight
+from heli_sim.model.parts import AXES
+
+from heli_lab.tune.design import Design
+from heli_lab.tune.loops import LOOPS, open_loops
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_ASKED, _CORNER = "#222222", "#cccccc"
+_COLOURS: Final = ("#0b5fa5", "#d1495b", "#2a9d55", "#8a5fbf")
+_REACH: Final = 2.2
+_SMALL: Final = 8
+
+
+def figure_of(design: Design, flights: Sequence[tuple[str, Flight]]) -> Figure:
+    """Draw a design.
+
+    Parameters
+    ----------
+    design : Design
+        Gains and the plants that they were found on.
+    flights : sequence of (str, Flight)
+        What they flew: a label, and the flight.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Angles and voltages over time on the left, Nyquist plots on the right.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(14, 7.2), layout="constrained")
+    grid = figure.add_gridspec(4, 4, width_ratios=[1.0, 1.0, 1.1, 1.1])
+    rows: list[Axes] = []
+    for row in range(4):
+        rows.append(figure.add_subplot(grid[row, :2], sharex=rows[0] if rows else None))
+    _draw_flights(rows, flights)
+    for number, loop in enumerate(LOOPS):
+        above, aside = 2 * (number // 2), 2 + number % 2
+        axes = figure.add_subplot(grid[above : above + 2, aside])
+        _draw_loop(axes, loop, design)
+        if number == 0:
+            axes.legend(loc="lower right", fontsize=_SMALL)
+            axes.text(
+                *(-_REACH + 0.1, 0.9),
+                f"red: a disturbance grows\nmore than {design.sensitivity:g} times",
+                fontsize=_SMALL,
+                va="top",
+            )
+    return figure
+
+
+def _draw_flights(panels: Sequence[Axes], flights: Sequence[tuple[str, Flight]]) -> None:
+    for (label, flight), colour in zip(flights, _COLOURS, strict=False):
+        angles_deg = np.rad2deg(flight.angles_rad)
+        for index, axes in enumerate(panels[:3]):
+            axes.plot(flight.t_s, angles_deg[:, index], color=colour, lw=0.9, label=label)
+        panels[3].plot(flight.t_s, flight.front_V, color=colour, lw=0.5)
+    _, first = flights[0]
+    asked = (first.elevation_setpoint_rad, None, first.travel_setpoint_rad)
+    for index, setpoint_rad in enumerate(asked):
+        if setpoint_rad is not None:
+            label = "setpoint"
+            panels[index].plot(
+                first.t_s, np.rad2deg(setpoint_rad), color=_ASKED, lw=0.9, ls="--", label=label
+            )
+        panels[index].set_ylabel(f"{AXES[index]} [deg]")
+    panels[3].set_ylabel("front motor [V]")
+    panels[3].set_xlabel("time since take-off [s]")
+    panels[0].legend(loc="lower right", fontsize=_SMALL)
+    panels[0].set_title("Flown by the flight code", loc="left", fontsize=10)
+    for axes in panels:
+        axes.grid(alpha=0.25)
+
+
+def _draw_loop(axes: Axes, loop: str, design: Design) -> None:
+    frequency = np.geomspace(0.05, 200.0, 600)
+    own = [plant for plant in design.plants if plant.thrust == plant.counterweight == 1.0]
+    for plant in design.plants:
+        gain = open_loops(plant, design.law, frequency)[loop]
+        if plant in own:
+            colour = _COLOURS[own.index(plant) % len(_COLOURS)]
+            axes.plot(
+                gain.real, gain.imag, color=colour, lw=1.2, zorder=3, label=f"lag {1e3 * plant.lag_s:.0f} ms"
+            )
+        else:
+            axes.plot(gain.real, gain.imag, color=_CORNER, lw=0.7, zorder=1)
+    turn = np.linspace(0.0, 2.0 * np.pi, 100)
+    radius = 1.0 / design.sensitivity
+    axes.fill(-1.0 + radius * np.cos(turn), radius * np.sin(turn), color="#f4b6ae", zorder=2)
+    axes.plot(-1.0, 0.0, "+", color=_ASKED, zorder=4)
+    axes.set(xlim=(-_REACH, 1.0), ylim=(-_REACH, 1.0), aspect="equal")
+    axes.set_title(f"{loop} loop", loc="left", fontsize=10)
+    axes.grid(alpha=0.25)
+    axes.tick_params(labelsize=_SMALL)

@@ -1,0 +1,136 @@
+"""A demanding flight to measure gains by: take-off, a step of travel and back, sines on both."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from heli_host.flight import Flight
+    from heli_sim.plant import Plant
+
+    from heli_lab.tune.step_metrics import StepMetrics
+
+PLAN: Final = """
+title = "Take-off, a step of travel and back, sines"
+[start]
+elevation_deg = 0
+rate_deg_s = 15
+settle_s = 12
+[[segment]]
+kind = "step"
+travel_deg = 15
+duration_s = 8
+[[segment]]
+kind = "step"
+travel_deg = 0
+duration_s = 8
+[[segment]]
+kind = "sine"
+elevation_amplitude_deg = 5
+elevation_period_s = 15
+travel_amplitude_deg = 25
+travel_period_s = 20
+duration_s = 60
+"""
+_STEP_S, _SINE_S = 8.0, 60.0
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A flight with the gains that are to be judged.
+
+    Parameters
+    ----------
+    label : str
+        What it flew on, in a few words.
+    flight : Flight
+        From the moment at which the loops closed, time 0.
+    metrics : StepMetrics
+        Overshoot, settling time and tracking errors.
+    """
+
+    label: str
+    flight: Flight
+    metrics: StepMetrics
+
+
+def try_gains(
+    plant: Plant,
+    parameters: Mapping[str, float],
+    label: str,
+    seed: int = 1,
+    on_progress: Callable[[float], None] | None = None,
+) -> Trial:
+    """Fly a set of parameters on a simulated rig, through the flight code and the whole link.
+
+    Parameters
+    ----------
+    parameters : Mapping of str to float
+        The board's parameters that differ from their defaults.
+    label : str
+        What it flies on, in a few words.
+    seed : int
+        Of the encoders' starting points.
+    on_progress : callable, optional
+        Told the share that is done.
+
+    Returns
+    -------
+    Trial
+        Also when a fault ended it.
+
+    Raises
+    ------
+    ParameterError
+        When the board does not take one of the parameters.
+    """
+    from heli_host.declaration import State
+    from heli_host.fly.plan import Plan, take_off
+    from heli_host.fly.runner import Progress, fly
+    from heli_host.heli import Heli
+    from heli_host.link.session import Session
+    from heli_host.log.reader import read_log
+    from heli_sim.sil.inprocess import InProcessTransport
+    from heli_sim.sil.options import SilOptions
+    from heli_sim.sil.world import SilWorld
+
+    from heli_lab.tune.step_metrics import Phases, step_metrics
+
+    plan = Plan.parse(PLAN, "plan of the trial", "trial")
+    length_s = plan.duration_s + plan.start.settle_s
+
+    def tell(progress: Progress) -> None:
+        if on_progress is not None:
+            on_progress(min(1.0, progress.t_s / length_s))
+
+    session = Session(InProcessTransport(SilWorld(SilOptions(seed=seed), plant)))
+    session.connect()
+    with Heli(session) as heli, tempfile.TemporaryDirectory() as folder:
+        heli.params.restore(parameters)
+        heli.wait(0.2)
+        sample = heli.latest
+        start_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
+        route = take_off([plan], dict(heli.params), start_deg)
+        path = Path(folder) / "flight.mcap"
+        summary = fly(heli, plan, log_path=path, on_progress=tell)
+        flight = read_log(path).flight()
+    closed = np.flatnonzero(flight.state == State.CLOSED_LOOP)
+    start_s = float(flight.t_s[closed[0]]) if closed.size else float(flight.t_s[0])
+    stop_s = float(flight.t_s[closed[-1]]) if closed.size else start_s
+    step_s = start_s + route.duration_s - plan.duration_s
+    phases = Phases(start_s, step_s, step_s + _STEP_S, step_s + 2 * _STEP_S, step_s + 2 * _STEP_S + _SINE_S)
+    cut = flight.between(start_s, stop_s)
+    metrics = step_metrics(cut, lambda t_s: route.evaluate(t_s - start_s), phases, summary.outcome)
+    return Trial(label, _from_zero(cut, start_s), metrics)
+
+
+def _from_zero(flight: Flight, start_s: float) -> Flight:
+    from dataclasses import replace
+
+    return replace(flight, t_s=flight.t_s - start_s)

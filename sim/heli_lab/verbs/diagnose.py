@@ -1,0 +1,131 @@
+"""``heli-host diagnose``: what the simulation gets wrong."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from heli_host.cli.simulated import DEFAULT_RIG
+from heli_host.cli.verb import Verb
+
+from heli_lab.fit_options import (
+    EquationsOption,
+    FlightsArgument,
+    FoundRigOption,
+    FromOption,
+    KnownRigOption,
+    NumbersOption,
+    OwnEffectsOption,
+    ReportOption,
+    ToOption,
+    ValidateOption,
+)
+
+if TYPE_CHECKING:
+    from heli_lab.diagnose import Diagnosis
+    from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
+
+
+def diagnose(
+    flights: FlightsArgument,
+    validate: ValidateOption = None,
+    rig: KnownRigOption = DEFAULT_RIG,
+    model: EquationsOption = None,
+    effects: OwnEffectsOption = None,
+    start_s: FromOption = None,
+    stop_s: ToOption = None,
+    report: ReportOption = None,
+    json: NumbersOption = None,
+    out: FoundRigOption = None,
+    seed: Annotated[
+        int, typer.Option("--seed", metavar="N", min=0, help="Seed of the bootstrap behind the intervals.")
+    ] = 0,
+    budget_s: Annotated[
+        float,
+        typer.Option(
+            "--budget",
+            metavar="S",
+            min=5.0,
+            help="Time limit, nearly kept; the result says whether everything was tried.",
+        ),
+    ] = 120.0,
+) -> None:
+    """Show what a model gets wrong in flights, name the cause, extend the model, measure the gain.
+
+    The baseline is refitted first. Every effect of the catalogue is scored; one is named if its
+    log-likelihood ratio exceeds its penalty and the flights given with --validate confirm it. What no effect
+    explains is `unexplained`.
+
+    Example: `heli-host diagnose a.mcap --validate b.mcap --rig makki2024 --report why --out extended.toml`
+    """
+    # Matrices here are small: more threads only wait for each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from heli_host.cli.outputs import check_result_places
+    from heli_host.cli.progress_bar import WorkBar
+    from heli_sim.model.effects import catalogue
+    from heli_sim.rig import write_rig
+
+    from heli_lab.diagnose import diagnose as find
+    from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation, insufficient_excitation
+    from heli_lab.diagnose.report import write_insufficient_excitation, write_report
+    from heli_lab.diagnose.serialize import to_json
+    from heli_lab.diagnose.summary import summary
+    from heli_lab.errors import NotExcited
+    from heli_lab.fit_inputs import fit_inputs, read_flights, write_numbers
+
+    others = validate or []
+    check_result_places(out, json, report=report)
+    given = fit_inputs(flights, others, rig, model, effects or ())
+    kinds = catalogue(effects or ())
+    found: Diagnosis | InsufficientExcitation
+    written: list[Path] = []
+    with WorkBar() as bar:
+        bar.show("reading", 0.0)
+        fitted, held_out = read_flights(flights), read_flights(others)
+        try:
+            found = find(
+                given.model,
+                given.rig,
+                fitted,
+                held_out,
+                kinds=kinds,
+                labels=given.labels,
+                start_s=start_s,
+                stop_s=stop_s,
+                seed=seed,
+                seconds=budget_s,
+                say=bar.show,
+            )
+        except NotExcited as nothing:
+            found = insufficient_excitation(str(nothing), given.model, given.rig, kinds)
+        if out is not None and not isinstance(found, InsufficientExcitation):
+            write_rig(
+                found.rig(out.stem),
+                out,
+                f"Found by heli-host diagnose, model {given.model.name}. {summary(found)}",
+            )
+            written.append(out)
+        if report is not None:
+            bar.show("drawing", 0.95)
+            if isinstance(found, InsufficientExcitation):
+                written.append(write_insufficient_excitation(found, report))
+            else:
+                written.append(write_report(found, report))
+        written += write_numbers(json, to_json(found))
+    _print(found)
+    if written:
+        print(f"files: {', '.join(str(path) for path in written)}")
+
+
+def _print(found: Diagnosis | InsufficientExcitation) -> None:
+    """Print the verdict, the causes and the gain."""
+    from heli_lab.diagnose.summary import lines, summary
+
+    print(f"{found.label}: {summary(found)}")
+    for line in lines(found):
+        print(f"  {line}")
+
+
+VERB = Verb(diagnose, "Laboratory", variadic=True)

@@ -1,0 +1,124 @@
+"""``heli-host identify``: the rig's numbers from flights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from heli_host.cli.simulated import DEFAULT_RIG
+from heli_host.cli.verb import Verb
+
+from heli_lab.fit_options import (
+    EquationsOption,
+    FlightsArgument,
+    FoundRigOption,
+    FromOption,
+    KnownRigOption,
+    NumbersOption,
+    OwnEffectsOption,
+    ReportOption,
+    ToOption,
+    ValidateOption,
+)
+
+if TYPE_CHECKING:
+    from heli_lab.identify.result import Identification
+
+
+def identify(
+    flights: FlightsArgument,
+    rig: KnownRigOption = DEFAULT_RIG,
+    model: EquationsOption = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option("--effect", metavar="ID...", help="Effects to estimate as well, such as rotor_lag."),
+    ] = None,
+    effects: OwnEffectsOption = None,
+    free: Annotated[
+        list[str] | None,
+        typer.Option("--free", metavar="NAME...", help="Estimate only these; else all with a tolerance."),
+    ] = None,
+    fix: Annotated[
+        list[str] | None, typer.Option("--fix", metavar="NAME...", help="Do not estimate these parameters.")
+    ] = None,
+    validate: ValidateOption = None,
+    start_s: FromOption = None,
+    stop_s: ToOption = None,
+    window_s: Annotated[
+        float, typer.Option("--window-s", metavar="S", min=0.5, max=30.0, help="Length of a free run.")
+    ] = 2.0,
+    allow_gaps: Annotated[
+        bool, typer.Option("--allow-gaps", help="Leave out missing rows instead of refusing the flight.")
+    ] = False,
+    out: FoundRigOption = None,
+    report: ReportOption = None,
+    json: NumbersOption = None,
+) -> None:
+    """Estimate a rig's parameters from flights, with standard errors.
+
+    Each window of a flight is simulated from its voltages alone; the parameters with the least squared errors
+    are the result, with the tolerances of the rig file as priors. --validate tries them on other flights.
+
+    Example: `heli-host identify a.mcap --validate b.mcap --rig makki2024 --out mine.toml --report mine`
+    """
+    from heli_host.cli.outputs import check_result_places
+    from heli_host.cli.progress_bar import WorkBar
+    from heli_sim.rig import write_rig
+
+    from heli_lab.fit_inputs import fit_inputs, read_flights, write_numbers
+    from heli_lab.identify.report import verdict, write_report
+    from heli_lab.identify.run import identify as find
+
+    others = validate or []
+    check_result_places(out, json, report=report)
+    given = fit_inputs(flights, others, rig, model, effects or (), effect or ())
+    with WorkBar() as bar:
+        bar.show("reading", 0.0)
+        found = find(
+            given.model,
+            given.rig,
+            read_flights(flights, allow_gaps),
+            validation=read_flights(others, allow_gaps),
+            free=free or None,
+            fixed=fix or (),
+            labels=given.labels[: len(flights)],
+            validation_labels=given.labels[len(flights) :],
+            start_s=start_s,
+            stop_s=stop_s,
+            window_s=window_s,
+            on_progress=lambda progress: bar.show(progress.stage, progress.done),
+        )
+        written: list[Path] = []
+        if out is not None:
+            new = found.rig(out.stem)
+            write_rig(new, out, f"Found by heli-host identify. {verdict(found)}")
+            written.append(out)
+        if report is not None:
+            bar.show("drawing", 0.9)
+            written.append(write_report(found, report))
+        written += write_numbers(json, found.json())
+    _print(found)
+    print(verdict(found))
+    if written:
+        print(f"files: {', '.join(str(path) for path in written)}")
+
+
+def _print(found: Identification) -> None:
+    """Print estimates beside priors."""
+    from heli_lab.identify.result import rounded
+
+    fit = found.fit
+    rows = [("parameter", "found", "+- 2 std", "prior", "+- 2 std", "unit", "")]
+    for one, value, std in zip(fit.problem.free, fit.theta, fit.std.values(), strict=True):
+        remark = "uninformed" if one.name in found.uninformed_parameters else ""
+        remark = "on its bound" if one.name in fit.at_bound else remark
+        known = f"{one.prior.mean:g}", f"{2 * one.prior.std:g}"
+        rows.append((one.name, rounded(value, std), rounded(2 * std, std), *known, one.unit, remark))
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    for row in rows:
+        name, *numbers = (cell.rjust(width) for cell, width in zip(row[:5], widths, strict=False))
+        print("  ".join((name.strip().ljust(widths[0]), *numbers, row[5].ljust(widths[5]), row[6])).rstrip())
+
+
+VERB = Verb(identify, "Laboratory", variadic=True)

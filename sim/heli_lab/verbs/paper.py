@@ -1,0 +1,268 @@
+"""``heli-host paper``: the paper's bench tests, tables, gains and figures on the simulated rig."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from heli_host.cli.simulated import DEFAULT_RIG, SeedOption
+from heli_host.cli.verb import Verb
+
+if TYPE_CHECKING:
+    from heli_sim.plant import Plant
+    from matplotlib.figure import Figure
+
+    from heli_lab.identify.record import Record
+    from heli_lab.paper.figures_flight import Flown
+
+app = typer.Typer(
+    help="The paper's bench tests, tables, gains and figures on the simulated rig.", no_args_is_help=True
+)
+
+RigName = Annotated[str, typer.Option("--rig", metavar="NAME|FILE", help="Rig simulated.")]
+ModelName = Annotated[str, typer.Option("--model", metavar="NAME", help="Equations of motion simulated.")]
+JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="All numbers.")]
+_MODEL = "multibody"
+_DPI = 130
+# Hover of a rig whose rotors are alike would be two straight lines.
+_UNEVEN = "M_f"
+
+
+@app.command("tables")
+def tables(
+    rig: RigName = DEFAULT_RIG, model: ModelName = _MODEL, seed: SeedOption = 1, json: JsonFile = None
+) -> None:
+    """Print Tables 2 to 5 beside what the paper's bench tests give on the simulated rig.
+
+    Example: `heli-host paper tables --json tables.json`
+    """
+    from heli_host.cli.outputs import check_place
+    from heli_host.cli.progress_bar import WorkBar
+
+    from heli_lab.paper.experiments import read_thrust
+    from heli_lab.paper.rig_table import fit_rig
+    from heli_lab.paper.tables import fit_table
+    from heli_lab.paper.text import table_lines, tables_json
+
+    if json is not None:
+        check_place(json)
+    plant = _plant(rig, model)
+    with WorkBar() as bar:
+        bar.show("bench tests", 0.0)
+        records = _records(plant, seed)
+        line = read_thrust(plant, seed).line()
+        found = []
+        for place, number in enumerate(records):
+            share = 0.1 + 0.1 * place
+
+            def tell(done: float, share: float = share, number: int = number) -> None:
+                bar.show(f"fitting Table {number}", share + 0.1 * done)
+
+            found.append(fit_table(number, plant.rig, records[number], tell))
+        by_rig = fit_rig(plant.rig, records, line, lambda done: bar.show("fitting Table 2", 0.4 + 0.6 * done))
+    for text in table_lines(line, by_rig, found):
+        print(text)
+    if json is not None:
+        _write_json(json, tables_json(plant, line, by_rig, found))
+
+
+@app.command("gains")
+def gains(rig: RigName = DEFAULT_RIG, json: JsonFile = None) -> None:
+    """Say whether Table 6 holds pitch and travel, in every reading, on (30) and on the multibody model.
+
+    Example: `heli-host paper gains`
+    """
+    from heli_host.cli.outputs import check_place
+    from heli_sim.model.named import model_named
+    from heli_sim.rig import load_rig
+
+    from heli_lab.paper.table6 import verdicts
+    from heli_lab.paper.text import gain_lines
+
+    if json is not None:
+        check_place(json)
+    loaded = load_rig(rig)
+    found = {name: verdicts(model_named(name), loaded) for name in ("paper", "multibody")}
+    for text in gain_lines(found):
+        print(text)
+    if json is not None:
+        _write_json(json, {name: [asdict(one) for one in rows] for name, rows in found.items()})
+
+
+@app.command("models")
+def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonFile = None) -> None:
+    """Measure how far the paper's equations, printed and corrected, are from a multibody rig in flight.
+
+    Every model predicts the flight in free runs of 2 s from the rig file's own numbers; nothing is fitted.
+
+    Example: `heli-host paper models`
+    """
+    from heli_host.cli.outputs import check_place
+    from heli_host.cli.progress_bar import WorkBar
+    from heli_sim.model.named import MODELS, model_named
+
+    from heli_lab.paper.compare import distances
+    from heli_lab.paper.experiments import fly_plan
+    from heli_lab.paper.text import model_lines
+
+    if json is not None:
+        check_place(json)
+    plant = _plant(rig, _MODEL)
+    with WorkBar() as bar:
+        flown = fly_plan("sine", plant, "sine", None, seed, lambda done: bar.show("flying", 0.5 * done))
+        bar.show("predicting", 0.5)
+        found = distances([model_named(name) for name in sorted(MODELS)], plant.rig, flown.flight)
+    for text in model_lines(found):
+        print(text)
+    if json is not None:
+        _write_json(json, {one.model: asdict(one) for one in found})
+
+
+@app.command("equations")
+def equations(
+    model: Annotated[
+        str, typer.Argument(metavar="MODEL", help="multibody, paper or paper_printed.")
+    ] = _MODEL,
+) -> None:
+    """Print a model's equations as LaTeX, from the symbols that are simulated.
+
+    Example: `heli-host paper equations paper_printed`
+    """
+    from heli_sim.model.latex import equations as equations_of
+    from heli_sim.model.named import model_named
+
+    for equation in equations_of(model_named(model)):
+        print(equation.text)
+
+
+@app.command("figures")
+def figures(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the figures.")],
+    rig: RigName = DEFAULT_RIG,
+    model: ModelName = _MODEL,
+    seed: SeedOption = 1,
+) -> None:
+    """Draw the counterparts of Figs. 15 to 19 and 21 to 25.
+
+    Figs. 21 to 25 are flown twice by the flight code: with the board's own gains, and with Table 6, P and I
+    of travel exchanged. Their rig has a front rotor that is heavier by its tolerance.
+
+    Example: `heli-host paper figures paper-figures`
+    """
+    from heli_host.cli.outputs import check_place
+    from heli_host.cli.progress_bar import WorkBar
+
+    from heli_lab.paper import figures_bench as bench
+    from heli_lab.paper import figures_flight as flight
+    from heli_lab.paper.experiments import read_thrust
+    from heli_lab.paper.tables import fit_table
+
+    check_place(folder / "fig15.png")
+    plant = _plant(rig, model)
+    written = []
+
+    def write(name: str, figure: Figure) -> None:
+        figure.savefig(folder / name, dpi=_DPI)
+        written.append(name)
+
+    with WorkBar() as bar:
+        bar.show("bench tests", 0.0)
+        write("fig15.png", bench.thrust_figure(read_thrust(plant, seed)))
+        records = _records(plant, seed)
+        for place, number in enumerate(records):
+            bar.show(f"fitting Table {number}", 0.05 + 0.1 * place)
+            table = fit_table(number, plant.rig, records[number])
+            write(f"fig{number + 13}.png", bench.bench_figure(table, records[number], plant.rig))
+        write("fig19.png", bench.sensitivity_figure(plant.rig))
+        flights = _flights(_uneven(plant), seed, lambda stage, done: bar.show(stage, 0.35 + 0.6 * done))
+        write("fig21.png", flight.hover_figure(flights["hover"]))
+        for name, path, number in (("irregular", "irregular path", 22), ("sine", "sine path", 24)):
+            write(f"fig{number}.png", flight.response_figure(flights[name], path, number))
+            write(f"fig{number + 1}.png", flight.performance_figure(flights[name], path, number + 1))
+    print(f"files: {', '.join(str(folder / name) for name in written)}")
+    for name, flown in flights.items():
+        for one in flown:
+            print(f"{name}, {one.label}: {one.outcome}{_errors_text(one)}")
+
+
+def _plant(rig: str, model: str) -> Plant:
+    from heli_sim.model.named import model_named
+    from heli_sim.plant import Plant
+    from heli_sim.rig import load_rig
+
+    from heli_lab.paper.bench_tests import check_rig
+
+    loaded = load_rig(rig)
+    check_rig(loaded)
+    return Plant(model_named(model), loaded)
+
+
+def _uneven(plant: Plant) -> Plant:
+    from heli_sim.plant import Plant
+
+    number = plant.rig[_UNEVEN]
+    return Plant(plant.model, plant.rig.replace(**{_UNEVEN: number.value + number.tolerance}))
+
+
+def _records(plant: Plant, seed: int) -> dict[int, list[Record]]:
+    from heli_lab.paper.bench_tests import record_of
+    from heli_lab.paper.experiments import run_bench_test
+    from heli_lab.paper.tables import TESTS_OF_TABLE
+
+    return {
+        number: [record_of(test, run_bench_test(test, plant, seed), plant.rig) for test in tests]
+        for number, tests in TESTS_OF_TABLE.items()
+    }
+
+
+def _flights(plant: Plant, seed: int, on_progress: Callable[[str, float], None]) -> dict[str, list[Flown]]:
+    from heli_lab.paper.experiments import PLANS, fly_plan
+
+    sets = (("own gains", None), ("Table 6, P and I of travel exchanged", "paper"))
+    out: dict[str, list[Flown]] = {}
+    for place, name in enumerate(PLANS):
+        for turn, (label, wanted) in enumerate(sets):
+            before = (2 * place + turn) / (2 * len(PLANS))
+
+            def tell(done: float, before: float = before, name: str = name) -> None:
+                on_progress(f"flying {name}", before + done / (2 * len(PLANS)))
+
+            out.setdefault(name, []).append(fly_plan(name, plant, label, wanted, seed, tell))
+    return out
+
+
+def _errors_text(one: Flown) -> str:
+    import numpy as np
+
+    from heli_lab.paper.figures_flight import aloft_s
+
+    error = one.error_deg[one.flight.t_s > aloft_s(one)]
+    if not len(error):
+        return ""
+    rms = np.sqrt(np.mean(error**2, axis=0))
+    return f"; error after take-off, rms: elevation {rms[0]:.2f}, travel {rms[2]:.2f} deg"
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    import json
+
+    path.write_text(json.dumps(_finite(content), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no infinity: what is not finite becomes null."""
+    import math
+
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value
+
+
+VERB = Verb(app, "Laboratory")

@@ -1,0 +1,263 @@
+"""``heli-host tune``: gains for a rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from heli_host.cli.simulated import DEFAULT_RIG, SeedOption
+from heli_host.cli.verb import Verb
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from heli_sim.model.base import Model
+    from heli_sim.rig import Rig
+
+    from heli_lab.tune import Design, Known, Margin
+    from heli_lab.tune.flights import Trial
+
+DEFAULT_MODEL = "multibody"
+LAG_TRIED_s = 0.12
+"""Of the second trial, where no lag is stated: rotors of this size show 0.09 to 0.15 s."""
+_DIGITS = 4
+
+
+def tune(
+    rig: Annotated[str, typer.Option("--rig", metavar="NAME|FILE", help="Rig to fly.")] = DEFAULT_RIG,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            "--model",
+            metavar="NAME",
+            help="Equations of motion; else those that the rig's file names, or multibody.",
+            show_default=False,
+        ),
+    ] = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--effect",
+            metavar="ID[=VALUE]",
+            help="What the rig has beyond the model, such as rotor_lag=0.12.",
+        ),
+    ] = None,
+    effects: Annotated[
+        list[Path] | None, typer.Option("--effects", metavar="FILE.py", help="More effects; may be repeated.")
+    ] = None,
+    sensitivity: Annotated[
+        float,
+        typer.Option(
+            "--sensitivity",
+            metavar="S",
+            min=1.6,
+            max=10.0,
+            help="Largest peak of 1/|1 + L| of any loop on any plant: less is calmer and slower.",
+        ),
+    ] = 3.5,
+    seed: SeedOption = 1,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="Parameters for the board, TOML.")
+    ] = None,
+    json: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Gains, margins and flights.")
+    ] = None,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", metavar="FILE", help="Flights and loops: .png, .pdf or .svg.")
+    ] = None,
+) -> None:
+    """Design gains for a rig, say how far each loop is from instability, and fly them in the simulation.
+
+    One set of gains must fly the rig and all corners of a spread around it: thrust 20 % off, a counterweight
+    3 % off, rotors that lag by 0 to 0.15 s, or by a quarter more or less than a stated rotor_lag.
+
+    Example: `heli-host tune --rig mine.toml --out gains.toml`, then `heli-host params restore gains.toml`
+    """
+    from heli_host.cli.outputs import check_result_places
+    from heli_host.cli.progress_bar import WorkBar
+    from heli_host.parameter_file import parameters_text
+    from heli_host.parameters import checked
+    from heli_sim.model.effects import effects_of, parse_effects
+    from heli_sim.model.effects.rotor_lag import RotorLag
+    from heli_sim.model.named import MODELS, model_named
+    from heli_sim.plant import Plant
+    from heli_sim.rig import load_rig
+
+    from heli_lab.tune import find_gains, known_of
+    from heli_lab.tune.flights import try_gains
+
+    check_result_places(out, json, figure=figure)
+    loaded = load_rig(rig)
+    asked = parse_effects(effect or (), effects or ())
+    names = {one.name for one in asked}
+    all_effects = (*(one for one in effects_of(loaded, effects or ()) if one.name not in names), *asked)
+    name = model or loaded.model or DEFAULT_MODEL
+    equations = model_named(name, all_effects)
+    known = known_of(all_effects)
+    tried: list[Trial] = []
+    with WorkBar() as bar:
+        design = find_gains(
+            loaded,
+            None,
+            sensitivity,
+            lambda what: bar.show(what, 0.05 if what.startswith("elevation") else 0.2),
+            model=MODELS[name],
+            known=known,
+        )
+        parameters = rounded(design.parameters)
+        for parameter, value in parameters.items():
+            checked(parameter, value)
+        trials: list[tuple[str, Model]] = [(_label(known), equations)]
+        if known.lag_s is None:
+            late = model_named(name, (*all_effects, RotorLag(LAG_TRIED_s)))
+            trials.append((f"lag {1e3 * LAG_TRIED_s:.0f} ms", late))
+        for number, (label, flown) in enumerate(trials):
+
+            def tell(done: float, label: str = label, number: int = number) -> None:
+                bar.show(f"flying, {label}", 0.5 + 0.5 * (number + done) / len(trials))
+
+            tried.append(try_gains(Plant(flown, loaded, seed), parameters, label, seed, tell))
+    for line in (*_head(loaded, name, design, known), *_margin_lines(design), *_flight_lines(tried)):
+        print(line)
+    written = []
+    if out is not None:
+        also = "".join(f", {effect.name}" for effect in all_effects)
+        comment = f"heli-host tune: gains for rig {loaded.name}, model {name}{also}"
+        out.write_text(parameters_text(parameters, comment), encoding="utf-8")
+        written.append(out)
+    if json is not None:
+        _write_json(json, _numbers(loaded, name, design, known, parameters, tried))
+        written.append(json)
+    if figure is not None:
+        from heli_lab.tune.figures import figure_of
+
+        figure_of(design, [(one.label, one.flight) for one in tried]).savefig(figure, dpi=120)
+        written.append(figure)
+    if written:
+        print(f"files: {', '.join(str(path) for path in written)}")
+    if out is not None:
+        print(f"fly them: heli-host params restore {out}, or heli-host fly hover --params {out}")
+
+
+def rounded(parameters: Mapping[str, float]) -> dict[str, float]:
+    """Round parameters to what is worth writing.
+
+    Parameters
+    ----------
+    parameters : Mapping of str to float
+        By name.
+
+    Returns
+    -------
+    dict of str to float
+        With four digits.
+    """
+    return {name: float(f"{value:.{_DIGITS}g}") for name, value in parameters.items()}
+
+
+def _label(known: Known) -> str:
+    return "no lag" if known.lag_s is None else f"lag {1e3 * known.lag_s:.0f} ms"
+
+
+def _head(rig: Rig, model: str, design: Design, known: Known) -> list[str]:
+    lags_ms = [1e3 * plant.lag_s for plant in design.plants]
+    late = f", delay {1e3 * known.delay_s:.0f} ms" if known.delay_s else ""
+    lines = [
+        f"rig {rig.name}, model {model}: {len(design.plants)} plants, lag {min(lags_ms):.0f} to "
+        f"{max(lags_ms):.0f} ms{late}"
+    ]
+    if known.left_out:
+        lines.append(f"flown, but no part of the design: {', '.join(known.left_out)}")
+    return lines
+
+
+def _margin_lines(design: Design) -> list[str]:
+    from heli_lab.tune import LOOPS
+
+    found = _margins(design)
+    own = [index for index, plant in enumerate(design.plants) if plant.thrust == plant.counterweight == 1.0]
+    chosen = [(f"lag {1e3 * design.plants[index].lag_s:.0f} ms", [found[index]]) for index in own]
+    chosen.append(("worst of all", found))
+    lines = [f"{'loop':13}{'plant':13}{'gain up':>9}{'down':>8}{'phase':>9}{'delay':>10}{'peak S':>8}"]
+    for loop in LOOPS:
+        for place, (label, margins) in enumerate(chosen):
+            some = [one[loop] for one in margins]
+            lines.append(
+                f"{loop if place == 0 else '':13}{label:13}{min(one.gain_up for one in some):>9.2f}"
+                f"{max(one.gain_down for one in some):>8.2f}{min(one.phase_deg for one in some):>5.0f} deg"
+                f"{1e3 * min(one.delay_s for one in some):>7.0f} ms"
+                f"{max(one.sensitivity for one in some):>8.2f}"
+            )
+    return lines
+
+
+def _margins(design: Design) -> list[dict[str, Margin]]:
+    from heli_lab.tune import margins
+
+    return [margins(plant, design.law) for plant in design.plants]
+
+
+def _flight_lines(tried: Sequence[Trial]) -> list[str]:
+    lines = ["flown by the flight code, encoders and drivers included:"]
+    for one in tried:
+        metrics = one.metrics
+        if metrics.outcome != "completed":
+            lines.append(f"  {one.label}: {metrics.outcome}")
+            continue
+        lines.append(
+            f"  {one.label}: level after {metrics.take_off_s:.1f} s; step of travel overshoots by "
+            f"{metrics.overshoot_percent:.0f} %, settles in {metrics.settling_time_s:.1f} s; "
+            "sines followed to "
+            f"{metrics.travel_rms_deg:.2f} deg of travel, {metrics.elevation_rms_deg:.2f} of elevation, rms"
+        )
+    return lines
+
+
+def _numbers(
+    rig: Rig,
+    model: str,
+    design: Design,
+    known: Known,
+    parameters: Mapping[str, float],
+    tried: Sequence[Trial],
+) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    plants = [
+        {
+            "lag_s": plant.lag_s,
+            "delay_s": plant.delay_s,
+            "thrust": plant.thrust,
+            "counterweight": plant.counterweight,
+            "margins": {loop: asdict(margin) for loop, margin in found.items()},
+        }
+        for plant, found in zip(design.plants, _margins(design), strict=True)
+    ]
+    return {
+        "rig": rig.name,
+        "model": model,
+        "left_out": list(known.left_out),
+        "sensitivity": design.sensitivity,
+        "parameters": dict(parameters),
+        "plants": plants,
+        "flights": [{"on": one.label, **asdict(one.metrics)} for one in tried],
+    }
+
+
+def _write_json(path: Path, numbers: dict[str, Any]) -> None:
+    import json
+    import math
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: plain(one) for key, one in value.items()}
+        if isinstance(value, list):
+            return [plain(one) for one in value]
+        # JSON has no infinity: null is a margin that nothing limits, or a moment that never came.
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    path.write_text(json.dumps(plain(numbers), indent=1) + "\n", encoding="utf-8")
+
+
+VERB = Verb(tune, "Laboratory")

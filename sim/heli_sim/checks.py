@@ -1,0 +1,110 @@
+"""What the simulation needs of this computer, for ``heli-host doctor``."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from heli_host.cli.finding import Finding, Verdict
+
+
+def examine() -> Iterator[Finding]:
+    """Look at everything, one finding at a time.
+
+    Yields
+    ------
+    Finding
+        In the order in which things depend on each other.
+    """
+    yield check_core()
+    yield check_compiler()
+    yield check_cache()
+    yield check_pseudo_terminal()
+
+
+def check_core() -> Finding:
+    """Check that the flight code was compiled for this machine.
+
+    Returns
+    -------
+    Finding
+        Bad when it cannot be loaded: nothing can be simulated.
+    """
+    try:
+        import heli_sim._native  # noqa: F401  -- whether it loads is the question
+    except ImportError as error:
+        return Finding(Verdict.BAD, f"the simulated board does not load: {error}", "run: make setup")
+    return Finding(Verdict.GOOD, "simulated board: the flight code compiled for this machine loads")
+
+
+def check_compiler() -> Finding:
+    """Check that a C compiler is there; the simulated helicopter's equations are compiled with it."""
+    wanted = [name for name in (os.environ.get("CC"), "cc", "gcc", "clang") if name]
+    for name in wanted:
+        path = shutil.which(name)
+        if path:
+            return Finding(Verdict.GOOD, f"C compiler: {path}")
+    return Finding(Verdict.BAD, "no C compiler", "install one, for example: sudo apt-get install g++")
+
+
+def check_cache() -> Finding:
+    """Check that compiled equations can be kept between runs.
+
+    Returns
+    -------
+    Finding
+        Bad when the folder cannot be written.
+    """
+    base = os.environ.get("XDG_CACHE_HOME")
+    folder = Path(base) if base else Path.home() / ".cache"
+    probe = folder / f"heli-doctor-{os.getpid()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as error:
+        return Finding(
+            Verdict.BAD,
+            f"cache folder {folder} cannot be written: {error.strerror}",
+            "name another one in the environment: XDG_CACHE_HOME=...",
+        )
+    return Finding(Verdict.GOOD, f"cache folder {folder} can be written")
+
+
+def check_pseudo_terminal() -> Finding:
+    """Check pseudo-terminals and, through one, that the system takes the link's odd baud rate.
+
+    Returns
+    -------
+    Finding
+        Bad when the simulated board could not be reached; a note on systems without pseudo-terminals.
+    """
+    from heli_host.declaration import BAUD
+
+    if not hasattr(os, "openpty"):
+        return Finding(
+            Verdict.NOTE, "no pseudo-terminals on this system", "simulate with --speed max, or over TCP"
+        )
+    import serial
+
+    board_end = -1
+    host_end = -1
+    try:
+        board_end, host_end = os.openpty()
+        with serial.Serial(os.ttyname(host_end), BAUD, timeout=1.0) as port:
+            os.write(board_end, b"heli")
+            if port.read(4) != b"heli":
+                return Finding(Verdict.BAD, "a pseudo-terminal loses bytes", "restart this computer")
+    except (OSError, serial.SerialException, ValueError) as error:
+        return Finding(
+            Verdict.BAD,
+            f"pseudo-terminals at {BAUD} baud do not work: {error}",
+            "mount /dev/pts (in a container: start it with a terminal), or simulate with --speed max",
+        )
+    finally:
+        for descriptor in (board_end, host_end):
+            if descriptor >= 0:
+                os.close(descriptor)
+    return Finding(Verdict.GOOD, f"pseudo-terminals work, at {BAUD} baud too")

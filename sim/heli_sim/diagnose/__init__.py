@@ -1,8 +1,0 @@
-"""Shows what a model lacks, names it, and measures what naming it gains."""
-
-from __future__ import annotations
-
-from heli_sim.diagnose.result import Diagnosis
-from heli_sim.diagnose.run import diagnose
-
-__all__ = ["Diagnosis", "diagnose"]

@@ -1,0 +1,99 @@
+"""Terms of the baseline that a rig may not have."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import casadi as ca
+from typing_extensions import override
+
+from heli_sim.model.effect import Effect, Operands, Stage
+from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.parts import AXES, on_axis
+from heli_sim.rig.quantity import Prior
+
+
+class RemovedTerm(Effect):
+    """A share of some numbers of the rig is taken away."""
+
+    @override
+    def modified_parameters(self, at: Operands) -> Mapping[str, ca.SX]:
+        left = 1 - self.own(at, "share")
+        return {name: left * at.parameter[name] for name in TERMS[self.name][1] if name in at.parameter}
+
+
+class RemovedDifferentialTravel(Effect):
+    """P_18 is taken away: (F_f - F_b) L_h sin(pitch), which has no origin in a multibody rig."""
+
+    @override
+    def torque_Nm(self, at: Operands) -> ca.SX:
+        term = (at.thrust_N[0] - at.thrust_N[1]) * at.parameter["L_h"] * ca.sin(at.state["pitch_rad"])
+        return on_axis("travel", -self.own(at, "share") * term)
+
+
+TERMS: Final[Mapping[str, tuple[str, tuple[str, ...], str]]] = {
+    **{
+        f"removed.friction.{axis}": (
+            f"viscous friction of the {axis} axis",
+            (f"friction_{axis}",),
+            r"f \to (1 - s) f",
+        )
+        for axis in AXES
+    },
+    "removed.dead_zone": ("the dead zone of the thrust", ("dead_zone",), r"V_0 \to (1 - s) V_0"),
+    "removed.pendulum.elevation": (
+        "the restoring torque of masses below the elevation axis",
+        ("L_theta",),
+        r"L_\theta \to (1 - s) L_\theta",
+    ),
+    "removed.pendulum.pitch": (
+        "the restoring torque of masses below the pitch axis",
+        ("L_phi",),
+        r"L_\phi \to (1 - s) L_\phi",
+    ),
+    "removed.drag": (
+        "the air drag of travel",
+        ("drag_area_arm", "drag_area_body"),
+        r"C_D A \to (1 - s) C_D A",
+    ),
+}
+"""What each term is in words, the numbers of the rig that make it, and the equation."""
+
+_SHARE: Final = Parameter(
+    "share", "1", "share s of the term that is not there", 1.0, Prior(0.0, 1.0, 0.0, 1.0), size=True
+)
+
+
+def _kind(name: str, words: str, numbers: tuple[str, ...], equation: str) -> EffectKind:
+    return EffectKind(
+        id=name,
+        effect=RemovedTerm,
+        sentence=f"{{share}} of {words} is not there",
+        equation=equation,
+        acts_on="parameters",
+        stage=Stage.TORQUE,
+        numbers=(_SHARE,),
+        baseline=True,
+        override=dict.fromkeys(numbers, 0.0),
+        rank=900,
+        source="the baseline's own term",
+    )
+
+
+KINDS: Final = (
+    *(_kind(name, *term) for name, term in TERMS.items()),
+    EffectKind(
+        id="removed.differential_travel",
+        effect=RemovedDifferentialTravel,
+        sentence="{share} of P_18, the travel torque of the difference of the thrusts at pitch, is not there",
+        equation=r"P_{18}: (F_f - F_b) L_h \sin\phi \to (1 - s) (F_f - F_b) L_h \sin\phi",
+        acts_on="torque.travel",
+        stage=Stage.TORQUE,
+        numbers=(_SHARE,),
+        models=("paper_printed",),
+        baseline=True,
+        rank=900,
+        source="(21), (23), (24) of the paper as printed; no multibody model has it",
+    ),
+)

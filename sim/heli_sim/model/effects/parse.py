@@ -1,0 +1,155 @@
+"""Effects as they are spelled on command lines and in rig files."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from heli_sim.errors import EffectError
+from heli_sim.model.effect import Effect
+from heli_sim.model.effects.catalogue import catalogue
+from heli_sim.model.effects.kind import EffectKind
+from heli_sim.rig import Number, Rig
+
+
+def parse_effects(texts: Sequence[str], extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]:
+    """Read effects such as ``rotor_lag=0.1``, ``thrust_step.front=0.1@25``, ``axis_tilt=x_rad:0.02,y_rad:0``.
+
+    Parameters
+    ----------
+    texts : sequence of str
+        ``ID`` alone has its typical size; ``ID=VALUE`` sets its first number, and others that are sizes too
+        in the typical proportion; ``ID=VALUE@SECONDS`` also the moment ``at_s``; ``ID=NAME:VALUE,NAME:VALUE``
+        any of them. The rest is typical. Units are those of the numbers.
+    extra : sequence of str or Path
+        Users' files with more effects.
+
+    Returns
+    -------
+    tuple of Effect
+        The effects, in the order given.
+
+    Raises
+    ------
+    EffectError
+        When a text cannot be read, names an unknown effect or one twice, or a value is out of range.
+    """
+    kinds = catalogue(extra)
+    return tuple(kind.make(values) for kind, values in _each(texts, kinds))
+
+
+def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]:
+    """Effects that a rig's file states.
+
+    Parameters
+    ----------
+    extra : sequence of str or Path
+        Users' files with more effects.
+
+    Raises
+    ------
+    EffectError
+        When an effect or a number of it is unknown, in another unit, missing or out of range.
+    """
+    kinds = catalogue(extra)
+    made = []
+    for name, numbers in rig.effects.items():
+        where = f"rig '{rig.name}'"
+        kind = _known(kinds, name, where)
+        units = {one.what: one.unit for one in kind.numbers}
+        for what, number in numbers.items():
+            if what not in units:
+                raise EffectError(f"{where}: effect '{name}' has no '{what}'", f"it has: {', '.join(units)}")
+            if number.unit != units[what]:
+                raise EffectError(
+                    f"{where}: {what} of '{name}' is in '{number.unit}'", f"give it in '{units[what]}'"
+                )
+        missing = [one.what for one in kind.numbers if one.prior is not None and one.what not in numbers]
+        if missing:
+            raise EffectError(f"{where}: effect '{name}' lacks {', '.join(missing)}", "add each")
+        made.append(kind.make({kind.full(what): number.value for what, number in numbers.items()}))
+    return tuple(made)
+
+
+def effect_numbers(
+    kind: EffectKind, values: Mapping[str, float], tolerances: Mapping[str, float], source: str
+) -> dict[str, Number]:
+    """Numbers of an effect as a rig holds them.
+
+    Parameters
+    ----------
+    values : Mapping[str, float]
+        Values by full name; `EffectKind.neutral` for those not given.
+    tolerances : Mapping[str, float]
+        Half widths of the 95 % intervals by full name; 0 for those not given.
+    source : str
+        Where they come from.
+
+    Returns
+    -------
+    dict of Number
+        By short name, to be put into ``rig.effects``.
+    """
+    known = {**kind.neutral, **values}
+    return {
+        one.what: Number(
+            known[kind.full(one.what)], one.unit, tolerances.get(kind.full(one.what), 0.0), source
+        )
+        for one in kind.numbers
+    }
+
+
+def _each(texts: Sequence[str], kinds: Mapping[str, EffectKind]) -> list[tuple[EffectKind, dict[str, float]]]:
+    result: list[tuple[EffectKind, dict[str, float]]] = []
+    for text in texts:
+        name, equals, rest = text.partition("=")
+        kind = _known(kinds, name.strip(), f"--effect {text}")
+        if any(kind is other for other, _ in result):
+            raise EffectError(f"--effect {text}: '{kind.id}' is given twice", "give it once")
+        values = dict(kind.typical)
+        if equals:
+            values.update(_values(kind, rest, text))
+        result.append((kind, values))
+    return result
+
+
+def _known(kinds: Mapping[str, EffectKind], name: str, where: str) -> EffectKind:
+    if name in kinds:
+        return kinds[name]
+    near = [kind for kind in kinds if kind.startswith(f"{name}.")]
+    near = near or difflib.get_close_matches(name, kinds, n=1)
+    hint = f"did you mean {' or '.join(near)}?" if near else f"effects are: {', '.join(kinds)}"
+    raise EffectError(f"{where}: there is no effect '{name}'", hint)
+
+
+def _in_proportion(kind: EffectKind, value: str) -> dict[str, str]:
+    """Texts of the other sizes for one of the first, where that is a number."""
+    first, *others = (one for one in kind.numbers if one.size)
+    try:
+        factor = float(value) / first.typical
+    except ValueError:
+        return {}
+    return {one.what: repr(factor * one.typical) for one in others}
+
+
+def _values(kind: EffectKind, rest: str, text: str) -> dict[str, float]:
+    if ":" not in rest:
+        value, at, moment = rest.partition("@")
+        given = {kind.numbers[0].what: value, **_in_proportion(kind, value)}
+        if at:
+            given["at_s"] = moment
+    else:
+        pairs = [pair.partition(":") for pair in rest.split(",")]
+        given = {what.strip(): value for what, _, value in pairs}
+    names = [one.what for one in kind.numbers]
+    values = {}
+    for spelled, value in given.items():
+        what = spelled.removeprefix(f"{kind.prefix}_")
+        if what not in names:
+            raise EffectError(f"--effect {text}: '{kind.id}' has no '{what}'", f"it has: {', '.join(names)}")
+        try:
+            values[kind.full(what)] = float(value)
+        except ValueError:
+            raise EffectError(f"--effect {text}: {what} = '{value}' is not a number", "give one") from None
+    return values

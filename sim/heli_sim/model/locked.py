@@ -1,0 +1,47 @@
+"""A model with locked axes: what a bench test is fitted with."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+from typing_extensions import override
+
+from heli_sim.model.base import Model, Operands
+from heli_sim.model.parts import AXES
+from heli_sim.rig import Rig
+
+
+class Locked(Model):
+    """A model with locked axes: they do not accelerate, and the others feel the reactions of the locks.
+
+    Parameters
+    ----------
+    locked : tuple of bool
+        Which of elevation, pitch and travel are locked.
+    """
+
+    def __init__(self, model: Model, locked: tuple[bool, bool, bool]) -> None:
+        self._model = model
+        self._locked = ca.SX([float(held) for held in locked])
+        held = [axis for axis, on in zip(AXES, locked, strict=True) if on]
+        self.name = f"{model.name} with {' and '.join(held) or 'nothing'} locked"
+        self.effects = model.effects
+        self.states, self.inputs, self.parameters = model.states, model.inputs, model.parameters
+        self.delay = model.delay
+
+    @override
+    def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
+        return self._model.acceleration(at, thrust_N, torque_Nm)
+
+    @override
+    def dynamics(
+        self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None, locked: ca.SX | None = None
+    ) -> ca.SX:
+        # A locked axis keeps the rate that it has, which a fit then finds to be none.
+        held = self._locked if locked is None else ca.fmax(self._locked, locked)
+        return self._model.dynamics(x, u, p, time_s, held)
+
+    @override
+    def parameter_values(self, rig: Rig) -> npt.NDArray[np.float64]:
+        return self._model.parameter_values(rig)

@@ -1,0 +1,37 @@
+"""Which plant the options of a simulated board ask for: rig, model and effects."""
+
+from __future__ import annotations
+
+from heli_sim.model.effects import effects_of, parse_effects
+from heli_sim.model.multibody import MultibodyModel
+from heli_sim.model.named import model_named
+from heli_sim.plant import Plant
+from heli_sim.rig import load_rig
+from heli_sim.sil.options import SilOptions
+
+
+def plant_of(options: SilOptions) -> Plant:
+    """Put rig, model and effects together.
+
+    The rig's file may name the model whose numbers it holds, and effects; options come before both.
+
+    Returns
+    -------
+    Plant
+        The plant, its chance drawn from the seed of the options.
+
+    Raises
+    ------
+    RigError
+        When the rig cannot be read.
+    EffectError
+        When an effect is unknown or has a value that it may not have.
+    PlantError
+        When there is no such model.
+    """
+    rig = load_rig(options.rig)
+    asked = parse_effects(options.effects, options.effect_files)
+    names = {effect.name for effect in asked}
+    stated = tuple(one for one in effects_of(rig, options.effect_files) if one.name not in names)
+    model = model_named(options.model or rig.model or MultibodyModel.name, stated + asked)
+    return Plant(model, rig, options.seed)

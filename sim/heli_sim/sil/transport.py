@@ -1,0 +1,92 @@
+"""The entry point through which hosts reach a simulated board by its ``sil://`` address."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from urllib.parse import parse_qsl, urlsplit
+
+from heli_host.errors import LinkLost
+from heli_host.link.transport import SerialTransport
+from typing_extensions import override
+
+from heli_sim.sil.boards import choose
+from heli_sim.sil.inprocess import InProcessTransport
+from heli_sim.sil.options import parse_url
+from heli_sim.sil.process import SilProcess
+from heli_sim.sil.world import SilWorld
+
+
+class ProcessTransport(SerialTransport):
+    """Transport to a simulated board in a process of its own, behind a pseudo-terminal.
+
+    Parameters
+    ----------
+    process : SilProcess
+        The board; it ends when this transport is closed, except after a loss, from which a host recovers.
+    label : str
+        What it is.
+    note : str
+        How it came to be that board, if that is worth a sentence.
+    """
+
+    def __init__(self, process: SilProcess, label: str, note: str = "") -> None:
+        super().__init__(process.url)
+        self.label = label
+        self.note = note
+        self._process = process
+        self._lost = False
+
+    @override
+    def read(self, timeout_s: float) -> bytes:
+        try:
+            return super().read(timeout_s)
+        except LinkLost:
+            self._lost = True
+            raise
+
+    @override
+    def write(self, data: bytes) -> None:
+        try:
+            super().write(data)
+        except LinkLost:
+            self._lost = True
+            raise
+
+    @override
+    def close(self) -> None:
+        super().close()
+        if not self._lost:
+            self._process.stop()
+
+    @override
+    def reopen(self) -> ProcessTransport:
+        return ProcessTransport(self._process, self.label, self.note)
+
+
+def open_transport(url: str) -> InProcessTransport | ProcessTransport:
+    """Start a simulated board and open its port; the entry point ``heli_host.transports``, name ``sil``.
+
+    Parameters
+    ----------
+    url : str
+        ``sil://?rig=makki2024&seed=1&speed=max``; see `heli_sim.sil.options.parse_url`.
+
+    Returns
+    -------
+    InProcessTransport or ProcessTransport
+        Transport to a board just powered up, with the arm at rest on the table.
+
+    Raises
+    ------
+    SimError
+        When an option is wrong or the rig cannot be read.
+    """
+    options = parse_url(url)
+    choice = choose(options.board, options.elf)
+    note = f"no emulated Due: {choice.reason}" if choice.reason else ""
+    if options.process:
+        values = dict(parse_qsl(urlsplit(url).query))
+        values |= {"board": choice.name, "elf": choice.elf, "process": "0"}
+        return ProcessTransport(SilProcess(options=values), choice.text, note)
+    resolved = replace(options, board=choice.name, elf=choice.elf)
+    return InProcessTransport(SilWorld(resolved), url, choice.text, note)

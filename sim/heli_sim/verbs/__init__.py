@@ -1,0 +1,1 @@
+"""The verbs that simulate a board and look at rigs, one module each."""

@@ -1,0 +1,104 @@
+"""A copy of the sources under another declaration: changed, generated, compiled, run beside the real one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+CHANNEL = """\
+[[channel]]
+name = "{name}"
+type = "{wire_type}"
+unit = "{unit}"
+scale = {scale}
+meaning = "{meaning}"
+"""
+DECLARATION = "firmware/link.toml"
+_SOURCES = ("firmware", "host", "sim")
+
+
+class ChangedCopy:
+    """The sources in a folder of their own.
+
+    Parameters
+    ----------
+    root : Path
+        Folder to copy them into; must not exist.
+    source : Path
+        Tree to copy.
+    """
+
+    def __init__(self, root: Path, source: Path = ROOT) -> None:
+        self.root = root
+        ignore = shutil.ignore_patterns("__pycache__", "*.so", "*.elf")
+        for name in _SOURCES:
+            shutil.copytree(source / name, root / name, ignore=ignore)
+        shutil.copy(source / "CMakeLists.txt", root)
+
+    def replace(self, name: str, old: str, new: str) -> None:
+        """Change the one place of a file where a text stands."""
+        path = self.root / name
+        text = path.read_text(encoding="utf-8")
+        assert text.count(old) == 1, f"{name} has {text.count(old)} of {old!r}"
+        path.write_text(text.replace(old, new), encoding="utf-8")
+
+    def add_channel(self, entry: str, before: str = "") -> None:
+        """Declare a channel: before another one, or behind all."""
+        path = self.root / DECLARATION
+        text = path.read_text(encoding="utf-8")
+        mark = f'[[channel]]\nname = "{before}"\n' if before else "[[message]]"
+        head, found, tail = text.partition(mark)
+        assert found, f"there is no {mark}"
+        path.write_text(head + entry + found + tail, encoding="utf-8")
+
+    def generate(self) -> None:
+        """Write the copy's tables from its declaration."""
+        self.run(str(self.root / "firmware" / "generate.py"))
+
+    def build(self) -> None:
+        """Compile what the native board needs; unoptimised, which computes the same and compiles sooner."""
+        build = self.root / "build"
+        cmake = shutil.which("cmake") or str(Path(sys.executable).with_name("cmake"))
+        configure = [cmake, "-S", str(self.root), "-B", str(build), f"-DPython_EXECUTABLE={sys.executable}"]
+        configure += ["-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_CXX_FLAGS_DEBUG=-O0"]
+        for command in (configure, [cmake, "--build", str(build), "--target", "_native", "--parallel", "2"]):
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
+        (extension,) = build.glob("_native*.so")
+        shutil.copy(extension, self.root / "sim" / "heli_sim")
+
+    def run(self, *command: str) -> str:
+        """Run Python on the copy's packages: a script, or ``-c`` and a program; what it printed.
+
+        The installed packages hook themselves in by a file of site-packages; without the module `site` that
+        is not read, and the copy is what is found.
+        """
+        packages = dict.fromkeys((sysconfig.get_path("purelib"), sysconfig.get_path("platlib")))
+        path = [self.root / "host", self.root / "sim", *packages, ROOT]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path))}
+        done = subprocess.run(
+            [sys.executable, "-S", *command],
+            cwd=self.root,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    def heli_host(self, *arguments: str) -> str:
+        """Run the command line of the copy; what it printed."""
+        return self.run("-c", "from heli_host.cli import main; main()", *arguments)
+
+
+def channel(
+    name: str, wire_type: str, unit: str = "", scale: float = 1.0, meaning: str = "for a test"
+) -> str:
+    """The declaration of a telemetry channel."""
+    return CHANNEL.format(name=name, wire_type=wire_type, unit=unit, scale=scale, meaning=meaning)

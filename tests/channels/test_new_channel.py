@@ -1,0 +1,212 @@
+"""A telemetry channel is an entry of link.toml and one put(): nothing else, and nothing old is moved by it.
+
+The native board is compiled once, from a copy of the sources with one channel more in the middle and one at
+the end, and flown by the copy's host.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from heli_host.declaration import CHANNELS, Channel, Fault, State
+from heli_host.flight import OWN_COLUMNS
+from heli_host.log.flight_file import read_flight
+from heli_host.log.reader import read_log
+
+from tests.channels import scripted_flight
+from tests.channels.changed_copy import ROOT, ChangedCopy, channel
+
+pytestmark = pytest.mark.slow
+
+HERE = Path(__file__).parent
+CORE = "firmware/core/core.cpp"
+LAST_PUT = "  put(Channel::flags, flags);\n"
+ECHO, RATE = "tick_echo", "pitch_rate_rad_s"
+
+
+def with_two_channels(root: Path, source: Path = ROOT) -> ChangedCopy:
+    """Sources with an unsigned number of 32 bits in the middle and a scaled one of 16 bits at the end."""
+    copy = ChangedCopy(root, source)
+    copy.add_channel(channel("tick_echo", "u32"), before="front")
+    copy.add_channel(channel("pitch_rate", "i16", unit="rad/s", scale=0.001))
+    copy.replace(
+        CORE,
+        LAST_PUT,
+        LAST_PUT
+        + "  put(Channel::tick_echo, static_cast<std::int32_t>(tick_ ^ 0x80000000U));\n"
+        + "  put(Channel::pitch_rate, wire(rate_rad_s_[kPitch], Wire::of(link::kPitchRatePerUnit)));\n",
+    )
+    copy.generate()
+    copy.build()
+    return copy
+
+
+@dataclass(frozen=True)
+class Flown:
+    """One script flown under two declarations, and what else the longer one's host can do."""
+
+    copy: ChangedCopy
+    before: Path
+    after: Path
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Flown:
+    folder = tmp_path_factory.mktemp("new channel")
+    before, after = folder / "before", folder / "after"
+    before.mkdir()
+    after.mkdir()
+    copy = with_two_channels(folder / "copy")
+    scripted_flight.write(scripted_flight.fly(), before)
+    copy.run(str(HERE / "scripted_flight.py"), str(after))
+    copy.heli_host(*["fly", "hover", "--sil", "--board", "native", "--speed", "max", "--log", "hover.mcap"])
+    copy.heli_host(*["export", "hover.mcap", "--csv"])
+    return Flown(copy, before, after)
+
+
+def echo_of(tick: np.ndarray) -> np.ndarray:
+    return tick.astype(np.int64) ^ 0x80000000
+
+
+def test_old_channels_are_the_same_in_telemetry_tick_by_tick(flown: Flown) -> None:
+    before, after = (np.load(folder / "ticks.npz") for folder in (flown.before, flown.after))
+    assert len(before["board tick"]) > 19_000
+    for name in ("board tick", *map(str, Channel)):
+        np.testing.assert_array_equal(before[name], after[name], name)
+    flown_states = {State.IDLE, State.ARMED, State.CLOSED_LOOP, State.LANDING, State.FAULT}
+    assert set(before["state"]) == flown_states, "it was flown"
+    assert set(before["fault"]) == {Fault.NONE, Fault.PITCH_LIMIT}
+    assert np.ptp(before["travel_count"]) > 100
+
+
+def test_new_channels_say_what_the_board_put_there(flown: Flown) -> None:
+    ticks = np.load(flown.after / "ticks.npz")
+    np.testing.assert_array_equal(ticks["tick_echo"], echo_of(ticks["board tick"]))
+    flying = ticks["fault"] == Fault.NONE
+    turned_rad = np.cumsum(ticks["pitch_rate"][flying]) * 1e-3 * 1e-3
+    counted_rad = ticks["pitch_count"][flying] * 2.0 * np.pi / 4096.0
+    assert np.ptp(counted_rad) > 0.05
+    # The rate is filtered, and therefore late.
+    np.testing.assert_allclose(turned_rad, counted_rad, atol=0.02)
+
+
+def test_a_log_and_its_tables_have_the_old_columns_and_the_new(flown: Flown) -> None:
+    before = read_flight(flown.before / "flight.mcap")
+    for name in ("flight.mcap", "flight.csv"):
+        after = read_flight(flown.after / name)
+        assert set(after.columns()) - set(before.columns()) == set(after.extra) == {ECHO, RATE}
+        for column in OWN_COLUMNS:
+            np.testing.assert_allclose(after.columns()[column], before.columns()[column], atol=1e-9)
+    ticks = np.load(flown.after / "ticks.npz")
+    for name in ("flight.mcap", "flight.csv"):
+        extra = read_flight(flown.after / name).extra
+        np.testing.assert_array_equal(extra[ECHO], ticks["tick_echo"])
+        np.testing.assert_allclose(extra[RATE], ticks["pitch_rate"] * 1e-3, atol=1e-12)
+
+
+def test_matlab_and_parquet_have_them_too(flown: Flown) -> None:
+    from scipy.io import loadmat
+
+    flight = read_flight(flown.after / "flight.mcap")
+    matlab = loadmat(flown.after / "flight.mat", squeeze_me=True)
+    parquet = pytest.importorskip("pyarrow.parquet", reason="skipped: no pyarrow")
+    table = parquet.read_table(flown.after / "flight.parquet")
+    for name, column in flight.columns().items():
+        # This host does not know the scale of the new ones, and has them in the single precision of the log.
+        tolerance = 1e-7 if name in flight.extra else 0.0
+        np.testing.assert_allclose(matlab[name], column, rtol=tolerance, err_msg=name)
+        np.testing.assert_allclose(table[name].to_numpy(), column, rtol=tolerance, err_msg=name)
+
+
+def test_a_plan_flies_to_its_end_and_its_log_knows_state_and_fault(flown: Flown) -> None:
+    log = read_log(flown.copy.root / "hover.mcap")
+    assert log.metadata["result"]["outcome"] == "completed"
+    names = log.layout.names("STATE")
+    state = log.ticks["state"]
+    changes = state[np.flatnonzero(np.diff(state, prepend=255))]
+    assert [names[int(one)] for one in changes] == ["idle", "armed", "closed_loop", "landing", "idle"]
+    assert not log.ticks["fault"].any()
+    np.testing.assert_array_equal(log.ticks[ECHO], echo_of(log.ticks["tick"]))
+    flight, table = log.flight(), read_flight(flown.copy.root / "hover.csv")
+    assert abs(np.degrees(flight.elevation_rad[20_000])) < 1.0
+    for name, column in flight.columns().items():
+        np.testing.assert_allclose(table.columns()[name], column, atol=1e-9)
+
+
+def test_a_fault_in_flight_is_told_by_its_name(flown: Flown) -> None:
+    program = """
+import numpy as np
+import heli_host
+from heli_host.fly.runner import fly
+from heli_host.declaration import Axis
+with heli_host.connect("sil://?speed=max") as heli:
+    world = heli.session.transport.world
+    def tilt(progress):
+        if progress.t_s > 3.0:
+            tilted = world.state
+            tilted[Axis.PITCH] = np.radians(60.0)
+            world.state = tilted
+    print(fly(heli, "hover", on_progress=tilt).outcome)
+"""
+    assert "fault pitch_limit" in flown.copy.run("-c", program)
+
+
+@pytest.mark.parametrize("how", [(), ("raise",)], ids=["by its end", "by an exception"])
+def test_leaving_the_block_in_flight_stops_the_motors(flown: Flown, how: tuple[str, ...]) -> None:
+    seen: dict[str, Any] = json.loads(flown.copy.run(str(HERE / "leaving.py"), *how))
+    assert seen["state"] == "closed_loop" and abs(seen["elevation_deg"]) < 3.0
+    assert min(seen["volts_in_flight_V"]) > 0.5
+    assert seen.get("raised", False) == (how == ("raise",))
+    assert seen["stops"] >= 1
+    assert seen["volts_V"] == [0.0, 0.0]
+
+
+def test_the_samples_of_a_session_have_the_new_channels_in_units(flown: Flown) -> None:
+    program = """
+import heli_host, json
+with heli_host.connect("sil://?speed=max") as heli:
+    heli.wait(0.5)
+    sample, samples = heli.latest, heli.samples()
+print(json.dumps([
+    sample.tick, sample.tick_echo, sample.pitch_rate_rad_s, str(sample.state), str(sample.fault),
+    sample.elevation_deg, samples.tick_echo.tolist(), samples.tick.tolist(),
+]))
+"""
+    tick, echo, rate_rad_s, state, fault, elevation_deg, echoes, ticks = json.loads(
+        flown.copy.run("-c", program)
+    )
+    assert (echo, rate_rad_s) == (tick ^ 0x80000000, 0.0)
+    assert (state, fault) == ("idle", "none") and elevation_deg == pytest.approx(-25.0, abs=0.1)
+    np.testing.assert_array_equal(echoes, echo_of(np.array(ticks)))
+
+
+def test_an_older_host_reads_the_log_of_a_longer_declaration_and_the_other_way_round(flown: Flown) -> None:
+    newer = read_flight(flown.after / "flight.mcap")
+    assert {ECHO, RATE} == set(newer.extra), "this host does not know them"
+    program = """
+import sys
+from heli_host.errors import LogError
+from heli_host.log.flight_file import read_flight
+from heli_host.log.reader import read_log
+flight = read_flight(sys.argv[1])
+assert not flight.extra
+print(len(flight))
+try:
+    read_log(sys.argv[1]).raw
+except LogError as error:
+    print(error)
+"""
+    rows, said = flown.copy.run("-c", program, str(flown.before / "flight.mcap")).splitlines()
+    assert int(rows) == len(read_flight(flown.before / "flight.mcap"))
+    assert "no channel tick_echo" in said and "read it with the version that wrote it" in said
+
+
+def test_every_declared_channel_is_put_once() -> None:
+    core = (ROOT / CORE).read_text(encoding="utf-8")
+    for spec in CHANNELS:
+        assert core.count(f"put(Channel::{spec.name},") == 1, spec.name

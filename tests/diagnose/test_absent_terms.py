@@ -1,0 +1,101 @@
+"""Terms that the baseline has and the rig has not are named."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
+from heli_lab.diagnose.absent_terms import absence_probability, absent_terms, without_absent_terms
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.identify import prepare
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue, effects_of
+from heli_sim.rig import load_rig
+
+from tests.diagnose.hidden import flights
+
+pytestmark = pytest.mark.diagnosis
+
+KINDS = catalogue()
+
+
+@cache
+def tried(effect: str) -> tuple[Comparison, Hypothesis]:
+    """Refit the baseline to flights of a rig that lacks a term."""
+    rig = load_rig("makki2024")
+    fit, held_out = flights(effect)
+    comparison = Comparison(
+        MultibodyModel(), rig, [prepare(fit, rig, "fit")], [prepare(held_out, rig, "held out")]
+    )
+    return comparison, comparison.refit([])
+
+
+@cache
+def diagnosed(effect: str) -> Diagnosis:
+    """Diagnose flights of a rig that lacks a term; few candidates, to be quick."""
+    fit, held_out = flights(effect)
+    few = {id_: kind for id_, kind in KINDS.items() if kind.baseline or id_ in ("rotor_lag", "axis_tilt")}
+    return diagnose(
+        MultibodyModel(), load_rig("makki2024"), [fit], [held_out], kinds=few, labels=["fit", "held out"]
+    )
+
+
+@pytest.mark.parametrize("axis", ["elevation", "pitch", "travel"])
+def test_friction_that_is_not_there_is_named_by_the_fit_itself(axis: str) -> None:
+    comparison, baseline = tried(f"removed.friction.{axis}=1")
+    (term,) = absent_terms(baseline.fit, comparison.rig, KINDS)
+    assert term.id == f"removed.friction.{axis}"
+    assert abs(term.share - 1.0) < 3.0 * term.std
+    assert term.confidence > 0.9
+    assert term.z_from_zero < 3.0
+    assert term.z_from_rig > 10.0
+
+
+@pytest.mark.parametrize("axis", ["elevation", "pitch"])
+def test_pendulum_that_the_rig_states_closely_is_found_to_be_absent(axis: str) -> None:
+    comparison, baseline = tried(f"removed.pendulum.{axis}=1")
+    assert baseline.train.normalised > 5.0
+    less = without_absent_terms(comparison, baseline, KINDS.values())
+    assert less.ids == (f"removed.pendulum.{axis}",)
+    assert less.held_out.normalised < 1.05
+
+
+def test_other_causes_take_no_term_away() -> None:
+    comparison, baseline = tried("rotor_lag=0.06")
+    assert baseline.train.normalised > 5.0
+    assert without_absent_terms(comparison, baseline, KINDS.values()) is baseline
+    assert absent_terms(baseline.fit, comparison.rig, KINDS) == ()
+
+
+@pytest.mark.parametrize("term", ["friction.travel", "pendulum.elevation"])
+def test_removed_term_is_the_cause_with_its_share_and_flies_in_the_extended_rig(term: str) -> None:
+    found = diagnosed(f"removed.{term}=1")
+    numbers = to_json(found)
+    assert numbers["verdict"] == "cause_found"
+    (cause,) = numbers["causes"]
+    assert cause["effect"] == f"removed.{term}"
+    (share,) = cause["parameters"].values()
+    assert share["value"] == pytest.approx(1.0, abs=0.02)
+    assert cause["confidence"] > 0.9
+    assert "is not there" in summary(found)
+    rig = found.rig("extended")
+    taken = {effect.name: effect.values for effect in effects_of(rig)}
+    assert taken.keys() == ({f"removed.{term}"} if term.startswith("pendulum") else set())
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "low", "high"),
+    [
+        (0.0, 0.02, 0.98, 0.99),
+        (0.04, 0.02, 0.9, 0.99),
+        (0.0, 0.5, 0.0, 0.4),
+        (0.1, 0.02, 0.0, 0.1),
+        (0.5, 0.05, 0.0, 0.01),
+        (1.0, 0.01, 0.0, 1e-6),
+    ],
+)
+def test_term_is_absent_only_if_its_parameter_is_zero_within_a_small_error(
+    value: float, std: float, low: float, high: float
+) -> None:
+    assert low <= absence_probability(value, std) <= high

@@ -1,0 +1,156 @@
+"""The flight code with encoders, clock and serial line in the test's hands."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from heli_host import declaration as d
+from heli_host.link.frames import Frame, FrameParser, encode_frame
+from heli_test_native import flight
+
+REST_DEG = -25.0
+DUTY_FULL = 2100
+"""Of the Due."""
+PAGE_BYTES = 256
+"""Of the Due."""
+
+
+class Harness:
+    """A board that has just been powered with the arm on the table.
+
+    Parameters
+    ----------
+    session : bool
+        Open a session (hello) at once.
+    law : flight.ToldLaw, optional
+        What the core flies; the law that boards fly if None.
+    duty_full : int
+        Duty of the board's full voltage.
+    page_bytes : int
+        Length of a page of the board's flash.
+    """
+
+    def __init__(
+        self,
+        session: bool = True,
+        law: flight.ToldLaw | None = None,
+        duty_full: int = DUTY_FULL,
+        page_bytes: int = PAGE_BYTES,
+    ) -> None:
+        self.core = flight.Harness(law, duty_full, page_bytes)
+        self.parser = FrameParser()
+        self.sequence = 0
+        self.request = 0
+        self.events: list[d.EventMessage] = []
+        self.frames: list[Frame] = []
+        self.illegal = [0, 0, 0]
+        self.angles_deg = [REST_DEG, 0.0, 0.0]
+        self.core.tick(300)
+        if session:
+            self.ask(d.HelloMessage(0, d.LINK_HASH, 7))
+
+    def send(self, message: Any) -> None:
+        self.core.receive(encode_frame(message.ID, self.sequence, message.pack()))
+        self.sequence += 1
+
+    def tick(self, count: int = 1, late: bool = False) -> None:
+        self.core.tick(count, late)
+        for frame in self.parser.feed(self.core.sent()):
+            self.frames.append(frame)
+            if frame.id == d.MessageId.EVENT:
+                self.events.append(d.EventMessage.unpack(frame.payload))
+
+    def ask(self, message: Any) -> Any:
+        """Send a command with the next request number and return its reply."""
+        self.request = self.request % 255 + 1
+        fields = {name: getattr(message, name) for name in message.__slots__}
+        self.send(type(message)(**(fields | {"request": self.request})))
+        for _ in range(50):
+            before = len(self.frames)
+            self.tick(1)
+            for frame in self.frames[before:]:
+                if frame.id == message.REPLY and frame.payload[0] == self.request:
+                    types: dict[int, Any] = {
+                        d.MessageId.ACK: d.AckMessage,
+                        d.MessageId.WELCOME: d.WelcomeMessage,
+                        d.MessageId.PONG: d.PongMessage,
+                        d.MessageId.STATUS: d.StatusMessage,
+                        d.MessageId.PARAMS: d.ParamsMessage,
+                    }
+                    return types[frame.id].unpack(frame.payload)
+        raise AssertionError(f"no reply to {message}")
+
+    def move(
+        self,
+        elevation_deg: float | None = None,
+        pitch_deg: float | None = None,
+        travel_deg: float | None = None,
+    ) -> None:
+        """Turn the encoders so that the board reads these angles."""
+        for axis, value in enumerate((elevation_deg, pitch_deg, travel_deg)):
+            if value is not None:
+                self.angles_deg[axis] = value
+        self._encoders()
+
+    def glide(self, axis: int, to_deg: float, deg_s: float) -> None:
+        """Move one axis at a constant rate, ticking as it goes."""
+        step = math.copysign(deg_s / 1000, to_deg - self.angles_deg[axis])
+        for _ in range(round((to_deg - self.angles_deg[axis]) / step)):
+            self.angles_deg[axis] += step
+            self._encoders()
+            self.tick()
+
+    def _encoders(self) -> None:
+        offsets = (REST_DEG, 0.0, 0.0)
+        counts = [round((a - o) / 360 * 4096) for a, o in zip(self.angles_deg, offsets, strict=True)]
+        self.core.encoders(counts, self.illegal)
+
+    def break_encoder(self, axis: int, transitions: int) -> None:
+        self.illegal[axis] += transitions
+        self._encoders()
+
+    def set(self, name: str, value: float) -> Any:
+        index = next(p.index for p in d.PARAMS if p.name == name)
+        return self.ask(d.ParamSetMessage(0, index, value))
+
+    def arm(self) -> Any:
+        return self.ask(d.ArmMessage(0))
+
+    def close_loops(self, axes: int = 7) -> Any:
+        return self.ask(d.ControlMessage(0, axes, 0.0, 0.0))
+
+    def fly(self) -> None:
+        assert self.arm().result == d.Result.OK
+        assert self.close_loops().result == d.Result.OK
+
+    def setpoint(
+        self, elevation_deg: float = 0.0, pitch_deg: float = 0.0, travel_deg: float = 0.0, at_tick: int = 0
+    ) -> None:
+        angles = (math.radians(x) for x in (elevation_deg, pitch_deg, travel_deg))
+        self.send(d.SetpointMessage(at_tick, *angles))
+
+    def keep_flying(self, ticks: int, **setpoint: Any) -> None:
+        for k in range(ticks):
+            if k % 20 == 0:
+                self.setpoint(**setpoint)
+            self.tick()
+
+    def ping(self) -> None:
+        self.ask(d.PingMessage(0, 0))
+
+    @property
+    def state(self) -> d.State:
+        return d.State(self.core.state)
+
+    @property
+    def motors(self) -> tuple[int, int, bool]:
+        front, back, enabled = self.core.motors()
+        return front, back, enabled
+
+    @property
+    def motors_off(self) -> bool:
+        return self.motors == (0, 0, False)
+
+    def last_event(self, kind: d.Event) -> d.EventMessage:
+        return [e for e in self.events if e.kind == kind][-1]

@@ -1,0 +1,128 @@
+"""Windows that a joint step leaves behind, or that start in a wrong basin, are optimised alone."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from heli_host.flight import Flight
+from heli_lab.identify import Problem, check, prepare, solve, validate
+from heli_lab.identify.functions import Floats
+from heli_lab.identify.initial_states import alternative_states, first_states
+from heli_lab.identify.window_states import refine_states, restart_states, window_cost
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue
+from heli_sim.rig import load_rig
+
+from tests.identify.made import flown, thinned
+
+pytestmark = pytest.mark.slow
+
+FLIGHT_S = 24.0
+DRY_Nm = 0.04
+RIG = load_rig("makki2024")
+KIND = catalogue()["coulomb_friction.pitch"]
+
+
+@functools.cache
+def dry_flight(seed: int) -> Flight:
+    """A flight whose light axis sticks hard: at each reversal the torque jumps by what a rotor gives."""
+    true = KIND.make({"coulomb_friction_pitch_Nm": DRY_Nm, "coulomb_friction_pitch_hold_s": 0.01})
+    return flown(RIG, seed, FLIGHT_S, MultibodyModel((true,)))
+
+
+def posed(size_Nm: float, seed: int = 7) -> Problem:
+    effect = KIND.make({"coulomb_friction_pitch_Nm": size_Nm})
+    record = prepare(dry_flight(seed), RIG, f"flight {seed}")
+    return Problem(MultibodyModel((effect,)), RIG, [record], step_s=0.004)
+
+
+def test_hard_dry_friction_of_the_light_axis_is_found_from_a_start_without_any() -> None:
+    fit = solve(posed(0.0))
+    assert check(fit).normalised < 1.03
+    off = fit.values["coulomb_friction_pitch_Nm"] - DRY_Nm
+    assert abs(off) < 3.0 * fit.std["coulomb_friction_pitch_Nm"]
+    # On a flight that it has not seen no window is left behind in a wrong state.
+    assert check(validate(fit, [dry_flight(8)], labels=["other"])).normalised < 1.05
+
+
+def test_a_window_in_a_wrong_state_returns_and_leaves_the_others_alone() -> None:
+    problem = posed(DRY_Nm)
+    theta = problem.start
+    (states,) = first_states(problem, theta)
+    ones: Floats = np.ones(3)
+
+    def costs(at: Floats) -> Floats:
+        evaluation = problem.evaluation(0, theta, at)
+        return window_cost(problem, evaluation, at, at, ones, np.ones(len(at)))
+
+    every = np.arange(len(states))
+    there, _ = refine_states(
+        problem, 0, theta, states, problem.evaluation(0, theta, states), states, ones, every, most=20
+    )
+    wrong = there.copy()
+    wrong[3, 4] += 0.3
+    assert costs(wrong)[3] > 100.0 * costs(there)[3]
+    evaluation = problem.evaluation(0, theta, wrong)
+    back, seen = refine_states(problem, 0, theta, wrong, evaluation, wrong, ones, np.array([3]), most=20)
+    assert costs(back)[3] < 1.05 * costs(there)[3]
+    np.testing.assert_array_equal(np.delete(back, 3, axis=0), np.delete(wrong, 3, axis=0))
+    np.testing.assert_allclose(seen.residual, problem.evaluation(0, theta, back).residual, atol=1e-9)
+
+
+def test_a_lost_window_starts_again_from_elsewhere_as_well_from_either_side_of_a_play() -> None:
+    kind, play_rad = catalogue()["backlash.travel"], 0.02
+    true = kind.make({"backlash_travel_rad": play_rad})
+    problem = Problem(
+        MultibodyModel((true,)),
+        RIG,
+        [thinned(flown(RIG, 7, 8.0, MultibodyModel((true,))), 2)],
+        step_s=0.004,
+        state_std={"backlash_travel_shaft_rad": 0.02},
+    )
+    theta, ones, first = problem.start, np.ones(3), np.array([0])
+    (seen,) = first_states(problem, theta)
+    every = np.arange(len(seen))
+    weights = np.ones(len(seen))
+    there, evaluation = refine_states(
+        problem, 0, theta, seen, problem.evaluation(0, theta, seen), seen, ones, every, most=20
+    )
+    right = window_cost(problem, evaluation, there, seen, ones, weights)
+    lost = there.copy()
+    lost[0, 3:6] += 5.0
+    others = alternative_states(problem, 0, theta, lost)
+    # Nothing but the play itself ties the arm's travel to what its encoder shows.
+    assert sorted(float(other[0, 2] - seen[0, 2]) for other in others[2:]) == pytest.approx([-0.01, 0.01])
+    states, evaluation = lost, problem.evaluation(0, theta, lost)
+    for other in others:
+        states, evaluation = restart_states(problem, 0, theta, states, evaluation, seen, ones, first, other)
+    found = window_cost(problem, evaluation, states, seen, ones, weights)
+    assert found[0] < 1.05 * right[0]
+    np.testing.assert_array_equal(states[1:], lost[1:])
+
+
+def test_a_frequency_waits_until_its_torque_is_found() -> None:
+    kind, own = catalogue()["periodic_torque.travel"], "periodic_torque_travel_"
+    true = {own + "sin_Nm": 0.04, own + "cos_Nm": 0.0, own + "Hz": 2.25}
+    flight = thinned(flown(RIG, 7, FLIGHT_S, MultibodyModel((kind.make(true),))), 2)
+    # Small, and at a phase that has nothing to do with the true one.
+    start = kind.make({own + "sin_Nm": -0.002, own + "cos_Nm": -0.002, own + "Hz": 2.26})
+    fit = solve(Problem(MultibodyModel((start,)), RIG, [flight], step_s=0.004))
+    assert check(fit).normalised < 1.03
+    assert abs(fit.values[own + "Hz"] - 2.25) < 3.0 * fit.std[own + "Hz"]
+    assert abs(np.hypot(fit.values[own + "sin_Nm"], fit.values[own + "cos_Nm"]) - 0.04) < 0.002
+
+
+def test_a_better_state_from_before_is_taken() -> None:
+    problem = posed(DRY_Nm)
+    theta = problem.start
+    (states,) = first_states(problem, theta)
+    lost = states.copy()
+    lost[2, 3:] = np.nan
+    evaluation = problem.evaluation(0, theta, lost)
+    ones: Floats = np.ones(3)
+    back, _ = refine_states(
+        problem, 0, theta, lost, evaluation, states, ones, np.array([2]), before=states, most=0
+    )
+    np.testing.assert_array_equal(back[2], states[2])

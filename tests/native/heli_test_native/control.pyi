@@ -1,0 +1,43 @@
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+class Law:
+    def __init__(self, params: Sequence[tuple[int, float]]) -> None: ...
+    def update(
+        self,
+        angle_rad: Sequence[float],
+        rate_rad_s: Sequence[float],
+        setpoint_rad: Sequence[float],
+        setpoint_rate_rad_s: Sequence[float],
+        setpoint_acceleration_rad_s2: Sequence[float],
+        axes: int,
+        open_V: Sequence[float],
+        excitation_V: Sequence[float],
+    ) -> tuple[float, float, float, bool, bool, bool]: ...
+
+class RateFilter:
+    def __init__(self) -> None: ...
+    def update(self, angle_rad: float, smoothing: float) -> float: ...
+
+def mix(
+    collective_V: float, differential_V: float, least_V: float, most_V: float, differential_max_V: float
+) -> tuple[float, float, float, float]: ...
+def motor_from_lift_V(lift_V: float, dead_zone_V: float) -> float: ...
+def quantity(value: float) -> int: ...
+def quantity_sum(a: int, b: int) -> int: ...
+def quantity_difference(a: int, b: int) -> int: ...
+def quantity_product(gain: int, quantity: int) -> int: ...
+def square_root(value: int) -> int: ...
+def reciprocal(value: float) -> float: ...
+def excitation(
+    kind: int,
+    front_V: float,
+    back_V: float,
+    start_Hz: float,
+    stop_Hz: float,
+    duration_s: float,
+    seed: int,
+    ticks: int,
+) -> NDArray[np.float32]: ...

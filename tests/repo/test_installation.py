@@ -1,0 +1,72 @@
+"""Who installs the project gets what flies, and nothing that only its tests use."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import pytest
+
+pytest.importorskip("scikit_build_core", reason="the build backend is not installed: make setup")
+
+from scikit_build_core.settings.skbuild_model import ScikitBuildSettings
+from scikit_build_core.settings.skbuild_read_settings import SettingsReader
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).resolve().parents[2]
+WITHOUT_TESTS = "HELI_WITHOUT_TESTS"
+
+
+def settings(state: Literal["wheel", "editable"]) -> ScikitBuildSettings:
+    return SettingsReader.from_file(ROOT / "pyproject.toml", state=state).settings
+
+
+@pytest.fixture(autouse=True)
+def _nothing_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(WITHOUT_TESTS, raising=False)
+
+
+def test_a_wheel_has_nothing_for_tests() -> None:
+    wheel = settings("wheel")
+    assert wheel.build.targets == ["_native", "_due"]
+    assert wheel.install.components == ["python"]
+    assert wheel.wheel.packages is not None
+    assert not [package for package in wheel.wheel.packages if "test" in package]
+
+
+def test_who_edits_the_sources_has_the_tests_extension_too() -> None:
+    editable = settings("editable")
+    assert editable.build.targets == ["_native", "_due", "heli_test_native"]
+    assert editable.install.components == ["python", "tests"]
+
+
+def test_to_fly_needs_no_compiling_for_tests(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(WITHOUT_TESTS, "1")
+    editable = settings("editable")
+    assert editable.build.targets == ["_native", "_due"]
+    assert editable.install.components == ["python"]
+    assert f"export {WITHOUT_TESTS}=1" in (ROOT / ".ci" / "setup").read_text()
+
+
+def test_only_the_tests_component_installs_the_tests_extension() -> None:
+    rules = [
+        line
+        for path in (
+            ROOT / "CMakeLists.txt",
+            *ROOT.glob("sim/*/CMakeLists.txt"),
+            *ROOT.glob("tests/*/CMakeLists.txt"),
+        )
+        for line in path.read_text().splitlines()
+        if "install(" in line and "heli_test_native" in line
+    ]
+    assert len(rules) == 1
+    assert rules[0].endswith("COMPONENT tests)")
+
+
+def test_the_simulation_carries_no_bindings_for_tests() -> None:
+    native = pytest.importorskip("heli_sim._native", reason="the simulation is not built: make setup")
+    public = {name for name in vars(native) if not name.startswith("_")}
+    assert public == {
+        "PlantStep", "CompiledStep", "CallbackStep", "World", "SimBoard", "NativeBoard", "greet", "identity"
+    }  # fmt: skip

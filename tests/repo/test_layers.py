@@ -1,0 +1,180 @@
+"""The contracts of layers notice what breaks them, and the host knows its packages by entry points alone."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).resolve().parents[2]
+HOST, SIM = ROOT / "host" / "heli_host", ROOT / "sim" / "heli_sim"
+LINT = """
+import sys
+from importlinter.cli import lint_imports
+sys.exit(lint_imports(no_cache=True, no_logo=True))
+"""
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """An import that a contract forbids: a line put at the end of a file, and what the report says of it."""
+
+    file: str
+    line: str
+    told: str
+
+
+WRONG = {
+    "packages": Wrong(
+        "host/heli_host/setpoints.py",
+        "def _wrong() -> None:\n    import heli_lab.page",
+        "heli_host.setpoints -> heli_lab.page",
+    ),
+    "host": Wrong(
+        "host/heli_host/link/frames.py",
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from heli_host.fly import plan",
+        "heli_host.link.frames -> heli_host.fly.plan",
+    ),
+    "command line": Wrong(
+        "host/heli_host/cli/options.py",
+        "from heli_host.cli import board",
+        "heli_host.cli.options -> heli_host.cli.board",
+    ),
+    "simulation": Wrong(
+        "sim/heli_sim/rig/compare.py",
+        "from heli_sim import plant",
+        "heli_sim.rig.compare -> heli_sim.plant",
+    ),
+    "laboratory": Wrong(
+        "sim/heli_lab/identify/windows.py",
+        "from heli_lab.tune import loops",
+        "heli_lab.identify.windows -> heli_lab.tune.loops",
+    ),
+    "verbs do not know": Wrong(
+        "host/heli_host/cli/verbs/plot.py",
+        "from heli_host.cli.verbs import info",
+        "heli_host.cli.verbs.plot -> heli_host.cli.verbs.info",
+    ),
+    "a flight is studied": Wrong(
+        "host/heli_host/log/clock.py",
+        "from heli_host.link import session",
+        "heli_host.log.clock -> heli_host.link.session",
+    ),
+    "the simulation knows no": Wrong(
+        "sim/heli_sim/sil/clock.py",
+        "from heli_host.log import table",
+        "heli_sim.sil.clock -> heli_host.log.table",
+    ),
+    "only verbs and checks": Wrong(
+        "sim/heli_lab/tune/shaping.py",
+        "from heli_host.cli import report",
+        "heli_lab.tune.shaping -> heli_host.cli.report",
+    ),
+    "identification knows": Wrong(
+        "sim/heli_lab/identify/grid.py",
+        "from heli_host.link import frames",
+        "heli_lab.identify.grid -> heli_host.link.frames",
+    ),
+    "no circles": Wrong(
+        "host/heli_host/fly/route.py",
+        "from heli_host.fly import runner",
+        "No cycles are allowed in heli_host.fly.",
+    ),
+}
+
+
+def contracts() -> list[str]:
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    return [contract["name"] for contract in table["tool"]["importlinter"]["contracts"]]
+
+
+def copy_to(folder: Path) -> None:
+    """Copy what the linter reads."""
+    ignore = shutil.ignore_patterns("__pycache__", "*.so", "*.elf", "firmware")
+    for package in (HOST, SIM, ROOT / "sim" / "heli_lab"):
+        shutil.copytree(package, folder / package.relative_to(ROOT), ignore=ignore)
+    shutil.copy(ROOT / "pyproject.toml", folder)
+
+
+def lint(folder: Path) -> dict[str, str]:
+    """What the linter says of each contract that is broken, by the contract's name.
+
+    Without the module `site`, the file that hooks in the installed packages is not read, and the copy is what
+    is found.
+    """
+    packages = dict.fromkeys((sysconfig.get_path("purelib"), sysconfig.get_path("platlib")))
+    path = [folder / "host", folder / "sim", *packages]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path)), "COLUMNS": "200"}
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", LINT],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "Contracts: " in done.stdout, done.stdout + done.stderr
+    _, _, report = done.stdout.partition("Broken contracts\n")
+    parts = re.split(r"^(.+)\n-{3,}$", report, flags=re.MULTILINE)
+    said = dict(zip(parts[1::2], parts[2::2], strict=True))
+    assert bool(said) == bool(done.returncode)
+    return said
+
+
+@pytest.fixture(scope="module")
+def spoiled(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """What the linter says of a copy with every wrong import, and a module in no layer."""
+    pytest.importorskip("importlinter", reason="skipped: no import-linter, which make setup installs")
+    folder = tmp_path_factory.mktemp("layers")
+    copy_to(folder)
+    for wrong in WRONG.values():
+        with (folder / wrong.file).open("a", encoding="utf-8") as file:
+            file.write(f"\n{wrong.line}\n")
+    (folder / "host" / "heli_host" / "stray.py").write_text("")
+    return lint(folder)
+
+
+def test_every_contract_has_an_import_that_breaks_it() -> None:
+    assert [name for name in contracts() if not any(name.startswith(start) for start in WRONG)] == []
+
+
+def test_no_contract_has_an_exception() -> None:
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
+    assert not [
+        contract["name"]
+        for contract in table["contracts"]
+        if {"ignore_imports", "exhaustive_ignores", "skip_descendants", "depth"} & set(contract)
+        or ("containers" in contract and not contract.get("exhaustive"))
+    ]
+    assert not table.get("exclude_type_checking_imports", False)
+
+
+@pytest.mark.parametrize("start", WRONG)
+def test_a_wrong_import_breaks_its_contract(start: str, spoiled: dict[str, str]) -> None:
+    (name,) = (name for name in contracts() if name.startswith(start))
+    assert WRONG[start].told in re.sub(r"\s+", " ", spoiled.get(name, "")), f"{name} did not notice"
+
+
+def test_a_module_in_no_layer_is_noticed(spoiled: dict[str, str]) -> None:
+    (name,) = (name for name in contracts() if name.startswith("host: "))
+    assert "heli_host.stray" in spoiled[name]
+
+
+def test_the_host_names_no_package_above_it() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in HOST.rglob("*.py")
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if re.search(r"heli_sim|heli_lab", line)
+    ]
+    assert not found, "a package above the host comes in by an entry point"
