@@ -102,13 +102,17 @@ class Case:
         """Numbers of the listed effects."""
         return {name: one.truth for (name, _), one in zip(self.effects, self.hidden(), strict=False)}
 
-    def flights(self, folder: Path) -> tuple[Path, Path]:
+    def flights(
+        self, folder: Path, durations_s: tuple[float, float] = (TRAIN_S, VALIDATE_S)
+    ) -> tuple[Path, Path]:
         """Fly both flights, unless they are there.
 
         Parameters
         ----------
         folder : Path
             Where to keep them.
+        durations_s : tuple of float
+            How long each is, about, from take-off to landing.
 
         Returns
         -------
@@ -116,7 +120,7 @@ class Case:
             The flight to fit on and the one to validate on, as CSV.
         """
         paths = (folder / self.name / "a.csv.gz", folder / self.name / "b.csv.gz")
-        for number, (path, duration_s) in enumerate(zip(paths, (TRAIN_S, VALIDATE_S), strict=True)):
+        for number, (path, duration_s) in enumerate(zip(paths, durations_s, strict=True)):
             if path.exists():
                 continue
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,9 +1,10 @@
-"""Flights in which something is hidden, made once for all tests of a run."""
+"""Flights in which something is hidden, made once for all tests."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import casadi as ca
 from heli_host.flight import Flight
@@ -13,9 +14,12 @@ from heli_sim.model.effect import Effect, Operands
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig
 
+from tests.identify import made
 from tests.identify.made import flown, flown_by_plan, thinned
+from tests.running.kept import FLOWN, KEPT
 
 TRAIN_S, HELD_OUT_S = 34.0, 26.0
+MADE_BY = (Path(__file__), Path(made.__file__))
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,11 @@ class OffList(Effect):
 @cache
 def flights(*effects: str, off_list: bool = False) -> tuple[Flight, Flight]:
     """A flight to fit and one to judge on."""
+    name = f"hidden {effects} {off_list} {TRAIN_S} {HELD_OUT_S}"
+    return KEPT(name, lambda: _flown(effects, off_list), made_by=MADE_BY, rooms=FLOWN)
+
+
+def _flown(effects: tuple[str, ...], off_list: bool) -> tuple[Flight, Flight]:
     rig = load_rig("makki2024").replace(thrust_gain=0.62, friction_travel=0.05)
     hidden: tuple[Effect, ...] = parse_effects(effects)
     if off_list:

@@ -50,7 +50,7 @@ class Kept:
     def __init__(self, folder: Path, root: Path, extensions: Path) -> None:
         self.saved_s = 0.0
         """CPU time that what was taken so far took to make, less what this process spent on that."""
-        self._folder = folder
+        self.folder = folder
         self._root = root
         self._extensions = extensions
         self._digests: dict[Path, bytes] = {}
@@ -77,14 +77,14 @@ class Kept:
             Folders of the project that do.
         """
         stem = re.sub(r"[^\w.=-]+", "_", name)[:60] + "-" + hashlib.sha256(name.encode()).hexdigest()[:8]
-        path = self._folder / f"{stem}-{self._digest(rooms, made_by)[:16]}.pickle"
-        self._folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / f"{stem}-{self._digest(rooms, made_by)[:16]}.pickle"
+        self.folder.mkdir(parents=True, exist_ok=True)
         start_s = self.charged_s()
-        with (self._folder / f"{stem}.lock").open("w") as lock:
+        with (self.folder / f"{stem}.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             if not path.exists():
                 self._write(path, make)
-                for other in self._folder.glob(f"{stem}-*.pickle"):
+                for other in self.folder.glob(f"{stem}-*.pickle"):
                     if other != path:
                         other.unlink()
             cost_s, value = pickle.loads(path.read_bytes())
@@ -95,6 +95,11 @@ class Kept:
     def charged_s(self) -> float:
         """CPU time as if this process had made everything itself that it took."""
         return spent_s() + self.saved_s
+
+    def extensions(self) -> list[Path]:
+        """What is compiled, as it is installed: it may lag behind its sources, and it is what flies."""
+        found = self._extensions.glob("heli_*/**/*")
+        return [path for path in found if path.suffix in (".so", ".elf")]
 
     def _write(self, path: Path, make: Callable[[], object]) -> None:
         start_s = self.charged_s()
@@ -117,7 +122,7 @@ class Kept:
         """Digest of names and contents of a file, of a room's sources, or of all compiled extensions."""
         paths = [place]
         if place == self._extensions:
-            paths = [path for path in place.glob("heli_*/**/*") if path.suffix in (".so", ".elf")]
+            paths = self.extensions()
         elif place.is_dir():
             paths = [path for path in place.rglob("*") if path.suffix not in NOT_SOURCES and path.is_file()]
         digest = hashlib.sha256()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Final
@@ -16,7 +17,7 @@ from typing_extensions import override
 from heli_lab.identify.functions import Floats, Functions, Inputs
 from heli_lab.identify.windows import Kernel
 
-THREADS: Final = 2
+THREADS: Final = 1 if os.environ.get("OMP_NUM_THREADS") == "1" else 2
 
 _C: Final = """
 #include <string.h>
@@ -241,7 +242,7 @@ def driver(functions: Functions) -> str:
 
 
 class CompiledKernel(Kernel):
-    """Windows run by compiled code, on two threads.
+    """Windows run by compiled code, on two threads; on one where OMP_NUM_THREADS is 1.
 
     Parameters
     ----------
@@ -332,7 +333,7 @@ class CompiledKernel(Kernel):
 
         # The call releases Python's lock. Threads pay from a few hundred steps on.
         half = int(np.searchsorted(np.cumsum(steps), inputs.rows / 2)) + 1
-        if windows < THREADS or half >= windows or inputs.rows < 500:
+        if THREADS == 1 or windows < 2 or half >= windows or inputs.rows < 500:
             part(0, windows)
         else:
             with ThreadPoolExecutor(1) as pool:

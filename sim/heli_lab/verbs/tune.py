@@ -118,7 +118,12 @@ def tune(
                 bar.show(f"flying, {label}", 0.5 + 0.5 * (number + done) / len(trials))
 
             tried.append(try_gains(Plant(flown, loaded, seed), parameters, label, seed, tell))
-    for line in (*_head(loaded, name, design, known), *_margin_lines(design), *_flight_lines(tried)):
+    of_plants = _margins(design)
+    for line in (
+        *_head(loaded, name, design, known),
+        *_margin_lines(design, of_plants),
+        *_flight_lines(tried),
+    ):
         print(line)
     written = []
     if out is not None:
@@ -127,7 +132,7 @@ def tune(
         out.write_text(parameters_text(parameters, comment), encoding="utf-8")
         written.append(out)
     if json is not None:
-        _write_json(json, _numbers(loaded, name, design, known, parameters, tried))
+        _write_json(json, _numbers(loaded, name, design, of_plants, known, parameters, tried))
         written.append(json)
     if figure is not None:
         from heli_lab.tune.figures import figure_of
@@ -172,13 +177,12 @@ def _head(rig: Rig, model: str, design: Design, known: Known) -> list[str]:
     return lines
 
 
-def _margin_lines(design: Design) -> list[str]:
+def _margin_lines(design: Design, found: Sequence[Mapping[str, Margin]]) -> list[str]:
     from heli_lab.tune import LOOPS
 
-    found = _margins(design)
     own = [index for index, plant in enumerate(design.plants) if plant.thrust == plant.counterweight == 1.0]
     chosen = [(f"lag {1e3 * design.plants[index].lag_s:.0f} ms", [found[index]]) for index in own]
-    chosen.append(("worst of all", found))
+    chosen.append(("worst of all", list(found)))
     lines = [f"{'loop':13}{'plant':13}{'gain up':>9}{'down':>8}{'phase':>9}{'delay':>10}{'peak S':>8}"]
     for loop in LOOPS:
         for place, (label, margins) in enumerate(chosen):
@@ -218,6 +222,7 @@ def _numbers(
     rig: Rig,
     model: str,
     design: Design,
+    of_plants: Sequence[Mapping[str, Margin]],
     known: Known,
     parameters: Mapping[str, float],
     tried: Sequence[Trial],
@@ -232,7 +237,7 @@ def _numbers(
             "counterweight": plant.counterweight,
             "margins": {loop: asdict(margin) for loop, margin in found.items()},
         }
-        for plant, found in zip(design.plants, _margins(design), strict=True)
+        for plant, found in zip(design.plants, of_plants, strict=True)
     ]
     return {
         "rig": rig.name,

@@ -1,0 +1,94 @@
+"""The tests of a file stay together, documents alone, and the dearest group goes first."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.running.cost import COSTS_KEY, plain
+from tests.running.order import group_of, pytest_collection_modifyitems
+
+pytest_plugins = ["pytester"]
+
+TESTS = """
+import pytest
+
+def test_cheap(): pass
+
+@pytest.mark.slow
+def test_slow(): pass
+
+@pytest.mark.documents
+@pytest.mark.xdist_group("document-b.md")
+def test_document(): pass
+
+@pytest.mark.xdist_group("document-a.md")
+def test_other_document(): pass
+"""
+
+
+def ordered(
+    pytester: pytest.Pytester, known_s: dict[str, float], *, worker: bool = True
+) -> list[pytest.Item]:
+    """The tests above, and then the cheap one of a file of its own, as a worker would run them."""
+    pytester.makeini("[pytest]\nmarkers =\n  slow\n  documents\n")
+    items = pytester.getitems(TESTS)
+    cache = SimpleNamespace(get={COSTS_KEY: known_s}.get)
+    config: Any = SimpleNamespace(cache=cache, **({"workerinput": {}} if worker else {}))
+    pytest_collection_modifyitems(config, items)
+    return items
+
+
+def names(items: list[pytest.Item]) -> list[str]:
+    return [item.name for item in items]
+
+
+def test_without_a_known_cost_markers_tell_which_group_is_dearest(pytester: pytest.Pytester) -> None:
+    assert names(ordered(pytester, {})) == ["test_document", "test_cheap", "test_slow", "test_other_document"]
+
+
+def test_the_cost_of_the_last_run_tells_it_better(pytester: pytest.Pytester) -> None:
+    file = "test_the_cost_of_the_last_run_tells_it_better.py"
+    known_s = {
+        f"{file}::test_other_document": 50.0,
+        f"{file}::test_document": 1.0,
+        f"{file}::test_cheap": 9.0,
+    }
+    assert names(ordered(pytester, known_s)) == [
+        "test_other_document",
+        "test_cheap",
+        "test_slow",
+        "test_document",
+    ]
+
+
+def test_a_file_is_a_group_and_a_document_one_of_its_own(pytester: pytest.Pytester) -> None:
+    groups = {item.name: group_of(item) for item in ordered(pytester, {})}
+    assert (
+        groups["test_cheap"]
+        == groups["test_slow"]
+        == "test_a_file_is_a_group_and_a_document_one_of_its_own.py"
+    )
+    assert groups["test_document"] == "document-b.md"
+    assert groups["test_other_document"] == "document-a.md"
+
+
+def test_one_process_keeps_the_order_of_the_file(pytester: pytest.Pytester) -> None:
+    items = ordered(pytester, {}, worker=False)
+    assert names(items) == ["test_cheap", "test_slow", "test_document", "test_other_document"]
+    assert not any(items[0].iter_markers("xdist_group"))
+
+
+@pytest.mark.parametrize(
+    ("nodeid", "name"),
+    [
+        ("tests/log/test_log.py::test_cut@tests/log/test_log.py", "tests/log/test_log.py::test_cut"),
+        ("test_a.py::test_b[who@where]@group", "test_a.py::test_b[who@where]"),
+        ("test_a.py::test_b[who@where]", "test_a.py::test_b[who@where]"),
+        ("test_a.py::test_b", "test_a.py::test_b"),
+    ],
+)
+def test_a_test_has_one_name_whoever_runs_it(nodeid: str, name: str) -> None:
+    assert plain(nodeid) == name

@@ -1,0 +1,38 @@
+"""``--quick`` runs what has no marker of the dear ones, and imports no file that is dear as a whole."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest_plugins = ["pytester"]
+
+
+def test_what_is_dear_is_left_out_and_a_dear_file_not_even_imported(pytester: pytest.Pytester) -> None:
+    pytester.makeini("[pytest]\nmarkers =\n  slow\n  emulated\n")
+    pytester.makepyfile(
+        test_mixed="""
+        import pytest
+
+        def test_cheap(): pass
+
+        @pytest.mark.slow
+        def test_slow(): assert False
+        """,
+        test_dear="""
+        import pytest
+
+        pytestmark = pytest.mark.emulated
+
+        raise AssertionError("imported")
+        """,
+    )
+    ran = pytester.runpytest_inprocess("-p", "tests.running.quick", "--quick", "-p", "no:cacheprovider")
+    ran.assert_outcomes(passed=1, deselected=1)
+
+
+def test_without_the_option_all_run(pytester: pytest.Pytester) -> None:
+    pytester.makeini("[pytest]\nmarkers = slow\n")
+    pytester.makepyfile("import pytest\n\n@pytest.mark.slow\ndef test_slow(): pass\n")
+    pytester.runpytest_inprocess("-p", "tests.running.quick", "-p", "no:cacheprovider").assert_outcomes(
+        passed=1
+    )
