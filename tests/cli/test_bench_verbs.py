@@ -79,6 +79,7 @@ def test_motors_that_the_board_switches_off_say_why(terminal: Terminal) -> None:
     assert "pitch" in line
 
 
+@pytest.mark.slow
 def test_ctrl_c_switches_the_motors_off(tmp_path: Path) -> None:
     with SilProcess() as board:
         with process(tmp_path, "motors", "--port", board.url, "--for-s", "30") as running:

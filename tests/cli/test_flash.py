@@ -101,6 +101,7 @@ def test_a_board_is_flashed_and_answers(
     assert "nothing to keep" in ended.out
 
 
+@pytest.mark.slow
 def test_parameters_that_were_changed_are_kept_in_a_file_that_restores_them(
     terminal: Terminal, image: Path, board: SilProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -366,6 +367,7 @@ def test_options_of_platformio_are_not_those_of_the_new_uploader(image: Path) ->
     assert "does not take the options" in str(failed)
 
 
+@pytest.mark.slow
 def test_a_board_that_flies_is_not_flashed(
     terminal: Terminal, image: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

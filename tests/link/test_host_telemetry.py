@@ -54,6 +54,7 @@ def declared(types: list[str]) -> list[ChannelSpec]:
     ]
 
 
+@pytest.mark.slow
 @settings(max_examples=100)
 @given(st.lists(st.sampled_from([*CODES]), min_size=1, max_size=16), st.data())
 def test_channels_of_any_type_may_stand_anywhere(types: list[str], data: st.DataObject) -> None:
@@ -64,6 +65,7 @@ def test_channels_of_any_type_may_stand_anywhere(types: list[str], data: st.Data
     assert decoder.malformed == 0
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(batches(), st.data())
 def test_wider_deltas_than_needed_decode_alike(sent: Batch, data: st.DataObject) -> None:

@@ -159,6 +159,7 @@ def test_a_restart_while_the_cable_is_out_is_noticed_although_the_tick_has_passe
     assert session.counters.ticks_lost == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["flip", "drop", "double", "all"])
 def test_a_damaged_line_delivers_no_wrong_tick_and_counts_what_is_missing(damage: str) -> None:
     board = FakeBoard()

@@ -376,6 +376,7 @@ def test_events_keep_their_device_time_and_the_viewers_log_level(tmp_path: Path)
     assert body["timestamp"]["sec"] * 10**9 + body["timestamp"]["nsec"] == WALL_NS + 700_000_000
 
 
+@pytest.mark.slow
 def test_a_ten_minute_log_is_read_whole(tmp_path: Path) -> None:
     tick, raw = make_samples(600_000)
     writer = LogWriter(tmp_path / "a.mcap", start_wall_ns=WALL_NS, metadata={}, rad_per_count=RAD_PER_COUNT)

@@ -103,6 +103,7 @@ def checklist() -> list[list[str]]:
     return [words[1:] for words in commands if words[0] == "heli-host" and words[1] not in NOT_SIMULATED]
 
 
+@pytest.mark.slow
 def test_the_checklist_works_from_top_to_bottom_on_a_simulated_board(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
