@@ -19,7 +19,7 @@ fly: ## fly the simulated helicopter: make fly [SPEED=5|max] [PLANS="hover sine"
 	@.ci/setup fly
 	@$(HELI) fly $(PLANS) --sil --board $(BOARD) --speed $(SPEED)
 
-quick: ## the tests that are quick, half a minute in all: what one types after each edit
+quick: ## the tests that are quick each: what one types after an edit
 	@.ci/test quick
 
 test: ## all tests, and beside them style, types, static analysis and a short fuzzing
