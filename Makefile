@@ -6,6 +6,8 @@ PLANS ?= hover sine
 SPEED ?= 1
 BOARD ?= auto
 FUZZ_S ?= 60
+FRAMES ?= 1000000
+LOGS ?= 4000
 CASES ?=
 HELI := .venv/bin/heli-host
 
@@ -40,9 +42,11 @@ blind: ## hide effects in flights, see whether diagnosis finds them: blind.json;
 	@.ci/setup test
 	@.venv/bin/python -m tests.blind $(CASES)
 
-fuzz: ## fuzz parser and dispatcher: make fuzz [FUZZ_S=60]; needs clang
+fuzz: ## fuzz the board, the host and its logs: make fuzz [FUZZ_S=60] [FRAMES=1000000] [LOGS=4000]; needs clang
 	@.ci/setup test
 	@.ci/fuzz $(FUZZ_S)
+	@.venv/bin/python -m tests.link.fuzz_host $(FRAMES)
+	@.venv/bin/python -m tests.log.fuzz_log $(LOGS)
 
 firmware: ## build what is flashed to the Due: build/pio/due/firmware.{elf,bin}
 	@.ci/setup firmware

@@ -7,17 +7,22 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "link/declaration.hpp"
+
 namespace heli {
 
-// Indices of per-axis arrays everywhere in the core; the same order as link::Axis.
-inline constexpr std::size_t kElevation = 0;
-inline constexpr std::size_t kPitch = 1;
-inline constexpr std::size_t kTravel = 2;
-inline constexpr std::size_t kAxisCount = 3;
+// Indices of per-axis arrays everywhere in the core.
+inline constexpr auto kElevation = static_cast<std::size_t>(link::Axis::elevation);
+inline constexpr auto kPitch = static_cast<std::size_t>(link::Axis::pitch);
+inline constexpr auto kTravel = static_cast<std::size_t>(link::Axis::travel);
+using link::kAxisCount;
 
 struct EncoderReading {
   std::int32_t count[kAxisCount];     // free-running raw counts, x4
-  std::uint16_t illegal[kAxisCount];  // illegal transitions since power-up, saturating
+  std::uint32_t illegal[kAxisCount];  // illegal transitions since power-up; wraps
+  // 0 while every edge is counted. Otherwise an encoder's edges came faster than the board counts:
+  // so many since the reading before, then it stopped looking, and the count is wrong.
+  std::uint32_t overload_edges;
 };
 
 struct MotorCommand {
@@ -31,7 +36,7 @@ struct BootReport {
   std::uint8_t board;  // 0 native, 1 Arduino Due
   std::uint8_t reset;
   std::uint8_t boot_fault;
-  std::uint32_t boot_count;
+  std::uint32_t boot_id;  // 24 random bits, new at every start
 };
 
 class Board {

@@ -48,14 +48,14 @@ void Core::start() {
   refresh_derived();
   const BootReport report = board_.boot_report();
   link_.push_event({0, static_cast<std::uint8_t>(Event::boot), report.reset, report.boot_fault,
-                    static_cast<float>(report.boot_count)});
+                    static_cast<float>(report.boot_id)});
 }
 
 void Core::refresh_derived() {
   const std::uint32_t revision = params_.revision();
   const auto spare = static_cast<Bank>(1U - active_.load(std::memory_order_relaxed));
   derived_[spare] = {conversion_of(params_, board_.duty_full()), flight::limits_of(params_),
-                     flight::setpoint_limits_of(params_)};
+                     flight::setpoint_limits_of(params_), flight::tracking_limits_of(params_)};
   law_.derive(params_, spare);
   derived_revision_ = revision;
   active_.store(spare, std::memory_order_release);
@@ -91,7 +91,8 @@ void Core::measure(const EncoderReading& reading, const Conversion& c) {
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     angle_rad_[axis] = product<24>(Whole::from_raw(count_[axis]), c.rad_per_count[axis]);
     rate_rad_s_[axis] = filters_[axis].update(angle_rad_[axis], c.smoothing[axis]);
-    counters_.illegal[axis] = reading.illegal[axis];
+    counters_.illegal[axis] = static_cast<std::uint16_t>(
+        reading.illegal[axis] < 0xFFFFU ? reading.illegal[axis] : 0xFFFFU);
   }
 }
 
@@ -191,6 +192,7 @@ void Core::log_tick(const ControlOutput& out, TickTiming timing) {
   put(Channel::back, wire(acted_.back_V, kBackWire));
   put(Channel::state, static_cast<std::int32_t>(supervisor_.state()));
   put(Channel::fault, static_cast<std::int32_t>(supervisor_.fault()));
+  put(Channel::trigger, static_cast<std::int32_t>(supervisor_.cause()));
   std::uint8_t flags = 0;
   const auto raise = [&flags](bool condition, std::uint8_t bit) {
     flags = static_cast<std::uint8_t>(flags | (condition ? bit : 0U));
@@ -228,14 +230,17 @@ void Core::tick(TickTiming timing) {
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     seen.angle_rad[axis] = angle_rad_[axis];
     seen.rate_rad_s[axis] = rate_rad_s_[axis];
+    seen.count[axis] = count_[axis];
     seen.illegal[axis] = reading.illegal[axis];
   }
+  seen.overload_edges = reading.overload_edges;
   seen.overruns = counters_.overruns;
   seen.hardware_stop = board_.hardware_stop();
   seen.link_age_ticks = link_.ticks_since_host_frame();
   seen.acted = acted_;
+  seen.pitch_setpoint_rad = pitch_setpoint_rad_;
   seen.params_usable = store_.source() != link::ParamsSource::corrupt;
-  supervisor_.observe(seen, derived.limits, derived.bounds);
+  supervisor_.observe(seen, derived.limits, derived.bounds, derived.tracking);
 
   if (const link::Request* request = link_.take_request()) {
     link_.answer(execute(*request, reading));
@@ -248,6 +253,7 @@ void Core::tick(TickTiming timing) {
   excited_ = false;
   const ControlOutput out = drive(bank);
   actuate(out, derived.conversion);
+  pitch_setpoint_rad_ = out.pitch_setpoint_rad;
   log_tick(out, timing);
   ++tick_;
 }

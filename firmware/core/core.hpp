@@ -11,6 +11,7 @@
 #include "flight/limits.hpp"
 #include "flight/setpoints.hpp"
 #include "flight/supervisor.hpp"
+#include "flight/tracking.hpp"
 #include "link/link.hpp"
 #include "params/params.hpp"
 #include "params/store.hpp"
@@ -44,6 +45,7 @@ class Core {
     Conversion conversion;
     flight::Limits limits;
     flight::SetpointLimits bounds;
+    flight::TrackingLimits tracking;
   };
 
   void refresh_derived();
@@ -75,6 +77,7 @@ class Core {
   control::Quantity angle_rad_[kAxisCount];
   control::Quantity rate_rad_s_[kAxisCount];
   flight::OpenVoltages acted_{};
+  control::Quantity pitch_setpoint_rad_;
   bool excited_ = false;
   link::TickCounters counters_;
 };

@@ -7,7 +7,8 @@ namespace heli::due::encoders {
 
 void start();
 
-// Control tick only: it counts the decoders' errors since the call before.
+// Control tick only: it counts the decoders' errors since the call before, and gives travel's
+// interrupt the edges that it may serve until the next.
 EncoderReading read();
 
 }  // namespace heli::due::encoders

@@ -5,6 +5,7 @@
 #include "cortex_m3.hpp"
 #include "link/declaration.hpp"
 #include "motors.hpp"
+#include "random.hpp"
 #include "registers.hpp"
 #include "vectors.hpp"
 
@@ -15,10 +16,12 @@ constexpr std::uint8_t kDue = 1;
 
 // Words of the backup registers. The addresses stay for a debugger to read after they were
 // reported.
-enum Word : unsigned { kRecord, kPc, kLr, kCfsr, kBfar, kBootCount };
+enum Word : unsigned { kRecord, kPc, kLr, kCfsr, kBfar };
 // Upper half of kRecord; the fault's code is the low byte, the exception number the byte above it.
 constexpr std::uint32_t kMagic = 0x48460000;
 constexpr std::uint32_t kMagicMask = 0xFFFF0000;
+// The boot event carries it as a float, which holds 24 bits.
+constexpr std::uint32_t kBootIdMask = 0x00FFFFFF;
 
 // RSTC_SR.RSTTYP
 enum ResetType : std::uint32_t {
@@ -66,18 +69,15 @@ BootReport read_boot_report() {
   if (type == kUser) reset = link::Reset::user;
   report.reset = static_cast<std::uint8_t>(reset);
 
-  // At power-up the backup registers hold nothing; a record that a watchdog reset finds was made by
-  // the fault itself, before it hung.
-  if (reset == link::Reset::power_up) {
-    GPBR->SYS_GPBR[kBootCount].write(1);
-  } else {
-    GPBR->SYS_GPBR[kBootCount].write(GPBR->SYS_GPBR[kBootCount].read() + 1);
+  // At power-up the backup registers hold nothing, not even how many starts there were; a record
+  // that a watchdog reset finds was made by the fault itself, before it hung.
+  if (reset != link::Reset::power_up) {
     if (reset == link::Reset::watchdog) report.boot_fault = code(link::Fault::watchdog);
     if ((recorded & kMagicMask) == kMagic && reset != link::Reset::user) {
       report.boot_fault = static_cast<std::uint8_t>(recorded);
     }
   }
-  report.boot_count = GPBR->SYS_GPBR[kBootCount].read();
+  report.boot_id = random::bits() & kBootIdMask;
   return report;
 }
 

@@ -9,9 +9,8 @@ namespace {
 
 constexpr std::uint32_t kBank = 0x000C0000;
 constexpr std::uint32_t kBankBytes = 256 * 1024;
-constexpr std::uint32_t kPageBytes = 256;
 constexpr std::uint32_t kBankPages = kBankBytes / kPageBytes;
-constexpr std::uint32_t kParameterPages = 2;
+constexpr std::uint32_t kParameterPages = 4;
 // due.ld keeps the program out of these pages.
 constexpr std::uint32_t kFirstPage = kBankPages - kParameterPages;
 

@@ -1,10 +1,12 @@
-// The parameter pages: the last ones of the flash, in the bank that holds no code.
+// The parameter pages: the last four of the flash, in the bank that holds no code.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 
 namespace heli::due::flash {
+
+inline constexpr std::size_t kPageBytes = 256;
 
 // `count` is a multiple of 4 and at most a page, in both.
 void read_page(std::size_t page, std::uint8_t* to, std::size_t count);

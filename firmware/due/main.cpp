@@ -34,6 +34,8 @@ void sleep_unless_ticked(std::uint32_t seen) {
 
 }  // namespace
 
+void still_idle() { watchdog::check_in(ticks.load(std::memory_order_relaxed)); }
+
 [[noreturn]] void run() {
   const BootReport boot = faults::read_boot_report();
   if (!clock::start()) faults::give_up();

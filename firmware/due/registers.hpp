@@ -68,6 +68,7 @@ inline constexpr unsigned ID_TC3 = 30;
 inline constexpr unsigned ID_TC4 = 31;
 inline constexpr unsigned ID_TC6 = 33;
 inline constexpr unsigned ID_PWM = 36;
+inline constexpr unsigned ID_TRNG = 41;
 
 struct Pmc {
   Reserved<4> reserved_00;
@@ -158,7 +159,8 @@ struct Pio {
   Reserved<1> reserved_38;
   ReadOnly PIO_PDSR;
   WriteOnly PIO_IER;
-  Reserved<2> reserved_44;
+  WriteOnly PIO_IDR;
+  Reserved<1> reserved_48;
   ReadOnly PIO_ISR;
   Reserved<4> reserved_50;
   WriteOnly PIO_PUDR;
@@ -282,5 +284,17 @@ inline constexpr Field PWM_CMR_CPRE{0, 4};
 inline constexpr std::uint32_t PWM_CMR_CPRE_MCK = PWM_CMR_CPRE(0);
 inline constexpr std::uint32_t PWM_CMR_CALG = bit(8);
 inline constexpr std::uint32_t PWM_CMR_CPOL = bit(9);
+
+struct Trng {
+  WriteOnly TRNG_CR;
+  Reserved<6> reserved_04;
+  ReadOnly TRNG_ISR;
+  Reserved<12> reserved_20;
+  ReadOnly TRNG_ODATA;
+};
+inline constexpr At<Trng> TRNG{0x400BC000};
+inline constexpr std::uint32_t TRNG_CR_ENABLE = bit(0);
+inline constexpr Field TRNG_CR_KEY{8, 24};
+inline constexpr std::uint32_t TRNG_ISR_DATRDY = bit(0);
 
 }  // namespace heli::due

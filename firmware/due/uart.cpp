@@ -53,9 +53,20 @@ bool hand_over(ReadWrite& pointer, ReadWrite& counter, ReadWrite& next_pointer,
   return chain || left == 0U;
 }
 
+// Bytes that the PDC has yet to move, of the present and the next buffer.
+std::uint32_t in_flight(const ReadWrite& counter, const ReadWrite& next_counter) {
+  std::uint32_t next = 0;
+  std::uint32_t present = 0;
+  do {
+    next = next_counter.read();
+    present = counter.read();
+  } while (next != next_counter.read());
+  return next + present;
+}
+
 void service_receiver() {
-  const std::uint32_t at = UART->UART_RPR.read() - address_of(receive_ring);
-  received += (at - received) % kReceiveBytes;
+  // By the counters and not by the pointer, which is the same in a full ring and in an empty one.
+  received = offered - in_flight(UART->UART_RCR, UART->UART_RNCR);
   // A half is offered again only when all of it has been taken: bytes that nobody fetches stop the
   // receiver, they never overwrite older ones.
   if (offered - taken > kReceiveHalf) return;
@@ -75,17 +86,6 @@ void service_transmitter() {
                 transmit_ring + start, count)) {
     handed += count;
   }
-}
-
-// Bytes that the PDC has yet to read.
-std::uint32_t in_flight() {
-  std::uint32_t next = 0;
-  std::uint32_t present = 0;
-  do {
-    next = UART->UART_TNCR.read();
-    present = UART->UART_TCR.read();
-  } while (next != UART->UART_TNCR.read());
-  return next + present;
 }
 
 }  // namespace
@@ -119,7 +119,9 @@ std::size_t receive(std::uint8_t* to, std::size_t most) {
   return count;
 }
 
-std::size_t transmit_free() { return kTransmitBytes - (queued - handed) - in_flight(); }
+std::size_t transmit_free() {
+  return kTransmitBytes - (queued - handed) - in_flight(UART->UART_TCR, UART->UART_TNCR);
+}
 
 void transmit(const std::uint8_t* bytes, std::size_t count) {
   const std::uint32_t start = queued % kTransmitBytes;

@@ -21,7 +21,7 @@ STRUCT_CODE = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "i16": "h", "i32":
 # Differences of samples are 32 bits wide at most, and whole numbers.
 CHANNEL_TYPES = ("u8", "u16", "u32", "i16", "i32")
 CHANNEL_KEYS = {"name", "type", "unit", "scale", "meaning"}
-MAX_PARAMS = 60
+MAX_PARAMS = 120
 
 # What becomes an enumeration without being declared as one.
 TABLES = ("channel", "param", "fault", "message_id")
@@ -117,7 +117,7 @@ def check(declaration: Table) -> None:
     params = declaration["param"]
     names = [p["name"] for p in params]
     if len(params) > MAX_PARAMS:
-        raise DeclarationError(f"{len(params)} parameters; one flash page holds {MAX_PARAMS}")
+        raise DeclarationError(f"{len(params)} parameters; one stored set holds {MAX_PARAMS}")
     for p in params:
         if not p["min"] <= p["default"] <= p["max"]:
             raise DeclarationError(f"{p['name']}: default outside its range")

@@ -12,6 +12,7 @@ build = env  # type: ignore[name-defined]  # noqa: F821
 project = projenv  # type: ignore[name-defined]  # noqa: F821
 
 FIRMWARE = Path(build.subst("$PROJECT_DIR")) / "firmware"
+BUILD = Path(build.subst("$BUILD_DIR"))
 
 
 def flags(name):
@@ -28,7 +29,12 @@ project.Replace(
 build.Replace(
     # The g++ driver would ask for libstdc++, which nothing here needs.
     LINK="$CC",
-    LINKFLAGS=[*flags("link.flags"), f"-T{FIRMWARE / 'due' / 'due.ld'}", "-Wl,-Map=$BUILD_DIR/firmware.map"],
+    LINKFLAGS=[
+        *flags("link.flags"),
+        # Paths are whole words: a path that SCons puts in by itself falls apart at a space.
+        f"-T{FIRMWARE / 'due' / 'due.ld'}",
+        f"-Wl,-Map={BUILD / 'firmware.map'}",
+    ],
     LIBS=["m"],
 )
 build.AddPostAction(

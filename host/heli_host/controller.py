@@ -118,28 +118,8 @@ def run_controller(
 
     Parameters
     ----------
-    law : callable taking Sample, returning (front_V, back_V)
-        The control law; voltages beyond the board's limits are brought back to them.
-    rate_Hz : float
-        How often it is called, on device time [Hz]; at most 250.
-    duration_s : float
-        How long, in device time [s].
-    valid_s : float
-        How long voltages may act when no others follow [s].
-    after : {"hold", "land", "stop"}
-        What follows: the on-board loops hold the position, or it lands, or the motors go off.
-
-    Returns
-    -------
-    ControllerReport
-        Rate, misses and latencies.
-
-    Raises
-    ------
-    ControllerError
-        The rate cannot be had, the law raised, or returned no two finite voltages.
-    FlightAborted
-        A fault switched the motors off.
+    law, rate_Hz, duration_s, valid_s, after
+        As in `heli_host.Heli.run_controller`, which calls this; so are errors.
     """
     period_ticks = round(1.0 / (rate_Hz * TICK_S)) if rate_Hz > 0.0 else 0
     if period_ticks < _LEAST_PERIOD_TICKS:

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-LINK_HASH = 0xAB677F82
-LINK_VERSION = "1.0"
+LINK_HASH = 0xC4513147
+LINK_VERSION = "1.1"
 FIRMWARE_VERSION = "0.1.0"
 PROTOCOL = 1
 BAUD = 250000
@@ -46,6 +46,7 @@ class State(IntEnum):
     HOLD = 5  # no fresh setpoint: hovering level in place
     LANDING = 6  # controlled descent to the table, then motors off
     FAULT = 7  # motors off and latched until clear_fault
+    EMERGENCY_LANDING = 8  # controlled descent after a fault that leaves elevation and pitch in hand; travel is open, then motors off and the fault latched
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -112,7 +113,7 @@ class Excitation(IntEnum):
 class Event(IntEnum):
     """What an event message reports."""
 
-    BOOT = 0  # first message after start; detail = reset cause, value = boot count
+    BOOT = 0  # first message after start; detail = reset cause, value = boot id
     STATE = 1  # state changed; detail = new state, cause = the supervisor event that did it
     FAULT = 2  # a fault tripped; detail = fault code, value = the offending quantity
     SETPOINT_STALE = 3  # setpoints stopped coming; value = rate in Hz seen over the last second before
@@ -127,7 +128,7 @@ class Event(IntEnum):
 
 
 class Trigger(IntEnum):
-    """Supervisor events: rows of its state table, and the cause in state events."""
+    """Supervisor events: rows of its state table, and the cause in state events and telemetry."""
 
     ARM = 0  # arm command
     STOP = 1  # stop command
@@ -141,6 +142,8 @@ class Trigger(IntEnum):
     TOUCHDOWN = 9  # at rest on the table while landing
     TRIP = 10  # a fault tripped
     CLEAR = 11  # clear_fault command
+    TRAVEL_LOST = 12  # a fault of travel alone tripped: elevation and pitch can still land the arm
+    START = 13  # the board has started; in telemetry only
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -181,6 +184,13 @@ class Fault(IntEnum):
     LANDING_TIMEOUT = 10  # the table was not reached in time
     TICK_OVERRUN = 11  # too many control ticks ran late
     HARDWARE_STOP = 12  # the hardware stop input is active
+    ELEVATION_FOLLOWING = 13  # elevation stayed too far from its setpoint for following_s
+    PITCH_FOLLOWING = 14  # pitch stayed too far from its setpoint for following_s
+    TRAVEL_FOLLOWING = 15  # travel stayed too far from its setpoint for following_s
+    ENCODER_OVERLOAD = 16  # edges of an encoder came faster than the board counts, so that its angle is wrong
+    ELEVATION_MOTIONLESS = 17  # the collective changed by enough to move the arm, and elevation did not count
+    PITCH_MOTIONLESS = 18  # the voltages' difference changed by enough to tilt the short arm, and pitch did not count
+    TRAVEL_MOTIONLESS = 19  # pitch tilted by enough to turn the arm, and travel did not count
     NOT_AT_REST = 20  # the arm does not rest on the table
     MOVING = 21  # an axis is moving
     LINK_NOT_ALIVE = 22  # no recent frame from the host
@@ -245,17 +255,26 @@ class Param(IntEnum):
     TRAVEL_RATE_MAX_DEG_S = 45  # deg/s: travel rate beyond which the motors are cut
     ENCODER_ILLEGAL_MAX = 46  # : illegal transitions of one encoder since arming that are tolerated
     OVERRUN_MAX = 47  # : late ticks since arming that are tolerated
-    ARM_RATE_MAX_DEG_S = 48  # deg/s: arming needs every axis slower than this
-    ARM_ELEVATION_TOLERANCE_DEG = 49  # deg: arming needs the elevation this close to rest
-    ARM_PITCH_TOLERANCE_DEG = 50  # deg: arming needs the pitch this close to level
-    SETPOINT_HOLD_S = 51  # s: without a fresh setpoint for this long the board holds level
-    SETPOINT_LAND_S = 52  # s: without a fresh setpoint for this long the board lands
-    LANDING_RATE_DEG_S = 53  # deg/s: descent of the elevation setpoint while landing
-    LANDING_TIMEOUT_S = 54  # s: landing takes at most this long; then motors off with a fault
-    VOLTAGE_VALID_MAX_MS = 55  # ms: a streamed voltage acts at most this long, whatever its sender asked for
-    EXCITATION_MAX_V = 56  # V: largest amplitude that excite accepts
-    EXCITATION_MAX_S = 57  # s: longest duration that excite accepts
-    TELEMETRY_BATCH_TICKS = 58  # tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+    ELEVATION_FOLLOWING_MAX_DEG = 48  # deg: following error of elevation, from its shaped setpoint, beyond which the motors are cut after following_s
+    PITCH_FOLLOWING_MAX_DEG = 49  # deg: following error of pitch beyond which the motors are cut after following_s
+    TRAVEL_FOLLOWING_MAX_DEG = 50  # deg: following error of travel, from its shaped setpoint, beyond which the board lands after following_s
+    FOLLOWING_S = 51  # s: how long a following error beyond its limit is tolerated
+    ELEVATION_MOTION_V = 52  # V: change of both voltages' sum, dead zones apart, that must move elevation within motion_s; at take-off, beyond hover_V
+    PITCH_MOTION_V = 53  # V: change of front minus back, dead zones apart, that must move pitch within motion_s
+    MOTION_S = 54  # s: how long a driven elevation or pitch may stay within a count
+    TRAVEL_MOTION_DEG = 55  # deg: change of pitch that must move travel within travel_motion_s
+    TRAVEL_MOTION_S = 56  # s: how long travel may stay within a count while pitch tilts
+    ARM_RATE_MAX_DEG_S = 57  # deg/s: arming needs every axis slower than this
+    ARM_ELEVATION_TOLERANCE_DEG = 58  # deg: arming needs the elevation this close to rest
+    ARM_PITCH_TOLERANCE_DEG = 59  # deg: arming needs the pitch this close to level
+    SETPOINT_HOLD_S = 60  # s: without a fresh setpoint for this long the board holds level
+    SETPOINT_LAND_S = 61  # s: without a fresh setpoint for this long the board lands
+    LANDING_RATE_DEG_S = 62  # deg/s: descent of the elevation setpoint while landing
+    LANDING_TIMEOUT_S = 63  # s: landing takes at most this long; then motors off with a fault
+    VOLTAGE_VALID_MAX_MS = 64  # ms: a streamed voltage acts at most this long, whatever its sender asked for
+    EXCITATION_MAX_V = 65  # V: largest amplitude that excite accepts
+    EXCITATION_MAX_S = 66  # s: longest duration that excite accepts
+    TELEMETRY_BATCH_TICKS = 67  # tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -275,6 +294,7 @@ class Channel(IntEnum):
     STATE = 8  # enum state: supervisor state
     FAULT = 9  # enum fault: fault code, 0 while none
     FLAGS = 10  # bits flags: flag bits
+    TRIGGER = 11  # enum trigger: what led to the present state; after a touchdown still what led to the landing: an event may be lost, this cannot
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -431,17 +451,26 @@ PARAMS: tuple[ParamSpec, ...] = (
     ParamSpec(45, "travel_rate_max_deg_s", "deg/s", 10.0, 1000.0, 150.0, False, False, True, "travel rate beyond which the motors are cut"),
     ParamSpec(46, "encoder_illegal_max", "", 0.0, 1000.0, 5.0, False, False, True, "illegal transitions of one encoder since arming that are tolerated"),
     ParamSpec(47, "overrun_max", "", 0.0, 1000.0, 10.0, False, False, True, "late ticks since arming that are tolerated"),
-    ParamSpec(48, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, "arming needs every axis slower than this"),
-    ParamSpec(49, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, "arming needs the elevation this close to rest"),
-    ParamSpec(50, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, "arming needs the pitch this close to level"),
-    ParamSpec(51, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, "without a fresh setpoint for this long the board holds level"),
-    ParamSpec(52, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, "without a fresh setpoint for this long the board lands"),
-    ParamSpec(53, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, "descent of the elevation setpoint while landing"),
-    ParamSpec(54, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, "landing takes at most this long; then motors off with a fault"),
-    ParamSpec(55, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, "a streamed voltage acts at most this long, whatever its sender asked for"),
-    ParamSpec(56, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, "largest amplitude that excite accepts"),
-    ParamSpec(57, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, "longest duration that excite accepts"),
-    ParamSpec(58, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, "ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data"),
+    ParamSpec(48, "elevation_following_max_deg", "deg", 1.0, 180.0, 15.0, False, False, True, "following error of elevation, from its shaped setpoint, beyond which the motors are cut after following_s"),
+    ParamSpec(49, "pitch_following_max_deg", "deg", 1.0, 180.0, 20.0, False, False, True, "following error of pitch beyond which the motors are cut after following_s"),
+    ParamSpec(50, "travel_following_max_deg", "deg", 1.0, 3600.0, 30.0, False, False, True, "following error of travel, from its shaped setpoint, beyond which the board lands after following_s"),
+    ParamSpec(51, "following_s", "s", 0.1, 10.0, 1.0, False, False, True, "how long a following error beyond its limit is tolerated"),
+    ParamSpec(52, "elevation_motion_V", "V", 0.1, 48.0, 1.2, False, False, True, "change of both voltages' sum, dead zones apart, that must move elevation within motion_s; at take-off, beyond hover_V"),
+    ParamSpec(53, "pitch_motion_V", "V", 0.1, 48.0, 0.5, False, False, True, "change of front minus back, dead zones apart, that must move pitch within motion_s"),
+    ParamSpec(54, "motion_s", "s", 0.1, 10.0, 0.5, False, False, True, "how long a driven elevation or pitch may stay within a count"),
+    ParamSpec(55, "travel_motion_deg", "deg", 0.5, 90.0, 8.0, False, False, True, "change of pitch that must move travel within travel_motion_s"),
+    ParamSpec(56, "travel_motion_s", "s", 0.1, 30.0, 1.0, False, False, True, "how long travel may stay within a count while pitch tilts"),
+    ParamSpec(57, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, "arming needs every axis slower than this"),
+    ParamSpec(58, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, "arming needs the elevation this close to rest"),
+    ParamSpec(59, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, "arming needs the pitch this close to level"),
+    ParamSpec(60, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, "without a fresh setpoint for this long the board holds level"),
+    ParamSpec(61, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, "without a fresh setpoint for this long the board lands"),
+    ParamSpec(62, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, "descent of the elevation setpoint while landing"),
+    ParamSpec(63, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, "landing takes at most this long; then motors off with a fault"),
+    ParamSpec(64, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, "a streamed voltage acts at most this long, whatever its sender asked for"),
+    ParamSpec(65, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, "largest amplitude that excite accepts"),
+    ParamSpec(66, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, "longest duration that excite accepts"),
+    ParamSpec(67, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, "ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data"),
 )
 
 FAULTS: tuple[FaultSpec, ...] = (
@@ -457,6 +486,13 @@ FAULTS: tuple[FaultSpec, ...] = (
     FaultSpec(10, "landing_timeout", "trip", "landing_timeout_s", "the table was not reached in time", "check that nothing holds the arm; hover_V may be too high"),
     FaultSpec(11, "tick_overrun", "trip", "overrun_max", "too many control ticks ran late", "report it with the log: the firmware missed its deadline"),
     FaultSpec(12, "hardware_stop", "trip", None, "the hardware stop input is active", "release the stop, then clear the fault"),
+    FaultSpec(13, "elevation_following", "trip", "elevation_following_max_deg", "elevation stayed too far from its setpoint for following_s", "check thrust, hover_V and the elevation encoder; tune the gains for this rig"),
+    FaultSpec(14, "pitch_following", "trip", "pitch_following_max_deg", "pitch stayed too far from its setpoint for following_s", "check that both rotors push, then the gains and the pitch encoder"),
+    FaultSpec(15, "travel_following", "land", "travel_following_max_deg", "travel stayed too far from its setpoint for following_s", "check what holds or drives the arm round, the gains and the travel encoder"),
+    FaultSpec(16, "encoder_overload", "trip", None, "edges of an encoder came faster than the board counts, so that its angle is wrong", "look for noise on its lines, a missing ground or pull-up; then zero the axis"),
+    FaultSpec(17, "elevation_motionless", "trip", "elevation_motion_V", "the collective changed by enough to move the arm, and elevation did not count", "check the elevation encoder's plug, the motors' supply and enable lines; a heavier rig needs its own hover_V (tune)"),
+    FaultSpec(18, "pitch_motionless", "trip", "pitch_motion_V", "the voltages' difference changed by enough to tilt the short arm, and pitch did not count", "check the pitch encoder's plug, then that both rotors push"),
+    FaultSpec(19, "travel_motionless", "land", "travel_motion_deg", "pitch tilted by enough to turn the arm, and travel did not count", "check the travel encoder's plug, then what holds the arm"),
     FaultSpec(20, "not_at_rest", "check", "arm_elevation_tolerance_deg", "the arm does not rest on the table", "let it rest on the table and zero it"),
     FaultSpec(21, "moving", "check", "arm_rate_max_deg_s", "an axis is moving", "wait until everything is still"),
     FaultSpec(22, "link_not_alive", "check", "setpoint_hold_s", "no recent frame from the host", "keep the session open while arming"),
@@ -479,6 +515,7 @@ CHANNELS: tuple[ChannelSpec, ...] = (
     ChannelSpec("state", "<B", "enum state", 1.0, "state", "state", None, State, "supervisor state"),
     ChannelSpec("fault", "<B", "enum fault", 1.0, "fault", "fault", None, Fault, "fault code, 0 while none"),
     ChannelSpec("flags", "<B", "bits flags", 1.0, "flags", "flags", None, Flags, "flag bits"),
+    ChannelSpec("trigger", "<B", "enum trigger", 1.0, "trigger", "trigger", None, Trigger, "what led to the present state; after a touchdown still what led to the landing: an event may be lost, this cannot"),
 )
 
 
@@ -512,6 +549,8 @@ class ChannelValues:
         fault code, 0 while none
     flags : Flags
         flag bits
+    trigger : Trigger
+        what led to the present state; after a touchdown still what led to the landing: an event may be lost, this cannot
     """
 
     tick: int
@@ -526,6 +565,7 @@ class ChannelValues:
     state: State
     fault: Fault
     flags: Flags
+    trigger: Trigger
 
 
 @dataclass(frozen=True)
@@ -558,6 +598,8 @@ class ChannelArrays:
         fault code, 0 while none
     flags : ndarray of uint8, shape (n,)
         flag bits
+    trigger : ndarray of uint8, shape (n,)
+        what led to the present state; after a touchdown still what led to the landing: an event may be lost, this cannot
     """
 
     tick: NDArray[np.int64]
@@ -572,6 +614,7 @@ class ChannelArrays:
     state: NDArray[np.uint8]
     fault: NDArray[np.uint8]
     flags: NDArray[np.uint8]
+    trigger: NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -1152,8 +1195,8 @@ class WelcomeMessage:
         why the board started [enum reset]
     boot_fault : int
         fault recorded before that start, 0 for none [enum fault]
-    boot_count : int
-        changes with every start; tells a reconnect from a reboot
+    boot_id : int
+        24 random bits, new at every start; with the tick it tells a reconnect from a reboot
     tick : int
         device time [tick]
     params_source : int
@@ -1173,13 +1216,13 @@ class WelcomeMessage:
     board: int
     reset: int
     boot_fault: int
-    boot_count: int
+    boot_id: int
     tick: int
     params_source: int
 
     def pack(self) -> bytes:
         """Return the payload bytes."""
-        return self.STRUCT.pack(self.request, self.result, self.link_hash, self.link_major, self.link_minor, self.firmware_major, self.firmware_minor, self.firmware_patch, self.board, self.reset, self.boot_fault, self.boot_count, self.tick, self.params_source)
+        return self.STRUCT.pack(self.request, self.result, self.link_hash, self.link_major, self.link_minor, self.firmware_major, self.firmware_minor, self.firmware_patch, self.board, self.reset, self.boot_fault, self.boot_id, self.tick, self.params_source)
 
     @classmethod
     def unpack(cls, payload: bytes) -> WelcomeMessage:
@@ -1274,11 +1317,11 @@ class StatusMessage:
     tick_max_us : int
         longest tick [us]
     illegal_elevation : int
-        illegal encoder transitions
+        illegal encoder transitions; 65535: that many or more
     illegal_pitch : int
-        illegal encoder transitions
+        illegal encoder transitions; 65535: that many or more
     illegal_travel : int
-        illegal encoder transitions
+        illegal encoder transitions; 65535: that many or more
     setpoint_rate_Hz : int
         streamed values accepted during the last second [Hz]
     """

@@ -38,6 +38,31 @@ from typing import ClassVar
 
 from heli_host.declaration import FAULTS, PARAMS, Fault, FaultSpec, MessageId, Param, Result, State
 
+MOST_CHARACTERS = 2000
+"""Longest cause and longest remedy: a file may hold a name of a megabyte."""
+
+
+def printable(text: str) -> str:
+    """Return a text that does nothing to a terminal but show.
+
+    Parameters
+    ----------
+    text : str
+        Anything, such as the title of a plan that somebody sent.
+
+    Returns
+    -------
+    str
+        With control and formatting characters as their escapes, and its middle left out where it is longer
+        than `MOST_CHARACTERS`.
+    """
+    if len(text) > MOST_CHARACTERS:
+        half = MOST_CHARACTERS // 2
+        text = f"{text[:half]} ... {text[-half:]}"
+    if text.isprintable():
+        return text
+    return "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in text)
+
 
 class HeliError(Exception):
     """Base of all errors of this package.
@@ -54,8 +79,8 @@ class HeliError(Exception):
     """What ``heli-host`` ends with: 2 asked for what cannot be done, 3 link, 4 flight ended early, 5 file."""
 
     def __init__(self, cause: str, remedy: str = "") -> None:
-        self.cause = " ".join(cause.split())
-        self.remedy = " ".join(remedy.split())
+        self.cause = printable(" ".join(cause.split()))
+        self.remedy = printable(" ".join(remedy.split()))
         super().__init__(f"{self.cause}; {self.remedy}" if self.remedy else self.cause)
 
 
@@ -273,6 +298,7 @@ _STATE_REMEDIES: dict[State | None, str] = {
     State.ARMED: "start a control mode first, or stop to return to idle",
     State.FAULT: "see which fault it is, remove its cause, then clear the fault",
     State.LANDING: "wait until it has landed",
+    State.EMERGENCY_LANDING: "wait until it has landed, then see which fault it was",
     State.HOLD: "send setpoints again, or land",
     State.CLOSED_LOOP: "land or stop first",
     State.OPEN_LOOP: "land or stop first",
@@ -281,33 +307,16 @@ _STATE_REMEDIES: dict[State | None, str] = {
 
 
 def fault_spec(code: int) -> FaultSpec | None:
-    """Return the declaration's row of a fault code.
-
-    Parameters
-    ----------
-    code : int
-        Fault code as sent by the board.
-
-    Returns
-    -------
-    FaultSpec or None
-        None for a code that this host does not know, and for 0.
+    """Return the declaration's row of a fault `code` as sent by the board; None for one that this host does
+    not know, and for 0.
     """
     return next((spec for spec in FAULTS if spec.code == code), None)
 
 
 def fault_text(code: int) -> str:
-    """Say in one line what a fault is and what to do about it.
+    """Say in one line what the fault of a `code` is and what to do about it.
 
-    Parameters
-    ----------
-    code : int
-        Fault code as sent by the board.
-
-    Returns
-    -------
-    str
-        ``"pitch_limit: pitch beyond its limit (pitch_max_deg); check ..."``.
+    Such as ``"pitch_limit: pitch beyond its limit (pitch_max_deg); check ..."``.
     """
     if code == Fault.NONE:
         return "no fault"
@@ -319,18 +328,7 @@ def fault_text(code: int) -> str:
 
 
 def range_text(param: Param) -> str:
-    """Say in words what a parameter takes.
-
-    Parameters
-    ----------
-    param : Param
-        The parameter.
-
-    Returns
-    -------
-    str
-        ``"a number from 0 to 20 V/deg"``.
-    """
+    """Say in words what a parameter takes, such as ``"a number from 0 to 20 V/deg"``."""
     spec = PARAMS[param]
     kind = "a whole number" if spec.integer else "a number"
     zero = ", not 0" if spec.nonzero else ""

@@ -36,11 +36,11 @@ class Heli(Vehicle):
         Parameters
         ----------
         law : callable taking Sample, returning (front_V, back_V)
-            The control law.
+            The control law; voltages beyond the board's limits are brought back to them.
         rate_Hz : float
             How often it is called, on device time [Hz]; at most 250.
         duration_s : float
-            How long [s].
+            How long, in device time [s].
         valid_s : float
             How long voltages may act when no others follow [s].
         after : {"hold", "land", "stop"}
@@ -54,7 +54,8 @@ class Heli(Vehicle):
         Raises
         ------
         ControllerError
-            The law raised or returned no two finite voltages; the board holds its position.
+            The rate cannot be had, the law raised or returned no two finite voltages; the board holds its
+            position.
         FlightAborted
             A fault switched the motors off.
         """

@@ -16,7 +16,8 @@ from heli_host.declaration import (
     VoltagesMessage,
     ZeroMessage,
 )
-from heli_host.errors import ParameterError, SetpointError
+from heli_host.errors import ParameterError
+from heli_host.setpoints import check_voltages
 from heli_host.telemetry_view import TelemetryView
 
 ALL_AXES = reduce(or_, Axes)
@@ -62,12 +63,7 @@ class OpenLoopCommands(TelemetryView):
         SetpointError
             A voltage outside the board's limits; nothing was sent.
         """
-        least_V, most_V = self.params["motor_min_V"], self.params["motor_max_V"]
-        if not (least_V <= front_V <= most_V and least_V <= back_V <= most_V):
-            raise SetpointError(
-                f"voltages {front_V:g} and {back_V:g} V are outside the board's limits",
-                f"give {least_V:g} to {most_V:g} V, or set motor_min_V and motor_max_V",
-            )
+        check_voltages(front_V, back_V, self.params)
         valid_ms = min(max(round(valid_s * 1e3), 1), 0xFFFF)
         self.session.stream(VoltagesMessage(front_V, back_V, valid_ms))
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
 from heli_host.errors import ParameterError
+from heli_host.files import TOML_BYTES, parse_toml, read_file
 from heli_host.parameters import spec_of
 
 TABLE = "parameters"
@@ -14,7 +14,7 @@ TABLE = "parameters"
 
 
 def parameters_text(values: Mapping[str, float], comment: str) -> str:
-    """Write parameters as TOML.
+    """Write parameters as TOML that `read_parameters` reads.
 
     Parameters
     ----------
@@ -22,11 +22,6 @@ def parameters_text(values: Mapping[str, float], comment: str) -> str:
         Values by name, in declared units.
     comment : str
         One line that says where they come from.
-
-    Returns
-    -------
-    str
-        What `read_parameters` reads.
 
     Raises
     ------
@@ -41,17 +36,12 @@ def parameters_text(values: Mapping[str, float], comment: str) -> str:
 
 
 def read_parameters(file: Path) -> dict[str, float]:
-    """Read parameters from TOML.
+    """Read parameters from TOML, by name; values are not checked against the declaration.
 
     Parameters
     ----------
     file : Path
         A file as `parameters_text` writes it.
-
-    Returns
-    -------
-    dict of str to float
-        Values by name; not checked against the declaration.
 
     Raises
     ------
@@ -60,10 +50,10 @@ def read_parameters(file: Path) -> dict[str, float]:
     """
     remedy = "give a file that params dump wrote"
     try:
-        content = tomllib.loads(file.read_text(encoding="utf-8"))
+        content = parse_toml(read_file(file, TOML_BYTES).decode("utf-8"))
     except OSError as error:
         raise ParameterError(f"cannot read {file}: {error.strerror or error}", "check the path") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise ParameterError(f"{file} is not TOML: {error}", remedy) from error
     table = content.get(TABLE)
     if not isinstance(table, dict) or not table:

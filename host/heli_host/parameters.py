@@ -73,11 +73,6 @@ class Parameters(Mapping[str, float]):
         name : str
             As declared in link.toml.
 
-        Returns
-        -------
-        ParamSpec
-            Its row of the table.
-
         Raises
         ------
         ParameterError
@@ -86,7 +81,8 @@ class Parameters(Mapping[str, float]):
         return spec_of(name)
 
     def set(self, name: str, value: float) -> float:
-        """Set a parameter in the board's memory.
+        """Set a parameter in the board's memory; return the value now in force, in the board's single
+        precision.
 
         Parameters
         ----------
@@ -94,11 +90,6 @@ class Parameters(Mapping[str, float]):
             As declared in link.toml.
         value : float
             New value, in the unit of the declaration.
-
-        Returns
-        -------
-        float
-            The value now in force, in the board's single precision.
 
         Raises
         ------
@@ -123,12 +114,8 @@ class Parameters(Mapping[str, float]):
         return in_force
 
     def save(self) -> int:
-        """Write all parameters to the board's flash, so that they outlast a restart; only while idle.
-
-        Returns
-        -------
-        int
-            Generation of the stored set.
+        """Write all parameters to the board's flash, so that they outlast a restart; only while idle. Returns
+        the generation of the stored set.
 
         Raises
         ------
@@ -149,28 +136,18 @@ class Parameters(Mapping[str, float]):
         self.refresh()
 
     def dump(self) -> dict[str, float]:
-        """Return all parameters.
-
-        Returns
-        -------
-        dict of str to float
-            By name, in the declaration's order.
-        """
+        """Return all parameters by name, in the declaration's order."""
         self.refresh()
         return dict(self)
 
     def restore(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Set the parameters of a dump: all of them or, when one is refused, none.
+        """Set the parameters of a dump: all of them or, when one is refused, none. Returns those that
+        changed, with their new values.
 
         Parameters
         ----------
         values : Mapping of str to float
             Values by name; parameters that it does not name stay as they are.
-
-        Returns
-        -------
-        dict of str to float
-            Those that changed, with their new values.
 
         Raises
         ------
@@ -208,11 +185,6 @@ def spec_of(name: str) -> ParamSpec:
     name : str
         As declared in link.toml.
 
-    Returns
-    -------
-    ParamSpec
-        Its row of the table.
-
     Raises
     ------
     ParameterError
@@ -226,7 +198,7 @@ def spec_of(name: str) -> ParamSpec:
 
 
 def checked(name: str, value: float) -> ParamSpec:
-    """Check a value against the declaration.
+    """Check a value against the declaration; return the parameter's row of the table.
 
     Parameters
     ----------
@@ -234,11 +206,6 @@ def checked(name: str, value: float) -> ParamSpec:
         Name of a parameter.
     value : float
         Value in the unit of the declaration.
-
-    Returns
-    -------
-    ParamSpec
-        The parameter's row of the table.
 
     Raises
     ------

@@ -35,6 +35,10 @@ _BARE: Final[Mapping[str, float]] = {
     "pitch_setpoint_max_deg": 30.0,
     "differential_max_V": 12.0,
     "pitch_slew_deg_s": 1000.0,
+    # Without hover_V and dead zone the integrators wind up to 16 V before the arm lifts, and the printed
+    # row of travel swings by 60 degrees: those are no faults of these sets.
+    "elevation_motion_V": 40.0,
+    "travel_following_max_deg": 90.0,
 }
 _PITCH: Final = {"pitch_kp": 0.66, "pitch_ki": 3.0, "pitch_kd": 0.1}
 _ELEVATION: Final = {"elevation_kp": 0.5, "elevation_ki": 1.0, "elevation_kd": 0.1}
@@ -45,7 +49,7 @@ _TRAVEL: Final[Mapping[str, Mapping[str, float]]] = {
 
 
 def paper_gains(which: str) -> dict[str, float]:
-    """Table 6 as parameters of the board.
+    """Table 6 as parameters of the board, by declared name, in declared units.
 
     Errors count in degrees and outputs in volts; travel's output is the pitch setpoint in degrees.
 
@@ -53,11 +57,6 @@ def paper_gains(which: str) -> dict[str, float]:
     ----------
     which : str
         ``printed``, or ``corrected``: with P and I of the travel row exchanged.
-
-    Returns
-    -------
-    dict of str to float
-        By declared name, in declared units.
 
     Raises
     ------
@@ -70,14 +69,8 @@ def paper_gains(which: str) -> dict[str, float]:
 
 
 def load_gains(parameters: Parameters, gains: str | None) -> None:
-    """Set published gains in the board's memory; nothing is saved.
-
-    Parameters
-    ----------
-    parameters : Parameters
-        Those of a connected board, idle.
-    gains : str or None
-        A name of `SETS`; None leaves the board's own.
+    """Set published `gains`, a name of `SETS`, in the memory of an idle board by its `parameters`; None
+    leaves the board's own, and nothing is saved.
     """
     if gains is None:
         return

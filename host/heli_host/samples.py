@@ -75,14 +75,8 @@ class Scales:
         ]
 
     def sample(self, tick: int, raw: npt.NDArray[np.int32]) -> Sample:
-        """Convert one sample.
-
-        Parameters
-        ----------
-        tick : int
-            Device time [tick].
-        raw : ndarray of int32, shape (channels,)
-            Channels in the declaration's order.
+        """Convert one sample at a device `tick` from `raw`: int32, shape (channels,), in the declaration's
+        order.
         """
         values: dict[str, Any] = {}
         for spec, number, scale in zip(CHANNELS, raw.tolist(), self._scale, strict=True):
@@ -94,14 +88,8 @@ class Scales:
         return Sample(tick, **values)
 
     def samples(self, tick: npt.NDArray[np.int64], raw: npt.NDArray[np.int32]) -> Samples:
-        """Convert many samples.
-
-        Parameters
-        ----------
-        tick : ndarray of int64, shape (n,)
-            Device time [tick].
-        raw : ndarray of int32, shape (n, channels)
-            Channels in the declaration's order.
+        """Convert samples at device ticks `tick`, int64, shape (n,), from `raw`: int32, shape (n, channels),
+        in the declaration's order.
         """
         columns: dict[str, npt.NDArray[Any]] = {}
         for channel, scale in zip(Channel, self._scale, strict=True):
@@ -111,13 +99,7 @@ class Scales:
 
 
 class SampleRing:
-    """Keeps the newest samples of a session.
-
-    Parameters
-    ----------
-    capacity : int
-        Samples kept [ticks].
-    """
+    """Keeps the newest samples of a session, `capacity` at most."""
 
     def __init__(self, capacity: int) -> None:
         self._tick = np.empty(capacity, np.uint32)
@@ -131,13 +113,7 @@ class SampleRing:
             self._written = 0
 
     def append(self, ticks: Ticks) -> None:
-        """Add samples.
-
-        Parameters
-        ----------
-        ticks : Ticks
-            New samples; of more than fit, the newest stay.
-        """
+        """Add new samples; of more `ticks` than fit, the newest stay."""
         capacity = len(self._tick)
         tick, raw = ticks.tick[-capacity:], ticks.raw[-capacity:]
         with self._lock:
@@ -151,13 +127,7 @@ class SampleRing:
             self._written += len(tick)
 
     def newest(self, count: int | None = None) -> Ticks:
-        """Return the newest samples, oldest first.
-
-        Parameters
-        ----------
-        count : int or None
-            How many at most; None for all that are kept.
-        """
+        """Return at most `count` newest samples, oldest first; None for all that are kept."""
         with self._lock:
             capacity = len(self._tick)
             kept = min(self._written, capacity)

@@ -1,4 +1,4 @@
-"""The setpoints that a board takes, as its parameters say; the one check of them before they are sent."""
+"""Setpoints and voltages that a board takes, as its parameters say; the one check before they are sent."""
 
 from __future__ import annotations
 
@@ -31,13 +31,7 @@ class Bounds:
 
 
 def setpoint_bounds(parameters: Mapping[str, float]) -> dict[str, Bounds]:
-    """Return what the board takes.
-
-    Parameters
-    ----------
-    parameters : Mapping of str to float
-        The board's parameters.
-    """
+    """Return what the board takes, by its `parameters`."""
     pitch_deg = parameters["pitch_setpoint_max_deg"]
     travel_deg = parameters["travel_max_deg"] - _TRAVEL_MARGIN_DEG
     travel_name = f"travel_max_deg - {_TRAVEL_MARGIN_DEG:g}"
@@ -76,3 +70,13 @@ def check_setpoint(targets_deg: Mapping[str, float], parameters: Mapping[str, fl
                 f"{axis} setpoint of {value_deg:g} degrees is outside the board's limits",
                 f"give {least_deg:g} to {most_deg:g} degrees",
             )
+
+
+def check_voltages(front_V: float, back_V: float, parameters: Mapping[str, float]) -> None:
+    """Refuse `front_V` and `back_V` unless the board takes both by its `parameters`: SetpointError."""
+    least_V, most_V = parameters["motor_min_V"], parameters["motor_max_V"]
+    if not (least_V <= front_V <= most_V and least_V <= back_V <= most_V):
+        raise SetpointError(
+            f"voltages {front_V:g} and {back_V:g} V are outside the board's limits",
+            f"give {least_V:g} to {most_V:g} V, or set motor_min_V and motor_max_V",
+        )

@@ -38,8 +38,8 @@ class BoardInfo:
         Why the board last started: ``power_up``, ``user``, ``watchdog`` or ``software``.
     boot_fault : str
         Fault recorded before that start, with its remedy; empty for none.
-    boot_count : int
-        Changes with every start.
+    boot_id : int
+        Another one after every start.
     params_source : str
         Where its parameters came from: ``defaults``, ``stored``, ``fallback`` or ``corrupt``.
     """
@@ -50,7 +50,7 @@ class BoardInfo:
     link_hash: int
     reset: str
     boot_fault: str
-    boot_count: int
+    boot_id: int
     params_source: str
 
 
@@ -97,7 +97,7 @@ class TelemetryView:
             link_hash=welcome.link_hash,
             reset=Reset(welcome.reset).name.lower(),
             boot_fault=fault_text(welcome.boot_fault) if welcome.boot_fault else "",
-            boot_count=welcome.boot_count,
+            boot_id=welcome.boot_id,
             params_source=ParamsSource(welcome.params_source).name.lower(),
         )
 
@@ -147,33 +147,24 @@ class TelemetryView:
         return self.session.events
 
     def samples(self, last_s: float | None = None) -> Samples:
-        """Return the newest samples as arrays.
+        """Return the newest samples as arrays, oldest first; copies, not changed by what comes later.
 
         Parameters
         ----------
         last_s : float or None
             How much device time [s]; None for all that is kept.
-
-        Returns
-        -------
-        Samples
-            Oldest first; copies, not changed by what comes later.
         """
         count = None if last_s is None else round(last_s / TICK_S)
         return self._in_units(self._ring.newest(count))
 
     def on_ticks(self, callback: Callable[[Samples], None]) -> Unsubscribe:
-        """Have new samples handed over as they come, some milliseconds' worth at a time.
+        """Have new samples handed over as they come, some milliseconds' worth at a time; what is returned
+        ends it.
 
         Parameters
         ----------
         callback : callable taking Samples
             Runs in the reading thread. When it raises, it is called no more and the next call here raises.
-
-        Returns
-        -------
-        callable
-            Ends it.
         """
 
         def convert(ticks: Ticks) -> None:
@@ -182,17 +173,12 @@ class TelemetryView:
         return self.session.subscribe_ticks(convert)
 
     def on_event(self, callback: EventCallback) -> Unsubscribe:
-        """Have events of board and link handed over as they come.
+        """Have events of board and link handed over as they come; what is returned ends it.
 
         Parameters
         ----------
         callback : callable taking LinkEvent
             As in `on_ticks`.
-
-        Returns
-        -------
-        callable
-            Ends it.
         """
         return self.session.subscribe_events(callback)
 

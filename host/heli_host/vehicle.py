@@ -32,6 +32,8 @@ MOST_LEAD_S = 0.5
 _STOP_TRIES = 3
 _REACHED_DEG = 2.0
 _REACHED_FOR_S = 0.3
+_FOLLOWING = (State.CLOSED_LOOP, State.HOLD)
+"""States in which a setpoint has an effect: fresh ones end the hold."""
 
 
 class Vehicle(OpenLoopCommands):
@@ -187,7 +189,8 @@ class Vehicle(OpenLoopCommands):
         Raises
         ------
         SetpointError
-            A target lies outside the limits in force on the board; nothing was sent.
+            A target lies outside the limits in force on the board, or its loops are not closed, so that
+            nothing would follow; nothing was sent.
         """
         before = self._target if self._target is not None else self._target_here()
         given = {"elevation": elevation_deg, "pitch": pitch_deg, "travel": travel_deg}
@@ -195,18 +198,20 @@ class Vehicle(OpenLoopCommands):
         check_setpoint(targets_deg, self.params)
         if not 0.0 <= lead_s <= MOST_LEAD_S:
             raise SetpointError(f"a lead of {lead_s:g} s is too long", f"give 0 to {MOST_LEAD_S:g} s")
+        state = self.session.state
+        if state not in _FOLLOWING:
+            name = state.name.lower() if state is not None else "not heard yet"
+            raise SetpointError(
+                f"the board is {name}, nothing would follow a setpoint", "call take_off() first, or control()"
+            )
         apply_tick = self.session.device_tick() + round(lead_s / TICK_S)
         targets_rad = {f"{axis}_rad": float(np.radians(value)) for axis, value in targets_deg.items()}
         self._target = replace(before, apply_tick=apply_tick & 0xFFFFFFFF, **targets_rad)
         self._send_target()
 
     def setpoint_limits_deg(self) -> dict[str, tuple[float, float]]:
-        """Return the setpoints that the board takes, as its parameters say.
-
-        Returns
-        -------
-        dict of str to (float, float)
-            Least and most of ``elevation``, ``pitch`` and ``travel`` [deg].
+        """Return the setpoints that the board takes, as its parameters say: least and most of ``elevation``,
+        ``pitch`` and ``travel``.
         """
         bounds = setpoint_bounds(self.params)
         return {axis: (bound.least_deg, bound.most_deg) for axis, bound in bounds.items()}

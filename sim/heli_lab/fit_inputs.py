@@ -77,43 +77,9 @@ def fit_inputs(
 
 
 def read_flights(paths: Sequence[Path], allow_gaps: bool = False) -> list[Flight]:
-    """Read and check flights.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Their files.
-    allow_gaps : bool
-        Whether rows may be missing.
-
-    Raises
-    ------
-    FlightDataError
-        When one cannot be used; names file, column and row.
+    """Read and check the flights of files, `paths`, in which rows may be missing if `allow_gaps`; a
+    FlightDataError names file, column and row that cannot be used.
     """
     from heli_host.log.flight_file import read_flight
 
     return [read_flight(path, allow_gaps=allow_gaps) for path in paths]
-
-
-def write_numbers(path: Path | None, numbers: object) -> list[Path]:
-    """Write a result as JSON, where that was asked for.
-
-    Parameters
-    ----------
-    path : Path or None
-        File to write; None for none.
-    numbers : object
-        What JSON can hold.
-
-    Returns
-    -------
-    list of Path
-        The file that was written.
-    """
-    import json
-
-    if path is None:
-        return []
-    path.write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
-    return [path]

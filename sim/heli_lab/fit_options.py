@@ -1,4 +1,4 @@
-"""Options of the verbs that learn from flights: identify and diagnose."""
+"""Options of the verbs that learn from flights, identify and diagnose, some of which tune takes too."""
 
 from __future__ import annotations
 

@@ -11,13 +11,7 @@ from heli_host.cli.finding import Finding, Verdict
 
 
 def examine() -> Iterator[Finding]:
-    """Look at everything, one finding at a time.
-
-    Yields
-    ------
-    Finding
-        In the order in which things depend on each other.
-    """
+    """Look at everything, one finding at a time, in the order in which things depend on each other."""
     yield check_core()
     yield check_compiler()
     yield check_cache()
@@ -25,12 +19,8 @@ def examine() -> Iterator[Finding]:
 
 
 def check_core() -> Finding:
-    """Check that the flight code was compiled for this machine.
-
-    Returns
-    -------
-    Finding
-        Bad when it cannot be loaded: nothing can be simulated.
+    """Check that the flight code was compiled for this machine; bad when it cannot be loaded: nothing can be
+    simulated.
     """
     try:
         import heli_sim._native  # noqa: F401  -- whether it loads is the question
@@ -50,13 +40,11 @@ def check_compiler() -> Finding:
 
 
 def check_cache() -> Finding:
-    """Check that compiled equations can be kept between runs.
-
-    Returns
-    -------
-    Finding
-        Bad when the folder cannot be written.
+    """Check that compiled equations can be kept between runs; bad when the folder cannot be written, or
+    others can write to it.
     """
+    from heli_sim.cache import open_to_others, place
+
     base = os.environ.get("XDG_CACHE_HOME")
     folder = Path(base) if base else Path.home() / ".cache"
     probe = folder / f"heli-doctor-{os.getpid()}"
@@ -70,16 +58,14 @@ def check_cache() -> Finding:
             f"cache folder {folder} cannot be written: {error.strerror}",
             "name another one in the environment: XDG_CACHE_HOME=...",
         )
+    if place().exists() and (danger := open_to_others(place())):
+        return Finding(Verdict.BAD, danger, f"see who wrote there, then: rm -r {place()}")
     return Finding(Verdict.GOOD, f"cache folder {folder} can be written")
 
 
 def check_pseudo_terminal() -> Finding:
-    """Check pseudo-terminals and, through one, that the system takes the link's odd baud rate.
-
-    Returns
-    -------
-    Finding
-        Bad when the simulated board could not be reached; a note on systems without pseudo-terminals.
+    """Check pseudo-terminals and, through one, that the system takes the link's odd baud rate; bad when the
+    simulated board could not be reached, a note on systems without pseudo-terminals.
     """
     from heli_host.declaration import BAUD
 

@@ -45,18 +45,7 @@ class Extras:
 
 
 def extras(model: Model, late_s: float = 0.0) -> Extras:
-    """Find what a simulation of a model has to remember besides its states.
-
-    Parameters
-    ----------
-    late_s : float
-        By how much the voltages act late.
-
-    Returns
-    -------
-    Extras
-        Nothing for a model without effects.
-    """
+    """Find what a simulation of a model has to remember besides its states, with voltages `late_s` late."""
     timed, random = _depends_on_time(model), model.noise_inputs > 0
     states = [Quantity("time_s", "s", "time since the motors first turned")] if timed else []
     states += [Quantity("random", "1", "state of the random generator")] if random else []
@@ -163,13 +152,7 @@ def _drawn(chance: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
 
 
 class Plant:
-    """A model with the numbers of a rig.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of what effects leave to chance.
-    """
+    """A model with the numbers of a rig; what effects leave to chance is drawn from the `seed`."""
 
     def __init__(self, model: Model, rig: Rig, seed: int = 1) -> None:
         self.model = model
@@ -187,12 +170,8 @@ class Plant:
         self._first_chance = 1 + int(np.random.default_rng(seed).integers(_MODULUS - 1))
 
     def rest_state(self) -> npt.NDArray[np.float64]:
-        """State of the arm at rest on the table, level in pitch, travel 0.
-
-        Returns
-        -------
-        numpy.ndarray
-            In the order of ``model.states`` and ``extras.states``, shape (n,), n being the length of both.
+        """State of the arm at rest on the table, level in pitch, travel 0, in the order of ``model.states``
+        and ``extras.states``.
         """
         state = np.zeros(len(self.model.states) + len(self.extras.states))
         state[0] = np.deg2rad(self.rig["elevation_min"].value)
@@ -206,7 +185,8 @@ class Plant:
         volts_V: npt.ArrayLike,
         locked: tuple[bool, bool, bool] = (False, False, False),
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """One millisecond, computed in Python; the compiled twin is `native_step`.
+        """State a millisecond later and the angles that the encoders see [rad], shape (3,), computed in
+        Python; the compiled twin is `native_step`.
 
         Parameters
         ----------
@@ -216,29 +196,15 @@ class Plant:
             Voltages that act on the front and the back motor, shape (2,).
         locked : tuple of bool
             Which of elevation, pitch and travel are locked.
-
-        Returns
-        -------
-        tuple of numpy.ndarray
-            State a millisecond later and the angles that the encoders see, rad, shape (3,).
         """
         flags = [float(axis) for axis in locked]
         after, measured = self.function(np.asarray(state), np.asarray(volts_V), flags, self.parameters)
         return np.asarray(after).ravel(), np.asarray(measured).ravel()
 
     def native_step(self) -> _native.PlantStep:
-        """The step for the C++ world.
-
-        Returns
-        -------
-        _native.PlantStep
-            Compiled by the system's C compiler, or, where there is none, CasADi's virtual machine called back
-            from C++, which is about 50 times slower.
-
-        Raises
-        ------
-        PlantError
-            When the compiler fails.
+        """The step for the C++ world, compiled by the system's C compiler, or, where there is none, CasADi's
+        virtual machine called back from C++, which is about 50 times slower. A PlantError when the compiler
+        fails.
         """
         library = compile_function(self.function)
         if library is not None:

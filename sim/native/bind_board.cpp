@@ -38,7 +38,7 @@ void set_flash(NativeBoard& self, const nb::bytes& flash) {
   std::memcpy(self.memory().flash.data(), flash.c_str(), flash.size());
 }
 
-void set_illegal(NativeBoard& self, const std::array<std::uint16_t, heli::kAxisCount>& count) {
+void set_illegal(NativeBoard& self, const std::array<std::uint32_t, heli::kAxisCount>& count) {
   std::copy(count.begin(), count.end(), self.memory().encoders.illegal);
 }
 
@@ -66,6 +66,9 @@ void bind_board(nb::module_& module) {
       .def(
           "reset", [](SimBoard& self) { self.reset(heli::link::Reset::user); },
           "Pulse the reset line, as a rising DTR does.")
+      .def(
+          "power_cycle", [](SimBoard& self) { self.reset(heli::link::Reset::power_up); },
+          "Switch the supply off and on.")
       .def("erase", &SimBoard::erase, "Erase the flash, as 1200 baud does.")
       .def("set_stop", &SimBoard::set_stop, "pressed"_a)
       .def_prop_ro("in_reset", &SimBoard::in_reset)
@@ -73,7 +76,8 @@ void bind_board(nb::module_& module) {
 
   nb::class_<NativeBoard, SimBoard>(module, "NativeBoard",
                                     "The flight code compiled for this machine.")
-      .def(nb::init<const std::string&, bool>(), "flash_file"_a = "", "from_edges"_a = false)
+      .def(nb::init<const std::string&, bool, std::uint64_t>(), "flash_file"_a = "",
+           "from_edges"_a = false, "boot_seed"_a = 1)
       .def_prop_ro("counts",
                    [](NativeBoard& self) {
                      const std::int32_t* count = self.memory().encoders.count;
@@ -84,8 +88,8 @@ void bind_board(nb::module_& module) {
       .def_prop_rw(
           "encoder_illegal",
           [](NativeBoard& self) {
-            const std::uint16_t* illegal = self.memory().encoders.illegal;
-            return std::array<std::uint16_t, 3>{illegal[0], illegal[1], illegal[2]};
+            const std::uint32_t* illegal = self.memory().encoders.illegal;
+            return std::array<std::uint32_t, 3>{illegal[0], illegal[1], illegal[2]};
           },
           &set_illegal);
 

@@ -149,6 +149,18 @@ void bind_world(nb::module_& module) {
             self.set_locked({locked[0] ? 1.0 : 0.0, locked[1] ? 1.0 : 0.0, locked[2] ? 1.0 : 0.0});
           })
       .def_prop_rw(
+          "encoders_out",
+          [](World& self) {
+            const heli_sim::Encoders& encoders = self.encoders();
+            return std::array<bool, 3>{encoders.out(0), encoders.out(1), encoders.out(2)};
+          },
+          [](World& self, const std::array<bool, 3>& out) {
+            for (std::size_t axis = 0; axis < heli::kAxisCount; ++axis) {
+              self.set_encoder_out(axis, out[axis]);
+            }
+          })
+      .def_prop_rw("supply_on", &World::supply_on, &World::set_supply_on)
+      .def_prop_rw(
           "host_reading", [](World& self) { return self.line().host_reading(); },
           [](World& self, bool reading) { self.line().set_host_reading(reading); })
       .def_prop_ro("to_board_waiting", [](World& self) { return self.line().to_board_waiting(); })

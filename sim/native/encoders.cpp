@@ -15,8 +15,12 @@ std::int64_t floor_count(double position) {
 
 void Encoders::move(const double* angle_rad) {
   for (std::size_t axis = 0; axis < heli::kAxisCount; ++axis) {
-    const double position =
-        angle_rad[axis] * config_.counts_per_rad[axis] + config_.offset_count[axis];
+    double position =
+        angle_rad[axis] * config_.counts_per_rad[axis] + config_.offset_count[axis] - lost_[axis];
+    if (out_[axis] && moved_) {
+      lost_[axis] += position - now_[axis];
+      position = now_[axis];
+    }
     before_[axis] = moved_ ? now_[axis] : position;
     now_[axis] = position;
     count_[axis] = static_cast<std::int32_t>(floor_count(position));

@@ -19,6 +19,11 @@ class Encoders {
  public:
   explicit Encoders(const EncoderConfig& config) : config_(config) {}
 
+  // The plug of an axis is out, or in: while it is out nothing counts, and what moved meanwhile is
+  // lost.
+  void set_out(std::size_t axis, bool out) { out_[axis] = out; }
+  bool out(std::size_t axis) const { return out_[axis]; }
+
   // Reads the angles; those of the last call stay as the start of the millisecond for edges().
   void move(const double* angle_rad);
 
@@ -32,6 +37,8 @@ class Encoders {
   EncoderConfig config_;
   double before_[heli::kAxisCount] = {};  // position in counts
   double now_[heli::kAxisCount] = {};
+  double lost_[heli::kAxisCount] = {};
+  bool out_[heli::kAxisCount] = {};
   std::int32_t count_[heli::kAxisCount] = {};
   std::vector<Edge> edges_;
   bool moved_ = false;

@@ -6,6 +6,13 @@
 
 namespace heli_sim {
 
+namespace {
+
+// The boot event carries it as a float, which holds 24 bits.
+constexpr std::uint32_t kBootIdMask = 0x00FFFFFF;
+
+}  // namespace
+
 std::size_t MemoryBoard::receive(std::uint8_t* to, std::size_t most) {
   std::size_t count = 0;
   while (count < most && !rx.empty()) to[count++] = rx.pop();
@@ -35,7 +42,10 @@ bool MemoryBoard::write_page(std::size_t page, const std::uint8_t* from, std::si
   return static_cast<bool>(file.flush());
 }
 
-NativeBoard::NativeBoard(const std::string& flash_file, bool from_edges) : from_edges_(from_edges) {
+NativeBoard::NativeBoard(const std::string& flash_file, bool from_edges, std::uint64_t boot_seed)
+    : from_edges_(from_edges) {
+  std::seed_seq words{boot_seed & 0xFFFFFFFFU, boot_seed >> 32U};
+  boot_ids_.seed(words);
   memory_.flash_file = flash_file;
   std::ifstream file(flash_file, std::ios::binary);
   if (!flash_file.empty() && file.is_open()) {
@@ -52,7 +62,8 @@ void NativeBoard::boot(heli::link::Reset cause) {
   memory_.boot.board = 0;
   memory_.boot.reset = static_cast<std::uint8_t>(cause);
   memory_.boot.boot_fault = 0;
-  ++memory_.boot.boot_count;
+  memory_.boot.boot_id = static_cast<std::uint32_t>(boot_ids_()) & kBootIdMask;
+  ++boots_;
   code_.emplace(memory_);
   code_->core.start();
 }

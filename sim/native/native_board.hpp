@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <random>
 #include <string>
 
 #include "board.hpp"
@@ -19,7 +20,7 @@ class MemoryBoard final : public heli::Board {
  public:
   // The Due's numbers, so that both boards fly the same flight, duty by duty.
   static constexpr std::int16_t kDutyFull = 2100;
-  static constexpr std::size_t kPageBytes = 256;
+  static constexpr std::size_t kPageBytes = 512;
   static constexpr std::size_t kPages = 4;
   static constexpr std::size_t kFlashBytes = kPages * kPageBytes;
   using Flash = std::array<std::uint8_t, kFlashBytes>;
@@ -56,7 +57,8 @@ class NativeBoard final : public SimBoard {
 
   // With `from_edges` the counters follow the edges, as they do on a board with registers.
   // Throws std::runtime_error when the flash file exists but cannot be read.
-  NativeBoard(const std::string& flash_file, bool from_edges);
+  // Boot ids follow from `boot_seed`.
+  NativeBoard(const std::string& flash_file, bool from_edges, std::uint64_t boot_seed = 1);
 
   bool wants_edges() const override { return from_edges_; }
   void tick(const std::int32_t* count) override;
@@ -64,7 +66,7 @@ class NativeBoard final : public SimBoard {
   void rest(const Edge* edges, std::size_t edge_count) override;
   void reset(heli::link::Reset cause) override;
   bool in_reset() const override { return reset_ticks_ > 0; }
-  std::uint64_t boots() const override { return memory_.boot.boot_count; }
+  std::uint64_t boots() const override { return boots_; }
   void erase() override;
   void set_stop(bool pressed) override { memory_.stop_input = pressed; }
   void uart_receive(std::uint8_t byte) override { arriving_.push(byte); }
@@ -76,6 +78,8 @@ class NativeBoard final : public SimBoard {
   void boot(heli::link::Reset cause);
 
   bool from_edges_;
+  std::mt19937 boot_ids_;
+  std::uint64_t boots_ = 0;
   bool erased_ = false;
   MemoryBoard memory_;
   std::optional<heli::FlightCode> code_;

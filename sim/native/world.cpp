@@ -80,8 +80,9 @@ void World::one_tick(std::vector<std::uint8_t>& to_host) {
 
 void World::move_rig() {
   const MotorOutput motors = board_->motors();
-  volts_V_[0] = motors.enable ? power_.volts(motors.front_duty) : 0.0;
-  volts_V_[1] = motors.enable ? power_.volts(motors.back_duty) : 0.0;
+  const bool drives = motors.enable && supply_on_;
+  volts_V_[0] = drives ? power_.volts(motors.front_duty) : 0.0;
+  volts_V_[1] = drives ? power_.volts(motors.back_duty) : 0.0;
   step_->step(state_.data(), volts_V_.data(), locked_.data(), parameters_.data(),
               next_state_.data(), angles_rad_.data());
   state_.swap(next_state_);

@@ -37,6 +37,10 @@ class World {
   SimBoard& board() { return *board_; }
   SerialLine& line() { return line_; }
   const Encoders& encoders() const { return encoders_; }
+  void set_encoder_out(std::size_t axis, bool out) { encoders_.set_out(axis, out); }
+  // The motors' supply: without it the board drives, and nothing turns.
+  void set_supply_on(bool on) { supply_on_ = on; }
+  bool supply_on() const { return supply_on_; }
   std::uint64_t tick() const { return tick_; }
   const std::vector<double>& state() const { return state_; }
   void set_state(const std::vector<double>& state);
@@ -62,6 +66,7 @@ class World {
   std::array<double, heli::kAxisCount> locked_{};
   std::array<double, 2> volts_V_{};
   std::uint64_t tick_ = 0;
+  bool supply_on_ = true;
 };
 
 }  // namespace heli_sim

@@ -39,6 +39,7 @@ def test_cases_have_names_and_seeds_of_their_own() -> None:
     assert len({case.name for case in cases}) == len({case.seed for case in cases}) == len(cases)
 
 
+@pytest.mark.medium
 def test_every_plan_can_be_flown() -> None:
     for case in every_case():
         for number, duration_s in enumerate((TRAIN_S, VALIDATE_S)):

@@ -61,11 +61,16 @@ class ChangedCopy:
         self.run(str(self.root / "firmware" / "generate.py"))
 
     def build(self) -> None:
-        """Compile what the native board needs; unoptimised, which computes the same and compiles sooner."""
+        """Compile what the native board needs, at the least cost.
+
+        Unoptimised, which computes the same, and each library in one piece: 10 s of CPU instead of 34, most
+        of which are headers that every file of the bindings' library reads again.
+        """
         build = self.root / "build"
         cmake = shutil.which("cmake") or str(Path(sys.executable).with_name("cmake"))
         configure = [cmake, "-S", str(self.root), "-B", str(build), f"-DPython_EXECUTABLE={sys.executable}"]
         configure += ["-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_CXX_FLAGS_DEBUG=-O0"]
+        configure += ["-DCMAKE_UNITY_BUILD=ON", "-DCMAKE_UNITY_BUILD_BATCH_SIZE=0"]
         for command in (configure, [cmake, "--build", str(build), "--target", "_native", "--parallel", "2"]):
             done = subprocess.run(command, capture_output=True, text=True, check=False)
             assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]

@@ -87,6 +87,7 @@ def test_a_contradiction_is_refused(tmp_path: Path, old: str, new: str, said: st
     assert said in str(refused.value) and "\n" not in str(refused.value)
 
 
+@pytest.mark.medium
 def test_a_refusal_is_one_line_for_a_person_and_nothing_is_written(tmp_path: Path) -> None:
     source = declared(tmp_path, with_channel(channel("tick", "u32")))
     command = [sys.executable, str(ROOT / "firmware" / "generate.py"), "--source", str(source)]

@@ -63,9 +63,16 @@ class Process(subprocess.Popen[str]):
         super().__exit__(kind, value, trace)
 
 
-def process(folder: Path, *arguments: str | Path) -> Process:
-    """Start a command in a process of its own."""
-    return Process(command(*arguments), cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+def process(folder: Path, *arguments: str | Path, prepare: Callable[[], object] | None = None) -> Process:
+    """Start a command in a process of its own, which does `prepare` before."""
+    return Process(
+        command(*arguments),
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=prepare,
+    )
 
 
 def refusal(ended: Ended, *, code: int) -> str:

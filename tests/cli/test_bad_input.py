@@ -12,6 +12,8 @@ from serial.tools import list_ports
 
 from tests.cli.terminal import Terminal, refusal
 
+pytestmark = pytest.mark.medium
+
 ASKED, LINK, FILE = 2, 3, 5
 SIL = ("--sil", "--speed", "max")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import pty
 import signal
 import subprocess
 from pathlib import Path
@@ -11,12 +13,15 @@ import numpy as np
 import pytest
 from heli_host.cli.verbs import motors
 from heli_host.declaration import State
+from heli_host.errors import CommandRefused
 from heli_host.heli import Heli
 from heli_host.link.requests import Command
 from heli_host.link.session import Session
 from heli_sim.sil.process import SilProcess
 
-from tests.cli.terminal import Terminal, process, refusal
+from tests.cli.terminal import Process, Terminal, command, process, refusal
+
+pytestmark = pytest.mark.medium
 
 ASKED, ABORTED = 2, 4
 SIL = ("--sil", "--speed", "max")
@@ -90,3 +95,31 @@ def test_ctrl_c_switches_the_motors_off(tmp_path: Path) -> None:
             assert running.returncode == 130
         with heli_host.connect(board.url) as heli:
             assert heli.state is State.IDLE
+
+
+def test_a_person_at_the_terminal_of_a_served_board_presses_its_stop_switch(tmp_path: Path) -> None:
+    keyboard, stdin = pty.openpty()
+    with Process(
+        command("sil", "--pty", "./due", "--speed", "5"),
+        cwd=tmp_path,
+        stdin=stdin,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as server:
+        assert server.stdout is not None
+        assert "Ctrl-C ends it" in server.stdout.readline()
+        assert "pull elevation|pitch|travel" in server.stdout.readline()
+        os.write(keyboard, b"stop\n")
+        assert "the stop switch is pressed" in server.stdout.readline()
+        with heli_host.connect(str(tmp_path / "due")) as heli:
+            with pytest.raises(CommandRefused, match="hardware_stop"):
+                heli.arm()
+            os.write(keyboard, b"release\n")
+            assert "released" in server.stdout.readline()
+            heli.arm()
+        server.send_signal(signal.SIGINT)
+        out, _ = server.communicate(timeout=60)
+    for fd in (keyboard, stdin):
+        os.close(fd)
+    assert server.returncode == 0
+    assert "simulated" in out

@@ -12,6 +12,8 @@ from heli_sim.rig import Rig, load_rig, write_rig
 
 from tests.cli.terminal import Terminal
 
+pytestmark = pytest.mark.medium
+
 SIL = ("--sil", "--speed", "max")
 
 

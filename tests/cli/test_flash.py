@@ -76,6 +76,7 @@ def on_path(monkeypatch: pytest.MonkeyPatch, uploader: Uploader) -> None:
     monkeypatch.setenv("PATH", str(uploader.folder))
 
 
+@pytest.mark.medium
 def test_a_board_is_flashed_and_answers(
     terminal: Terminal, image: Path, board: SilProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -119,6 +120,7 @@ def test_parameters_that_were_changed_are_kept_in_a_file_that_restores_them(
     assert terminal("params", "get", "hover_V", "--port", board.url).out.strip() == "1.25"
 
 
+@pytest.mark.medium
 def test_nothing_is_erased_before_somebody_agreed(
     terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
 ) -> None:
@@ -128,6 +130,7 @@ def test_nothing_is_erased_before_somebody_agreed(
     assert uploader.calls == []
 
 
+@pytest.mark.medium
 def test_a_board_without_this_firmware_is_flashed_without_its_parameters(
     terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
 ) -> None:
@@ -196,6 +199,7 @@ def test_the_wait_covers_the_erasing() -> None:
     assert ERASE_S > 180 * 4.096e-3
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("ending", "says"),
     [
@@ -215,12 +219,14 @@ def test_each_way_in_which_the_uploader_fails_has_its_remedy(
     assert len(uploader.calls) == 1
 
 
+@pytest.mark.medium
 def test_an_uploader_that_hangs_is_ended(image: Path, tmp_path: Path) -> None:
     hanging = find_bossac(Uploader(tmp_path / "bin", "hang").program)
     with pytest.raises(FlashError, match="did not end within"):
         write_image(hanging, "/dev/ttyACM0", image, timeout_s=0.5)
 
 
+@pytest.mark.medium
 def test_a_board_that_does_not_answer_afterwards_is_an_error(
     terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
 ) -> None:
@@ -232,6 +238,7 @@ def test_a_board_that_does_not_answer_afterwards_is_an_error(
     assert "RESET" in line
 
 
+@pytest.mark.medium
 def test_a_version_that_is_reported_not_to_boot_is_named_before_and_after(
     terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
 ) -> None:
@@ -243,6 +250,7 @@ def test_a_version_that_is_reported_not_to_boot_is_named_before_and_after(
     assert "--reset" not in new.calls[0]
 
 
+@pytest.mark.medium
 def test_a_busy_port_is_named_and_nothing_erased(
     terminal: Terminal, image: Path, silent_port: str, tmp_path: Path
 ) -> None:
@@ -253,12 +261,14 @@ def test_a_busy_port_is_named_and_nothing_erased(
     assert uploader.calls == []
 
 
+@pytest.mark.medium
 def test_a_missing_uploader_says_how_to_get_it(terminal: Terminal, image: Path, silent_port: str) -> None:
     line = refusal(terminal("flash", image, "--port", silent_port, "--yes"), code=ASKED)
     assert "not installed" in line
     assert "tool-bossac" in line
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("port", ["socket://127.0.0.1:5000", "sil://"])
 def test_only_a_port_of_this_computer_can_be_flashed(
     terminal: Terminal, image: Path, tmp_path: Path, port: str
@@ -267,6 +277,7 @@ def test_only_a_port_of_this_computer_can_be_flashed(
     assert "port of this computer" in refusal(ended, code=ASKED)
 
 
+@pytest.mark.medium
 def test_no_board_is_found_where_none_is_plugged_in(
     terminal: Terminal, image: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -279,6 +290,7 @@ def test_a_missing_file_is_named(terminal: Terminal) -> None:
     assert "nowhere.bin" in refusal(terminal("flash", "nowhere.bin", "--yes"), code=FILE)
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("content", "says"),
     [
@@ -306,6 +318,7 @@ def test_a_file_that_is_no_firmware_of_ours_erases_nothing(
     assert uploader.calls == []
 
 
+@pytest.mark.medium
 @given(st.binary(max_size=2048))
 def test_no_bytes_crash_the_check_of_an_image(
     tmp_path_factory: pytest.TempPathFactory, content: bytes
@@ -316,6 +329,7 @@ def test_no_bytes_crash_the_check_of_an_image(
         read_image(path)
 
 
+@pytest.mark.medium
 def test_an_uploader_that_is_trusted_comes_before_the_one_on_the_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -385,6 +399,7 @@ def test_a_board_that_flies_is_not_flashed(
     assert uploader.calls == []
 
 
+@pytest.mark.medium
 def test_whoever_says_no_keeps_the_board_as_it_is(
     terminal: Terminal, image: Path, silent_port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

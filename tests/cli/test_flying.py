@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
 import resource
 import signal
 import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from heli_host.log.flight_file import read_flight
-from heli_host.log.reader import read_log
+from heli_host.log.reader import Log, read_log
 
 from tests.cli.terminal import Terminal, command, process
 
 pytestmark = pytest.mark.slow
 
 SIL = ("--sil", "--speed", "max")
+FLY = ("fly", "hover", "--sil", "--speed", "10", "--log", "f.mcap")
 
 
 def test_a_flight_leaves_log_summary_and_figure(terminal: Terminal, tmp_path: Path) -> None:
@@ -54,21 +59,70 @@ def test_flights_of_one_second_do_not_overwrite_each_other(terminal: Terminal, t
     assert len(list((tmp_path / "flights").iterdir())) == 2
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_flight_lands_and_keeps_its_log(tmp_path: Path, number: signal.Signals) -> None:
-    with process(tmp_path, "fly", "hover", "--sil", "--speed", "10", "--log", "f.mcap") as host:
+def ignoring_interrupts() -> None:
+    """Be what a script starts with ``&``."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def assert_landed(log: Log) -> None:
+    """The flight came down before its log was closed, and both are in it."""
+    assert log.complete
+    assert log.layout.names("STATE")[int(log.ticks["state"][-1])] == "idle"
+    assert "landing" in {event["message"] for event in log.events}
+
+
+def test_a_terminal_that_is_closed_lands_the_flight_and_keeps_its_log(tmp_path: Path) -> None:
+    child, terminal = pty.fork()
+    if child == 0:
+        os.chdir(tmp_path)
+        os.execv(sys.executable, command(*FLY))
+    said = b""
+    while b"closed_loop" not in said:
+        said += os.read(terminal, 4096)
+    os.close(terminal)
+    _, status = os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(status) == 130
+    log = read_log(tmp_path / "f.mcap")
+    assert_landed(log)
+    assert log.metadata["result"]["outcome"] == "aborted: SIGHUP"
+
+
+def test_under_nohup_a_hang_up_ends_nothing(tmp_path: Path) -> None:
+    with process(tmp_path, *FLY, prepare=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)) as host:
+        assert host.stdout is not None
+        while "closed_loop" not in (line := host.stdout.readline()):
+            assert line, "it ended before it flew"
+        host.send_signal(signal.SIGHUP)
+        host.communicate(timeout=60)
+    assert host.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("number", "prepare"),
+    [
+        (signal.SIGINT, None),
+        (signal.SIGINT, ignoring_interrupts),
+        (signal.SIGTERM, None),
+        (signal.SIGHUP, None),
+    ],
+)
+def test_an_interrupted_flight_lands_and_keeps_its_log(
+    tmp_path: Path, number: signal.Signals, prepare: Callable[[], None] | None
+) -> None:
+    with process(tmp_path, *FLY, prepare=prepare) as host:
         assert host.stdout is not None
         while "closed_loop" not in (line := host.stdout.readline()):
             assert line, "it ended before it flew"
         host.send_signal(number)
         out, err = host.communicate(timeout=60)
     assert host.returncode == 130, err
-    assert "Ctrl-C" in out
     assert "Traceback" not in err
-    log = read_log(tmp_path / "f.mcap")
-    assert log.complete
-    assert log.layout.names("STATE")[int(log.ticks["state"][-1])] == "idle"
-    assert "landing" in {event["message"] for event in log.events}
+    log, name = read_log(tmp_path / "f.mcap"), "Ctrl-C" if number == signal.SIGINT else number.name
+    assert_landed(log)
+    assert log.metadata["result"]["outcome"] == f"aborted: {name}"
+    assert f"aborted: {name}" in out
+    [event] = [event["message"] for event in log.events if event["name"] == "interrupt"]
+    assert event.startswith(f"{name}: ")
 
 
 def test_a_full_disk_lands_and_keeps_what_was_logged(terminal: Terminal, tmp_path: Path) -> None:

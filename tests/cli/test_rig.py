@@ -15,6 +15,8 @@ from hypothesis import strategies as st
 
 from tests.cli.terminal import Terminal, refusal
 
+pytestmark = pytest.mark.medium
+
 ASKED = 2
 PAPER = Path(__file__).parents[2] / "sim/heli_sim/rig/makki2024.toml"
 

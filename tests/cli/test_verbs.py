@@ -16,6 +16,8 @@ from serial.tools import list_ports
 
 from tests.cli.terminal import Terminal, process
 
+pytestmark = pytest.mark.medium
+
 SIL = ("--sil", "--speed", "max")
 DUE = SimpleNamespace(device="/dev/ttyDUE", description="n/a", vid=0x2341, pid=0x003D, serial_number=None)
 NATIVE = SimpleNamespace(device="/dev/ttyUSBX", description="n/a", vid=0x2341, pid=0x003E, serial_number=None)

@@ -11,6 +11,8 @@ from heli_test_native import control
 from hypothesis import given
 from hypothesis import strategies as st
 
+pytestmark = pytest.mark.medium
+
 LEAST, MOST = -(2**31), 2**31 - 1
 QUANTITY_BITS, GAIN_BITS = 24, 20
 bits = st.integers(LEAST, MOST)

@@ -59,6 +59,7 @@ def fly_both(
     return out
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("seed", range(6))
 def test_law_agrees_with_the_equations_over_random_flights(seed: int) -> None:
     out = fly_both(seed, 4000)
@@ -67,12 +68,14 @@ def test_law_agrees_with_the_equations_over_random_flights(seed: int) -> None:
     np.testing.assert_allclose(out[:, 2], out[:, 5], atol=2e-3)  # deg
 
 
+@pytest.mark.medium
 def test_law_agrees_when_the_motors_may_reverse_and_gains_are_the_papers() -> None:
     paper = {"elevation_ki": 1.0, "elevation_kd": 0.1, "pitch_ki": 3.0, "pitch_kd": 0.1, "travel_ki": 0.13}
     out = fly_both(11, 4000, motor_min_V=-6.0, pitch_hold_ff=0.033, **paper)
     np.testing.assert_allclose(out[:, :2], out[:, 3:5], atol=5e-3)
 
 
+@pytest.mark.medium
 def test_law_agrees_when_gains_are_so_large_that_their_terms_leave_the_range_of_numbers() -> None:
     large = {"elevation_kp": 8.0, "elevation_kd": 2.0, "pitch_kp": 10.0, "pitch_kd": 2.0}
     still = {"elevation_ki": 0.0, "pitch_ki": 0.0, "travel_ki": 0.0, "bumpless_s": 0.02}
@@ -86,6 +89,7 @@ def test_law_agrees_when_gains_are_so_large_that_their_terms_leave_the_range_of_
 level = st.floats(-12, 12, width=32)
 
 
+@pytest.mark.medium
 @given(level, level, st.floats(-5, 0, width=32), st.floats(0.5, 11, width=32), st.floats(0.125, 24, width=32))
 def test_mixer_keeps_motors_in_range_and_pitch_first(
     collective_V: float, differential_V: float, least_V: float, most_V: float, bound_V: float
@@ -165,6 +169,7 @@ def test_open_loop_gives_the_voltages_that_were_asked_for_dead_zone_included() -
     assert out[:2] == pytest.approx((0.4, 2.5), abs=1e-4)
 
 
+@pytest.mark.medium
 @given(st.floats(2.0**-10, 2.0**20, width=32))
 def test_reciprocal_needs_no_division_and_is_right(value: float) -> None:
     assert control.reciprocal(value) * value == pytest.approx(1.0, rel=1e-6)
@@ -196,6 +201,7 @@ def test_rate_filter_quietens_the_encoder_as_the_comment_claims() -> None:
     assert np.std(rates - exact) < 0.03
 
 
+@pytest.mark.medium
 @settings(deadline=None)
 @given(
     kind=st.integers(1, 5),

@@ -11,6 +11,8 @@ import pytest
 from heli_host.declaration import PARAMS
 from heli_test_native import flight
 
+pytestmark = pytest.mark.medium
+
 INDEX = {p.name: p.index for p in PARAMS}
 DEFAULTS = {p.name: p.default for p in PARAMS}
 TICK_S = 0.001

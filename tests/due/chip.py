@@ -12,7 +12,20 @@ FULL_HZ = 84_000_000
 # reset_handler: wfi; b reset_handler
 _PARKED = struct.pack("<II", 0x2008_8000, FLASH + 0x101).ljust(0x100, b"\0") + b"\x30\xbf\xfd\xe7"
 
-PIDS = {"UART": 8, "PIOA": 11, "PIOB": 12, "PIOC": 13, "PIOD": 14, "TC0": 27, "TC1": 30, "TC2": 33, "PWM": 36}
+PIDS = {
+    "UART": 8,
+    "PIOA": 11,
+    "PIOB": 12,
+    "PIOC": 13,
+    "PIOD": 14,
+    "TC0": 27,
+    "TC1": 30,
+    "TC2": 33,
+    "PWM": 36,
+    "ADC": 37,
+    "DACC": 38,
+    "TRNG": 41,
+}
 
 
 class Chip:

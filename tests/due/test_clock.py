@@ -88,3 +88,30 @@ def test_board_time_keeps_its_pace_when_the_clock_changes() -> None:
     assert chip.due.now_us - now_us == pytest.approx(1000, abs=0.1)
     # The crystal starts in 8 * 8 + 1 periods of the slow clock, PLLA locks in 63 + 1.
     assert now_us - before_us == pytest.approx((65 + 64) / 32000 * 1e6, abs=100)
+
+
+@pytest.mark.parametrize("counts", [0, 20, 30])
+def test_a_crystal_that_is_said_to_run_before_it_can_is_noticed(counts: int) -> None:
+    chip = Chip(full_speed=False)
+    chip.due.set_slow_clock(8 * counts * 1000 + 16_000)
+    chip["PMC.MOR"] = MOR_KEY | counts << 8 | 1 << 3 | 1
+    chip.wait("PMC.SR", 1 << 0)
+    with pytest.raises(Stop, match=r"MOSCXTST is too short: the crystal needs 1\.4 ms"):
+        chip["PMC.MOR"] = MOR_KEY | 1 << 24 | counts << 8 | 1 << 3 | 1
+
+
+@pytest.mark.parametrize("counts", [0, 5])
+def test_a_pll_that_is_said_to_be_locked_before_it_can_is_noticed(counts: int) -> None:
+    chip = Chip()
+    chip["PMC.MCKR"] = 1 << 4 | 1
+    chip.wait("PMC.SR", 1 << 3)
+    chip["PMC.PLLAR"] = 1 << 29 | 13 << 16 | counts << 8 | 1
+    chip.wait("PMC.SR", 1 << 1)
+    with pytest.raises(Stop, match=r"PLLACOUNT is too short: PLLA needs 0\.2 ms"):
+        chip["PMC.MCKR"] = 1 << 4 | 2
+
+
+def test_prescaler_and_source_of_the_master_clock_do_not_change_in_one_write() -> None:
+    chip = Chip()
+    with pytest.raises(Stop, match="in one write"):
+        chip["PMC.MCKR"] = 1

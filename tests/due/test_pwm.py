@@ -181,6 +181,20 @@ def test_a_latched_fault_lasts_until_it_is_cleared() -> None:
     assert chip.due.pin_duty("PC21") == pytest.approx(1 / 3)
 
 
+@pytest.mark.parametrize("filtered", [False, True])
+@pytest.mark.parametrize("cycles", [0, 2])
+def test_a_filtered_fault_input_drops_what_is_shorter_than_a_clock(filtered: bool, cycles: int) -> None:
+    chip = armed_fault(latched=True)
+    chip["PWM.FMR"] = filtered << 18 | 1 << 10 | 0x3B
+    chip.due.set_pin("PD6", "low")
+    chip.run_cycles(cycles)
+    chip.due.set_pin("PD6", "open")
+    chip.run_cycles(10)
+    dropped = filtered and cycles == 0
+    assert chip.due.pin_duty("PC21") == (pytest.approx(1 / 3) if dropped else 0.0)
+    assert bool(chip["PWM.FSR"] >> 8 & 1 << 2) is not dropped
+
+
 def test_synchronous_channels_ignore_their_own_fault_enables() -> None:
     chip = armed_fault(latched=False)
     chip["PWM.FPE1"] = 0

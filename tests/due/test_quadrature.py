@@ -15,11 +15,18 @@ X4 = QDEN | POSEN | EDGPHA
 DIRCHG, QERR, DIR = 1 << 1, 1 << 2, 1 << 8
 
 
+XC0, SLOW = 5 | 1 << 8 | 1 << 10, 4
+
+
 def decoder(mode: int, *, block: str = "TC0", maxfilt: int = 0) -> Chip:
+    """A decoder at 0 that counts from its first step on: an edge of the slow clock takes the trigger."""
     chip = Chip(block)
-    chip[f"{block}.CMR0"] = 5 | 1 << 8 | 1 << 10
+    chip[f"{block}.CMR0"] = SLOW
     chip[f"{block}.BMR"] = mode | maxfilt << 20
     chip[f"{block}.CCR0"] = 5
+    chip.due.run_us(32)
+    chip[f"{block}.CMR0"] = XC0
+    assert chip[f"{block}.CV0"] == 0
     return chip
 
 
@@ -42,6 +49,20 @@ def test_count_is_the_sum_of_all_steps(block: str, axis: int, mode: int) -> None
     walk(chip, axis, steps)
     assert signed(chip[f"{block}.CV0"]) == sum(steps)
     assert chip[f"{block}.QISR"] & QERR == 0
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_trigger_costs_the_first_step(direction: int) -> None:
+    chip = Chip("TC0")
+    chip["TC0.CMR0"] = XC0
+    chip["TC0.BMR"] = X4
+    chip["TC0.CCR0"] = 5
+    walk(chip, 0, [direction] * 10)
+    assert signed(chip["TC0.CV0"]) == 9 * direction
+    chip["TC0.CCR0"] = 4
+    assert signed(chip["TC0.CV0"]) == 9 * direction
+    walk(chip, 0, [direction])
+    assert chip["TC0.CV0"] == 0
 
 
 def test_edges_of_one_phase_alone_give_half() -> None:

@@ -43,7 +43,7 @@ def booted(data: bytes, *, strict: bool = True) -> Due:
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (loading(0x400E_061C), r"unmodelled: read of PMC CKGR_UCKR \(0x400e061c\): not modelled"),
+        (loading(0x400E_0640), r"unmodelled: read of PMC PMC_PCK0 \(0x400e0640\): not modelled"),
         (loading(0x4000_8010), r"unmodelled: read of 0x40008010 SPI0\+0x10: this peripheral is not modelled"),
         (
             loading(0x4009_400C),

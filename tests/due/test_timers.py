@@ -109,6 +109,20 @@ def test_stopping_keeps_the_value_and_a_trigger_clears_it() -> None:
     assert chip["TC2.CV0"] < 10
 
 
+@pytest.mark.parametrize(("clock", "divider"), [(2, 32), (3, 128)])
+def test_a_trigger_clears_the_counter_at_the_next_edge_of_its_clock(clock: int, divider: int) -> None:
+    chip = running(clock, 0)
+    while chip["TC2.CV0"] < 40:
+        chip.run_cycles(1)
+    chip["TC2.CCR0"] = SWTRG
+    chip.run_cycles(divider // 2)
+    assert chip["TC2.CV0"] == 40
+    chip.run_cycles(divider // 2)
+    assert chip["TC2.CV0"] == 0
+    chip.run_cycles(3 * divider)
+    assert chip["TC2.CV0"] == 3
+
+
 def test_the_counter_has_32_bits() -> None:
     chip = running(WAVE | UP_RC, 0xFFFF_FFFF)
     chip.due.run_us(2_000_000)

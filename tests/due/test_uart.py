@@ -99,6 +99,19 @@ def test_dma_fills_two_buffers_in_a_row_and_says_when() -> None:
     assert chip.due.peek(RAM, 3) + chip.due.peek(RAM + 0x100, 2) == b"abcde"
 
 
+def test_a_buffer_that_is_written_as_the_running_one_ends_is_noticed() -> None:
+    chip = opened()
+    chip["UART.RPR"], chip["UART.RCR"] = RAM, 3
+    chip["UART.PTCR"] = 1
+    chip.due.usb_write(b"ab")
+    chip.due.run_us(2 * 40 + 1)
+    assert chip["UART.RCR"] == 1
+    with pytest.raises(Stop, match="moves the last byte"):
+        chip["UART.RNCR"] = 2
+    with pytest.raises(Stop, match="moves the running buffer"):
+        chip["UART.RCR"] = 2
+
+
 def test_dma_sends_back_to_back() -> None:
     chip = opened()
     chip.due.poke(RAM, bytes(range(64)))

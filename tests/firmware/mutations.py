@@ -20,7 +20,7 @@ class Mutation:
     Parameters
     ----------
     file : str
-        In firmware/due.
+        In firmware/due; with a slash in it, in firmware.
     right : str
         What stands there, once.
     wrong : str
@@ -50,6 +50,16 @@ def encoders(right: str, wrong: str) -> Mutation:
     return Mutation("encoders.cpp", right, wrong, claims.test_encoders_count_alike_and_a_before_b_is_up)
 
 
+def overload(right: str, wrong: str) -> Mutation:
+    return Mutation(
+        "encoders.cpp",
+        right,
+        wrong,
+        safety.test_edges_faster_than_the_board_counts_cut_in_order_and_the_host_is_told,
+        (2.5e6, 1),
+    )
+
+
 def pwm(right: str, wrong: str) -> Mutation:
     return Mutation(
         "motors.cpp", right, wrong, claims.test_duties_are_the_voltages_within_one_step, (6.0, 3.0)
@@ -77,6 +87,16 @@ def greeting(right: str, wrong: str) -> Mutation:
 def stream(right: str, wrong: str) -> Mutation:
     return Mutation(
         "uart.cpp", right, wrong, claims.test_no_byte_is_lost_of_20000_in_a_row_under_full_telemetry
+    )
+
+
+def hearing(right: str, wrong: str) -> Mutation:
+    return Mutation(
+        "uart.cpp",
+        right,
+        wrong,
+        claims.test_the_board_hears_again_after_a_stall_that_filled_its_receive_ring,
+        (0, 1024),
     )
 
 
@@ -140,7 +160,11 @@ ENCODERS = (
     encoders(" | TC_BMR_EDGPHA", ""),
     encoders("TC_CCR_CLKEN | TC_CCR_SWTRG", "TC_CCR_SWTRG"),
     encoders("start_decoder(TC2)", "start_decoder(TC1)"),
-    encoders("PIOD->PIO_IER.write(kTravelMask)", "PIOD->PIO_IER.write(1)"),
+    encoders("  tc->TC_CHANNEL[0].TC_CMR.write(0);\n", "  tc->TC_CHANNEL[0].TC_CMR.write(kPosition);\n"),
+    encoders(
+        "PIOD->PIO_IER.write(kTravelMask);\n  enable_interrupt",
+        "PIOD->PIO_IER.write(1);\n  enable_interrupt",
+    ),
     encoders("static_cast<void>(PIOD->PIO_ISR.read());", ""),
     encoders("enable_interrupt(ID_PIOD,", "enable_interrupt(ID_PIOC,"),
     Mutation(
@@ -148,6 +172,34 @@ ENCODERS = (
         "TC_QISR_QERR) != 0U",
         "TC_QISR_QERR) == 0U",
         claims.test_illegal_transitions_are_counted_on_every_encoder,
+    ),
+    overload("PIOD->PIO_IDR.write(kTravelMask);", ""),
+    overload("travel_overloaded = true;", ""),
+    overload("PIOD->PIO_IER.write(kTravelMask);\n  return", "return"),
+    overload("travel_overloaded = false;", ""),
+    overload("kMostEdges = 400", "kMostEdges = 4000"),
+    Mutation(
+        "encoders.cpp", "  travel_edges = 0;", "", claims.test_no_travel_edge_is_lost_at_200000_a_second
+    ),
+    Mutation(
+        "encoders.cpp",
+        "kMostEdges = 400",
+        "kMostEdges = 150",
+        safety.test_200000_edges_a_second_are_no_overload,
+    ),
+    Mutation(
+        "encoders.cpp",
+        "!= 0U) ++count;",
+        "!= 0U && count < 0xFFFF) ++count;",
+        claims.test_illegal_transitions_are_counted_beyond_16_bits,
+        (1,),
+    ),
+    Mutation(
+        "encoders.cpp",
+        "reading.illegal[kTravel] = travel_illegal;",
+        "reading.illegal[kTravel] = travel_illegal < 0xFFFF ? travel_illegal : 0xFFFF;",
+        claims.test_illegal_transitions_are_counted_beyond_16_bits,
+        (2,),
     ),
     Mutation(
         "priorities.hpp",
@@ -201,6 +253,10 @@ UART = (
     greeting("bit(ID_UART)", "bit(ID_UART + 1)"),
     greeting("to_peripheral_a(PIOA,", "to_peripheral_b(PIOA,"),
     greeting("UART->UART_RPR.write(address_of(receive_ring));", ""),
+    hearing(
+        "received = offered - in_flight(UART->UART_RCR, UART->UART_RNCR);",
+        "received += (UART->UART_RPR.read() - address_of(receive_ring) - received) % kReceiveBytes;",
+    ),
     stream("UART->UART_RCR.write(kReceiveHalf);", "UART->UART_RCR.write(kReceiveHalf - 1);"),
     stream(
         "UART_RNPR.write(address_of(receive_ring + kReceiveHalf))",

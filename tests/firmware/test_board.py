@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +11,19 @@ import numpy.typing as npt
 import pytest
 from heli_host.declaration import (
     Axes,
+    Axis,
     Fault,
+    MessageId,
     Param,
     ParamSetMessage,
     ParamsSaveMessage,
     ParamsSource,
+    PingMessage,
+    PongMessage,
     Reset,
 )
 from heli_host.heli import Heli
+from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.session import Session
 
 from firmware.due.report import Image
@@ -31,7 +37,10 @@ pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: 
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
 
 EFC0_FMR, EFC1_FMR = 0x400E0A00, 0x400E0C00
+DECODER_ERRORS = "_ZN4heli3due8encoders12_GLOBAL__N_114decoder_errorsE"
+TRAVEL_ILLEGAL = "_ZN4heli3due8encoders12_GLOBAL__N_114travel_illegalE"
 UART_MR, UART_BRGR = 0x400E0804, 0x400E0820
+UART_RCR, UART_RNCR = 0x400E0904, 0x400E0914
 
 
 def counted(heli: Heli) -> npt.NDArray[np.int32]:
@@ -139,13 +148,30 @@ def test_illegal_transitions_are_counted_on_every_encoder(board: Board) -> None:
     assert (status.illegal_elevation, status.illegal_pitch, status.illegal_travel) == (1, 2, 3)
 
 
+@pytest.mark.parametrize("axis", range(3))
+def test_illegal_transitions_are_counted_beyond_16_bits(board: Board, axis: int) -> None:
+    heli = board.connect()
+    place = board.image.symbols[TRAVEL_ILLEGAL if axis == 2 else DECODER_ERRORS] + 4 * (axis == 1)
+    board.due.poke(place, struct.pack("<I", 0xFFFD))
+    heli.wait(0.05)
+    heli.arm()
+    heli.wait(0.01)
+    assert board.on()
+    for _ in range(int(heli.session.read_params()[Param.ENCODER_ILLEGAL_MAX]) + 1):
+        board.due.glitch_encoder(axis)
+        heli.wait(0.005)
+    heli.wait(0.05)
+    assert board.off()
+    assert heli.fault == Fault.ENCODER_ELEVATION + axis
+    assert getattr(heli.session.status(), f"illegal_{Axis(axis).name.lower()}") == 0xFFFF
+
+
 def test_a_tick_that_is_late_is_counted_and_reported(board: Board) -> None:
     heli = board.connect()
     assert heli.session.status().overruns == 0
-    start_us = board.due.now_us
-    # Edges faster than their interrupt keep everything else from running for more than a tick.
-    for k in range(28000):
-        board.due.schedule_step(2, 1, start_us + 10.0 + 0.1 * k)
+    board.due.hold_processor(True)
+    board.due.run_us(2800.0)
+    board.due.hold_processor(False)
     heli.wait(0.02)
     status = heli.session.status()
     assert status.overruns >= 1
@@ -164,14 +190,30 @@ def test_duties_are_the_voltages_within_one_step(board: Board, front_V: float, b
 
 
 def test_opening_the_port_is_told_from_power_up(board: Board) -> None:
-    assert board.connect().session.welcome.reset == Reset.POWER_UP
+    before = board.connect().session.welcome
+    assert before.reset == Reset.POWER_UP
     board.due.usb_control_lines(False)
     board.due.usb_control_lines(True)
     board.advance(300)
     welcome = board.connect().session.welcome
     assert welcome.reset == Reset.USER
     assert welcome.boot_fault == Fault.NONE
-    assert welcome.boot_count == 2
+    assert welcome.boot_id != before.boot_id
+
+
+def test_every_start_has_another_boot_id(board: Board) -> None:
+    ids = {board.connect().session.welcome.boot_id}
+    for _ in range(3):
+        board.cut_power()
+        board.restore_power()
+        board.advance(30)
+        ids.add(board.connect().session.welcome.boot_id)
+        board.reset()
+        ids.add(board.connect().session.welcome.boot_id)
+    assert len(ids) == 7
+    assert max(ids) < 2**24
+    # The odds that none of 7 random numbers is above a tenth of the range are 1 in 10^7.
+    assert max(ids) > 2**24 / 10
 
 
 def test_saved_parameters_outlive_a_reset_and_the_pages_take_turns(board: Board) -> None:
@@ -180,16 +222,16 @@ def test_saved_parameters_outlive_a_reset_and_the_pages_take_turns(board: Board)
         heli = board.connect()
         heli.session.command(ParamSetMessage(0, Param.ELEVATION_KP, value))
         heli.session.command(ParamsSaveMessage(0))
-        pages.append(board.due.flash()[-512:])
+        pages.append(board.due.flash()[-1024:])
         # Programming asks for more wait states than reading.
         assert board.register(EFC1_FMR) >> 8 & 0xF == 4
         board.reset()
         session = Session(board, session_number=2)
         assert session.connect().params_source == ParamsSource.STORED
         assert session.read_params()[Param.ELEVATION_KP] == value
-    assert pages[0][:256] == pages[0][256:]
+    assert pages[0][:512] == pages[0][512:]
     for before, after in itertools.pairwise(pages):
-        changed = [before[at : at + 256] != after[at : at + 256] for at in (0, 256)]
+        changed = [before[at : at + 512] != after[at : at + 512] for at in (0, 512)]
         assert sorted(changed) == [False, True]
 
 
@@ -203,6 +245,58 @@ def test_ticks_go_on_while_the_flash_is_written(board: Board) -> None:
 
 def test_no_byte_is_lost_of_20000_in_a_row_under_full_telemetry(board: Board) -> None:
     assert rx_lost_bytes(board) == 0
+
+
+@pytest.mark.parametrize("before", [0, 1, 511, 512, 513])
+@pytest.mark.parametrize("stalled", [1023, 1024, 1025, 1400])
+def test_the_board_hears_again_after_a_stall_that_filled_its_receive_ring(
+    board: Board, before: int, stalled: int
+) -> None:
+    board.advance(20)
+    # Between frames zeros mean nothing.
+    board.write(bytes(before))
+    board.advance(30)
+    board.due.hold_processor(True)
+    board.write(bytes(stalled))
+    board.advance(60)
+    board.due.hold_processor(False)
+    heli = board.connect()
+    heli.wait(0.1)
+    assert board.due.resets == 1
+    # One byte short of full, the frame that fills the ring ends in the middle.
+    assert heli.session.status().frames_bad <= (1 if stalled == 1023 else 0)
+
+
+def test_bytes_that_find_no_room_are_lost_and_no_older_ones(board: Board) -> None:
+    board.connect()
+    # So that the watchdog bears with two stalls in a row.
+    board.due.set_slow_clock(20_000)
+    pings = [encode_frame(MessageId.PING, k, PingMessage(0, k).pack()) for k in range(150)]
+    board.due.hold_processor(True)
+    room = board.register(UART_RCR) + board.register(UART_RNCR)
+    kept = room // len(pings[0])
+    board.write(b"".join(pings))
+    board.advance(50)
+    board.due.hold_processor(False)
+    # They still come when the board has begun to fetch them, and once more does not.
+    board.due.run_us(200.0)
+    board.due.hold_processor(True)
+    sent = board.advance(50)
+    board.due.hold_processor(False)
+    frames = FrameParser().feed(sent + board.advance(300))
+    heard = [PongMessage.unpack(frame.payload).host_us for frame in frames if frame.id == MessageId.PONG]
+    assert kept >= 512 // len(pings[0])
+    assert heard[:kept] == list(range(kept))
+
+
+def test_no_byte_of_the_board_is_lost_or_wrong_wherever_its_ring_ends(board: Board) -> None:
+    heli = board.connect()
+    heli.session.command(ParamSetMessage(0, Param.TELEMETRY_BATCH_TICKS, 4))
+    heli.wait(1.0)
+    counters = heli.session.counters
+    assert (counters.frames_bad, counters.frames_lost, counters.ticks_lost) == (0, 0, 0)
+    # The ring of 2 KiB has come round often.
+    assert counters.bytes_received > 5 * 2048
 
 
 def test_first_answer_comes_within_50_ms_of_power_up(board: Board) -> None:

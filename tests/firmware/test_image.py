@@ -12,7 +12,7 @@ from firmware.due.report import Function, Image
 pytestmark = pytest.mark.emulated
 
 FLASH_END = 0x00100000
-PARAMETER_PAGES = 2 * 256
+PARAMETER_PAGES = 2 * 512
 
 
 def test_every_bound_holds(image: Image) -> None:

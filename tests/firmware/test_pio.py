@@ -5,6 +5,7 @@ from __future__ import annotations
 import configparser
 import json
 import os
+import shutil
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -33,14 +34,17 @@ def test_flags_are_in_one_place() -> None:
         assert "-mcpu" not in path.read_text(), path.name
 
 
-def test_platformio_builds_the_same_program_as_the_makefile(elf: Path, tmp_path: Path) -> None:
+def test_platformio_builds_the_same_program_as_the_makefile_wherever_the_project_lies(
+    elf: Path, tmp_path: Path
+) -> None:
     if find_spec("platformio") is None or find_spec("SCons") is None:
         pytest.skip("PlatformIO is not installed: pip install platformio scons")
-    # Sizes are printed when it is linked, so it must be linked now.
-    (ROOT / "build" / "pio" / "due" / "firmware.elf").unlink(missing_ok=True)
+    project = tmp_path / "a rig of mine"
+    shutil.copytree(ROOT / "firmware", project / "firmware", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "platformio.ini", project)
     # A proxy that does not exist stands for the network that is missing.
     done = subprocess.run(
-        [sys.executable, PIO / "build.py", "run", "-e", "due"],
+        [sys.executable, project / "firmware" / "pio" / "build.py", "run", "-e", "due"],
         env={**os.environ, "http_proxy": "http://127.0.0.1:9", "https_proxy": "http://127.0.0.1:9"},
         capture_output=True,
         text=True,
@@ -50,4 +54,6 @@ def test_platformio_builds_the_same_program_as_the_makefile(elf: Path, tmp_path:
     assert "flash" in done.stdout
     flashed = tmp_path / "heli.bin"
     subprocess.run(["arm-none-eabi-objcopy", "-O", "binary", elf, flashed], check=True)
-    assert (ROOT / "build" / "pio" / "due" / "firmware.bin").read_bytes() == flashed.read_bytes()
+    built = project / "build" / "pio" / "due"
+    assert (built / "firmware.bin").read_bytes() == flashed.read_bytes()
+    assert (built / "firmware.map").exists()

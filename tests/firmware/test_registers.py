@@ -28,11 +28,12 @@ BLOCKS = {
     "Gpbr": ("GPBR", 0),
     "Tc": ("TC0", 0),
     "Pwm": ("PWM", 0),
+    "Trng": ("TRNG", 0),
 }
 # Structures that stand in others: who holds them, in which array, of how many.
 NESTED = {"TcChannel": ("Tc", "TC_CHANNEL", 3), "PwmChannel": ("Pwm", "PWM_CH_NUM", 8)}
 
-PREFIXES = ("PMC_", "UART_", "EEFC_", "PIO_", "RSTC_", "WDT_", "SYS_", "TC_", "PWM_")
+PREFIXES = ("PMC_", "UART_", "EEFC_", "PIO_", "RSTC_", "WDT_", "SYS_", "TC_", "PWM_", "TRNG_")
 
 ACCESS = {"ReadOnly": "read-only", "WriteOnly": "write-only", "ReadWrite": "read-write"}
 

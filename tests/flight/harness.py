@@ -12,7 +12,9 @@ from heli_test_native import flight
 REST_DEG = -25.0
 DUTY_FULL = 2100
 """Of the Due."""
-PAGE_BYTES = 256
+PAGE_BYTES = 512
+TRACKING = ("_following_max_deg", "_motion_V", "_motion_deg")
+"""Ends of the names of the parameters that decide whether an axis does what it is driven to do."""
 """Of the Due."""
 
 
@@ -29,6 +31,9 @@ class Harness:
         Duty of the board's full voltage.
     page_bytes : int
         Length of a page of the board's flash.
+    tracked : bool
+        Whether axes that do not follow, or do not move when driven, are faults: most tests move the arm as
+        they please.
     """
 
     def __init__(
@@ -37,6 +42,7 @@ class Harness:
         law: flight.ToldLaw | None = None,
         duty_full: int = DUTY_FULL,
         page_bytes: int = PAGE_BYTES,
+        tracked: bool = False,
     ) -> None:
         self.core = flight.Harness(law, duty_full, page_bytes)
         self.parser = FrameParser()
@@ -49,6 +55,10 @@ class Harness:
         self.core.tick(300)
         if session:
             self.ask(d.HelloMessage(0, d.LINK_HASH, 7))
+        if session and not tracked:
+            for spec in d.PARAMS:
+                if spec.name.endswith(TRACKING):
+                    self.set(spec.name, spec.max)
 
     def send(self, message: Any) -> None:
         self.core.receive(encode_frame(message.ID, self.sequence, message.pack()))
@@ -107,7 +117,7 @@ class Harness:
         self.core.encoders(counts, self.illegal)
 
     def break_encoder(self, axis: int, transitions: int) -> None:
-        self.illegal[axis] += transitions
+        self.illegal[axis] = (self.illegal[axis] + transitions) & 0xFFFF_FFFF
         self._encoders()
 
     def set(self, name: str, value: float) -> Any:

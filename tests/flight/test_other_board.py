@@ -13,7 +13,7 @@ from tests.flight.harness import DUTY_FULL, PAGE_BYTES, Harness
 
 SUPPLY_V = 12.0
 FRONT_V, BACK_V = 3.0, 1.5
-SET_BYTES = 256
+SET_BYTES = 512
 HOVER = next(spec.index for spec in d.PARAMS if spec.name == "hover_V")
 
 
@@ -65,7 +65,7 @@ def saved(board: link.Board, hover_V: float) -> bool:
     return link.Store(board).save(params)
 
 
-@pytest.mark.parametrize("page_bytes", [PAGE_BYTES, 512, 4096])
+@pytest.mark.parametrize("page_bytes", [PAGE_BYTES, 1024, 4096])
 def test_parameters_are_kept_in_pages_of_any_length(page_bytes: int) -> None:
     board = link.Board(DUTY_FULL, page_bytes)
     assert len(board.flash) == 2 * page_bytes

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from heli_host import declaration as d
-from heli_host.declaration import Event, Fault, Result, State, Trigger
+from heli_host.declaration import Channel, Event, Fault, Result, State, Trigger
 from heli_host.link.channels import physical
 from heli_host.link.telemetry import TelemetryDecoder
 from heli_test_native import flight
@@ -37,6 +37,12 @@ PROMISED = {
     (State.FAULT, Trigger.CLEAR): State.IDLE,
     (State.FAULT, Trigger.STOP): State.FAULT,
 }
+PROMISED |= {
+    (State.EMERGENCY_LANDING, Trigger.TOUCHDOWN): State.FAULT,
+    (State.EMERGENCY_LANDING, Trigger.LAND): State.EMERGENCY_LANDING,
+}
+for controlled in (State.CLOSED_LOOP, State.STREAMED, State.HOLD, State.LANDING):
+    PROMISED[controlled, Trigger.TRAVEL_LOST] = State.EMERGENCY_LANDING
 PROMISED |= {(s, Trigger.STOP): State.IDLE for s in State if s is not State.FAULT}
 PROMISED |= {(s, Trigger.TRIP): State.FAULT for s in State}
 for flying in (State.CLOSED_LOOP, State.OPEN_LOOP, State.STREAMED):
@@ -167,6 +173,43 @@ def test_illegal_encoder_transitions_are_tolerated_up_to_the_parameter_then_cut(
     assert harness.last_event(Event.FAULT).detail == fault
 
 
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("before", [0xFFFA, 0xFFFF, 0x10000, 0xFFFF_FFFA, 0xFFFF_FFFF])
+def test_illegal_transitions_before_arming_hide_none_in_flight(axis: int, before: int) -> None:
+    harness = Harness()
+    harness.break_encoder(axis, before)
+    harness.tick()
+    harness.fly()
+    harness.break_encoder(axis, 6)
+    harness.tick(5)
+    assert harness.last_event(Event.FAULT).detail == Fault.ENCODER_ELEVATION + axis
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("deg", [0.0, 300.0])
+def test_an_overloaded_encoder_cuts_in_its_own_name_whatever_it_counted(axis: int, deg: float) -> None:
+    harness = Harness()
+    harness.fly()
+    harness.angles_deg[axis] += deg
+    harness.break_encoder(axis, 100 if deg else 0)
+    harness.core.overload(400)
+    harness.tick(2)
+    assert harness.state is State.FAULT
+    assert harness.motors_off
+    fault = harness.last_event(Event.FAULT)
+    assert (fault.detail, fault.value) == (Fault.ENCODER_OVERLOAD, 400.0)
+
+
+def test_arming_is_refused_while_an_encoder_is_overloaded() -> None:
+    harness = Harness()
+    harness.core.overload(400)
+    harness.tick()
+    refused_with(harness, Fault.ENCODER_OVERLOAD)
+    harness.core.overload(0)
+    harness.tick()
+    assert harness.arm().result == d.Result.OK
+
+
 def test_late_ticks_cut_the_motors_when_there_are_too_many() -> None:
     harness = Harness()
     harness.fly()
@@ -215,6 +258,47 @@ def test_setpoint_loss_holds_level_after_half_a_second_then_lands_after_two_then
     assert harness.motors_off
 
 
+def told_by_telemetry(harness: Harness) -> list[tuple[State, Trigger]]:
+    """States with what led to them, as the samples have them, each once."""
+    batches = [frame.payload for frame in harness.frames if frame.id == d.MessageId.TELEMETRY]
+    raw = TelemetryDecoder().decode(batches).raw
+    pairs = [(State(row[Channel.STATE]), Trigger(row[Channel.TRIGGER])) for row in raw]
+    return [pair for pair, _ in itertools.groupby(pairs)]
+
+
+def test_telemetry_tells_what_led_to_a_state_and_still_does_so_after_the_touchdown() -> None:
+    harness = Harness()
+    harness.fly()
+    harness.tick(600)
+    harness.keep_flying(40, elevation_deg=REST_DEG)
+    harness.tick(2900)
+    assert harness.state is State.IDLE
+    harness.tick(40)
+    told = told_by_telemetry(harness)
+    assert told == [
+        (State.IDLE, Trigger.START),
+        (State.ARMED, Trigger.ARM),
+        (State.CLOSED_LOOP, Trigger.CLOSE_LOOP),
+        (State.HOLD, Trigger.STALE_HOLD),
+        (State.CLOSED_LOOP, Trigger.SETPOINT_FRESH),
+        (State.HOLD, Trigger.STALE_HOLD),
+        (State.LANDING, Trigger.STALE_LAND),
+        (State.IDLE, Trigger.STALE_LAND),
+    ]
+    events = [(e.detail, e.cause) for e in harness.events if e.kind == Event.STATE]
+    assert events == [*told[1:-1], (State.IDLE, Trigger.TOUCHDOWN)]
+
+
+def test_telemetry_tells_of_a_trip_and_of_its_clearing() -> None:
+    harness = Harness()
+    harness.fly()
+    harness.move(pitch_deg=60)
+    harness.tick(40)
+    harness.ask(d.ClearFaultMessage(0))
+    harness.tick(40)
+    assert told_by_telemetry(harness)[-2:] == [(State.FAULT, Trigger.TRIP), (State.IDLE, Trigger.CLEAR)]
+
+
 def test_a_setpoint_that_comes_back_ends_the_hold_but_not_a_landing() -> None:
     harness = Harness()
     harness.fly()
@@ -259,8 +343,16 @@ def test_stop_works_from_every_state_that_has_motors() -> None:
         harness.glide(0, 0, 60)
         harness.ask(d.LandMessage(0))
 
+    def emergency_landing(harness: Harness) -> None:
+        harness.set("travel_motion_deg", 4.0)
+        harness.arm()
+        harness.glide(0, 0, 60)
+        harness.close_loops()
+        harness.glide(1, 10.0, 60)
+        harness.keep_flying(1500)
+
     reached = set()
-    for prepare in (Harness.arm, Harness.fly, streamed, open_loop, hold, landing):
+    for prepare in (Harness.arm, Harness.fly, streamed, open_loop, hold, landing, emergency_landing):
         harness = Harness()
         prepare(harness)
         reached.add(harness.state)

@@ -26,6 +26,8 @@ from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import Log, read_log
 from heli_host.log.summary import FlightSummary
 
+pytestmark = pytest.mark.medium
+
 pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not built")
 
 SHORT = """
@@ -210,6 +212,68 @@ def test_a_second_ctrl_c_stops_the_motors_at_once(tmp_path: Path) -> None:
     assert log.ticks["t_s"][-1] < 6.5
 
 
+def signalling(*at_s: float) -> Callable[[Progress], None]:
+    """Return a progress callback that is interrupted by signals."""
+    due_s = list(at_s)
+
+    def call(progress: Progress) -> None:
+        if due_s and progress.t_s >= due_s[0]:
+            due_s.pop(0)
+            signal.raise_signal(signal.SIGINT)
+
+    return call
+
+
+def interrupts(log: Log) -> list[str]:
+    return [event["message"] for event in log.events if event["name"] == "interrupt"]
+
+
+def test_a_third_ctrl_c_neither_keeps_the_motors_running_nor_is_it_forgotten(tmp_path: Path) -> None:
+    def interrupted_stop(heli: Heli) -> None:
+        stop = heli.stop
+
+        def stop_between_two() -> None:
+            signal.raise_signal(signal.SIGINT)
+            stop()
+            signal.raise_signal(signal.SIGINT)
+
+        heli.stop = stop_between_two  # type: ignore[method-assign]
+
+    before = signal.getsignal(signal.SIGINT)
+    summary, log, state = flown(
+        tmp_path / "a.mcap", on_progress=signalling(4.0, 4.5), prepare=interrupted_stop
+    )
+    assert signal.getsignal(signal.SIGINT) == before
+    assert summary.outcome == "aborted: Ctrl-C; Ctrl-C again, motors stopped in the air"
+    assert state is State.IDLE and log.complete
+    assert interrupts(log) == [
+        "Ctrl-C: the flight ends in a landing",
+        "Ctrl-C again, motors stopped in the air",
+        "Ctrl-C again, after the motors had been told to stop",
+        "Ctrl-C again, after the motors had been told to stop",
+    ]
+    assert log.ticks["t_s"][-1] < 6.5
+
+
+def test_a_ctrl_c_while_the_plan_lands_stops_the_motors_and_says_when(tmp_path: Path) -> None:
+    duration_s = short().route.duration_s
+    summary, log, state = flown(tmp_path / "a.mcap", on_progress=signalling(duration_s + 7.0))
+    assert summary.outcome == "aborted: Ctrl-C while landing, motors stopped in the air"
+    assert interrupts(log) == ["Ctrl-C while landing, motors stopped in the air"]
+    assert state is State.IDLE and log.complete
+
+
+def test_an_error_of_the_callers_own_while_landing_comes_back_when_the_arm_is_down(tmp_path: Path) -> None:
+    path, duration_s = tmp_path / "a.mcap", short().route.duration_s
+    with connect("sil://?seed=3") as heli:
+        with pytest.raises(ZeroDivisionError):
+            fly(heli, short(), log_path=path, on_progress=raising(ZeroDivisionError(), duration_s + 7.0))
+        assert heli.state is State.IDLE
+        assert heli.latest.elevation_deg < -20.0
+    log = read_log(path)
+    assert any("touchdown" in event["message"] for event in log.events)
+
+
 def test_an_error_of_the_callers_own_comes_back_after_the_landing(tmp_path: Path) -> None:
     with connect("sil://?seed=3") as heli:
         with pytest.raises(ZeroDivisionError):
@@ -265,7 +329,7 @@ def test_a_full_disk_lands_the_rig_and_keeps_what_was_written(
                 raise OSError(errno.ENOSPC, "No space left on device")
             return written(self, data)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("heli_host.log.writer.io.FileIO", FullDisk)
+    monkeypatch.setattr("heli_host.log.disk.io.FileIO", FullDisk)
     summary, log, state = flown(tmp_path / "a.mcap")
     assert summary.outcome.startswith("aborted: cannot write the log")
     assert "No space left" in summary.outcome and state is State.IDLE

@@ -13,6 +13,8 @@ from heli_host.log.table import write_csv
 
 from tests.cli.terminal import Terminal, refusal
 
+pytestmark = pytest.mark.medium
+
 ASKED, FILE = 2, 5
 COUNT_RAD = 2 * np.pi / 4096
 ROWS = 5000

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from heli_host.cli.variadic import spread
 from heli_host.flight import Flight
 from heli_host.log.flight_file import read_flight
 from heli_host.log.table import write_csv
+from heli_lab.page import write_json
 from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Terminal
@@ -131,6 +133,15 @@ def test_a_second_flight_to_validate_on_is_not_fitted(terminal: Terminal, tmp_pa
     assert [(one["flight"], one["role"]) for one in flights] == [
         *(("a.csv", "train"), ("b.csv", "validation"), ("c.csv", "validation"))
     ]
+
+
+def test_json_has_null_for_what_is_not_finite(tmp_path: Path) -> None:
+    write_json(tmp_path / "a.json", {"gain_up": math.inf, "rows": ((1.0, math.nan),), 3: "inf"})
+    assert json.loads((tmp_path / "a.json").read_text()) == {
+        "gain_up": None,
+        "rows": [[1.0, None]],
+        "3": "inf",
+    }
 
 
 def test_long_work_says_what_it_does_and_how_long_still(

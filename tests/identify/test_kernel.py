@@ -15,6 +15,8 @@ from heli_sim.model import Model, MultibodyModel, PaperModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig
 
+pytestmark = pytest.mark.medium
+
 RIG = load_rig("makki2024")
 FREE = ("M_w", "L_phi", "thrust_gain", "dead_zone", "friction_pitch", "offset_pitch")
 SIGMA_RAD = np.array([4e-4, 4e-4, 4e-4])

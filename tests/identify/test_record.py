@@ -43,6 +43,7 @@ def test_an_arm_that_leans_far_reaches_the_table_with_its_lower_rotor(
     assert all(start < 10.0 < stop for start, stop in cut)
 
 
+@pytest.mark.medium
 def test_thrust_at_the_beginning_of_a_segment_follows_the_voltages_before_it() -> None:
     rig, lag_s, since_s = load_rig("quanser-course"), 0.1, 0.05
     made = leaning(0.0, 0.0)

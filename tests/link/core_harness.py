@@ -23,7 +23,7 @@ from heli_test_native import link as core_link
 
 # Numbers of the Due.
 DUTY_FULL = 2100
-PAGE_BYTES = 256
+PAGE_BYTES = 512
 
 # The generated classes of all messages that the host sends; of these the streams and the commands.
 TO_BOARD: list[Any] = [

@@ -52,7 +52,7 @@ class FakeBoard:
     def __init__(self) -> None:
         self.tick = 0
         self.state = State.IDLE
-        self.boot_count = 1
+        self.boot_id = 1
         self.link_hash = link.LINK_HASH
         self.link_version = (1, 0)
         self.params = [spec.default for spec in link.PARAMS]
@@ -73,10 +73,16 @@ class FakeBoard:
 
     def reboot(self) -> None:
         """Start anew, as after a reset."""
-        self.tick, self.boot_count, self.state = 0, self.boot_count + 1, State.IDLE
+        self.tick, self.boot_id, self.state = 0, self.boot_id + 1, State.IDLE
         self.open, self._session, self._memory, self._seq = False, None, None, 0
         self._batch.clear()
-        self.event(link.Event.BOOT, int(link.Reset.WATCHDOG), self.boot_count)
+        self.event(link.Event.BOOT, int(link.Reset.WATCHDOG), self.boot_id)
+
+    def change_state(self, state: State, *, tell: bool = True) -> None:
+        """Be in another state from the next tick on; its event may be lost."""
+        self.state = state
+        if tell:
+            self.send(link.EventMessage(self.tick + 1, link.Event.STATE, state, link.Trigger.ARM, 0.0))
 
     def event(self, kind: int, detail: int = 0, value: float = 0.0) -> None:
         """Report something."""
@@ -155,7 +161,7 @@ class FakeBoard:
                 0,
                 2,
                 0,
-                self.boot_count,
+                self.boot_id,
                 self.tick,
                 0,
             )
@@ -208,6 +214,10 @@ class FakeLine:
     def unplugged(self) -> bool:
         """Whether the cable is out now."""
         return self.out_at_s[0] <= self.now_s() < self.out_at_s[1]
+
+    def damage_to_host(self, to_host: Damage) -> None:
+        """Do this to every reading from now on."""
+        self._to_host = to_host
 
     def read(self, timeout_s: float) -> bytes:
         """Let time pass."""

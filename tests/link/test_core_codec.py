@@ -21,6 +21,7 @@ RUNS = [b"\x01" * length for length in (0, 1, 253, 254, 255, 256, 507, 508, 509)
 BOUNDARIES = [*RUNS, *(run + b"\0" for run in RUNS), *(b"\0" + run for run in RUNS), b"\0" * 300]
 
 
+@pytest.mark.medium
 @given(st.binary(max_size=600), st.binary(max_size=50))
 def test_crc_is_that_of_zlib_also_in_pieces(first: bytes, second: bytes) -> None:
     assert core_link.crc32(first) == zlib.crc32(first)
@@ -33,6 +34,7 @@ def test_cobs_is_that_of_the_cobs_package_at_block_boundaries(plain: bytes) -> N
     assert core_link.cobs_decode(cobs.encode(plain)) == plain
 
 
+@pytest.mark.medium
 @given(st.lists(st.one_of(st.binary(max_size=20), st.sampled_from(RUNS)), max_size=6).map(b"".join))
 def test_cobs_is_that_of_the_cobs_package(plain: bytes) -> None:
     encoded = core_link.cobs_encode(plain)
@@ -41,6 +43,7 @@ def test_cobs_is_that_of_the_cobs_package(plain: bytes) -> None:
     assert core_link.cobs_decode(encoded) == plain
 
 
+@pytest.mark.medium
 @given(st.binary(max_size=300).map(lambda b: b.replace(b"\0", b"\x01")))
 def test_cobs_refuses_what_the_cobs_package_refuses(encoded: bytes) -> None:
     try:
@@ -52,6 +55,7 @@ def test_cobs_refuses_what_the_cobs_package_refuses(encoded: bytes) -> None:
         assert core_link.cobs_decode(encoded) == plain
 
 
+@pytest.mark.medium
 @given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=MAX_TELEMETRY_PAYLOAD)), max_size=5))
 def test_frames_carry_protocol_id_sequence_payload_and_crc(messages: list[tuple[int, bytes]]) -> None:
     writer = core_link.FrameWriter()
@@ -101,6 +105,7 @@ def test_packed_ticks_come_out_of_the_witness_as_they_were(first_tick: int, raw:
     assert all(len(payload) <= MAX_TELEMETRY_PAYLOAD for payload in payloads)
 
 
+@pytest.mark.medium
 @given(st.integers(1, 32), st.sampled_from([0, 1, 2, 7, 8, 127, 128]), st.integers(0, 2**32 - 1))
 def test_a_batch_is_packed_byte_for_byte_as_the_witness_does(count: int, step: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

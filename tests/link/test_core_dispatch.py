@@ -247,6 +247,7 @@ frames_to_board = st.tuples(
 )
 
 
+@pytest.mark.medium
 @given(st.lists(frames_to_board, max_size=40), st.booleans())
 def test_no_sequence_of_frames_keeps_the_board_from_answering_a_ping(
     frames: list[tuple[int, bytes]], handshake: bool
@@ -260,6 +261,7 @@ def test_no_sequence_of_frames_keeps_the_board_from_answering_a_ping(
     assert pong[0] == 77
 
 
+@pytest.mark.medium
 @given(st.lists(st.binary(max_size=100), max_size=20))
 def test_no_bytes_keep_the_board_from_answering_a_ping(chunks: list[bytes]) -> None:
     harness = Harness()

@@ -33,6 +33,7 @@ def allowed(spec: ParamSpec, value: float) -> bool:
     )
 
 
+@pytest.mark.medium
 @given(specs, st.floats(width=32), st.booleans())
 def test_exactly_the_declared_values_are_taken(spec: ParamSpec, value: float, idle: bool) -> None:
     params = core_link.Params()

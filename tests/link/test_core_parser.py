@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import random
 
+import pytest
 from heli_host.declaration import MAX_COMMAND_PAYLOAD, MessageId
 from heli_host.link.frames import encode_frame
 from heli_test_native import link as core_link
@@ -24,6 +25,7 @@ def contents(frames: list[tuple[int, int, bytes]]) -> list[tuple[int, bytes]]:
     return [(message_id, payload) for message_id, _, payload in frames]
 
 
+@pytest.mark.medium
 @given(messages, st.lists(st.integers(0, 900), max_size=30))
 def test_frames_survive_any_chopping_of_the_stream(sent: list[tuple[int, bytes]], cuts: list[int]) -> None:
     stream = stream_of(sent)
@@ -34,6 +36,7 @@ def test_frames_survive_any_chopping_of_the_stream(sent: list[tuple[int, bytes]]
     assert (parser.frames_ok, parser.frames_bad, parser.frames_lost) == (len(sent), 0, 0)
 
 
+@pytest.mark.medium
 @given(st.binary(max_size=400), messages)
 def test_after_any_garbage_the_first_delimiter_brings_it_in_step(
     garbage: bytes, sent: list[tuple[int, bytes]]
@@ -45,6 +48,7 @@ def test_after_any_garbage_the_first_delimiter_brings_it_in_step(
     assert parser.frames_ok == before + len(sent)
 
 
+@pytest.mark.medium
 @given(st.binary(min_size=1, max_size=400).map(lambda b: b.replace(b"\0", b"\x01")), messages)
 def test_garbage_without_a_delimiter_costs_one_frame(garbage: bytes, sent: list[tuple[int, bytes]]) -> None:
     parser = core_link.Parser()
@@ -52,6 +56,7 @@ def test_garbage_without_a_delimiter_costs_one_frame(garbage: bytes, sent: list[
     assert parser.frames_bad == (1 if sent else 0)
 
 
+@pytest.mark.medium
 @given(ids, payloads, st.data())
 def test_no_frame_with_a_changed_byte_is_accepted(
     message_id: int, payload: bytes, data: st.DataObject
@@ -65,6 +70,7 @@ def test_no_frame_with_a_changed_byte_is_accepted(
     assert contents(parser.feed(encode_frame(message_id, 6, payload))) == [(message_id, payload)]
 
 
+@pytest.mark.medium
 @given(st.lists(payloads, min_size=2, max_size=20), st.data())
 def test_every_lost_byte_costs_at_most_two_frames(sent: list[bytes], data: st.DataObject) -> None:
     stream = stream_of([(10, payload) for payload in sent])
@@ -93,6 +99,7 @@ def test_a_command_longer_than_any_is_refused_and_counted() -> None:
     ]
 
 
+@pytest.mark.medium
 @given(st.integers(0, 255), st.integers(0, 254))
 def test_a_gap_in_the_sequence_is_counted_modulo_256(first: int, missing: int) -> None:
     parser = core_link.Parser()

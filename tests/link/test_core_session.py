@@ -168,6 +168,7 @@ def line_faults(draw: st.DrawFn) -> tuple[list[int], list[int]]:
     return draw(copies), draw(copies)
 
 
+@pytest.mark.medium
 @given(line_faults(), st.integers(0, 255))
 def test_every_acknowledged_command_took_effect_once_whatever_the_line_lost(
     faults: tuple[list[int], list[int]], first_request: int

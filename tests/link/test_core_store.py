@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 DUTY_FULL = 2100
-PAGE = 256
+PAGE = 512
 STEPS_OF_A_SAVE = 2 * PAGE  # erase and write, byte by byte
 STEPS_OF_THE_FIRST = 2 * STEPS_OF_A_SAVE  # it writes both copies
 HOVER = next(spec.index for spec in PARAMS if spec.name == "hover_V")
@@ -100,6 +100,7 @@ def test_a_power_cut_at_any_byte_of_a_save_loses_at_most_that_save(stored: tuple
         assert load(board) == (ParamsSource.STORED, 9.0)
 
 
+@pytest.mark.medium
 @given(st.lists(st.integers(0, STEPS_OF_A_SAVE), min_size=1, max_size=12))
 def test_any_number_of_power_cuts_in_a_row_never_loses_the_last_whole_set(cuts: list[int]) -> None:
     board = saved_board(3.0)
@@ -113,6 +114,7 @@ def test_any_number_of_power_cuts_in_a_row_never_loses_the_last_whole_set(cuts: 
         assert load(board)[1] == last
 
 
+@pytest.mark.medium
 @given(st.integers(0, 1), st.integers(0, PAGE - 1), st.integers(1, 255))
 def test_one_damaged_byte_anywhere_is_found_and_the_other_copy_is_used(page: int, at: int, bits: int) -> None:
     board = saved_board(3.0, 4.0)

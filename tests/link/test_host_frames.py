@@ -16,11 +16,13 @@ payloads = st.binary(max_size=MAX_TELEMETRY_PAYLOAD)
 ids = st.integers(128, 255)
 
 
+@pytest.mark.medium
 @given(ids, st.integers(0, 1000), payloads)
 def test_a_frame_is_what_the_slow_witness_makes(message_id: int, seq: int, payload: bytes) -> None:
     assert encode_frame(message_id, seq, payload) == reference.frame(message_id, seq, payload)
 
 
+@pytest.mark.medium
 @given(st.lists(st.tuples(ids, payloads), max_size=20), st.data())
 def test_frames_survive_any_chopping_of_the_stream(
     messages: list[tuple[int, bytes]], data: st.DataObject
@@ -39,6 +41,7 @@ def test_frames_survive_any_chopping_of_the_stream(
     assert parser.bytes_received == len(stream)
 
 
+@pytest.mark.medium
 @given(st.binary(max_size=2000), st.binary(max_size=40))
 def test_after_any_garbage_the_parser_is_in_step_at_the_next_delimiter(
     garbage: bytes, payload: bytes
@@ -49,6 +52,7 @@ def test_after_any_garbage_the_parser_is_in_step_at_the_next_delimiter(
     assert parser.feed(encode_frame(200, 3, payload))[-1:] == [Frame(200, 3, payload)]
 
 
+@pytest.mark.medium
 @given(st.binary(min_size=1, max_size=3000))
 def test_every_byte_of_a_stream_is_in_a_frame_or_counted_as_dropped(garbage: bytes) -> None:
     parser = FrameParser()
@@ -105,6 +109,7 @@ def test_a_payload_longer_than_the_board_takes_is_refused_before_it_is_sent() ->
         encode_frame(133, 0, bytes(MAX_TELEMETRY_PAYLOAD + 1))
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("damage", ["flip", "drop", "double"])
 def test_no_damaged_frame_passes_and_every_loss_is_counted(damage: str) -> None:
     chance = random.Random(7)

@@ -7,11 +7,14 @@ import random
 import signal
 import threading
 
+import pytest
 from heli_host.link.driver import Driver
 from heli_host.link.engine import Engine
 from heli_host.link.subscribers import Subscribers
 
 from tests.link.fake_board import FakeBoard, FakeLine
+
+pytestmark = pytest.mark.medium
 
 INTERRUPTS = 200
 

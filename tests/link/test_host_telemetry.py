@@ -88,6 +88,7 @@ def test_a_payload_whose_length_does_not_fit_is_refused_and_counted(
     assert decoder.malformed == 1
 
 
+@pytest.mark.medium
 @given(st.binary(max_size=480))
 def test_any_payload_decodes_like_the_witness_or_is_refused(payload: bytes) -> None:
     decoder = TelemetryDecoder()
@@ -116,6 +117,7 @@ def test_the_last_tick_before_the_counter_wraps_is_followed_by_zero() -> None:
     assert ticks.tick.tolist() == [2**32 - 2, 2**32 - 1, 0, 1]
 
 
+@pytest.mark.medium
 def test_hundreds_of_batches_of_changing_size_keep_their_order() -> None:
     sent = []
     first = 0

@@ -91,6 +91,7 @@ def test_a_late_ack_of_the_same_command_is_not_taken_for_the_answer_to_a_new_one
     assert session.counters.retries == 1
 
 
+@pytest.mark.medium
 def test_a_command_without_any_answer_times_out_at_its_deadline() -> None:
     board = FakeBoard()
     session = opened(board)
@@ -102,6 +103,7 @@ def test_a_command_without_any_answer_times_out_at_its_deadline() -> None:
     assert len(board.executed) == 1
 
 
+@pytest.mark.medium
 def test_three_hundred_commands_wrap_the_request_number_without_confusion() -> None:
     board = FakeBoard()
     session = opened(board)
@@ -149,6 +151,7 @@ def test_all_parameters_arrive_over_several_replies() -> None:
     assert list(opened(board).read_params()) == board.params
 
 
+@pytest.mark.medium
 def test_status_is_read_and_also_comes_by_itself() -> None:
     board = FakeBoard()
     session = opened(board)
@@ -189,6 +192,7 @@ def test_a_command_is_not_repeated_to_a_board_that_started_anew() -> None:
     assert session.counters.restarts == 1
 
 
+@pytest.mark.medium
 def test_the_board_hears_something_at_least_five_times_a_second() -> None:
     board = FakeBoard()
     session = opened(board)
@@ -197,6 +201,7 @@ def test_the_board_hears_something_at_least_five_times_a_second() -> None:
     assert max(later - sooner for sooner, later in itertools.pairwise(ticks)) <= 220
 
 
+@pytest.mark.medium
 def test_setpoints_go_out_at_200_Hz_at_most_and_the_latest_wins() -> None:
     board = FakeBoard()
     session = opened(board)
@@ -226,6 +231,7 @@ def test_voltages_go_out_at_500_Hz_at_most() -> None:
     assert session.counters.voltages_skipped > 0
 
 
+@pytest.mark.medium
 def test_the_last_setpoint_is_kept_fresh_only_while_the_board_flies_on_setpoints() -> None:
     board = FakeBoard()
     session = opened(board)

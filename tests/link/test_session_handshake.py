@@ -16,7 +16,7 @@ def test_a_board_that_listens_is_met_within_a_tenth_of_a_second() -> None:
     line = FakeLine(FakeBoard())
     with Session(line) as session:
         welcome = session.connect()
-    assert welcome.boot_count == 1
+    assert welcome.boot_id == 1
     assert line.now_s() < 0.1
 
 
@@ -54,6 +54,7 @@ def test_bytes_that_are_not_ours_are_a_wrong_device_with_count_and_excerpt(said:
     assert caught.value.excerpt in (said * 20).replace(b"\0", b"")
 
 
+@pytest.mark.medium
 def test_our_frames_without_an_answer_are_not_called_a_wrong_device() -> None:
     board = FakeBoard()
     board.answers_hello = False
@@ -85,6 +86,7 @@ def test_a_board_that_resets_for_three_seconds_and_sends_rubbish_meanwhile_is_me
         assert (session.counters.frames_bad, session.counters.ticks_lost) == (0, 0)
 
 
+@pytest.mark.medium
 def test_telemetry_that_flows_already_does_not_disturb_and_is_not_counted() -> None:
     board = FakeBoard()
     board.open = True
@@ -108,6 +110,7 @@ def test_telemetry_that_flows_already_does_not_disturb_and_is_not_counted() -> N
     assert counters.ticks_received >= 1000
 
 
+@pytest.mark.medium
 def test_the_same_lockstep_session_twice_sends_the_same_bytes() -> None:
     heard = []
     for _ in range(2):

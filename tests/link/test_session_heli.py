@@ -47,6 +47,7 @@ def executed(board: FakeBoard) -> list[MessageId]:
     return [MessageId(done[0]) for done in board.executed]
 
 
+@pytest.mark.medium
 def test_samples_are_the_raw_channels_in_units() -> None:
     heli = connected(FakeBoard())
     heli.wait(3.0)
@@ -152,7 +153,9 @@ def test_a_setpoint_keeps_what_it_does_not_name_and_lies_ahead_in_device_time() 
     heli.control()
     heli.setpoint(elevation_deg=10.0, travel_deg=-20.0)
     heli.setpoint(travel_deg=30.0, lead_s=0.1)
-    heli.wait(0.05)
+    # The second waits for the rate limit, leaves at the end of a reading, and is heard with the next.
+    heli.wait(0.04)
+    heli.wait(0.04)
     asked = next(
         one for one in setpoints(board) if math.isclose(one.travel_rad, math.radians(30.0), rel_tol=1e-6)
     )
@@ -162,6 +165,7 @@ def test_a_setpoint_keeps_what_it_does_not_name_and_lies_ahead_in_device_time() 
     assert setpoints(board)[-1] == asked
 
 
+@pytest.mark.medium
 def test_without_keep_alive_the_board_is_left_to_its_failsafe() -> None:
     board = FakeBoard()
     heli = connected(board, keep_alive=False)
@@ -229,6 +233,7 @@ def test_excitations_go_by_name_and_a_wrong_name_lists_the_right_ones() -> None:
         heli.excite("wobble", 1.0)
 
 
+@pytest.mark.medium
 def test_waiting_for_what_does_not_happen_ends_in_device_time() -> None:
     heli = connected(FakeBoard())
     began = heli.latest.tick
@@ -307,6 +312,7 @@ def test_a_control_law_faster_than_telemetry_allows_is_refused_before_anything_m
     assert board.executed == []
 
 
+@pytest.mark.medium
 def test_a_control_law_runs_on_device_time_and_hands_over_to_the_board_afterwards() -> None:
     board = FakeBoard()
     heli = connected(board)
@@ -354,6 +360,7 @@ def simulated() -> str:
     return "sil://?seed=3"
 
 
+@pytest.mark.medium
 def test_ten_lines_fly_a_simulated_board(simulated: str) -> None:
     with heli_host.connect(simulated) as heli:
         heli.take_off(elevation_deg=0.0)
@@ -370,6 +377,7 @@ def test_ten_lines_fly_a_simulated_board(simulated: str) -> None:
     assert samples.front_V[-1] == 0.0
 
 
+@pytest.mark.medium
 def test_the_same_simulated_session_twice_is_the_same(simulated: str) -> None:
     flown = []
     for _ in range(2):
@@ -383,6 +391,7 @@ def test_the_same_simulated_session_twice_is_the_same(simulated: str) -> None:
         np.testing.assert_array_equal(getattr(flown[0][0], name), getattr(flown[1][0], name))
 
 
+@pytest.mark.medium
 def test_a_200_Hz_law_in_python_flies_the_simulated_board_and_its_latency_is_measured(simulated: str) -> None:
     with heli_host.connect(simulated) as heli:
         heli.take_off()
@@ -406,3 +415,17 @@ def test_a_200_Hz_law_in_python_flies_the_simulated_board_and_its_latency_is_mea
     assert report.latency_count > 20
     # A batch of 5 ticks takes 4 ms to fill, 3 to send, and its bridge hands it over every 4 ms.
     assert 4.0 <= report.latency_p50_ms <= 12.0
+
+
+def test_a_setpoint_for_a_board_whose_loops_are_open_is_an_error() -> None:
+    board = FakeBoard()
+    heli = connected(board)
+    with pytest.raises(SetpointError, match="the board is idle, nothing would follow a setpoint"):
+        heli.setpoint(elevation_deg=1.0)
+    heli.arm()
+    with pytest.raises(SetpointError, match="the board is armed"):
+        heli.setpoint(elevation_deg=1.0)
+    heli.wait(0.5)
+    assert setpoints(board) == []
+    heli.control()
+    heli.setpoint(elevation_deg=1.0)

@@ -16,6 +16,8 @@ from heli_host.link.telemetry import Ticks
 from tests.channels.groups import SIGNED
 from tests.link.fake_board import FakeBoard, FakeLine, truth
 
+pytestmark = pytest.mark.medium
+
 
 def collected(session: Session) -> list[Ticks]:
     seen: list[Ticks] = []
@@ -120,7 +122,7 @@ def test_a_restart_of_the_board_is_told_apart_from_a_lost_cable() -> None:
     with pytest.raises(LinkLost, match="started anew"):
         session.wait(10.0)
     session.wait(1.0)
-    assert session.welcome.boot_count == 2
+    assert session.welcome.boot_id == 2
     assert BOARD_RESTARTED in [event.kind for event in session.events]
     assert session.counters.restarts == 1
     assert_true(seen)
@@ -157,6 +159,22 @@ def test_a_restart_while_the_cable_is_out_is_noticed_although_the_tick_has_passe
     session.wait(0.5)
     assert session.counters.restarts == 1
     assert session.counters.ticks_lost == 0
+
+
+def test_a_restart_under_the_same_id_is_noticed_by_the_tick() -> None:
+    board = FakeBoard()
+    session = Session(FakeLine(board))
+    session.connect()
+    session.wait(3.0)
+    board.reboot()
+    board.boot_id -= 1
+    with pytest.raises(LinkLost, match="started anew"):
+        session.wait(10.0)
+    session.wait(1.0)
+    assert session.counters.restarts == session.counters.reconnects == 1
+    latest = session.latest
+    assert latest is not None
+    assert 1000 <= latest[0] < 1300
 
 
 @pytest.mark.slow

@@ -124,6 +124,7 @@ def test_reading_collects_bytes_and_times_out_empty() -> None:
     os.close(master)
 
 
+@pytest.mark.medium
 @posix
 def test_a_session_over_a_terminal_delivers_true_ticks_and_answers_commands(rig: PtyBoard) -> None:
     seen: list[Ticks] = []
@@ -141,6 +142,7 @@ def test_a_session_over_a_terminal_delivers_true_ticks_and_answers_commands(rig:
     assert (counters.frames_bad, counters.ticks_lost) == (0, 0)
 
 
+@pytest.mark.medium
 @posix
 def test_unplugged_and_plugged_in_again_the_session_goes_on_by_itself(rig: PtyBoard) -> None:
     seen: list[Ticks] = []
@@ -188,6 +190,7 @@ def test_a_callback_that_commands_while_another_does_gets_an_error_not_a_deadloc
             session.wait(1.0)
 
 
+@pytest.mark.medium
 @posix
 def test_commands_from_several_threads_take_their_turn(rig: PtyBoard) -> None:
     with open_session(rig) as session:
@@ -205,6 +208,7 @@ def test_commands_from_several_threads_take_their_turn(rig: PtyBoard) -> None:
     assert len(rig.board.executed) == 20
 
 
+@pytest.mark.medium
 @posix
 def test_waiting_keeps_to_device_time_not_to_this_computers(rig: PtyBoard) -> None:
     with open_session(rig) as session:

@@ -28,6 +28,7 @@ def flight(tmp_path: Path) -> Flight:
     return read_flight(tmp_path / "a.mcap")
 
 
+@pytest.mark.medium
 def test_matlab_gets_columns_parameters_and_plan(tmp_path: Path, flight: Flight) -> None:
     from scipy.io import loadmat
 
@@ -46,6 +47,7 @@ def test_a_table_gets_every_column(tmp_path: Path, flight: Flight) -> None:
     assert header.split(",") == list(flight.columns())
 
 
+@pytest.mark.medium
 def test_parquet_gets_every_column_or_says_what_to_install(
     tmp_path: Path, flight: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -131,6 +133,7 @@ def test_a_figure_shows_angles_setpoints_voltages_and_states(tmp_path: Path, fli
     assert (tmp_path / "new" / "figure.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
+@pytest.mark.medium
 def test_a_long_flight_is_thinned_without_losing_a_peak(tmp_path: Path) -> None:
     tick, raw = make_samples(60_000)
     raw[31_234, Channel.PITCH_COUNT] = 4000
@@ -145,12 +148,14 @@ def test_a_long_flight_is_thinned_without_losing_a_peak(tmp_path: Path) -> None:
     assert points_deg.max() == pytest.approx(4000 * 360 / 4096)
 
 
+@pytest.mark.medium
 def test_a_figure_leaves_no_trace_in_pyplot(tmp_path: Path, flight: Flight) -> None:
     write_figure(flight, summarise(read_log(tmp_path / "a.mcap")), tmp_path / "a.png")
     pyplot = sys.modules.get("matplotlib.pyplot")
     assert pyplot is None or not pyplot.get_fignums()
 
 
+@pytest.mark.medium
 def test_a_figure_of_an_unknown_kind_is_one_line(tmp_path: Path, flight: Flight) -> None:
     with pytest.raises(LogWriteError, match=r"\.png"):
         write_figure(flight, summarise(read_log(tmp_path / "a.mcap")), tmp_path / "a.docx")

@@ -40,6 +40,7 @@ def test_a_tick_written_is_the_tick_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(log.raw, raw)
 
 
+@pytest.mark.medium
 @settings(max_examples=40, deadline=None)
 @given(st.tuples(*(st.integers(*reference.limits(wire_type)) for wire_type in reference.TYPES)))
 def test_every_channel_survives_at_its_extremes(
@@ -81,6 +82,7 @@ def test_the_same_ticks_give_the_same_bytes_however_they_arrive(tmp_path: Path) 
     assert (tmp_path / "c.mcap").read_bytes() == (tmp_path / "e.mcap").read_bytes()
 
 
+@pytest.mark.medium
 def test_the_mcap_library_reads_the_same_ticks_by_index_and_by_stream(tmp_path: Path) -> None:
     tick, raw = write_made_log(tmp_path / "a.mcap", 2500)
     with (tmp_path / "a.mcap").open("rb") as file:
@@ -150,6 +152,7 @@ def test_a_schema_of_anything_but_numbers_is_refused(line: str) -> None:
         parse_layout(line)
 
 
+@pytest.mark.medium
 def test_cut_at_any_byte_a_log_gives_its_whole_chunks_and_never_a_wrong_tick(tmp_path: Path) -> None:
     tick, raw = write_made_log(tmp_path / "whole.mcap", 3300)
     data = (tmp_path / "whole.mcap").read_bytes()
@@ -177,6 +180,7 @@ def _chunk_ends(path: Path) -> list[int]:
     return [index.chunk_start_offset + index.chunk_length for index in summary.chunk_indexes]
 
 
+@pytest.mark.medium
 @settings(max_examples=150, deadline=None)
 @given(st.data())
 def test_a_damaged_log_raises_nothing_but_log_errors(
@@ -249,6 +253,7 @@ for start in range(0, len(tick), 20):
 """
 
 
+@pytest.mark.medium
 @pytest.mark.skipif(os.name != "posix", reason="skipped: kill -9 is POSIX")
 def test_a_log_opens_to_its_last_flush_after_kill_9(tmp_path: Path) -> None:
     path = tmp_path / "killed.mcap"
@@ -337,6 +342,7 @@ def test_a_restarted_board_goes_on_in_the_same_log(tmp_path: Path) -> None:
     assert log.ticks_lost == 0 and writer.counters.ticks_lost == 0
 
 
+@pytest.mark.medium
 @settings(max_examples=100, deadline=None)
 @given(
     first=st.integers(0, 2**32 - 1),

@@ -44,6 +44,7 @@ def told_rates_Hz(folder: Path) -> set[float]:
     }
 
 
+@pytest.mark.medium
 @pytest.mark.skipif(not SHARED_FILES, reason="skipped: no shared data")
 @pytest.mark.parametrize("path", SHARED_FILES, ids=lambda path: f"{path.parent.name}/{path.name}")
 def test_every_shared_flight_reads(path: Path) -> None:
@@ -77,6 +78,7 @@ def test_a_column_of_words_is_left_out(tmp_path: Path) -> None:
     assert read_flight(path).extra == {}
 
 
+@pytest.mark.medium
 def test_a_flight_written_as_table_is_read_back(tmp_path: Path) -> None:
     write_made_log(tmp_path / "a.mcap", 3000)
     flight = read_flight(tmp_path / "a.mcap")
@@ -214,6 +216,7 @@ def test_columns_of_different_length_are_refused() -> None:
         Flight(np.linspace(0.0, 0.9, 10), one, one, one, two, one)
 
 
+@pytest.mark.medium
 def test_studying_a_flight_imports_no_session_and_no_port(tmp_path: Path) -> None:
     write_made_log(tmp_path / "a.mcap", 2000)
     script = (

@@ -86,7 +86,9 @@ def flights(pair: str, back: bool = False) -> tuple[Record, Record]:
     return first, second
 
 
-def told(pair: str, models: Sequence[tuple[str, ...]] = TOLD, back: bool = False) -> list[Told]:
+def told(
+    pair: str, models: Sequence[tuple[str, ...]] = TOLD, back: bool = False, *, once: bool = False
+) -> list[Told]:
     """Fit models with given effects, each from the rig's parameters and from the model before it.
 
     Parameters
@@ -97,6 +99,8 @@ def told(pair: str, models: Sequence[tuple[str, ...]] = TOLD, back: bool = False
         Ids of each model's effects; the first is what the others are compared with.
     back : bool
         Whether to fit the second flight and predict the first.
+    once : bool
+        Whether to start from the rig's parameters alone.
 
     Returns
     -------
@@ -109,7 +113,7 @@ def told(pair: str, models: Sequence[tuple[str, ...]] = TOLD, back: bool = False
     found: list[Told] = []
     for effects in models:
         candidates = [Candidate(id_, kinds[id_].make(kinds[id_].typical), kinds[id_].size) for id_ in effects]
-        starts = [None, found[-1].hypothesis.fit] if found else [None]
+        starts = [None, found[-1].hypothesis.fit] if found and not once else [None]
         # A valley is chosen by the flight that is fitted; the other one is only looked at.
         best = min((comparison.refit(candidates, start) for start in starts), key=_unlikely)
         baseline = found[0].hypothesis if found else best

@@ -73,6 +73,7 @@ def test_no_two_effects_share_a_number_and_each_has_a_size_and_a_range() -> None
             assert prior.low <= kind.typical[name] <= prior.high, name
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("id", catalogue())
 def test_an_equation_can_be_drawn_and_a_sentence_said(id: str) -> None:
     kind = catalogue()[id]
@@ -95,6 +96,7 @@ def test_the_documents_table_is_todays() -> None:
     assert text == with_table(text), "run python -m heli_sim.model.effects.table"
 
 
+@pytest.mark.medium
 def test_the_documents_own_effect_flies(tmp_path: Path) -> None:
     path = written(tmp_path, example())
     options = SilOptions(effects=("draught=0.05",), effect_files=(str(path),), model="multibody")
@@ -138,6 +140,7 @@ def test_what_is_wrong_with_a_file_is_said_in_one_line(
     assert "\n" not in str(raised.value)
 
 
+@pytest.mark.medium
 def test_the_documents_own_effect_passes_the_rules_for_docstrings(tmp_path: Path) -> None:
     path = written(tmp_path, example())
     rules = ["--select", "D,F,I", "--isolated", "--config", 'lint.pydocstyle.convention = "numpy"']
@@ -214,6 +217,7 @@ def extended(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.medium
 def test_a_rigs_file_holds_effects_and_flies_them(tmp_path: Path) -> None:
     path = extended(tmp_path)
     rig = load_rig(path)
@@ -252,6 +256,7 @@ def test_a_rigs_file_with_a_wrong_effect_is_refused(
     assert "\n" not in str(raised.value)
 
 
+@pytest.mark.medium
 def test_voltages_act_late_by_a_part_of_a_millisecond_too() -> None:
     rig = load_rig("makki2024")
     late, prompt = (
@@ -268,6 +273,7 @@ def test_voltages_act_late_by_a_part_of_a_millisecond_too() -> None:
     assert y[3] > 1e-3
 
 
+@pytest.mark.medium
 def test_time_begins_when_the_motors_first_turn() -> None:
     plant = Plant(MultibodyModel(parse_effects(["thrust_step.front=1@0.05"])), load_rig("makki2024"))
     state, place = plant.rest_state(), 6

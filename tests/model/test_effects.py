@@ -85,6 +85,7 @@ def test_an_effect_does_nothing_at_its_neutral_values(model: type[Model], kind: 
         np.testing.assert_allclose(after[1], before[1], atol=5.1e-7 if "backlash" in kind.id else 1e-12)
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("kind", MULTIBODY)
 def test_an_effect_of_typical_size_shows_in_five_seconds(kind: EffectKind) -> None:
     effect = kind.make({**kind.typical, **{name: 1.0 for name in kind.neutral if name.endswith("at_s")}})
@@ -116,6 +117,7 @@ def test_derivatives_to_an_effects_numbers_are_those_of_finite_differences(
         np.testing.assert_allclose(jacobian[:, place], slope, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("model", MODELS)
 def test_all_effects_fit_into_one_model_with_finite_derivatives(model: type[Model]) -> None:
     rig = load_rig("makki2024")
@@ -158,6 +160,7 @@ def test_both_kernels_run_all_effects_at_once_and_agree() -> None:
     assert (np.abs(jacobian[..., len(full.states) + free.index("backlash_pitch_rad")]).max()) > 0.4
 
 
+@pytest.mark.medium
 def test_a_rig_with_play_and_gusts_still_has_a_hover() -> None:
     model = MultibodyModel(parse_effects(["backlash.pitch", "random_torque.travel", "rotor_lag"]))
     at = trim(model, load_rig("makki2024"))
@@ -176,6 +179,7 @@ def test_effects_may_be_given_in_any_order() -> None:
     np.testing.assert_array_equal(accelerations, np.broadcast_to(accelerations[0], (120, 3, 1)))
 
 
+@pytest.mark.medium
 def test_a_lag_follows_the_thrust_that_a_bent_curve_asks_for() -> None:
     rig = load_rig("makki2024")
     plant = Plant(MultibodyModel(parse_effects(["rotor_lag=0.02", "thrust_quadratic=0.5"])), rig)
@@ -195,6 +199,7 @@ def power_W(model: Model, effect: Effect, x: Vector, volts_V: tuple[float, float
     return float(np.asarray(torque(x)).ravel() @ x[3:6])
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("id", [*(f"coulomb_friction.{axis}" for axis in AXES), "travel_drag_quadratic"])
 def test_friction_and_drag_only_take_energy(id: str) -> None:
     effect, random = KINDS[id].make(KINDS[id].typical), np.random.default_rng(3)
@@ -255,6 +260,7 @@ def test_thrust_times_climb_is_the_power_that_the_thrust_gives() -> None:
         assert float(given) == pytest.approx(float(climbed), abs=1e-12)
 
 
+@pytest.mark.medium
 def test_rotor_lag_reaches_63_percent_of_a_step_after_its_time_constant() -> None:
     rig = load_rig("makki2024")
     plant = Plant(MultibodyModel((RotorLag(0.12),)), rig)
@@ -265,6 +271,7 @@ def test_rotor_lag_reaches_63_percent_of_a_step_after_its_time_constant() -> Non
     assert state[6:] == pytest.approx(full_N * (1 - np.exp(-1)), rel=1e-6)
 
 
+@pytest.mark.medium
 def test_rotor_lag_changes_no_hover_and_adds_a_pole_for_each_rotor() -> None:
     rig, lagging = load_rig("makki2024"), MultibodyModel((RotorLag(0.12),))
     at = trim(lagging, rig)

@@ -130,12 +130,14 @@ class CoreHarness {
   }
 
   void encoders(const std::array<std::int32_t, heli::kAxisCount>& counts,
-                const std::array<std::uint16_t, heli::kAxisCount>& illegal) {
+                const std::array<std::uint32_t, heli::kAxisCount>& illegal) {
     for (std::size_t axis = 0; axis < heli::kAxisCount; ++axis) {
       board_.encoders.count[axis] = counts[axis];
       board_.encoders.illegal[axis] = illegal[axis];
     }
   }
+
+  void overload(std::uint32_t edges) { board_.encoders.overload_edges = edges; }
 
   void receive(const nb::bytes& bytes) {
     const std::uint8_t* data = heli_test::data_of(bytes);
@@ -203,6 +205,7 @@ void bind_flight(nb::module_& module) {
       .def("interrupt", &CoreHarness::interrupt, "late"_a = false)
       .def("tick", &CoreHarness::tick, "count"_a = 1, "late"_a = false)
       .def("encoders", &CoreHarness::encoders, "counts"_a, "illegal"_a)
+      .def("overload", &CoreHarness::overload, "edges"_a)
       .def("receive", &CoreHarness::receive, "bytes"_a)
       .def("sent", &CoreHarness::sent)
       .def("motors", &CoreHarness::motors)

@@ -182,6 +182,7 @@ def test_the_mass_matrix_and_the_forces_written_are_those_of_the_multibody_model
     assert [known[f"Q_{{{a}}}"] for a in ANGLES] == pytest.approx(total, rel=1e-12)
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(
     "model",
     [PaperModel(), PaperPrintedModel(), MultibodyModel((RotorLag(0.1),))],

@@ -14,6 +14,8 @@ mujoco = pytest.importorskip("mujoco")
 from tests.mujoco_rig import JOINTS, mujoco_rig  # noqa: E402
 from tests.plant.test_multibody import STEP_S, runge_kutta  # noqa: E402
 
+pytestmark = pytest.mark.medium
+
 SECONDS = 3
 # Inertia of a joint that nothing here could turn.
 IMMOVABLE = 1e9

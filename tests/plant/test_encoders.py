@@ -18,6 +18,7 @@ moves = st.lists(st.floats(-0.007, 0.007), min_size=3, max_size=3)
 offsets = st.lists(st.floats(-1e5, 1e5), min_size=3, max_size=3)
 
 
+@pytest.mark.medium
 @given(start=angles, steps=st.lists(moves, min_size=1, max_size=20), offset=offsets)
 def test_edges_add_up_to_the_counts(
     start: list[float], steps: list[list[float]], offset: list[float]
@@ -31,6 +32,7 @@ def test_edges_add_up_to_the_counts(
         at = to
 
 
+@pytest.mark.medium
 @given(start=angles, step=moves, offset=offsets)
 def test_edges_come_in_order_and_within_the_millisecond(
     start: list[float], step: list[float], offset: list[float]

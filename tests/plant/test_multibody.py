@@ -14,6 +14,8 @@ from heli_sim.rig import Rig, load_rig
 from tests.mujoco_rig import JOINTS, mujoco_rig
 from tests.running.long import samples
 
+pytestmark = pytest.mark.medium
+
 mujoco = pytest.importorskip("mujoco")
 
 STEP_S = 0.001

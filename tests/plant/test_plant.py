@@ -25,6 +25,8 @@ from tests.plant.toys import (
     rates_function,
 )
 
+pytestmark = pytest.mark.medium
+
 AXES = ("elevation", "pitch", "travel")
 
 

@@ -9,17 +9,22 @@ from pathlib import Path
 
 import pytest
 
+from tests.running.long import LONG, samples
+
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 CHECKS = re.findall(r'^check "(.+?)"', (ROOT / ".ci" / "check").read_text(), re.MULTILINE)
-FUZZ_S = 5
+TIDY_NODES = "20000"
+"""States of a function that the analyser follows; `make check` and `make long` follow all that it does."""
+FUZZ_S = samples(60, 2)
+"""Of each target; `make fuzz` has 60 s, too."""
 
 
 def finds_nothing(*command: str) -> None:
     if not (ROOT / ".venv" / "bin" / "mypy").exists():
         pytest.skip("the tools of the checks are not in .venv: make setup")
-    environment = {**os.environ, "CHECK_JOBS": "1"}
+    environment = {**os.environ, "CHECK_JOBS": "1", "TIDY_NODES": "" if LONG else TIDY_NODES}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.medium
+
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = "firmware/link.toml"
 GENERATED = ("firmware/core/link/declaration.hpp", "host/heli_host/declaration.py", "docs/link.md")

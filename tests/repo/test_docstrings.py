@@ -1,8 +1,8 @@
 """Every public function, class and argument of all packages is documented, in numpydoc.
 
-An argument is documented by an entry of its own, by that of the method which is overridden, or by its type:
-a class of these packages says itself what it is. An entry must tell more than the name and the type beside
-it: a unit, a shape, a range or a meaning.
+An argument is documented by an entry of its own, by its name in backticks in the sentences above the entries,
+by the method which is overridden, or by its type: a class of these packages says itself what it is. An entry
+must tell more than the name and the type beside it: a unit, a shape, a range or a meaning.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import pytest
 PACKAGES = ("heli_host", "heli_sim", "heli_lab")
 GENERATED = {"heli_host.declaration"}
 SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
+IN_BACKTICKS = re.compile(r"(?<!`)`(\w+)`(?!`)")
 NOT_ARGUMENTS = {"self", "cls"}
 
 
@@ -60,9 +61,10 @@ def public_methods(where: str, cls: type) -> Iterator[tuple[str, Any]]:
 
 
 def documented_arguments(doc: str) -> set[str]:
-    """Names in the sections Parameters, Other Parameters and Attributes."""
-    names: set[str] = set()
+    """Names in backticks before the first section, and in Parameters, Other Parameters and Attributes."""
     headers = list(SECTION.finditer(doc))
+    prose = doc[: headers[0].start()] if headers else doc
+    names = set(IN_BACKTICKS.findall(prose))
     for position, header in enumerate(headers):
         if header[1] not in ("Parameters", "Other Parameters", "Attributes"):
             continue
@@ -200,6 +202,11 @@ def test_an_undocumented_argument_is_noticed() -> None:
 
     doc = inspect.getdoc(half_documented) or ""
     assert arguments(half_documented) - documented_arguments(doc) == {"pitch_rad"}
+
+
+def test_arguments_named_in_the_sentences_count() -> None:
+    doc = "Wait `duration_s` [s] like ``sleep(other)``; see `f`.\n\nReturns\n-------\nint\n    Of `ticks`.\n"
+    assert documented_arguments(doc) == {"duration_s", "f"}
 
 
 def test_arguments_documented_together_count() -> None:

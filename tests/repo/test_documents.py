@@ -80,6 +80,7 @@ def test_the_readme_lists_every_verb() -> None:
     assert verb_table() == set(verbs())
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("verb", sorted(verbs()))
 def test_every_verb_has_an_example(verb: str) -> None:
     command = verbs()[verb]
@@ -88,6 +89,7 @@ def test_every_verb_has_an_example(verb: str) -> None:
         assert "Example" in (part.help or ""), f"{verb} {part.name}: --help has no example"
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(("document", "command"), commands(), ids=lambda value: str(value)[:60])
 def test_command_in_a_document_exists(document: str, command: list[str]) -> None:
     words = command[: command.index("&")] if "&" in command else command

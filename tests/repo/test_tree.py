@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.medium
+
 ROOT = Path(__file__).resolve().parents[2]
 # Written so that this file does not hold what it looks for.
 MACHINE_PATH = re.compile(

@@ -23,7 +23,9 @@ from tests.running.clock import spent_s
 from tests.running.kept import KEPT
 
 DEAR: Final = ("slow", "emulated", "documents", "diagnosis")
-"""Markers that allow a test to cost more than the bound; `make quick` leaves them out."""
+"""Markers that allow a test to cost as much as it needs; `make quick` leaves them out."""
+MEDIUM: Final = "medium"
+"""Marker of a test that flies, fits or starts a program for a moment; `make quick` leaves it out too."""
 UNHURRIED_S: Final = 0.0064
 """CPU time of `_work` on an idle core of the machine that the bound was set on, Python 3.11."""
 COSTS_KEY: Final = "heli/cpu_s"
@@ -48,12 +50,12 @@ class Costs:
 
     Parameters
     ----------
-    limit_s : float
-        Most CPU time of a test that has none of the markers `DEAR`.
+    unmarked_s, medium_s : float
+        Most CPU time of a test without a marker, and of a medium one.
     """
 
-    def __init__(self, limit_s: float) -> None:
-        self.limit_s = limit_s
+    def __init__(self, unmarked_s: float, medium_s: float) -> None:
+        self._limits_s = (unmarked_s, medium_s)
         self._shared: dict[tuple[str, str], float] = {}
         self._within: list[float] = [0.0]
         self._phase_s: dict[str, float] = {}
@@ -110,20 +112,23 @@ class Costs:
         return report
 
     def _hold_to_the_limit(self, item: pytest.Item, report: pytest.TestReport) -> None:
+        is_medium = item.get_closest_marker(MEDIUM) is not None
+        limit_s = self._limits_s[is_medium]
         names = set(getattr(item, "fixturenames", ()))
         alone_s = self._own_s + sum(
             cost_s
             for (name, base), cost_s in self._shared.items()
             if name in names and item.nodeid.startswith(base)
         )
-        if alone_s <= self.limit_s:
+        if alone_s <= limit_s:
             return
         times = slowness()
-        if alone_s / times > self.limit_s:
+        if alone_s / times > limit_s:
+            allowing = DEAR if is_medium else (MEDIUM, *DEAR)
             report.outcome = "failed"
             report.longrepr = (
                 f"{alone_s:.1f} s of CPU, on a machine that is {times:.1f} times slower than an idle one: a "
-                f"test above {self.limit_s:g} s is made cheaper, or marked as one of {', '.join(DEAR)}"
+                f"test above {limit_s:g} s is made cheaper, or marked as one of {', '.join(allowing)}"
             )
 
 
@@ -175,13 +180,13 @@ def plain(nodeid: str) -> str:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addini(
-        "unmarked_cpu_s", "most CPU seconds of a test that is not marked as a dear one", default="2"
-    )
+    parser.addini("unmarked_cpu_s", "most CPU seconds of a test without a marker", default="1")
+    parser.addini("medium_cpu_s", "most CPU seconds of a test marked as medium", default="2")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.pluginmanager.register(Costs(float(config.getini("unmarked_cpu_s"))), "heli-costs")
+    unmarked_s, medium_s = (float(config.getini(name)) for name in ("unmarked_cpu_s", "medium_cpu_s"))
+    config.pluginmanager.register(Costs(unmarked_s, medium_s), "heli-costs")
     if not hasattr(config, "workerinput"):
         config.pluginmanager.register(Account(config), "heli-account")
 

@@ -7,9 +7,12 @@ import pytest
 from tests.running import cost
 from tests.running.kept import KEPT
 
+pytestmark = pytest.mark.medium
+
 pytest_plugins = ["pytester"]
 
 LIMIT_S = 0.05
+MEDIUM_S = 0.3
 HEAD = """
 import subprocess, sys, time
 import pytest
@@ -22,8 +25,10 @@ def burn(seconds=0.4):
 
 
 def ran(pytester: pytest.Pytester, tests: str) -> dict[str, str]:
-    """How each test ended, where more than `LIMIT_S` of CPU needs a marker."""
-    pytester.makeini(f"[pytest]\nunmarked_cpu_s = {LIMIT_S}\nmarkers = slow\n")
+    """How each test ended, where `LIMIT_S` of CPU needs a marker and `MEDIUM_S` one of a dear test."""
+    pytester.makeini(
+        f"[pytest]\nunmarked_cpu_s = {LIMIT_S}\nmedium_cpu_s = {MEDIUM_S}\nmarkers =\n  medium\n  slow\n"
+    )
     pytester.makepyfile(HEAD + tests)
     result = pytester.runpytest_inprocess("-v", "-p", "tests.running.cost", "-p", "no:cacheprovider")
     words = [line.split() for line in result.outlines if "::" in line and " [" in line]
@@ -46,11 +51,22 @@ def test_dear_and_marked(): burn()
     }
 
 
+def test_a_medium_test_has_a_bound_of_its_own(pytester: pytest.Pytester) -> None:
+    tests = """
+@pytest.mark.medium
+def test_medium(): burn(0.1)
+
+@pytest.mark.medium
+def test_dear(): burn(1.0)
+"""
+    assert ran(pytester, tests) == {"test_medium": "PASSED", "test_dear": "FAILED"}
+
+
 def test_the_line_says_bound_and_remedy(pytester: pytest.Pytester) -> None:
     pytester.makeini(f"[pytest]\nunmarked_cpu_s = {LIMIT_S}\nmarkers = slow\n")
     pytester.makepyfile(HEAD + "def test_dear(): burn()\n")
     result = pytester.runpytest_inprocess("-p", "tests.running.cost", "-p", "no:cacheprovider")
-    result.stdout.fnmatch_lines(["*a test above 0.05 s is made cheaper, or marked as one of slow, *"])
+    result.stdout.fnmatch_lines(["*a test above 0.05 s is made cheaper, or marked as one of medium, slow, *"])
     result.stdout.fnmatch_lines(["* s of CPU, of which * to start and collect; dearest: test_dear *"])
 
 

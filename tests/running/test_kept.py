@@ -96,6 +96,7 @@ def test_documents_bytecode_and_rooms_that_take_no_part_change_nothing(place: Pl
     assert place()("a fit", make, made_by=[], rooms=FITTED) == 2
 
 
+@pytest.mark.medium
 def test_two_workers_that_ask_at_once_make_it_once(place: Place, tmp_path: Path) -> None:
     place()
     script = (

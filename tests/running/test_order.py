@@ -10,6 +10,8 @@ import pytest
 from tests.running.cost import COSTS_KEY, plain
 from tests.running.order import group_of, pytest_collection_modifyitems
 
+pytestmark = pytest.mark.medium
+
 pytest_plugins = ["pytester"]
 
 TESTS = """

@@ -1,4 +1,4 @@
-"""``--quick`` runs what has no marker of the dear ones, and imports no file that is dear as a whole."""
+"""``--quick`` runs what has no marker, and imports no file that is dear as a whole."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ pytest_plugins = ["pytester"]
 
 
 def test_what_is_dear_is_left_out_and_a_dear_file_not_even_imported(pytester: pytest.Pytester) -> None:
-    pytester.makeini("[pytest]\nmarkers =\n  slow\n  emulated\n")
+    pytester.makeini("[pytest]\nmarkers =\n  medium\n  slow\n  emulated\n")
     pytester.makepyfile(
         test_mixed="""
         import pytest
@@ -17,6 +17,9 @@ def test_what_is_dear_is_left_out_and_a_dear_file_not_even_imported(pytester: py
 
         @pytest.mark.slow
         def test_slow(): assert False
+
+        @pytest.mark.medium
+        def test_medium(): assert False
         """,
         test_dear="""
         import pytest
@@ -27,7 +30,7 @@ def test_what_is_dear_is_left_out_and_a_dear_file_not_even_imported(pytester: py
         """,
     )
     ran = pytester.runpytest_inprocess("-p", "tests.running.quick", "--quick", "-p", "no:cacheprovider")
-    ran.assert_outcomes(passed=1, deselected=1)
+    ran.assert_outcomes(passed=1, deselected=2)
 
 
 def test_without_the_option_all_run(pytester: pytest.Pytester) -> None:

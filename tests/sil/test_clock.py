@@ -17,6 +17,7 @@ def run(clock: Clock, until_s: float, tick: int = 0, start_s: float = 0.0, late_
     return tick
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("speed", [0.5, 1.0, 3.0, 50.0])
 @pytest.mark.parametrize("late_s", [0.0, 0.0013])
 def test_a_timed_clock_does_not_drift_however_late_it_wakes(speed: float, late_s: float) -> None:

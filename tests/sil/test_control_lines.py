@@ -30,6 +30,8 @@ from heli_sim.sil.world import SilWorld
 from tests.sil.harness import world
 from tests.sil.ports import Bench, PtyHost
 
+pytestmark = pytest.mark.medium
+
 Board = dict[str, str]
 
 
@@ -119,13 +121,14 @@ def test_an_erased_native_board_is_silent_too() -> None:
 
 def test_a_flight_survives_a_host_that_dies_where_opening_resets_nothing(elf: Path) -> None:
     options = {"board": "due", "elf": str(elf), "reset_on_open": "0"}
-    with SilProcess(speed=5.0, options=options) as board:
+    # The next host has six simulated seconds before the board has landed.
+    with SilProcess(speed=2.0, options=options) as board:
         first = heli_host.connect(board.url, land_on_exit=False)
         first.take_off(0.0)
         # As a host that is killed: the port is closed, nothing is said.
         first.session.close()
         with heli_host.connect(board.url) as second:
-            assert second.info.boot_count == first.info.boot_count
+            assert second.info.boot_id == first.info.boot_id
             assert second.state in (State.CLOSED_LOOP, State.HOLD, State.LANDING)
             second.land()
 

@@ -8,12 +8,15 @@ from itertools import pairwise
 import pytest
 from heli_host.declaration import MessageId, StatusMessage
 from heli_sim.errors import OptionError
-from heli_sim.sil.faults import FaultPlan, FaultyStream, Span
+from heli_sim.sil.faults import FaultPlan, FaultyStream
 from heli_sim.sil.options import parse_options, parse_url
+from heli_sim.sil.spans import Span
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.sil.harness import Host, hello_frame, world
+
+pytestmark = pytest.mark.medium
 
 PLAN = FaultPlan(flip=1e-3, drop=1e-2, double=1e-2)
 CLEAN = bytes(range(256)) * 40

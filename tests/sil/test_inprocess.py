@@ -11,6 +11,8 @@ from heli_sim.sil.inprocess import InProcessTransport
 
 from tests.sil.harness import hello_frame, world
 
+pytestmark = pytest.mark.medium
+
 
 def conversation(url: str, step_s: float = 0.02, until_s: float = 2.0) -> bytes:
     transport = open_transport(url)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tests.sil.harness import Host, hello_frame, world
+
+pytestmark = pytest.mark.medium
 
 
 def test_25_bytes_a_millisecond_reach_the_board() -> None:

@@ -18,6 +18,8 @@ from heli_sim.sil.tcp import TcpEndpoint
 from tests.sil.harness import hello_frame, world
 from tests.sil.ports import Bench, PtyHost, TcpHost
 
+pytestmark = pytest.mark.medium
+
 Opener = Callable[[str], PtyHost | TcpHost]
 
 

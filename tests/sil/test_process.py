@@ -18,6 +18,8 @@ from heli_sim.sil.process import SilProcess
 
 from tests.sil.harness import hello_frame
 
+pytestmark = pytest.mark.medium
+
 # Only how long a failing test takes.
 PATIENCE_s = 20.0
 

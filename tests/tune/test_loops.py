@@ -61,6 +61,7 @@ def test_a_loop_is_stable_up_to_its_gain_margin_and_not_beyond(lagging: LinearPl
     assert not is_stable(lagging, with_gain(loop, 1.06 * most))
 
 
+@pytest.mark.medium
 def test_the_pitch_loop_alone_is_stable_up_to_its_gain_margin(lagging: LinearPlant) -> None:
     most = margins(lagging, LAW)["pitch"].gain_up
 
@@ -73,6 +74,7 @@ def test_the_pitch_loop_alone_is_stable_up_to_its_gain_margin(lagging: LinearPla
     assert slowest(0.97 * most) < 0.0 < slowest(1.06 * most)
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("loop", loops.LOOPS)
 def test_a_delay_of_the_delay_margin_puts_the_loop_on_minus_one(lagging: LinearPlant, loop: str) -> None:
     found = margins(lagging, LAW)[loop]
@@ -87,6 +89,7 @@ def test_a_delay_of_the_delay_margin_puts_the_loop_on_minus_one(lagging: LinearP
     assert distance(0.5 * found.delay_s) > 0.02
 
 
+@pytest.mark.medium
 def test_peak_sensitivity_bounds_the_other_margins(lagging: LinearPlant) -> None:
     for margin in margins(lagging, LAW).values():
         peak = margin.sensitivity
@@ -94,6 +97,7 @@ def test_peak_sensitivity_bounds_the_other_margins(lagging: LinearPlant) -> None
         assert margin.phase_deg >= np.degrees(2.0 * np.arcsin(0.5 / peak)) - 0.1
 
 
+@pytest.mark.medium
 def test_the_spread_begins_with_the_rig_itself_at_every_lag() -> None:
     spread = Spread(lag_s=(0.0, 0.1), thrust=0.2, counterweight=0.03)
     plants = spread_plants(load_rig("makki2024"), spread)
@@ -105,6 +109,7 @@ def test_the_spread_begins_with_the_rig_itself_at_every_lag() -> None:
     assert heavy.travel_gain < light.travel_gain
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(("axis", "size_deg"), [(2, 15.0), (2, -40.0), (0, 6.0)])
 def test_the_shaped_step_is_the_path_that_the_board_flies(axis: int, size_deg: float) -> None:
     slew, acceleration = (20.0, 5.0) if axis == 2 else (15.0, 30.0)

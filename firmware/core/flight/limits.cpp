@@ -6,15 +6,11 @@ namespace heli::flight {
 
 using control::kDegPerRad;
 using control::kRadPerDeg;
-using control::kTickRate_Hz;
+using control::ticks_of;
 using link::Fault;
 using link::Param;
 
 namespace {
-
-std::uint32_t ticks_of(float seconds) {
-  return static_cast<std::uint32_t>(seconds * kTickRate_Hz + 0.5F);
-}
 
 float deg(Quantity rad) { return rad.to_float() * kDegPerRad; }
 
@@ -58,6 +54,10 @@ Verdict check_flight(const Situation& s, const Limits& l) {
   if (s.hardware_stop) {
     return {Fault::hardware_stop, 0.0F};
   }
+  // Before the limits that a wrong count breaks.
+  if (s.overload_edges > 0U) {
+    return {Fault::encoder_overload, static_cast<float>(s.overload_edges)};
+  }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     // Downwards the table is the elevation's limit.
     const Quantity angle_rad =
@@ -82,6 +82,9 @@ Verdict check_before_arming(const Situation& s, const Limits& l, std::uint32_t l
                             bool params_usable) {
   if (s.hardware_stop) {
     return {Fault::hardware_stop, 0.0F};
+  }
+  if (s.overload_edges > 0U) {
+    return {Fault::encoder_overload, static_cast<float>(s.overload_edges)};
   }
   if (!params_usable || !l.params_consistent) {
     return {Fault::parameters_invalid, 0.0F};

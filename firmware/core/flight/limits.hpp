@@ -40,6 +40,7 @@ struct Situation {
   Quantity angle_rad[kAxisCount];
   Quantity rate_rad_s[kAxisCount];
   std::uint32_t illegal[kAxisCount] = {};  // since arming
+  std::uint32_t overload_edges = 0;        // of this tick, see EncoderReading
   std::uint32_t overruns = 0;              // since arming
   bool hardware_stop = false;
 };

@@ -4,6 +4,7 @@
 //                       --open_loop---> open_loop   --stale_hold--> idle  (a bench, no flight)
 //                       --stream------> streamed    --stale_hold--> hold
 //   landing --touchdown--> idle; with motors: stop --> idle, trip --> fault --clear--> idle
+//   in the air --travel_lost--> emergency_landing --touchdown--> fault
 #pragma once
 
 #include <array>
@@ -43,6 +44,7 @@ inline constexpr Transition kTransitions[] = {
     {State::closed_loop, Trigger::land, State::landing},
     {State::closed_loop, Trigger::stale_hold, State::hold},
     {State::closed_loop, Trigger::trip, State::fault},
+    {State::closed_loop, Trigger::travel_lost, State::emergency_landing},
 
     {State::open_loop, Trigger::stop, State::idle},
     {State::open_loop, Trigger::close_loop, State::closed_loop},
@@ -59,6 +61,7 @@ inline constexpr Transition kTransitions[] = {
     {State::streamed, Trigger::land, State::landing},
     {State::streamed, Trigger::stale_hold, State::hold},
     {State::streamed, Trigger::trip, State::fault},
+    {State::streamed, Trigger::travel_lost, State::emergency_landing},
 
     {State::hold, Trigger::stop, State::idle},
     {State::hold, Trigger::close_loop, State::closed_loop},
@@ -67,12 +70,19 @@ inline constexpr Transition kTransitions[] = {
     {State::hold, Trigger::setpoint_fresh, State::closed_loop},
     {State::hold, Trigger::stale_land, State::landing},
     {State::hold, Trigger::trip, State::fault},
+    {State::hold, Trigger::travel_lost, State::emergency_landing},
 
     {State::landing, Trigger::stop, State::idle},
     {State::landing, Trigger::close_loop, State::closed_loop},
     {State::landing, Trigger::land, State::landing},
     {State::landing, Trigger::touchdown, State::idle},
     {State::landing, Trigger::trip, State::fault},
+    {State::landing, Trigger::travel_lost, State::emergency_landing},
+
+    {State::emergency_landing, Trigger::stop, State::idle},
+    {State::emergency_landing, Trigger::land, State::emergency_landing},
+    {State::emergency_landing, Trigger::touchdown, State::fault},
+    {State::emergency_landing, Trigger::trip, State::fault},
 
     {State::fault, Trigger::stop, State::fault},
     {State::fault, Trigger::trip, State::fault},
@@ -104,6 +114,10 @@ constexpr std::uint8_t next_state(State from, Trigger on) {
 
 constexpr bool motors_enabled(State state) { return state != State::idle && state != State::fault; }
 
+constexpr bool descends(State state) {
+  return state == State::landing || state == State::emergency_landing;
+}
+
 constexpr bool pairs_are_unique() {
   for (const Transition& a : kTransitions) {
     int same = 0;
@@ -131,5 +145,7 @@ static_assert(pairs_are_unique(), "two rows of the state table answer the same t
 static_assert(always(Trigger::stop, State::idle, State::fault), "stop must work in every state");
 static_assert(always(Trigger::trip, State::fault, State::fault), "a fault must stop every state");
 static_assert(next_state(State::fault, Trigger::arm) == kRefused, "a fault is latched");
+static_assert(next_state(State::emergency_landing, Trigger::close_loop) == kRefused,
+              "nothing is flown on with a fault");
 
 }  // namespace heli::flight

@@ -48,10 +48,11 @@ Reply bad_value(std::uint8_t field, float value = 0.0F) {
 }  // namespace
 
 void Supervisor::observe(const Observation& seen, const Limits& limits,
-                         const SetpointLimits& bounds) {
+                         const SetpointLimits& bounds, const TrackingLimits& tracking) {
   seen_ = seen;
   limits_ = limits;
   bounds_ = bounds;
+  tracking_limits_ = &tracking;
 }
 
 std::uint8_t Supervisor::axes() const {
@@ -61,6 +62,8 @@ std::uint8_t Supervisor::axes() const {
     case State::hold:
     case State::landing:
       return kAllAxes;
+    case State::emergency_landing:
+      return link::axes::elevation | link::axes::pitch;
     default:
       return 0;
   }
@@ -88,7 +91,7 @@ bool Supervisor::trigger(Trigger cause) {
 }
 
 void Supervisor::enter(State next, Trigger cause) {
-  if (next == State::hold || next == State::landing || !flight::motors_enabled(next)) {
+  if (next == State::hold || descends(next) || !flight::motors_enabled(next)) {
     end_excitation();
   }
   if (next == State::hold) {
@@ -99,7 +102,7 @@ void Supervisor::enter(State next, Trigger cause) {
     setpoints_.hold_at(kTravel, seen_.angle_rad[kTravel]);
     setpoints_.hold_at(kPitch, Quantity{});
   }
-  if (next == State::landing && state_ != State::landing) {
+  if (descends(next) && state_ != next) {
     for (const std::size_t axis : {kElevation, kTravel}) {
       const bool closed = (axes() & (1U << axis)) != 0U;
       setpoints_.hold_at(axis, closed ? setpoints_.of(axis).angle_rad : seen_.angle_rad[axis]);
@@ -109,11 +112,14 @@ void Supervisor::enter(State next, Trigger cause) {
   }
   if (next == State::fault) {
     open_ = {};
-  } else {
+  } else if (next != State::emergency_landing) {
     fault_ = Fault::none;
   }
   if (next != state_) {
     entered_tick_ = seen_.tick;
+    if (cause != Trigger::touchdown) {
+      cause_ = cause;
+    }
     event(Event::state, code(next), code(cause), 0.0F);
   }
   state_ = next;
@@ -126,10 +132,10 @@ void Supervisor::end_excitation() {
   }
 }
 
-void Supervisor::trip(Fault fault, float value) {
-  trigger(Trigger::trip);
+void Supervisor::trip(Fault fault, float value, Trigger cause) {
+  trigger(cause);
   fault_ = fault;
-  event(Event::fault, code(fault), code(Trigger::trip), value);
+  event(Event::fault, code(fault), code(cause), value);
 }
 
 Reply Supervisor::refuse_state() const { return {Result::bad_state, code(state_), 0.0F}; }
@@ -182,6 +188,7 @@ Reply Supervisor::arm() {
     situation.angle_rad[axis] = seen_.angle_rad[axis];
     situation.rate_rad_s[axis] = seen_.rate_rad_s[axis];
   }
+  situation.overload_edges = seen_.overload_edges;
   situation.hardware_stop = seen_.hardware_stop;
   const Verdict verdict =
       check_before_arming(situation, limits_, seen_.link_age_ticks, seen_.params_usable);
@@ -311,11 +318,56 @@ void Supervisor::count_accepted() {
 void Supervisor::reject(Result why) {
   ++refused_streams_;
   // A host that still streams into a landing is not wrong, only late.
-  if (state_ == State::landing || !passed(seen_.tick, next_reject_event_tick_)) {
+  if (descends(state_) || !passed(seen_.tick, next_reject_event_tick_)) {
     return;
   }
   next_reject_event_tick_ = seen_.tick + kRejectEvery_ticks;
   event(Event::setpoint_rejected, code(why), 0, 0.0F);
+}
+
+void Supervisor::check_limits() {
+  Situation situation{};
+  for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
+    situation.angle_rad[axis] = seen_.angle_rad[axis];
+    situation.rate_rad_s[axis] = seen_.rate_rad_s[axis];
+    situation.illegal[axis] = seen_.illegal[axis] - illegal_at_arming_[axis];
+  }
+  situation.overruns = seen_.overruns - overruns_at_arming_;
+  situation.overload_edges = seen_.overload_edges;
+  situation.hardware_stop = seen_.hardware_stop;
+  const Verdict verdict = check_flight(situation, limits_);
+  if (verdict.fault != Fault::none) {
+    trip(verdict.fault, verdict.value);
+  }
+}
+
+// A bench is left alone: in open loop people hold the arm, or clamp an axis, on purpose.
+void Supervisor::check_tracking() {
+  if (!motors_enabled() || state_ == State::armed || state_ == State::open_loop) {
+    tracking_.restart();
+    return;
+  }
+  Tracked tracked{};
+  for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
+    tracked.count[axis] = seen_.count[axis];
+    tracked.angle_rad[axis] = seen_.angle_rad[axis];
+    tracked.setpoint_rad[axis] = setpoints_.angle_rad(axis);
+  }
+  tracked.setpoint_rad[kPitch] = seen_.pitch_setpoint_rad;
+  tracked.front_V = seen_.acted.front_V;
+  tracked.back_V = seen_.acted.back_V;
+  const std::uint8_t closed = axes();
+  // Landing aims below the table and has a time limit of its own.
+  tracked.closed =
+      static_cast<std::uint8_t>(descends(state_) ? closed & ~link::axes::elevation : closed);
+  tracked.driven = state_ == State::streamed ? kAllAxes : closed;
+  const Verdict verdict = tracking_.check(tracked, *tracking_limits_);
+  if (verdict.fault == Fault::none) {
+    return;
+  }
+  const bool travel =
+      verdict.fault == Fault::travel_following || verdict.fault == Fault::travel_motionless;
+  trip(verdict.fault, verdict.value, travel ? Trigger::travel_lost : Trigger::trip);
 }
 
 void Supervisor::check_ages() {
@@ -367,19 +419,9 @@ void Supervisor::advance() {
     accepted_[bucket_] = 0;
   }
   if (motors_enabled()) {
-    Situation situation{};
-    for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-      situation.angle_rad[axis] = seen_.angle_rad[axis];
-      situation.rate_rad_s[axis] = seen_.rate_rad_s[axis];
-      situation.illegal[axis] = seen_.illegal[axis] - illegal_at_arming_[axis];
-    }
-    situation.overruns = seen_.overruns - overruns_at_arming_;
-    situation.hardware_stop = seen_.hardware_stop;
-    const Verdict verdict = check_flight(situation, limits_);
-    if (verdict.fault != Fault::none) {
-      trip(verdict.fault, verdict.value);
-    }
+    check_limits();
   }
+  check_tracking();
   check_ages();
 
   switch (state_) {
@@ -388,6 +430,7 @@ void Supervisor::advance() {
       setpoints_.advance(bounds_);
       break;
     case State::landing:
+    case State::emergency_landing:
       setpoints_.descend(bounds_, limits_.rest_rad - kBelowRest_rad);
       if (touched_down()) {
         trigger(Trigger::touchdown);

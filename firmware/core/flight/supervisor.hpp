@@ -8,6 +8,7 @@
 #include "flight/limits.hpp"
 #include "flight/setpoints.hpp"
 #include "flight/state_table.hpp"
+#include "flight/tracking.hpp"
 #include "link/link.hpp"
 
 namespace heli::flight {
@@ -23,11 +24,14 @@ struct Observation {
   std::uint32_t tick = 0;
   Quantity angle_rad[kAxisCount];
   Quantity rate_rad_s[kAxisCount];
-  std::uint32_t illegal[kAxisCount] = {};  // since power-up
+  std::int32_t count[kAxisCount] = {};
+  std::uint32_t illegal[kAxisCount] = {};  // since power-up; wraps
+  std::uint32_t overload_edges = 0;        // of this tick, see EncoderReading
   std::uint32_t overruns = 0;              // since power-up
   bool hardware_stop = false;
   std::uint32_t link_age_ticks = 0;
-  OpenVoltages acted;  // motor voltages of the previous tick
+  OpenVoltages acted;           // motor voltages of the previous tick
+  Quantity pitch_setpoint_rad;  // that the control law used in it
   bool params_usable = false;
 };
 
@@ -35,7 +39,9 @@ class Supervisor {
  public:
   explicit Supervisor(link::Link& link) : link_(link) {}
 
-  void observe(const Observation& seen, const Limits& limits, const SetpointLimits& bounds);
+  // `tracking` stays as it is until the tick ends.
+  void observe(const Observation& seen, const Limits& limits, const SetpointLimits& bounds,
+               const TrackingLimits& tracking);
 
   // Commands that concern the flight; parameters and zeroing are the core's.
   link::Reply execute(const link::Request& request);
@@ -45,6 +51,8 @@ class Supervisor {
 
   State state() const { return state_; }
   link::Fault fault() const { return fault_; }
+  // What led to the state; a touchdown, which follows a landing anyway, leaves what led to that.
+  Trigger cause() const { return cause_; }
   bool motors_enabled() const { return flight::motors_enabled(state_); }
   // Axes that the control law closes now; none in open loop.
   std::uint8_t axes() const;
@@ -64,10 +72,12 @@ class Supervisor {
   bool trigger(Trigger cause);
   void enter(State next, Trigger cause);
   void end_excitation();
-  void trip(link::Fault fault, float value);
+  void trip(link::Fault fault, float value, Trigger cause = Trigger::trip);
   void count_accepted();
   void reject(link::Result why);
   void event(link::Event kind, std::uint8_t detail, std::uint8_t cause, float value);
+  void check_limits();
+  void check_tracking();
   void check_ages();
   bool touched_down();
   link::Reply refuse_state() const;
@@ -83,11 +93,14 @@ class Supervisor {
   Observation seen_{};
   Limits limits_{};
   SetpointLimits bounds_{};
+  const TrackingLimits* tracking_limits_ = nullptr;
   Setpoints setpoints_;
+  Tracking tracking_;
   control::Exciter exciter_;
 
   State state_ = State::idle;
   link::Fault fault_ = link::Fault::none;
+  Trigger cause_ = Trigger::start;
   std::uint8_t axes_ = 0;
   OpenVoltages open_{};
   std::uint32_t entered_tick_ = 0;

@@ -9,9 +9,9 @@
 
 namespace heli::link {
 
-inline constexpr std::uint32_t kLinkHash = 0xab677f82U;
+inline constexpr std::uint32_t kLinkHash = 0xc4513147U;
 inline constexpr std::uint8_t kLinkMajor = 1;
-inline constexpr std::uint8_t kLinkMinor = 0;
+inline constexpr std::uint8_t kLinkMinor = 1;
 inline constexpr std::uint8_t kFirmwareMajor = 0;
 inline constexpr std::uint8_t kFirmwareMinor = 1;
 inline constexpr std::uint8_t kFirmwarePatch = 0;
@@ -39,8 +39,9 @@ enum class State : std::uint8_t {
   hold = 5,  // no fresh setpoint: hovering level in place
   landing = 6,  // controlled descent to the table, then motors off
   fault = 7,  // motors off and latched until clear_fault
+  emergency_landing = 8,  // controlled descent after a fault that leaves elevation and pitch in hand; travel is open, then motors off and the fault latched
 };
-inline constexpr std::size_t kStateCount = 8;
+inline constexpr std::size_t kStateCount = 9;
 
 // Answer to a command.
 enum class Result : std::uint8_t {
@@ -90,7 +91,7 @@ inline constexpr std::size_t kExcitationCount = 6;
 
 // What an event message reports.
 enum class Event : std::uint8_t {
-  boot = 0,  // first message after start; detail = reset cause, value = boot count
+  boot = 0,  // first message after start; detail = reset cause, value = boot id
   state = 1,  // state changed; detail = new state, cause = the supervisor event that did it
   fault = 2,  // a fault tripped; detail = fault code, value = the offending quantity
   setpoint_stale = 3,  // setpoints stopped coming; value = rate in Hz seen over the last second before
@@ -102,7 +103,7 @@ enum class Event : std::uint8_t {
 };
 inline constexpr std::size_t kEventCount = 9;
 
-// Supervisor events: rows of its state table, and the cause in state events.
+// Supervisor events: rows of its state table, and the cause in state events and telemetry.
 enum class Trigger : std::uint8_t {
   arm = 0,  // arm command
   stop = 1,  // stop command
@@ -116,8 +117,10 @@ enum class Trigger : std::uint8_t {
   touchdown = 9,  // at rest on the table while landing
   trip = 10,  // a fault tripped
   clear = 11,  // clear_fault command
+  travel_lost = 12,  // a fault of travel alone tripped: elevation and pitch can still land the arm
+  start = 13,  // the board has started; in telemetry only
 };
-inline constexpr std::size_t kTriggerCount = 12;
+inline constexpr std::size_t kTriggerCount = 14;
 
 // Axis mask.
 namespace axes {
@@ -150,6 +153,13 @@ enum class Fault : std::uint8_t {
   landing_timeout = 10,  // trip: the table was not reached in time
   tick_overrun = 11,  // trip: too many control ticks ran late
   hardware_stop = 12,  // trip: the hardware stop input is active
+  elevation_following = 13,  // trip: elevation stayed too far from its setpoint for following_s
+  pitch_following = 14,  // trip: pitch stayed too far from its setpoint for following_s
+  travel_following = 15,  // land: travel stayed too far from its setpoint for following_s
+  encoder_overload = 16,  // trip: edges of an encoder came faster than the board counts, so that its angle is wrong
+  elevation_motionless = 17,  // trip: the collective changed by enough to move the arm, and elevation did not count
+  pitch_motionless = 18,  // trip: the voltages' difference changed by enough to tilt the short arm, and pitch did not count
+  travel_motionless = 19,  // land: pitch tilted by enough to turn the arm, and travel did not count
   not_at_rest = 20,  // check: the arm does not rest on the table
   moving = 21,  // check: an axis is moving
   link_not_alive = 22,  // check: no recent frame from the host
@@ -209,19 +219,28 @@ enum class Param : std::uint8_t {
   travel_rate_max_deg_s = 45,  // deg/s: travel rate beyond which the motors are cut
   encoder_illegal_max = 46,  // : illegal transitions of one encoder since arming that are tolerated
   overrun_max = 47,  // : late ticks since arming that are tolerated
-  arm_rate_max_deg_s = 48,  // deg/s: arming needs every axis slower than this
-  arm_elevation_tolerance_deg = 49,  // deg: arming needs the elevation this close to rest
-  arm_pitch_tolerance_deg = 50,  // deg: arming needs the pitch this close to level
-  setpoint_hold_s = 51,  // s: without a fresh setpoint for this long the board holds level
-  setpoint_land_s = 52,  // s: without a fresh setpoint for this long the board lands
-  landing_rate_deg_s = 53,  // deg/s: descent of the elevation setpoint while landing
-  landing_timeout_s = 54,  // s: landing takes at most this long; then motors off with a fault
-  voltage_valid_max_ms = 55,  // ms: a streamed voltage acts at most this long, whatever its sender asked for
-  excitation_max_V = 56,  // V: largest amplitude that excite accepts
-  excitation_max_s = 57,  // s: longest duration that excite accepts
-  telemetry_batch_ticks = 58,  // tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+  elevation_following_max_deg = 48,  // deg: following error of elevation, from its shaped setpoint, beyond which the motors are cut after following_s
+  pitch_following_max_deg = 49,  // deg: following error of pitch beyond which the motors are cut after following_s
+  travel_following_max_deg = 50,  // deg: following error of travel, from its shaped setpoint, beyond which the board lands after following_s
+  following_s = 51,  // s: how long a following error beyond its limit is tolerated
+  elevation_motion_V = 52,  // V: change of both voltages' sum, dead zones apart, that must move elevation within motion_s; at take-off, beyond hover_V
+  pitch_motion_V = 53,  // V: change of front minus back, dead zones apart, that must move pitch within motion_s
+  motion_s = 54,  // s: how long a driven elevation or pitch may stay within a count
+  travel_motion_deg = 55,  // deg: change of pitch that must move travel within travel_motion_s
+  travel_motion_s = 56,  // s: how long travel may stay within a count while pitch tilts
+  arm_rate_max_deg_s = 57,  // deg/s: arming needs every axis slower than this
+  arm_elevation_tolerance_deg = 58,  // deg: arming needs the elevation this close to rest
+  arm_pitch_tolerance_deg = 59,  // deg: arming needs the pitch this close to level
+  setpoint_hold_s = 60,  // s: without a fresh setpoint for this long the board holds level
+  setpoint_land_s = 61,  // s: without a fresh setpoint for this long the board lands
+  landing_rate_deg_s = 62,  // deg/s: descent of the elevation setpoint while landing
+  landing_timeout_s = 63,  // s: landing takes at most this long; then motors off with a fault
+  voltage_valid_max_ms = 64,  // ms: a streamed voltage acts at most this long, whatever its sender asked for
+  excitation_max_V = 65,  // V: largest amplitude that excite accepts
+  excitation_max_s = 66,  // s: longest duration that excite accepts
+  telemetry_batch_ticks = 67,  // tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
 };
-inline constexpr std::size_t kParamCount = 59;
+inline constexpr std::size_t kParamCount = 68;
 
 struct ParamInfo {
   float min;
@@ -280,6 +299,15 @@ inline constexpr ParamInfo kParams[kParamCount] = {
     {10.0F, 1000.0F, 150.0F, false, false, true},  // travel_rate_max_deg_s
     {0.0F, 1000.0F, 5.0F, false, false, true},  // encoder_illegal_max
     {0.0F, 1000.0F, 10.0F, false, false, true},  // overrun_max
+    {1.0F, 180.0F, 15.0F, false, false, true},  // elevation_following_max_deg
+    {1.0F, 180.0F, 20.0F, false, false, true},  // pitch_following_max_deg
+    {1.0F, 3600.0F, 30.0F, false, false, true},  // travel_following_max_deg
+    {0.1F, 10.0F, 1.0F, false, false, true},  // following_s
+    {0.1F, 48.0F, 1.2F, false, false, true},  // elevation_motion_V
+    {0.1F, 48.0F, 0.5F, false, false, true},  // pitch_motion_V
+    {0.1F, 10.0F, 0.5F, false, false, true},  // motion_s
+    {0.5F, 90.0F, 8.0F, false, false, true},  // travel_motion_deg
+    {0.1F, 30.0F, 1.0F, false, false, true},  // travel_motion_s
     {0.1F, 100.0F, 3.0F, false, false, true},  // arm_rate_max_deg_s
     {0.1F, 60.0F, 2.0F, false, false, true},  // arm_elevation_tolerance_deg
     {0.1F, 60.0F, 10.0F, false, false, true},  // arm_pitch_tolerance_deg
@@ -305,9 +333,10 @@ enum class Channel : std::uint8_t {
   state = 8,  // enum state: supervisor state
   fault = 9,  // enum fault: fault code, 0 while none
   flags = 10,  // bits flags: flag bits
+  trigger = 11,  // enum trigger: what led to the present state; after a touchdown still what led to the landing: an event may be lost, this cannot
 };
-inline constexpr std::size_t kChannelCount = 11;
-inline constexpr std::uint8_t kChannelBytes[kChannelCount] = {4, 4, 4, 4, 4, 4, 2, 2, 1, 1, 1};
+inline constexpr std::size_t kChannelCount = 12;
+inline constexpr std::uint8_t kChannelBytes[kChannelCount] = {4, 4, 4, 4, 4, 4, 2, 2, 1, 1, 1, 1};
 inline constexpr float kElevationSetpointPerUnit = 100000.0F;  // raw = value in rad * this
 inline constexpr float kPitchSetpointPerUnit = 100000.0F;  // raw = value in rad * this
 inline constexpr float kTravelSetpointPerUnit = 100000.0F;  // raw = value in rad * this
@@ -720,7 +749,7 @@ struct WelcomeMessage {
   std::uint8_t board = {};  // -
   std::uint8_t reset = {};  // enum reset
   std::uint8_t boot_fault = {};  // enum fault
-  std::uint32_t boot_count = {};  // -
+  std::uint32_t boot_id = {};  // -
   std::uint32_t tick = {};  // tick
   std::uint8_t params_source = {};  // enum params_source
   void write([[maybe_unused]] std::uint8_t* to) const {
@@ -735,7 +764,7 @@ struct WelcomeMessage {
     put_u8(to + 11, board);
     put_u8(to + 12, reset);
     put_u8(to + 13, boot_fault);
-    put_u32(to + 14, boot_count);
+    put_u32(to + 14, boot_id);
     put_u32(to + 18, tick);
     put_u8(to + 22, params_source);
   }
@@ -752,7 +781,7 @@ struct WelcomeMessage {
     m.board = get_u8(from + 11);
     m.reset = get_u8(from + 12);
     m.boot_fault = get_u8(from + 13);
-    m.boot_count = get_u32(from + 14);
+    m.boot_id = get_u32(from + 14);
     m.tick = get_u32(from + 18);
     m.params_source = get_u8(from + 22);
     return m;

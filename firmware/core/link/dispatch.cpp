@@ -157,7 +157,7 @@ void Dispatcher::hello(const Frame& frame) {
   welcome.board = boot.board;
   welcome.reset = boot.reset;
   welcome.boot_fault = boot.boot_fault;
-  welcome.boot_count = boot.boot_count;
+  welcome.boot_id = boot.boot_id;
   welcome.params_source = static_cast<std::uint8_t>(store_.source());
   send(welcome);
 }

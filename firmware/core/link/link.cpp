@@ -28,9 +28,9 @@ void Link::poll() {
   receive();
   if (dispatcher_.session_open()) {
     send_events();
-    send_status();
   }
   send_telemetry();
+  if (dispatcher_.session_open()) send_status();
 }
 
 void Link::read_batch_ticks() {
@@ -127,7 +127,10 @@ void Link::send_events() {
 }
 
 void Link::send_status() {
-  if (now() - status_tick_ < kStatusTicks) return;
+  const std::uint32_t age_ticks = now() - status_tick_;
+  if (age_ticks < kStatusTicks) return;
+  // Just behind a batch: its 2 ms on the line would make one that is nearly full late.
+  if (batch_count_ > 0 && age_ticks < kStatusTicks + kMaxBatchTicks) return;
   std::uint8_t payload[StatusMessage::kSize];
   status(0).write(payload);
   if (send(MessageId::status, payload, sizeof payload)) status_tick_ = now();

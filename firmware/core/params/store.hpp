@@ -12,7 +12,7 @@
 namespace heli::params {
 
 // Length of a stored set: the format's, whatever the pages of a board.
-inline constexpr std::size_t kSetBytes = 256;
+inline constexpr std::size_t kSetBytes = 512;
 
 // Idle loop only, except source(). Layout of a set: README.md.
 class Store {

@@ -30,17 +30,8 @@ def is_due_native(port: PortInfo) -> bool:
 
 
 def find_board() -> str:
-    """Return the port of the only Due that is plugged in.
-
-    Returns
-    -------
-    str
-        A port that ``heli_host.connect`` takes.
-
-    Raises
-    ------
-    PortError
-        If there is none, or more than one.
+    """Return the port of the only Due that is plugged in, as ``heli_host.connect`` takes it; a PortError if
+    there is none, or more than one.
     """
     from heli_host.errors import PortError
     from heli_host.link.transport import available_ports
@@ -72,11 +63,6 @@ def open_board(port: str | None, sil: str | None = None) -> Iterator[Heli]:
         A pyserial URL; None looks for the only Due.
     sil : str or None
         Address of a simulated board, to connect to instead; see `sil_address`.
-
-    Yields
-    ------
-    Heli
-        The connected board.
 
     Raises
     ------
@@ -112,13 +98,7 @@ def clear_latched_fault(heli: Heli) -> None:
 
 
 def board_text(heli: Heli) -> str:
-    """Say which board it is.
-
-    Returns
-    -------
-    str
-        For example ``"Arduino Due, firmware 0.1.0, on /dev/ttyACM0"``.
-    """
+    """Say which board it is, such as ``"Arduino Due, firmware 0.1.0, on /dev/ttyACM0"``."""
     from heli_host.link.transport import transport_label
 
     info, transport = heli.info, heli.session.transport
@@ -127,11 +107,7 @@ def board_text(heli: Heli) -> str:
 
 
 def board_versions(info: BoardInfo) -> str:
-    """Say what a board runs, for the head of a file that came from it.
-
-    Returns
-    -------
-    str
-        For example ``"Arduino Due, firmware 0.1.0, link 1.0"``.
+    """Say what a board runs, such as ``"Arduino Due, firmware 0.1.0, link 1.0"``, for the head of a file that
+    came from it.
     """
     return f"{info.board}, firmware {info.firmware_version}, link {info.link_version}"

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import signal
+import stat
 import sys
 from typing import TYPE_CHECKING, NoReturn
 
@@ -39,22 +40,13 @@ EXIT_ASKED, EXIT_FILE, EXIT_BUG, EXIT_INTERRUPTED = 2, 5, 70, 130
 
 def main() -> NoReturn:
     """Run the command line; ends the process."""
-    signal.signal(signal.SIGTERM, _interrupt)
+    _land_on_signals()
     sys.exit(run())
 
 
 def run(arguments: list[str] | None = None) -> int:
-    """Run the command line and say how it ended.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        What follows ``heli-host``; the process's own arguments by default.
-
-    Returns
-    -------
-    int
-        Exit code, as in the module's docstring.
+    """Run the command line of `arguments`, what follows ``heli-host``, or of this process, and return its
+    exit code, as in the module's docstring.
     """
     try:
         code = app(arguments, prog_name="heli-host", standalone_mode=False)
@@ -68,15 +60,40 @@ def run(arguments: list[str] | None = None) -> int:
     except Exception as error:
         if os.environ.get("HELI_DEBUG"):
             raise
+        from heli_host.errors import printable
+
         message, exit_code = _explain(error)
         if message:
-            print(f"error: {message}", file=sys.stderr)
+            print(f"error: {printable(message)}", file=sys.stderr)
         return exit_code
     return code if isinstance(code, int) else 0
 
 
-def _interrupt(_signal: int, _frame: FrameType | None) -> NoReturn:
-    raise KeyboardInterrupt
+def _land_on_signals() -> None:
+    """Make SIGINT, SIGTERM and SIGHUP the same: the end of a flight is a landing."""
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        # Started with & by a script, a program finds SIGINT ignored, and kill -INT would do nothing. Under
+        # nohup it finds SIGHUP ignored, which is what its user wants.
+        ignored = number is not None and signal.getsignal(number) == signal.SIG_IGN
+        if number is not None and not (ignored and name == "SIGHUP"):
+            signal.signal(number, _interrupt)
+
+
+def _interrupt(number: int, _frame: FrameType | None) -> NoReturn:
+    name = signal.Signals(number).name
+    if name == "SIGHUP":
+        _leave_the_terminal()
+    raise KeyboardInterrupt(name)
+
+
+def _leave_the_terminal() -> None:
+    """Write to nowhere what would go to a terminal that is gone: each line would be an error."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for number in (1, 2):
+        if stat.S_ISCHR(os.fstat(number).st_mode):
+            os.dup2(nowhere, number)
+    os.close(nowhere)
 
 
 def _explain(error: Exception) -> tuple[str, int]:

@@ -28,7 +28,7 @@ ParamsFileOption = Annotated[
 
 
 def chosen_parameters(file: Path | None, gains: str | None) -> Mapping[str, float]:
-    """Read and check a file of parameters.
+    """Read and check a file of parameters; values by name.
 
     Parameters
     ----------
@@ -36,11 +36,6 @@ def chosen_parameters(file: Path | None, gains: str | None) -> Mapping[str, floa
         The file; None for no parameters.
     gains : str or None
         Published gains that were asked for as well.
-
-    Returns
-    -------
-    Mapping of str to float
-        Values by name.
 
     Raises
     ------
@@ -63,19 +58,8 @@ def chosen_parameters(file: Path | None, gains: str | None) -> Mapping[str, floa
 
 
 def check_gains(gains: str | None, sil: bool) -> None:
-    """Refuse gains that there are not, or that a real rig should not be flown with.
-
-    Parameters
-    ----------
-    gains : str or None
-        What was asked for.
-    sil : bool
-        Whether the board is simulated.
-
-    Raises
-    ------
-    typer.BadParameter
-        If the set is unknown, or the board is real.
+    """Refuse `gains` that are unknown, or that only a simulated board (`sil`) should fly: a
+    typer.BadParameter.
     """
     from heli_host.published_gains import SETS
 

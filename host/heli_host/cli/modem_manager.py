@@ -15,17 +15,8 @@ UDEV_REMEDY = (
 
 
 def check_modem_manager(due_is_present: bool) -> Finding:
-    """Check that ModemManager leaves the board alone; it may hold a new port for half a minute.
-
-    Parameters
-    ----------
-    due_is_present : bool
-        Whether a Due is plugged in.
-
-    Returns
-    -------
-    Finding
-        Bad when it runs, may grab a Due, and one is there.
+    """Check that ModemManager leaves the board alone; it may hold a new port for half a minute. Bad when it
+    runs, may grab a Due, and `due_is_present`.
     """
     if not _process_runs("ModemManager"):
         return Finding(Verdict.GOOD, "ModemManager does not run")

@@ -18,22 +18,14 @@ PortOption = Annotated[
         show_default=False,
     ),
 ]
+ForOption = Annotated[
+    float | None, typer.Option("--for-s", metavar="S", min=0.001, help="How long; else until Ctrl-C.")
+]
 ClearFaultOption = Annotated[bool, typer.Option("--clear-fault", help="Clear a latched fault first.")]
 
 
 def flight_folder(base: Path = Path("flights")) -> Path:
-    """Make the folder of a new flight, named after the local time.
-
-    Parameters
-    ----------
-    base : Path
-        Where the folders of all flights are.
-
-    Returns
-    -------
-    Path
-        A folder that did not exist before.
-    """
+    """Make the folder of a new flight in `base`, named after the local time; it did not exist before."""
     import time
 
     name = time.strftime("%Y-%m-%d_%H-%M-%S")

@@ -12,17 +12,8 @@ FIGURE_ENDS: Final = (".png", ".pdf", ".svg")
 
 
 def check_place(path: Path) -> None:
-    """Refuse a file that could not be written, and make its folder.
-
-    Parameters
-    ----------
-    path : Path
-        File to be written later.
-
-    Raises
-    ------
-    typer.BadParameter
-        When it is a folder, or may not be written.
+    """Make the folder of a file to be written later; a typer.BadParameter when `path` is a folder, or may not
+    be written.
     """
     folder = path.absolute().parent
     folder.mkdir(parents=True, exist_ok=True)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
+
+from heli_host.errors import printable
 
 if TYPE_CHECKING:
     from rich.live import Live
@@ -20,14 +23,9 @@ LINE_EVERY_S = 5.0
 
 
 class LiveLine:
-    """Shows what is happening; a context manager.
+    """Shows what is happening; a context manager. None for `is_terminal` asks standard output.
 
     On a terminal a few lines are rewritten in place; elsewhere a line is printed every few seconds.
-
-    Parameters
-    ----------
-    is_terminal : bool or None
-        Whether to rewrite in place; None asks standard output.
     """
 
     def __init__(self, is_terminal: bool | None = None) -> None:
@@ -76,25 +74,26 @@ class LiveLine:
         head = heading(sample, t_s, phase, left_s)
         angles = angles_text(sample)
         link = link_text(counters)
+        try:
+            self._print(head, angles, link, "" if counters.ticks_lost == 0 else "yellow")
+        except OSError as error:
+            # A terminal that is gone says so by SIGHUP as well, and that lands.
+            if error.errno != errno.EIO:
+                raise
+
+    def _print(self, head: str, angles: str, link: str, style: str) -> None:
         if self._live is None:
             print(f"{head} | {angles} | {link}", flush=True)
             return
         from rich.text import Text
 
-        style = "" if counters.ticks_lost == 0 else "yellow"
         self._live.update(
             Text.assemble((head, "bold"), "\n", angles, "\n", (f"link: {link}", style), no_wrap=True),
             refresh=True,
         )
 
     def say(self, text: str) -> None:
-        """Print a line that stays, above the live one.
-
-        Parameters
-        ----------
-        text : str
-            One line.
-        """
+        """Print a line of `text` that stays, above the live one."""
         if self._live is None:
             print(text, flush=True)
         else:
@@ -102,7 +101,7 @@ class LiveLine:
 
 
 def heading(sample: Sample, t_s: float, phase: str, left_s: float | None) -> str:
-    """Say when, what and how long still.
+    """Say when, what and how long still, such as ``" 12.3 s  sine  closed_loop  8 s left"``.
 
     Parameters
     ----------
@@ -112,13 +111,8 @@ def heading(sample: Sample, t_s: float, phase: str, left_s: float | None) -> str
         What is being flown.
     left_s : float or None
         Device time left [s].
-
-    Returns
-    -------
-    str
-        For example ``" 12.3 s  sine  closed_loop  8 s left"``.
     """
-    parts = [f"{t_s:6.1f} s", phase, sample.state.name.lower()]
+    parts = [f"{t_s:6.1f} s", printable(phase), sample.state.name.lower()]
     if sample.fault:
         parts.append(f"fault {sample.fault.name.lower()}")
     if left_s is not None:
@@ -127,13 +121,7 @@ def heading(sample: Sample, t_s: float, phase: str, left_s: float | None) -> str
 
 
 def angles_text(sample: Sample) -> str:
-    """Say the three angles, each with its setpoint, in degrees.
-
-    Returns
-    -------
-    str
-        For example ``"elevation +4.9 (+5.0)  pitch ... deg"``.
-    """
+    """Say the three angles, each with its setpoint, such as ``"elevation +4.9 (+5.0)  pitch ... deg"``."""
     from math import degrees
 
     from heli_host.declaration import AXES
@@ -147,12 +135,6 @@ def angles_text(sample: Sample) -> str:
 
 
 def link_text(counters: LinkCounters) -> str:
-    """Say how the link fares.
-
-    Returns
-    -------
-    str
-        For example ``"lost 0 ticks, 0 bad frames, 0 retries"``.
-    """
+    """Say how the link fares, such as ``"lost 0 ticks, 0 bad frames, 0 retries"``."""
     text = f"lost {counters.ticks_lost} ticks, {counters.frames_bad} bad frames, {counters.retries} retries"
     return f"{text}, {counters.reconnects} reconnects" if counters.reconnects else text

@@ -15,15 +15,11 @@ LINE_EVERY_S = 5.0
 
 
 class WorkBar:
-    """Shows what is being done, and the time left; a context manager.
+    """Shows what is being done, and the time left; a context manager. None for `is_terminal` asks standard
+    output.
 
     On a terminal one line is rewritten in place and disappears at the end; elsewhere a line is printed every
     few seconds.
-
-    Parameters
-    ----------
-    is_terminal : bool or None
-        Whether to rewrite in place; None asks standard output.
     """
 
     def __init__(self, is_terminal: bool | None = None) -> None:
@@ -54,15 +50,7 @@ class WorkBar:
             self._bar.stop()
 
     def show(self, stage: str, done: float) -> None:
-        """Show where the work is.
-
-        Parameters
-        ----------
-        stage : str
-            What is being done, in a few words.
-        done : float
-            Share of all work done, 0 to 1.
-        """
+        """Show the `stage` of the work in a few words, and the share of it all that is `done`, 0 to 1."""
         if self._bar is not None:
             self._bar.update(self._bar.task_ids[0], description=stage, completed=done)
             return

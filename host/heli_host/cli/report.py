@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from heli_host.errors import printable
+
 if TYPE_CHECKING:
     from heli_host.log.summary import FlightSummary
 
 
 def summary_lines(summary: FlightSummary) -> list[str]:
-    """Say what was flown, how well, and what was lost.
-
-    Returns
-    -------
-    list of str
-        A few lines.
-    """
+    """Say in a few lines what was flown, how well, and what was lost."""
     what = " + ".join(summary.plans) or "no plan"
     where = f" on {summary.rig}" if summary.rig else ""
     errors = ", ".join(
@@ -23,10 +19,11 @@ def summary_lines(summary: FlightSummary) -> list[str]:
         for axis, error in summary.rms_error_deg.items()
     )
     link = summary.link
-    return [
+    lines = [
         f"{what}{where}: {summary.outcome}, {summary.duration_s:.1f} s",
         f"tracking error (rms): {errors}",
         f"{summary.ticks_logged} ticks logged, {summary.ticks_lost} lost; {link.get('frames_bad', 0)} bad "
         f"frames, {link.get('retries', 0)} retries, {link.get('reconnects', 0)} reconnects",
         *(f"note: {note}" for note in summary.notes),
     ]
+    return [printable(line) for line in lines]

@@ -58,7 +58,12 @@ EffectOption = Annotated[
 ]
 EffectFilesOption = Annotated[
     list[Path] | None,
-    typer.Option("--effects", metavar="FILE.py", help="More effects; may be repeated.", show_default=False),
+    typer.Option(
+        "--effects",
+        metavar="FILE.py",
+        help="More effects; the file's code is run; may be repeated.",
+        show_default=False,
+    ),
 ]
 SpeedOption = Annotated[
     str,
@@ -70,19 +75,8 @@ SeedOption = Annotated[
 
 
 def rig_name(rig: str | None, *, simulated: bool) -> str:
-    """Name a rig for the log.
-
-    Parameters
-    ----------
-    rig : str or None
-        What was asked for.
-    simulated : bool
-        Whether the board is simulated; without a name it then is the default rig.
-
-    Returns
-    -------
-    str
-        Empty when nobody knows.
+    """Name of the `rig` that was asked for, for the log; without one the default rig if `simulated`, else
+    empty.
     """
     if rig is not None:
         return Path(rig).stem
@@ -90,22 +84,8 @@ def rig_name(rig: str | None, *, simulated: bool) -> str:
 
 
 def parse_speed(text: str) -> float | None:
-    """Read a ``--speed``.
-
-    Parameters
-    ----------
-    text : str
-        A positive number, or ``max``.
-
-    Returns
-    -------
-    float or None
-        Simulated seconds a second; None for ``max``.
-
-    Raises
-    ------
-    typer.BadParameter
-        If it is neither.
+    """Read the `text` of a ``--speed``, a positive number or ``max``, as simulated seconds a second; None for
+    ``max``. Anything else is a typer.BadParameter.
     """
     if text == MAX_SPEED:
         return None
@@ -119,19 +99,8 @@ def parse_speed(text: str) -> float | None:
 
 
 def which_board(board: str | None, elf: Path | None) -> str:
-    """Settle which simulated board is meant.
-
-    Parameters
-    ----------
-    board : str or None
-        ``--board``; None for the native one, or the Due when there is an `elf`.
-    elf : Path or None
-        ``--elf``; None where it was not given.
-
-    Raises
-    ------
-    typer.BadParameter
-        When the two contradict each other.
+    """Settle which simulated `board` is meant: without a name the native one, or the Due when there is an
+    `elf`. A typer.BadParameter when the two contradict each other.
     """
     board = board if board is not None else ("due" if elf is not None else "native")
     if board not in BOARDS:
@@ -195,17 +164,8 @@ def sil_address(
 
 
 def refuse_without_sil(**options: object) -> None:
-    """Refuse options that only a simulated board takes, of a board that is real.
-
-    Parameters
-    ----------
-    **options : object
-        By name as typed, with ``_`` for ``-``; None or empty where not given.
-
-    Raises
-    ------
-    typer.BadParameter
-        When one is given.
+    """Refuse `options`, by name with ``_`` for ``-``, that only a simulated board takes, of a board that is
+    real: a typer.BadParameter when one is neither None nor empty.
     """
     given = [f"--{name.replace('_', '-')}" for name, value in options.items() if value]
     if given:

@@ -15,19 +15,8 @@ class Variadic(TyperCommand):
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Repeat an option before each of its values, then parse.
-
-        Parameters
-        ----------
-        ctx : click.Context
-            The command's context.
-        args : list of str
-            What was typed.
-
-        Returns
-        -------
-        list of str
-            What is left over.
+        """Repeat an option before each of its values in `args`, then parse with the command's context `ctx`;
+        return what is left over.
         """
         return list(super().parse_args(ctx, spread(args, self._repeatable())))
 
@@ -41,19 +30,8 @@ class Variadic(TyperCommand):
 
 
 def spread(arguments: list[str], repeatable: frozenset[str]) -> list[str]:
-    """Repeat each repeatable option before each of its values.
-
-    Parameters
-    ----------
-    arguments : list of str
-        What was typed.
-    repeatable : frozenset of str
-        Names of the options that may be repeated.
-
-    Returns
-    -------
-    list of str
-        The same with every value behind an option of its own; behind ``--`` nothing changes.
+    """Repeat each option whose name is in `repeatable` before each of its values in `arguments`; behind
+    ``--`` nothing changes.
     """
     result: list[str] = []
     option = ""

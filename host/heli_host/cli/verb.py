@@ -44,15 +44,7 @@ class Verb:
     variadic: bool = False
 
     def add_to(self, app: typer.Typer, name: str) -> None:
-        """Make it a verb of a command line.
-
-        Parameters
-        ----------
-        app : typer.Typer
-            The command line.
-        name : str
-            What is typed.
-        """
+        """Make it the verb `name` of a command line, `app`."""
         if isinstance(self.command, typer.Typer):
             app.add_typer(self.command, name=name, rich_help_panel=self.panel)
         elif self.variadic:
@@ -62,13 +54,9 @@ class Verb:
 
 
 def installed_verbs() -> dict[str, Verb]:
-    """Find the verbs of all installed packages.
-
-    Returns
-    -------
-    dict of str to Verb
-        By name: that of the verb's module. Ordered by panel, then by name. A package that cannot be imported
-        is named in one line on stderr and left out, so that it takes no other verb with it.
+    """Find the verbs of all installed packages by name, that of the verb's module, ordered by panel, then by
+    name. A package that cannot be imported is named in one line on stderr and left out, so that it takes no
+    other verb with it.
     """
     found: dict[str, Verb] = {}
     for entry in sorted(entry_points(group=ENTRY_POINT_GROUP), key=_order):

@@ -59,19 +59,8 @@ class Bossac:
         return numbers >= DOUBTFUL_FROM
 
     def arguments(self, port: str, image: Path) -> list[str]:
-        """Command line that writes an image and has the chip start from it.
-
-        Parameters
-        ----------
-        port : str
-            The programming port.
-        image : Path
-            The file.
-
-        Returns
-        -------
-        list of str
-            Program and arguments. Without ``--info``, which is reported to crash 1.6.1.
+        """Command line that writes an `image` through the programming `port` and has the chip start from it;
+        without ``--info``, which is reported to crash 1.6.1.
         """
         options = ("--erase", "--write", "--verify", "--boot=1")
         # 1.9.1 resets the chip right after the command that sets its boot bit, without waiting for the flash
@@ -81,17 +70,13 @@ class Bossac:
 
 
 def find_bossac(named: Path | None = None) -> Bossac:
-    """Find the uploader that suits a Due best: on the path, or as PlatformIO and the Arduino IDE keep it.
+    """Find the uploader that suits a Due best, on the path, or as PlatformIO and the Arduino IDE keep it: the
+    first that is not `Bossac.doubtful`, otherwise the first.
 
     Parameters
     ----------
     named : Path or None
         Use this one.
-
-    Returns
-    -------
-    Bossac
-        The first that is not `Bossac.doubtful`, otherwise the first.
 
     Raises
     ------

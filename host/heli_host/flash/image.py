@@ -21,15 +21,7 @@ _BUILD = "build it with make firmware and give build/pio/due/firmware.bin"
 
 @dataclass(frozen=True)
 class FirmwareImage:
-    """A file that may be flashed.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    content : bytes
-        What it holds; goes to the start of the flash.
-    """
+    """A file at `path` that may be flashed; its `content` goes to the start of the flash."""
 
     path: Path
     content: bytes

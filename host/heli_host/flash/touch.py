@@ -51,17 +51,8 @@ def erase_chip(port: str, wait_s: float = ERASE_S) -> None:
 
 
 def restart_chip(port: str) -> None:
-    """Reset the Due behind its programming port, by the rising edge of DTR that its USB bridge waits for.
-
-    Parameters
-    ----------
-    port : str
-        The programming port.
-
-    Raises
-    ------
-    FlashError
-        The port cannot be opened.
+    """Reset the Due behind its programming `port`, by the rising edge of DTR that its USB bridge waits for; a
+    FlashError when it cannot be opened.
     """
     time.sleep(SETTLE_S)
     try:

@@ -22,13 +22,7 @@ _MAX_STEP_S = 0.5
 
 
 def data_row(row: int) -> str:
-    """Name a row in a message.
-
-    Parameters
-    ----------
-    row : int
-        Row, counted from 0.
-    """
+    """Name a `row`, counted from 0, in a message."""
     return f"data row {row + 1}"
 
 
@@ -65,8 +59,10 @@ def check(
                 f"{source}: {name} is {column[bad[0]]} in {where(int(bad[0]))} ({bad.size} such rows)",
                 "remove these rows, or the part of the flight around them",
             )
-    _check_time(flight.t_s, source, allow_gaps, where)
-    _check_units(flight, source, where)
+    # Steps between numbers near the largest there are overflow, and are refused as too large.
+    with np.errstate(over="ignore", invalid="ignore"):
+        _check_time(flight.t_s, source, allow_gaps, where)
+        _check_units(flight, source, where)
 
 
 def _check_time(t_s: Floats, source: str, allow_gaps: bool, where: Callable[[int], str]) -> None:

@@ -165,18 +165,14 @@ class Flight:
         return named
 
     def between(self, start_s: float, stop_s: float) -> Flight:
-        """Cut a part out, for example without take-off and landing.
+        """Cut out the rows with ``start_s <= t_s < stop_s`` and the events among them, for example without
+        take-off and landing.
 
         Parameters
         ----------
         start_s, stop_s : float
             First time kept and first time no longer kept, on this flight's axis; the axis itself does not
             change.
-
-        Returns
-        -------
-        Flight
-            The rows with ``start_s <= t_s < stop_s`` and the events among them.
 
         Raises
         ------
@@ -202,17 +198,9 @@ class Flight:
 
 
 def find_gaps(t_s: Floats) -> NDArray[np.intp]:
-    """Return the rows after which time is missing.
+    """Return the rows of rising times `t_s`, shape (n,), after which time is missing.
 
-    Parameters
-    ----------
-    t_s : ndarray (n,)
-        Rising times in seconds.
-
-    Returns
-    -------
-    ndarray (g,)
-        Row ``k`` is listed when ``t_s[k + 1] - t_s[k]`` exceeds 1.75 median steps.
+    Row ``k`` is one when ``t_s[k + 1] - t_s[k]`` exceeds 1.75 median steps.
     """
     if t_s.size < 3:
         return np.zeros(0, np.intp)

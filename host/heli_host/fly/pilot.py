@@ -15,9 +15,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from heli_host.declaration import AXES, TICK_US, Axes, Channel, Fault, SetpointMessage, State
+from heli_host.declaration import AXES, TICK_US, Axes, Channel, Event, Fault, SetpointMessage, State
 from heli_host.errors import FlightAborted, HeliError, LinkLost, fault_text
+from heli_host.fly.interrupts import Interrupts, name_of, was_interrupted
+from heli_host.fly.plan import TAKE_OFF
 from heli_host.fly.route import Piece, Route
+from heli_host.fly.tracking import Tolerance, TrackingMonitor
+from heli_host.link.channels import rad_per_count
+from heli_host.link.events import BOARD_RESTARTED, LinkEvent
+from heli_host.log.schema import LEVEL_WARNING
 from heli_host.log.summary import LANDING
 
 if TYPE_CHECKING:
@@ -42,6 +48,7 @@ _BEFORE_TICKS = 500
 _AFTER_TICKS = 200
 _LONGEST_REST_S = 2.0
 _DOWN = (State.IDLE, State.FAULT)
+_FLYING = (State.ARMED, State.CLOSED_LOOP, State.HOLD)
 
 
 @dataclass(frozen=True)
@@ -78,11 +85,16 @@ class Pilot:
         Is told when phases begin; when it fails, the flight ends.
     on_progress : callable taking Progress, optional
         Called about twenty times a second in the thread of `fly`.
+    tolerance : Tolerance, optional
+        Following errors between take-off and landing that still count as tracked; the usual ones without it.
+
+    interrupts : Interrupts, optional
+        Signals while it flies; without it they are what they were.
 
     Attributes
     ----------
     outcome : str
-        ``completed``, or in one line what ended the flight.
+        ``completed``, ``not_tracked`` and where, or in one line what ended the flight.
     """
 
     def __init__(
@@ -92,8 +104,11 @@ class Pilot:
         axes: tuple[str, ...],
         recorder: Recorder,
         on_progress: Callable[[Progress], None] | None = None,
+        tolerance: Tolerance | None = None,
+        interrupts: Interrupts | None = None,
     ) -> None:
         self.outcome = "not flown"
+        self._interrupts = interrupts or Interrupts()
         self._heli = heli
         self._session = heli.session
         self._route = route
@@ -105,8 +120,13 @@ class Pilot:
         self._start_tick = 0
         self._sent_tick = 0
         self._phases = _phases(route)
+        flown_s = next((piece.start_s for piece in self._phases if piece.phase != TAKE_OFF), route.duration_s)
+        self._take_off_ticks = round(flown_s / TICK_S)
+        self._tracking = TrackingMonitor(tolerance or Tolerance(), rad_per_count(heli.params), axes)
         self._excitations = [piece for piece in route.pieces if piece.excitation is not None]
         self._was_closed = False
+        self._ended_by = ""
+        self._report_error: Exception | None = None
         self._restarts = 0
         self._reconnects = 0
 
@@ -117,28 +137,37 @@ class Pilot:
         one of ``on_progress``, is raised again after the landing.
         """
         unsubscribe = self._session.subscribe_ticks(self._take_ticks)
+        unsubscribe_events = self._session.subscribe_events(self._take_event)
         counters = self._session.counters
         self._restarts, self._reconnects = counters.restarts, counters.reconnects
         try:
             self._fly_route()
-            self.outcome = "completed"
-        except KeyboardInterrupt:
-            self.outcome = "aborted: Ctrl-C"
+            self.outcome = self._tracking.verdict() or "completed"
+        except KeyboardInterrupt as error:
+            self.outcome = f"aborted: {name_of(error)}"
         except LinkLost as error:
-            self.outcome = f"link lost: {error.cause}; the board holds level, then lands by itself"
+            self.outcome = self._restarted() or (
+                f"link lost: {error.cause}; the board holds level, then lands by itself"
+            )
         except HeliError as error:
-            self.outcome = f"aborted: {error}"
+            self.outcome = self._restarted() or f"aborted: {error}"
         except BaseException as error:
             self.outcome = f"aborted: {type(error).__name__} in this program"
             raise
         finally:
             self._come_down()
             unsubscribe()
+            unsubscribe_events()
+            for name in self._interrupts.remembered:
+                self._note_interrupt(f"{name} again, after the motors had been told to stop")
+        if self._report_error is not None:
+            raise self._report_error
 
     def _fly_route(self) -> None:
         # The first evaluation takes 20 ms, most of it numpy's; at 50x real time that is a second of flight.
         self._target_rad(self._tick())
         self._wait_ticks(_BEFORE_TICKS)
+        self._recorder.check()
         self._heli.arm()
         self._heli.control(self._axes)
         with self._lock:
@@ -167,11 +196,18 @@ class Pilot:
         with self._lock:
             if not self._streaming:
                 return
+            self._tracking.take(ticks, self._start_tick + self._take_off_ticks)
             while self._phases and tick >= self._tick_of(self._phases[0]):
                 piece = self._phases.pop(0)
                 self._recorder.mark_phase(self._tick_of(piece), piece.phase)
             if tick >= self._sent_tick + INTERVAL_TICKS:
                 self._send(tick)
+
+    def _take_event(self, event: LinkEvent) -> None:
+        # The first that is no flying says why; those that follow say how it went on.
+        message = event.message
+        if self._streaming and not self._ended_by and message is not None and message.kind == Event.STATE:
+            self._ended_by = "" if message.detail in _FLYING else event.text
 
     def _bridge_a_stall(self) -> None:
         """Send setpoints by the clock fit while samples do not come, so that a stall of telemetry is no
@@ -222,21 +258,29 @@ class Pilot:
     def _check_up(self) -> None:
         """Raise what ends the flight, if anything does."""
         self._recorder.check()
+        if restarted := self._restarted():
+            raise FlightAborted(restarted.removeprefix("aborted: "))
         counters = self._session.counters
-        if counters.restarts != self._restarts:
-            raise FlightAborted(
-                "the board started anew in flight", "check its supply and the log's last events"
-            )
         slow = not self._was_closed and (self._tick() - self._start_tick) * TICK_S > _CLOSING_S
         if not self._trouble() and not slow:
             return
         state = self._session.state
-        if state is State.FAULT:
+        if state in (State.FAULT, State.EMERGENCY_LANDING):
             raise FlightAborted(f"fault {fault_text(self._fault())}")
-        why = next((event.text for event in reversed(self._session.events) if event.kind == "state"), "")
+        # Telemetry shows a state a moment before its events are handed over.
+        self._session.wait_for(lambda: bool(self._ended_by), _LOOK_S)
+        why = self._ended_by
         lost = ", after the link was lost" if counters.reconnects != self._reconnects else ""
         name = state.name.lower() if state is not None else "unknown"
         raise FlightAborted(f"the board went to state {name}{lost} ({why})" if why else f"state {name}{lost}")
+
+    def _restarted(self) -> str:
+        """Outcome of a flight whose board has started anew, empty for one that has not."""
+        if self._session.counters.restarts == self._restarts:
+            return ""
+        said = (event.text for event in reversed(self._session.events) if event.kind == BOARD_RESTARTED)
+        text = next(said, "the board started anew")
+        return f"aborted: {text} in flight, motors off; check its supply and the log's last events"
 
     def _fault(self) -> int:
         newest = self._session.latest
@@ -244,32 +288,50 @@ class Pilot:
 
     def _come_down(self) -> None:
         """Land if anything may turn; a Ctrl-C meanwhile stops the motors at once."""
-        with self._lock:
-            self._streaming = False
         try:
+            with self._lock:
+                self._streaming = False
+            if was_interrupted(self.outcome):
+                self._note_interrupt(
+                    f"{self.outcome.removeprefix('aborted: ')}: the flight ends in a landing"
+                )
+            self._interrupts.allow_one_more()
             trouble = self._land()
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as error:
+            self._interrupts.allow_no_more()
             # At once means at once: an error that still waits to be told must not come in between.
             for _ in range(3):
                 with contextlib.suppress(HeliError):
                     self._heli.stop()
                     break
-            trouble = "Ctrl-C again, motors stopped in the air"
+            when = "again" if was_interrupted(self.outcome) else "while landing"
+            trouble = f"{name_of(error)} {when}, motors stopped in the air"
+            self._note_interrupt(trouble)
         except LinkLost as error:
             trouble = f"link lost while landing: {error.cause}; the board lands by itself"
         except HeliError as error:
             trouble = f"while landing: {error}"
+        if trouble and (restarted := self._restarted()):
+            trouble = "" if self.outcome == restarted else restarted.removeprefix("aborted: ")
         if trouble and self.outcome == "completed":
             self.outcome = f"aborted: {trouble}"
         elif trouble and not self.outcome.startswith("link lost"):
             self.outcome += f"; {trouble}"
+
+    def _note_interrupt(self, text: str) -> None:
+        # Half a record would cost the log more than a moment costs here.
+        with self._interrupts.shielded():
+            self._recorder.note("interrupt", text, LEVEL_WARNING)
 
     def _land(self) -> str:
         """Land, or see to the end that the board has come to by itself; return what went wrong."""
         if not self._session.connected and not self._was_closed:
             return ""
         trouble = ""
-        if self._session.state is State.ARMED:
+        if self._restarted():
+            # It is idle: there is nothing to land, and may be no sample yet that says so.
+            pass
+        elif self._session.state is State.ARMED:
             self._heli.stop()
         elif self._session.state not in _DOWN:
             trouble = self._descend()
@@ -278,7 +340,8 @@ class Pilot:
 
     def _descend(self) -> str:
         begin_tick = self._tick()
-        if self._session.state is not State.LANDING:
+        emergency = self._session.state is State.EMERGENCY_LANDING
+        if self._session.state is not State.LANDING and not emergency:
             self._heli.land(wait=False)
         self._recorder.mark_phase(begin_tick, LANDING)
         timeout_s = self._heli.params["landing_timeout_s"] + 3.0
@@ -287,13 +350,22 @@ class Pilot:
             if self._tick() >= until_tick:
                 self._heli.stop()
                 return f"it did not land within {timeout_s:g} s; motors stopped"
-            self._report(landing=True)
+            self._report_landing()
             self._session.wait_for(lambda: self._session.state in _DOWN, _LOOK_S)
-        return f"fault {fault_text(self._fault())}" if self._session.state is State.FAULT else ""
+        if self._session.state is not State.FAULT or emergency:
+            return ""
+        return f"fault {fault_text(self._fault())}"
 
     def _wait_ticks(self, count: int) -> None:
         last_tick = self._tick() + count
         self._session.wait_for(lambda: self._tick() >= last_tick, _LONGEST_REST_S)
+
+    def _report_landing(self) -> None:
+        """Report; what that raises waits until the arm is down."""
+        try:
+            self._report(landing=True)
+        except Exception as error:  # noqa: BLE001 - the caller's own callback may raise anything
+            self._report_error, self._on_progress = error, None
 
     def _report(self, *, landing: bool = False) -> None:
         if self._on_progress is None:

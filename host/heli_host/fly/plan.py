@@ -8,6 +8,9 @@
     rate_deg_s = 8               # how fast the elevation setpoint rises from the table
     settle_s = 4                 # wait there before the first segment
 
+    [tolerance]                  # farther from its setpoint for longer, and the flight was not tracked
+    elevation_deg = 3
+
     [[segment]]
     kind = "hold"                # hold, step, ramp, sine, waypoints, excite, land
     duration_s = 5
@@ -23,7 +26,6 @@ taken. Setpoints are continuous from segment to segment, steps excepted; every p
 from __future__ import annotations
 
 import difflib
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -36,11 +38,13 @@ from numpy.typing import NDArray
 
 from heli_host.declaration import AXES, Axis
 from heli_host.errors import PlanError
+from heli_host.files import TOML_BYTES, parse_toml, read_file
 from heli_host.fly import route as shapes
 from heli_host.fly.keys import ANGLE, PAUSE, RATE, Table
 from heli_host.fly.limits import Limits, check_motion
 from heli_host.fly.route import Floats, Route
 from heli_host.fly.segments import Segment, read_segment
+from heli_host.fly.tracking import Tolerance
 
 TAKE_OFF = "take-off"
 """Phase before the first plan."""
@@ -92,6 +96,7 @@ class Plan:
     start: Start
     segments: tuple[Segment, ...]
     text: str
+    tolerance: Tolerance
 
     @staticmethod
     def parse(text: str, source: str, name: str = "") -> Plan:
@@ -112,14 +117,17 @@ class Plan:
             If it is no TOML, has an unknown key, lacks one, or holds a value that no board takes.
         """
         try:
-            values = tomllib.loads(text)
-        except (tomllib.TOMLDecodeError, RecursionError) as error:
+            values = parse_toml(text)
+        except ValueError as error:
             raise PlanError(f"{source} is not TOML: {error}", "correct that line") from error
         name = name or Path(source).stem
-        table = Table(values, source, ("title", "axes", "start", "segment"))
+        table = Table(values, source, ("title", "axes", "start", "tolerance", "segment"))
         closed = _read_axes(table)
         commanded = tuple(axis for axis in closed if axis != "pitch" or "travel" not in closed)
         start = _read_start(values.get("start", {}), source)
+        bounds = values.get("tolerance", {})
+        if not isinstance(bounds, dict):
+            table.fail("tolerance is not a table", "write [tolerance] above its keys")
         rows = values.get("segment", [])
         if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
             table.fail("it has no segment", 'add one: [[segment]] with kind = "hold" and duration_s = 10')
@@ -132,7 +140,8 @@ class Plan:
         for segment in segments[:-1]:
             if segment.kind == "land":
                 raise PlanError(f"{segment.where}: something follows it", "put land last; it may be left out")
-        return Plan(name, source, table.text("title", name), closed, start, segments, text)
+        tolerance = Tolerance.read(bounds, f"{source}, tolerance")
+        return Plan(name, source, table.text("title", name), closed, start, segments, text, tolerance)
 
     @cached_property
     def route(self) -> Route:
@@ -236,7 +245,7 @@ def load_plan(name: str | Path) -> Plan:
             f"there is no plan {text!r}", f"{hint}give a file, or one of: {', '.join(plan_names())}"
         )
     try:
-        return Plan.parse(path.read_text(encoding="utf-8"), str(path), path.stem)
+        return Plan.parse(read_file(path, TOML_BYTES).decode("utf-8"), str(path), path.stem)
     except UnicodeDecodeError as error:
         raise PlanError(f"{path} is not text in UTF-8", "give a TOML file") from error
     except OSError as error:
@@ -248,17 +257,6 @@ def plan_names() -> list[str]:
     return sorted(
         entry.name.removesuffix(".toml") for entry in _built_in().iterdir() if entry.name.endswith(".toml")
     )
-
-
-def plan_title(name: str) -> str:
-    """Return the title of a built-in plan.
-
-    Parameters
-    ----------
-    name : str
-        One of `plan_names`.
-    """
-    return load_plan(name).title
 
 
 def take_off(plans: Sequence[Plan], parameters: Mapping[str, float], start_deg: Floats) -> Route:

@@ -15,6 +15,7 @@ from heli_host.declaration import LINK_HASH, LINK_VERSION, StatusMessage
 from heli_host.errors import HeliError, LogError
 from heli_host.link.channels import rad_per_count
 from heli_host.link.events import BOARD_RESTARTED, LINK_LOST, LINK_SILENT, LinkEvent
+from heli_host.log.disk import check_free_space
 from heli_host.log.schema import LEVEL_ERROR, LEVEL_INFO, LEVEL_WARNING
 from heli_host.log.summary import PHASE_EVENT
 from heli_host.log.writer import LogCounters, LogWriter
@@ -39,24 +40,27 @@ _URGENT = frozenset((LINK_LOST, LINK_SILENT, BOARD_RESTARTED, "fault"))
 class Recorder:
     """A log of a session, from now until `close`; also without any plan, while somebody flies by hand.
 
-    It takes over what the reading thread delivers. When the disk is full it stops writing, keeps what it has,
-    and says so in `error`; flying goes on.
+    It takes over what the reading thread delivers, and a thread of its own writes it: a disk that blocks
+    delays nothing. When the disk is full it stops writing, keeps what it has, and says so in `error`, which a
+    ``with`` block raises at its end; flying goes on.
 
     Parameters
     ----------
     path : str or Path
-        Log to write; a file that exists is replaced.
+        Log to create.
     rig_name : str
         Name of the rig, for the log.
     plans : sequence of Plan
         Plans that will be flown; their text goes into the log.
     board_name : str
         What the board is, where it cannot know; empty to take its word.
+    duration_s : float
+        How long the flight lasts, for the space that it needs on the disk; 0 if nobody knows [s].
 
     Raises
     ------
     LogWriteError
-        If the log cannot be created.
+        If the log is there already, cannot be created, or may not find room on the disk.
     """
 
     def __init__(
@@ -67,6 +71,7 @@ class Recorder:
         rig_name: str = "",
         plans: Sequence[Plan] = (),
         board_name: str = "",
+        duration_s: float = 0.0,
     ) -> None:
         self.path = Path(path)
         self.error: LogError | None = None
@@ -74,6 +79,7 @@ class Recorder:
         self._closed = False
         parameters = dict(heli.params)
         self._parameters = parameters
+        check_free_space(self.path, duration_s)
         self._writer = LogWriter(
             self.path,
             start_wall_ns=heli.session.transport.wall_ns(),
@@ -83,6 +89,7 @@ class Recorder:
                 "plan": _texts(plans),
             },
             rad_per_count=rad_per_count(parameters),
+            background=not heli.session.lockstep,
         )
         self._last_wall_ns = 0
         self._unsubscribe = (
@@ -98,6 +105,8 @@ class Recorder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+        if kind is None:
+            self.check()
 
     @property
     def counters(self) -> LogCounters:
@@ -139,7 +148,7 @@ class Recorder:
         Raises
         ------
         LogWriteError
-            The disk is full or gone.
+            The disk is full, nearly so, or gone.
         """
         if self.error is not None:
             raise self.error
@@ -165,6 +174,7 @@ class Recorder:
                 "outcome": outcome,
                 "ticks_logged": str(log.ticks_logged),
                 "ticks_lost": str(log.ticks_lost),
+                "ticks_dropped": str(log.ticks_dropped),
                 "events_logged": str(log.events_logged),
             },
         }
@@ -213,6 +223,8 @@ class Recorder:
             yield
         except LogError as error:
             self.error = self.error or error
+        else:
+            self.error = self.error or self._writer.nearly_full
 
     @staticmethod
     def _session(heli: Vehicle, rig_name: str, plans: Sequence[Plan], board_name: str) -> dict[str, str]:
@@ -229,7 +241,7 @@ class Recorder:
             "host_link_hash": f"{LINK_HASH:08x}",
             "url": heli.session.transport.url,
             "start": datetime.fromtimestamp(wall_ns / 1e9, UTC).isoformat(timespec="milliseconds"),
-            "boot_count": str(info.boot_count),
+            "boot_id": str(info.boot_id),
             "reset": info.reset,
             "boot_fault": info.boot_fault,
             "params_source": info.params_source,

@@ -130,21 +130,6 @@ class Route:
         starts = [piece.start_s for piece in self.pieces]
         return self.pieces[max(0, int(np.searchsorted(starts, t_s, side="right")) - 1)]
 
-    def phase_start_s(self, phase: str) -> float:
-        """Return when a phase begins.
-
-        Parameters
-        ----------
-        phase : str
-            Name of a phase of this route.
-
-        Returns
-        -------
-        float
-            Seconds on the route's axis; the route's end when it has no such phase.
-        """
-        return next((piece.start_s for piece in self.pieces if piece.phase == phase), self.duration_s)
-
     def evaluate(self, t_s: Floats) -> Floats:
         """Return the setpoints.
 

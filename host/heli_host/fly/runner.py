@@ -12,12 +12,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from heli_host.declaration import AXES
-from heli_host.errors import PlanError
+from heli_host.errors import LogError, PlanError
+from heli_host.fly.interrupts import Interrupts
 from heli_host.fly.pilot import Pilot, Progress
 from heli_host.fly.plan import Plan, load_plan, take_off
 from heli_host.fly.recorder import Recorder
+from heli_host.fly.tracking import Tolerance
 from heli_host.log.figure import write_figure
 from heli_host.log.reader import Log, read_log
+from heli_host.log.schema import TICK_LAYOUT
 from heli_host.log.summary import FlightSummary, summarise
 
 if TYPE_CHECKING:
@@ -41,7 +44,8 @@ def fly(
 
     Whatever ends the flight, it ends in a landing as long as the board can be reached, and in a log: a fault,
     a lost link, a full disk and Ctrl-C are told in the summary's outcome. A second Ctrl-C stops the motors at
-    once.
+    once; every one is an event of the log. SIGTERM and SIGHUP do the same where their handler raises
+    KeyboardInterrupt, as that of ``heli-host`` does.
 
     Parameters
     ----------
@@ -63,27 +67,38 @@ def fly(
     Returns
     -------
     FlightSummary
-        ``outcome`` is ``completed``, or says what ended the flight.
+        ``outcome`` is ``completed``, begins with ``not_tracked`` where an axis was not where it should
+        be, or says what ended the flight.
 
     Raises
     ------
     PlanError
         If a plan cannot be flown on this board; nothing has moved.
     LogWriteError
-        If the log cannot be created, and nothing has moved; or if summary or figure cannot be written.
+        If the log is there already, cannot be created, or may not find room on the disk, and nothing has
+        moved; or if summary or figure cannot be written.
     """
     loaded = _loaded(plans)
     sample = heli.latest
     start_deg = np.degrees([getattr(sample, f"{axis}_rad") for axis in AXES])
     route = take_off(loaded, dict(heli.params), start_deg)
     with _place(log_path) as path:
-        recorder = Recorder(heli, path, rig_name=rig_name, plans=loaded, board_name=board_name)
-        pilot = Pilot(heli, route, loaded[0].axes, recorder, on_progress)
-        try:
-            pilot.fly()
-        finally:
-            recorder.close(pilot.outcome)
-        log = read_log(path)
+        recorder = Recorder(
+            heli,
+            path,
+            rig_name=rig_name,
+            plans=loaded,
+            board_name=board_name,
+            duration_s=route.duration_s,
+        )
+        tolerance = Tolerance.widest([plan.tolerance for plan in loaded])
+        with Interrupts() as interrupts:
+            pilot = Pilot(heli, route, loaded[0].axes, recorder, on_progress, tolerance, interrupts)
+            try:
+                pilot.fly()
+            finally:
+                recorder.close(pilot.outcome)
+        log = _written(path, recorder)
     summary = replace(summarise(log), outcome=pilot.outcome, log=str(log_path) if log_path else "")
     if recorder.error is not None and str(recorder.error) not in summary.outcome:
         summary = replace(summary, notes=(*summary.notes, str(recorder.error)))
@@ -92,6 +107,17 @@ def fly(
     if figure_path is not None:
         _draw(log, summary, figure_path)
     return summary
+
+
+def _written(path: Path, recorder: Recorder) -> Log:
+    """Read the log; when the disk took not even its beginning, it is the disk that has to be told."""
+    try:
+        return read_log(path)
+    except LogError as error:
+        if recorder.error is None:
+            raise
+        ticks = np.zeros(0, TICK_LAYOUT.dtype)
+        return Log(path, ticks, TICK_LAYOUT, (), (), {}, (str(error),), complete=False)
 
 
 def _loaded(plans: PlanLike | Sequence[PlanLike]) -> list[Plan]:

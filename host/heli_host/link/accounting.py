@@ -21,7 +21,8 @@ class LinkCounters:
     frames_ok : int
         Frames from the board that passed every check.
     frames_bad : int
-        Frames refused: COBS, length, CRC, protocol, or a telemetry batch whose length does not fit.
+        Frames refused: COBS, length, CRC, protocol, or telemetry whose length does not fit or whose
+        enumerations have values that are not declared.
     frames_lost : int
         Gaps in the board's sequence numbers.
     bytes_received : int

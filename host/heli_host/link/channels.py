@@ -7,6 +7,7 @@ A row of raw numbers is int32, whatever types its channels have on the wire: an 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,17 @@ ENCODERS: tuple[Channel, ...] = tuple(
     next(channel for channel in Channel if CHANNELS[channel].axis is axis) for axis in Axis
 )
 """The channel that counts each axis' encoder, in the order of `Axis`."""
+
+_ENUMERATED = {
+    channel: {int(value) for value in kind}
+    for channel in Channel
+    if (kind := CHANNELS[channel].kind) is not None and issubclass(kind, IntEnum)
+}
+_MOST = max(max(values) for values in _ENUMERATED.values())
+# Which numbers have a name, one after the other for each enumerated channel; the last stands for all above.
+_NAMED = np.array([number in values for values in _ENUMERATED.values() for number in range(_MOST + 2)])
+_COLUMNS = np.array(list(_ENUMERATED))
+_STARTS = np.arange(len(_ENUMERATED), dtype=np.uint32) * np.uint32(_MOST + 2)
 
 _TYPES = tuple(np.dtype(spec.code) for spec in CHANNELS)
 
@@ -89,6 +101,23 @@ def raw_numbers(
     """
     counted = np.rint(values.astype(np.float64) / CHANNELS[channel].scale)
     return counted.astype(np.int64).astype(np.uint32).view(np.int32)
+
+
+def declared(raw: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
+    """Tell samples whose enumerations have values that the declaration knows.
+
+    Parameters
+    ----------
+    raw : ndarray of int32, shape (n, channels)
+        Rows of raw numbers.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        False for a sample that no board of this declaration has made.
+    """
+    values = np.minimum(raw.take(_COLUMNS, axis=1).view(np.uint32), np.uint32(_MOST + 1))  # (n, enumerated)
+    return np.asarray(_NAMED.take(values + _STARTS).all(axis=1))
 
 
 def rad_per_count(parameters: Mapping[str, float]) -> Floats:

@@ -24,6 +24,7 @@ from heli_host.declaration import (
     EventMessage,
     HelloMessage,
     MessageId,
+    ParamsMessage,
     PingMessage,
     PongMessage,
     Reset,
@@ -36,6 +37,7 @@ from heli_host.declaration import (
 )
 from heli_host.errors import LinkLost, LinkVersionMismatch, fault_text
 from heli_host.link.accounting import LinkCounters, TickAccount
+from heli_host.link.channels import declared
 from heli_host.link.clock import ClockFit
 from heli_host.link.events import (
     BOARD_RESTARTED,
@@ -47,6 +49,7 @@ from heli_host.link.events import (
     event_text,
 )
 from heli_host.link.frames import Frame, FrameParser, encode_frame
+from heli_host.link.missed_events import MissedEvents
 from heli_host.link.requests import Command, Request
 from heli_host.link.streams import SETPOINT_INTERVAL_S, VOLTAGES_INTERVAL_S, Stream
 from heli_host.link.telemetry import EMPTY_TICKS, TelemetryDecoder, Ticks
@@ -130,6 +133,7 @@ class Engine:
         self.unreachable_since_s: float | None = None
         self.kept: SetpointMessage | None = None
         self._decoder = TelemetryDecoder()
+        self._missed = MissedEvents()
         self._session_number = session_number
         self._seq = 0
         self._request_number = session_number & 0xFF
@@ -335,6 +339,9 @@ class Engine:
                     received.statuses.append(self._board)
                 case MessageId.EVENT:
                     self._take_event(EventMessage.unpack(frame.payload), now_s, wall_ns, received)
+                case MessageId.PARAMS:
+                    # Too short a reply must not reach who asked.
+                    ParamsMessage.unpack(frame.payload)
                 case MessageId.ACK:
                     if AckMessage.unpack(frame.payload).result == Result.NO_HANDSHAKE:
                         self._greet(now_s)
@@ -364,13 +371,17 @@ class Engine:
             self._baseline = self._parser_counts()
             return
         self._reconnects += 1
-        if welcome.boot_count == before.boot_count:
+        # Each holds where the other may not: the id of another start may be the same by chance, once in 2^24,
+        # and a start may be older than the outage.
+        behind = self.account.last is not None and self.account.unwrap(welcome.tick) < self.account.last
+        if welcome.boot_id == before.boot_id and not behind:
             received.events.append(self._event(LINK_RESTORED, "the link is back", wall_ns))
             if self._request is not None:
                 self._request.next_try_s = now_s
             return
         self._held.clear()
         self.account.restart()
+        self._missed.restart()
         self.clock.reset()
         self.latest_raw = None
         self.kept = None
@@ -385,20 +396,40 @@ class Engine:
     def _take_event(self, message: EventMessage, now_s: float, wall_ns: int, received: Received) -> None:
         event = LinkEvent(message.tick, wall_ns, event_kind(message), event_text(message), message)
         received.events.append(event)
-        known = self.welcome is not None and int(message.value) == self.welcome.boot_count
+        self._missed.take_event(message)
+        known = self.welcome is not None and message.value == self.welcome.boot_id
         if message.kind == Event.BOOT and not known:
             self._greet(now_s)
 
     def _take_telemetry(self, now_s: float, wall_ns: int, received: Received) -> None:
         ticks = self._decoder.decode(self._held)
         self._held.clear()
+        sound = declared(ticks.raw)
+        if not sound.all():
+            # Garbled before its CRC was made: nobody could say what it means. Each run of them counts as one.
+            self._malformed += int(np.count_nonzero(np.diff(sound.view(np.int8), prepend=np.int8(1)) < 0))
+            ticks = Ticks(ticks.tick[sound], ticks.raw[sound])
         accepted, jumped_back = self.account.take(ticks)
         if len(accepted):
             self.latest_raw = accepted.raw[-1]
             self.clock.observe(self.account.last or 0, now_s)
             received.ticks = accepted
+            for message in self._missed.take_ticks(accepted):
+                self._insert_missed(message, wall_ns, received.events)
         if jumped_back:
             self._greet(now_s)
+
+    def _insert_missed(self, message: EventMessage, wall_ns: int, events: list[LinkEvent]) -> None:
+        """Put what telemetry told in place of a lost event before what happened later."""
+        text = f"{event_text(message)}; told by telemetry, its event was lost"
+        later = (
+            index
+            for index, other in enumerate(events)
+            if other.message is not None and 0 < (other.tick - message.tick) & _TICK_MASK < _TICK_MASK // 2
+        )
+        events.insert(
+            next(later, len(events)), LinkEvent(message.tick, wall_ns, event_kind(message), text, message)
+        )
 
     def _greet(self, now_s: float) -> None:
         if self.phase is Phase.OPEN or self.unreachable_since_s is None:

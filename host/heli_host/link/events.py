@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from heli_host.declaration import Axes, Event, EventMessage, Excitation, Reset, Result, State, Trigger
@@ -30,7 +31,7 @@ class LinkEvent:
     text : str
         One line for a person, with the reason.
     message : EventMessage or None
-        The board's message; None for an event of the link.
+        The board's message, or what it was where telemetry told it; None for an event of the link.
     """
 
     tick: int
@@ -56,11 +57,12 @@ def event_text(message: EventMessage) -> str:
     detail, value = message.detail, message.value
     match message.kind:
         case Event.BOOT:
-            return f"board started ({_name(Reset, detail)}), start number {value:.0f}"
+            return f"board started ({_name(Reset, detail)}), boot id {value:.0f}"
         case Event.STATE:
             return f"state {_name(State, detail)}, because of {_name(Trigger, message.cause)}"
         case Event.FAULT:
-            return f"fault {fault_text(detail)}; seen: {value:.4g}"
+            seen = "" if math.isnan(value) else f"; seen: {value:.4g}"
+            return f"fault {fault_text(detail)}{seen}"
         case Event.SETPOINT_STALE:
             return f"setpoints stopped coming; they came at {value:.0f} Hz in the second before"
         case Event.SETPOINT_FRESH:

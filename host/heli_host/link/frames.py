@@ -15,7 +15,7 @@ _OVERHEAD_BYTES = _HEADER_BYTES + _CRC_BYTES
 _MAX_PLAIN = MAX_TELEMETRY_PAYLOAD + _OVERHEAD_BYTES
 # COBS adds one byte in front and one for every full 254 bytes.
 _MAX_ENCODED = _MAX_PLAIN + 1 + _MAX_PLAIN // 254
-_EXCERPT_BYTES = 16
+_EXCERPT_BYTES = 64
 # The CRC-32 of anything that ends with its own CRC-32, least significant byte first.
 _CRC_RESIDUE = 0x2144DF1C
 
@@ -87,7 +87,7 @@ class FrameParser:
     bytes_dropped : int
         Bytes that belong to no accepted frame, delimiters not counted.
     excerpt : bytes
-        The last of the bytes dropped, at most 16.
+        The last of the bytes dropped, at most 64.
     """
 
     def __init__(self) -> None:

@@ -476,8 +476,13 @@ class Session:
                 f"nothing was heard from {url} in {self.handshake_timeout_s:g} s",
                 "check power and cable, that it is the programming port, and that the firmware is flashed",
             )
-        excerpt = (parser.excerpt + parser.pending)[-16:]
+        everything = parser.excerpt + parser.pending
+        excerpt = everything[-16:]
         heard = f"{parser.bytes_received} bytes (the last: {excerpt.hex(' ')})"
+        # A boot loader, a console, or a simulated board that another host holds says so in words.
+        words = everything.strip(b"\r\n\0").rpartition(b"\n")[2].decode("ascii", errors="replace")
+        if words.isascii() and words.isprintable() and words:
+            heard += f", in words {words!r},"
         return WrongDevice(
             f"{heard} came from {url}, but no frame of this link",
             "choose another port (heli-host ports lists them), or flash the firmware of this release",

@@ -34,6 +34,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from heli_host.declaration import LINK_VERSION
+from heli_host.log.integrity import HEAD, RECORD_CRC, head_values, metadata_crc
 from heli_host.log.schema import (
     CDR_LITTLE_ENDIAN,
     EVENT_SCHEMA,
@@ -167,15 +168,18 @@ class McapBytes:
         return max(0, self._start_wall_ns + time_us * 1000)
 
     def head(self) -> bytes:
-        """Return what a file begins with: magic, header, schemas and channels."""
+        """Return what a file begins with: magic, header, schemas, channels, and the record that vouches for
+        them.
+        """
         builder = _Records()
         Header(profile="", library=f"heli_host (link {LINK_VERSION})").write(builder)
         for record in (*_SCHEMAS, *_CHANNELS):
             record.write(builder)
-        return bytes(MCAP0_MAGIC) + builder.data()
+        head = bytes(MCAP0_MAGIC) + builder.data()
+        return head + self.metadata(HEAD, head_values(head), len(head))
 
     def metadata(self, name: str, values: Mapping[str, str], file_offset: int) -> bytes:
-        """Return a metadata record.
+        """Return a metadata record, its CRC included.
 
         Parameters
         ----------
@@ -187,7 +191,7 @@ class McapBytes:
             Where in the file it will stand.
         """
         builder = _Records()
-        Metadata(name=name, metadata=dict(values)).write(builder)
+        Metadata(name=name, metadata={**values, RECORD_CRC: metadata_crc(name, values)}).write(builder)
         data = builder.data()
         self._metadata_indexes.append(MetadataIndex(offset=file_offset, length=len(data), name=name))
         return data
@@ -278,16 +282,18 @@ class McapBytes:
         )
         return np.array([(wall_ns, offset)], _INDEX_ENTRY), head + message.body
 
-    def tail(self, file_offset: int) -> bytes:
+    def tail(self, file_offset: int, data_crc: int) -> bytes:
         """Return what a file ends with: statistics, indexes and footer, so that viewers can jump.
 
         Parameters
         ----------
         file_offset : int
             Where in the file it will stand.
+        data_crc : int
+            CRC-32 of everything before it.
         """
         start = _Records()
-        DataEnd(data_section_crc=0).write(start)
+        DataEnd(data_section_crc=data_crc).write(start)
         data_end = start.data()
         summary_start = file_offset + len(data_end)
         statistics = Statistics(

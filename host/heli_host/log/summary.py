@@ -22,11 +22,16 @@ from heli_host.declaration import AXES
 from heli_host.errors import LogWriteError
 from heli_host.flight import Flight
 from heli_host.log.reader import Log
+from heli_host.log.writer import DISK_BLOCKED, TICKS_DROPPED
 
 PHASE_EVENT = "phase"
 """Name of the events with which a flight marks its phases."""
 TAKE_OFF, LANDING = "take-off", "landing"
 """Phases around the plans."""
+
+_MOST_COUNT = 2**63
+_LONGEST_COUNT = 24
+_TOLD = (DISK_BLOCKED, TICKS_DROPPED)
 
 
 @dataclass(frozen=True)
@@ -36,7 +41,8 @@ class FlightSummary:
     Parameters
     ----------
     outcome : str
-        ``completed``, ``recorded`` without a plan, or in one line what ended the flight.
+        ``completed``, ``not_tracked`` and where, ``recorded`` without a plan, or in one line what ended the
+        flight.
     duration_s : float
         Device time from the first tick logged to the last.
     ticks_logged, ticks_lost : int
@@ -150,7 +156,7 @@ def summarise(log: Log) -> FlightSummary:
             {"t_s": round(float(event["t_s"]), 6), "name": event["name"], "text": event["message"]}
             for event in log.events
         ),
-        notes=log.notes,
+        notes=(*log.notes, *(event["message"] for event in log.events if event["name"] in _TOLD)),
         log=str(log.path),
     )
 
@@ -196,8 +202,12 @@ def _closed_axes(text: str) -> tuple[str, ...]:
 def _link(log: Log) -> dict[str, int]:
     counted = {"frames_ok": 0, "frames_bad": 0, "retries": 0, "reconnects": 0}
     last = log.link[-1] if log.link else {}
-    counted.update({name: int(value) for name, value in last.items() if name != "t_s"})
+    counted.update({name: int(value) for name, value in last.items() if name != "t_s" and _is_count(value)})
     for name, value in log.metadata.get("counters", {}).items():
-        if value.lstrip("-").isdigit():
-            counted[name] = int(value)
+        if value.isascii() and value.lstrip("-").isdigit() and _is_count(float(value[:_LONGEST_COUNT])):
+            counted[name] = int(value[:_LONGEST_COUNT])
     return counted
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int | float) and abs(value) < _MOST_COUNT

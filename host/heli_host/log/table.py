@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from heli_host.declaration import CHANNELS
 from heli_host.errors import FlightDataError, LogWriteError
+from heli_host.files import read_file
 from heli_host.flight import (
     OWN_COLUMNS,
     REQUIRED_COLUMNS,
@@ -34,6 +35,10 @@ _NUMBER_FORMAT = "%.9f"
 _NOTE = re.compile(r"([\w .-]{1,40}):\s?(.*)")
 _PLAN_MARK = "plan|"
 _ROWS_A_BLOCK = 20_000
+MOST_BYTES = 1 << 28
+"""Largest table, unpacked: half an hour at 1 kHz."""
+MOST_LINES = 4_000_000
+MOST_COLUMNS = 1000
 
 
 @dataclass(frozen=True)
@@ -142,13 +147,14 @@ def _one_line(text: str) -> str:
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        data = path.read_bytes()
+        data = read_file(path, MOST_BYTES)
     except OSError as error:
         raise FlightDataError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
     if not path.name.lower().endswith(".gz"):
         return data
     try:
-        return gzip.decompress(data)
+        with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
+            data = packed.read(MOST_BYTES + 1)
     except EOFError as error:
         raise FlightDataError(
             f"{path}: the compressed file ends early", "copy or download it again"
@@ -157,12 +163,17 @@ def _read_bytes(path: Path) -> bytes:
         raise FlightDataError(
             f"{path}: not a gzip file, or a damaged one", "copy it again, or name it .csv if it is plain text"
         ) from error
+    if len(data) > MOST_BYTES:
+        raise FlightDataError(f"{path} unpacks to more than {MOST_BYTES >> 20} MiB", "cut it into pieces")
+    return data
 
 
 def _take_apart(data: bytes, path: Path) -> _Lines:
     data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if not data.strip():
         raise FlightDataError(f"{path}: the file is empty", "record a flight into it first")
+    if data.count(b"\n") > MOST_LINES:
+        raise FlightDataError(f"{path} has more than {MOST_LINES} lines", "cut it into pieces")
     notes: list[str] = []
     header, position, number = "", 0, 0
     while position < len(data):
@@ -176,6 +187,8 @@ def _take_apart(data: bytes, path: Path) -> _Lines:
             header = line
             break
     body = data[position:]
+    if header.count(",") >= MOST_COLUMNS:
+        raise FlightDataError(f"{path} has more than {MOST_COLUMNS} columns", "leave out what is not needed")
     names = tuple(name.strip().strip('"') for name in header.split(","))
     if b"#" not in body and b"\n\n" not in body:
         return _Lines(tuple(notes), names, body, number + 1, ())
@@ -268,9 +281,9 @@ def _find_bad_cell(lines: _Lines, keep: list[int]) -> tuple[int, int, str]:
     for row, raw in enumerate(lines.body.split(b"\n")):
         if not raw.strip():
             continue
+        if raw.count(b",") + 1 != len(lines.names):
+            return row, -1, str(raw.count(b",") + 1)
         cells = raw.decode("latin-1").split(",")
-        if len(cells) != len(lines.names):
-            return row, -1, str(len(cells))
         for column in keep:
             if not _is_number(cells[column]):
                 return row, column, cells[column].strip()[:40]
@@ -296,7 +309,7 @@ def _build(columns: dict[str, NDArray[np.float64]], notes: tuple[str, ...]) -> F
         room, _, name = key.partition(".")
         if room == "parameter" and name and _is_number(value):
             parameters[name] = float(value)
-        elif room in names and name.isdigit():
+        elif room in names and name.isascii() and name.isdigit():
             names[room][int(name)] = value
         elif room == "event" and name and _is_number(value.partition(" ")[0]):
             moment, _, text = value.partition(" ")

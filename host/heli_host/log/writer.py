@@ -11,10 +11,8 @@ the 50x simulation needs; the library's record classes write everything around t
 
 from __future__ import annotations
 
-import contextlib
-import errno
-import io
 import threading
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,11 +23,16 @@ from numpy.typing import NDArray
 from heli_host.declaration import TICK_US
 from heli_host.errors import LogWriteError
 from heli_host.log.clock import TickClock
+from heli_host.log.disk import BackgroundFile, DirectFile, LogFile
 from heli_host.log.records import EVENT_CHANNEL, LINK_CHANNEL, JsonMessage, McapBytes, TickBatch, json_bytes
-from heli_host.log.schema import LEVEL_INFO
+from heli_host.log.schema import LEVEL_ERROR, LEVEL_INFO, LEVEL_WARNING
 
 CHUNK_TICKS = 1_000_000 // TICK_US
 """Ticks in a chunk: one second, which is also the most that a killed host loses."""
+DISK_BLOCKED, TICKS_DROPPED = "disk_blocked", "ticks_dropped"
+"""Events that the writer itself has to tell."""
+
+_MOST_MESSAGES = 10_000
 
 
 @dataclass(slots=True)
@@ -42,6 +45,8 @@ class LogCounters:
         Ticks written or waiting to be.
     ticks_lost : int
         Gaps in the tick numbers between the first and the last tick logged.
+    ticks_dropped : int
+        Ticks that came and were not logged, because more waited for a blocked disk than may.
     events_logged : int
         Events written or waiting to be.
     bytes_written : int
@@ -50,6 +55,7 @@ class LogCounters:
 
     ticks_logged: int = 0
     ticks_lost: int = 0
+    ticks_dropped: int = 0
     events_logged: int = 0
     bytes_written: int = 0
 
@@ -60,7 +66,7 @@ class LogWriter:
     Parameters
     ----------
     path : str or Path
-        File to write; one that exists is replaced, a missing folder is made.
+        File to create; a missing folder is made.
     start_wall_ns : int
         Unix time of the log's time zero, in nanoseconds; the same value gives the same bytes.
     metadata : Mapping[str, Mapping[str, str]]
@@ -69,11 +75,13 @@ class LogWriter:
         Size of a count of each axis' encoder, in the order of `Axis`.
     level : int
         zstd's compression level.
+    background : bool
+        Write by a thread, and have the disk keep it every second: nobody who logs waits for the disk.
 
     Raises
     ------
     LogWriteError
-        If the file cannot be created.
+        If the file is there already, or cannot be created.
     """
 
     def __init__(
@@ -84,25 +92,21 @@ class LogWriter:
         metadata: Mapping[str, Mapping[str, str]],
         rad_per_count: NDArray[np.float64],
         level: int = 3,
+        background: bool = False,
     ) -> None:
         self.path = Path(path)
         self._counters = LogCounters()
         self._clock = TickClock()
-        self.failed: LogWriteError | None = None
         self._bytes = McapBytes(start_wall_ns, rad_per_count, level)
         self._pending: list[TickBatch | JsonMessage] = []
         self._pending_ticks = 0
         self._unplaced: list[tuple[NDArray[np.uint32], NDArray[np.int32]]] = []
         self._closed = False
+        self._data_crc = 0
         self._lock = threading.RLock()
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = io.FileIO(self.path, "w")
-        except OSError as error:
-            raise LogWriteError(
-                f"cannot write the log {self.path}: {error.strerror or error}",
-                "choose another place with --log",
-            ) from error
+        self._last_tick = 0
+        self._dropping = 0
+        self._file: LogFile = BackgroundFile(self.path) if background else DirectFile(self.path)
         try:
             self._write(self._bytes.head())
             for name, values in metadata.items():
@@ -110,6 +114,16 @@ class LogWriter:
         except LogWriteError:
             self._file.close()
             raise
+
+    @property
+    def failed(self) -> LogWriteError | None:
+        """Why nothing more is written: the disk is full or gone."""
+        return self._file.failed
+
+    @property
+    def nearly_full(self) -> LogWriteError | None:
+        """Set once the disk has just enough left to land; writing goes on."""
+        return self._file.nearly_full
 
     @property
     def counters(self) -> LogCounters:
@@ -232,9 +246,12 @@ class LogWriter:
             If the disk is full or gone; what was written before stays readable.
         """
         with self._lock:
+            self._tell_stalls()
             self._place()
             pending, self._pending, self._pending_ticks = self._pending, [], 0
-            if pending and not self._closed:
+            if not self._file.has_room:
+                self._drop(pending)
+            elif pending and not self._closed:
                 self._write(self._bytes.chunk(pending, self._counters.bytes_written))
 
     def close(self, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
@@ -255,13 +272,35 @@ class LogWriter:
             if self._closed:
                 return
             try:
+                # What blocked until now is told in the last chunk.
+                self._file.drain()
                 self.flush()
                 for name, values in (metadata or {}).items():
                     self.write_metadata(name, values)
-                self._write(self._bytes.tail(self._counters.bytes_written))
+                self._write(self._bytes.tail(self._counters.bytes_written, self._data_crc))
             finally:
                 self._closed = True
                 self._file.close()
+
+    def _tell_stalls(self) -> None:
+        for stall_s in self._file.take_stalls_s():
+            self.write_event(
+                self._last_tick, DISK_BLOCKED, f"the disk blocked for {stall_s:.1f} s", LEVEL_WARNING
+            )
+        if self._dropping and self._file.has_room:
+            text = f"{self._dropping} ticks were not logged: more waited for the disk than may"
+            self._dropping = 0
+            self.write_event(self._last_tick, TICKS_DROPPED, text, LEVEL_ERROR)
+
+    def _drop(self, pending: list[TickBatch | JsonMessage]) -> None:
+        """Count the ticks and forget them; keep the messages, which are few, until there is room."""
+        dropped = sum(int(part.tick.size) for part in pending if isinstance(part, TickBatch))
+        self._dropping += dropped
+        self._counters.ticks_dropped += dropped
+        self._counters.ticks_logged -= dropped
+        self._counters.ticks_lost += dropped
+        messages = [part for part in pending if isinstance(part, JsonMessage)]
+        self._pending = [*messages[-_MOST_MESSAGES:]]
 
     def _place(self) -> None:
         """Give the ticks of many small batches their times at once: one by one it would cost 1 us a tick."""
@@ -273,27 +312,11 @@ class LogWriter:
         time_us, lost = self._clock.advance(tick)
         self._counters.ticks_logged += int(tick.size)
         self._counters.ticks_lost += lost
+        self._last_tick = int(tick[-1])
         self._pending.append(TickBatch(time_us, tick, raw))
 
     def _write(self, data: bytes) -> None:
-        """Append whole records; after a failure the file ends behind the last whole one, and nothing more
-        follows.
-        """
-        if self.failed is not None:
-            raise self.failed
-        view = memoryview(data)
-        try:
-            while view:
-                view = view[self._file.write(view) or 0 :]
-        except OSError as error:
-            full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-            self.failed = LogWriteError(
-                f"cannot write the log {self.path}: {error.strerror or error}",
-                "free some disk space; the log is readable up to here"
-                if full
-                else "the log is readable up to here",
-            )
-            with contextlib.suppress(OSError):
-                self._file.truncate(self._counters.bytes_written)
-            raise self.failed from error
+        """Append whole records; after a failure nothing more follows."""
+        self._file.append(data)
         self._counters.bytes_written += len(data)
+        self._data_crc = zlib.crc32(data, self._data_crc)

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <utility>
 
 #include "cpu/cpu.hpp"
 
@@ -146,6 +147,7 @@ void Bus::write(std::uint32_t address, std::uint32_t value, std::uint32_t size) 
     return write_peripheral(target, (value & 1U) != 0 ? old | bit : old & ~bit, 4);
   }
   if (inside(address, kPeripheralBase, 0x20000000)) return write_peripheral(address, value, size);
+  if (rehearsal_.on) return;
   if (inside(address, 0xE0000000, 0x00100000) && private_bus_ != nullptr) {
     check_private(address, "write of");
     return private_bus_->write_private(address, value, size);
@@ -156,21 +158,42 @@ void Bus::write(std::uint32_t address, std::uint32_t value, std::uint32_t size) 
   fail(address, "write of");
 }
 
-bool Bus::report_unmodelled(std::uint32_t address, const char* verb) {
+std::string Bus::name_of(std::uint32_t address) const {
+  if (const Device* device = device_at(address)) return device->name_of(address & ~3U);
   for (const Unmodelled& part : unmodelled_) {
     if (!inside(address, part.base, part.size)) continue;
     char offset[16];
     std::snprintf(offset, sizeof offset, "+0x%x", static_cast<unsigned>(address - part.base));
-    diagnostics_.report(Trouble::kUnmodelled, address,
-                        std::string(verb) + " " + hex(address) + " " + part.name + offset +
-                            ": this peripheral is not modelled");
-    return true;
+    return hex(address) + " " + part.name + offset;
   }
-  return false;
+  return {};
+}
+
+std::uint32_t Bus::outside_bits(std::uint32_t address) const {
+  const Device* device = device_at(address);
+  return device == nullptr ? 0 : device->outside_bits(address & ~3U);
+}
+
+bool Bus::report_unmodelled(std::uint32_t address, const char* verb) {
+  const std::string name = name_of(address);
+  if (name.empty()) return false;
+  diagnostics_.report(Trouble::kUnmodelled, address,
+                      std::string(verb) + " " + name + ": this peripheral is not modelled");
+  return true;
 }
 
 std::uint32_t Bus::read_peripheral(std::uint32_t address, std::uint32_t size) {
+  if (rehearsal_.on) {
+    if (std::exchange(rehearsal_.has_read, true)) throw RehearsalEnds{};
+    return rehearsal_.value;
+  }
   cpu_->stall(kApbCycles);
+  const std::uint32_t value = read_device(address, size);
+  if (diagnostics_.strict(Trouble::kWait)) waits.read(*cpu_, address, value);
+  return value;
+}
+
+std::uint32_t Bus::read_device(std::uint32_t address, std::uint32_t size) {
   Device* device = device_at(address);
   if (device == nullptr) {
     if (report_unmodelled(address, "read of")) return 0;
@@ -185,7 +208,9 @@ std::uint32_t Bus::read_peripheral(std::uint32_t address, std::uint32_t size) {
 }
 
 void Bus::write_peripheral(std::uint32_t address, std::uint32_t value, std::uint32_t size) {
+  if (rehearsal_.on) return;
   cpu_->stall(kApbCycles);
+  if (diagnostics_.strict(Trouble::kWait)) waits.write(*cpu_, address);
   Device* device = device_at(address);
   if (device == nullptr) {
     if (report_unmodelled(address, "write of")) return;

@@ -8,6 +8,7 @@
 
 #include "bus/diagnostics.hpp"
 #include "bus/memory.hpp"
+#include "bus/wait_loops.hpp"
 
 namespace heli_due {
 
@@ -19,6 +20,9 @@ class Device {
   virtual ~Device() = default;
   virtual std::uint32_t read_register(std::uint32_t address) = 0;
   virtual void write_register(std::uint32_t address, std::uint32_t value) = 0;
+  // For messages; and the bits that the world outside of the chip, or a slow clock, can change.
+  virtual std::string name_of(std::uint32_t address) const { return hex(address); }
+  virtual std::uint32_t outside_bits(std::uint32_t) const { return 0; }
 };
 
 // The private peripheral bus takes bytes and halfwords in places.
@@ -38,6 +42,9 @@ class FlashPort {
   // A write into the page latches.
   virtual void latch(std::uint32_t offset, std::uint32_t value, std::uint32_t size) = 0;
 };
+
+// Thrown by the second read of a peripheral in a rehearsal.
+struct RehearsalEnds {};
 
 class Bus {
  public:
@@ -61,7 +68,23 @@ class Bus {
 
   Diagnostics& diagnostics() { return diagnostics_; }
 
+  // What register stands at `address`, and which of its bits the outside can change.
+  std::string name_of(std::uint32_t address) const;
+  std::uint32_t outside_bits(std::uint32_t address) const;
+
+  // Until end_rehearsal() no access reaches a peripheral: the first read gives `value`, writes are
+  // lost.
+  void rehearse(std::uint32_t value) { rehearsal_ = {true, false, value}; }
+  void end_rehearsal() { rehearsal_ = {}; }
+
+  WaitLoops waits;
+
  private:
+  struct Rehearsal {
+    bool on = false;
+    bool has_read = false;
+    std::uint32_t value = 0;
+  };
   struct Unmodelled {
     std::uint32_t base;
     std::uint32_t size;
@@ -79,6 +102,7 @@ class Bus {
   void write_peripheral(std::uint32_t address, std::uint32_t value, std::uint32_t size);
   // True when an unmodelled peripheral is there, after reporting it.
   bool report_unmodelled(std::uint32_t address, const char* verb);
+  std::uint32_t read_device(std::uint32_t address, std::uint32_t size);
   [[noreturn]] void fail(std::uint32_t address, const char* verb);
   void check_private(std::uint32_t address, const char* verb);
 
@@ -90,6 +114,7 @@ class Bus {
   std::array<Device*, (kSystemBase - kPeripheralBase) / 0x4000> devices_{};
   std::array<Device*, (kSystemEnd - kSystemBase) / 16> system_devices_{};
   std::vector<Unmodelled> unmodelled_;
+  Rehearsal rehearsal_;
 };
 
 }  // namespace heli_due

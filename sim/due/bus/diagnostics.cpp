@@ -12,7 +12,7 @@ namespace heli_due {
 const char* trouble_name(Trouble kind) {
   static constexpr std::array<const char*, kTroubleCount> kNames = {
       "unmapped",  "unmodelled", "unclocked",  "unaligned", "narrow",
-      "direction", "misuse",     "contention", "lockup"};
+      "direction", "misuse",     "contention", "lockup",    "wait"};
   return kNames[static_cast<std::size_t>(kind)];
 }
 

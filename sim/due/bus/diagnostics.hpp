@@ -24,8 +24,9 @@ enum class Trouble : std::uint8_t {
   kMisuse,      // a value or an order that the datasheet forbids
   kContention,  // two strong drivers on one wire
   kLockup,      // the processor gave up; stops in lenient mode too, unless this check is off
+  kWait,  // half a second in a loop on a register that never changes; stops in lenient mode only
 };
-inline constexpr int kTroubleCount = 9;
+inline constexpr int kTroubleCount = 10;
 
 // Name as the command line and the messages use it.
 const char* trouble_name(Trouble kind);
@@ -59,7 +60,7 @@ class Symbols {
 
 class Diagnostics {
  public:
-  void set_all_strict(bool strict) { strict_mask_ = strict ? kAll : kLockupOnly; }
+  void set_all_strict(bool strict) { strict_mask_ = strict ? kStrict : kLenient; }
   void set_strict(Trouble kind, bool strict);
   bool strict(Trouble kind) const {
     return ((strict_mask_ >> static_cast<unsigned>(kind)) & 1U) != 0;
@@ -76,10 +77,12 @@ class Diagnostics {
   Symbols symbols;
 
  private:
-  static constexpr std::uint32_t kLockupOnly = 1U << static_cast<unsigned>(Trouble::kLockup);
-  static constexpr std::uint32_t kAll = (1U << kTroubleCount) - 1U;
+  static constexpr std::uint32_t kWaitBit = 1U << static_cast<unsigned>(Trouble::kWait);
+  static constexpr std::uint32_t kLenient =
+      kWaitBit | 1U << static_cast<unsigned>(Trouble::kLockup);
+  static constexpr std::uint32_t kStrict = ((1U << kTroubleCount) - 1U) & ~kWaitBit;
 
-  std::uint32_t strict_mask_ = kAll;
+  std::uint32_t strict_mask_ = kStrict;
   std::set<std::tuple<Trouble, std::uint32_t, std::uint32_t>> seen_;
   std::vector<std::string> warnings_;
 };

@@ -16,10 +16,9 @@ constexpr Block kUnmodelled[] = {
     {0x40000000, 0x4000, "HSMCI"},  {0x40004000, 0x4000, "SSC"},    {0x40008000, 0x4000, "SPI0"},
     {0x4008C000, 0x4000, "TWI0"},   {0x40090000, 0x4000, "TWI1"},   {0x40098000, 0x4000, "USART0"},
     {0x4009C000, 0x4000, "USART1"}, {0x400A0000, 0x4000, "USART2"}, {0x400A4000, 0x4000, "USART3"},
-    {0x400AC000, 0x4000, "UOTGHS"}, {0x400B0000, 0x4000, "EMAC"},   {0x400B4000, 0x4000, "CAN0"},
-    {0x400B8000, 0x4000, "CAN1"},   {0x400BC000, 0x4000, "TRNG"},   {0x400C0000, 0x4000, "ADC"},
-    {0x400C4000, 0x4000, "DMAC"},   {0x400C8000, 0x4000, "DACC"},   {0x400E0000, 0x200, "SMC"},
-    {0x400E0200, 0x200, "SDRAMC"},  {0x400E0400, 0x200, "MATRIX"},  {0x400E1A60, 0x30, "RTC"},
+    {0x400B0000, 0x4000, "EMAC"},   {0x400B4000, 0x4000, "CAN0"},   {0x400B8000, 0x4000, "CAN1"},
+    {0x400C4000, 0x4000, "DMAC"},   {0x400E0000, 0x200, "SMC"},     {0x400E0200, 0x200, "SDRAMC"},
+    {0x400E0400, 0x200, "MATRIX"},  {0x400E1A60, 0x30, "RTC"},
 };
 
 // Pins of TIOA and TIOB (section 9.2); PB0 and PB1 of TC1 are not brought out on the Due.
@@ -33,6 +32,12 @@ constexpr Tc::Wiring kTc2 = {{pin_of('C', 25), pin_of('C', 28), pin_of('D', 7)},
 
 // The reset controller holds the core for three periods of the slow clock.
 constexpr std::uint64_t kResetPeriods = 3;
+
+// A wait in a loop that nothing ends, how often it is looked for, and the steps in which the
+// program comes back to its load, interrupts included.
+constexpr BoardTime kLongestWait = 500 * kOneMs;
+constexpr BoardTime kWatchEvery = 10 * kOneMs;
+constexpr int kMostSteps = 10000;
 
 }  // namespace
 
@@ -57,6 +62,10 @@ Chip::Chip()
       tc1(system, pins, 1, kTc1),
       tc2(system, pins, 2, kTc2),
       pwm(system, pins),
+      adc(system),
+      dacc(system),
+      trng(system),
+      uotghs(system),
       uart(system, pins),
       id_(system.scheduler.add(this)) {
   system.bus.connect(&system.cpu, &scs, &flash);
@@ -70,7 +79,7 @@ Chip::Chip()
 }
 
 void Chip::power_on() {
-  std::fill(system.memory.ram.begin(), system.memory.ram.end(), std::uint8_t{0xA5});
+  std::fill(system.memory.ram.begin(), system.memory.ram.end(), std::uint8_t{0x5B});
   system.memory.ram_code.fill(0);
   gpbr.power_lost();
   powered_ = true;
@@ -130,10 +139,47 @@ void Chip::carry_out_resets() {
 }
 
 void Chip::run_until(BoardTime until) {
+  const bool watched = system.diagnostics.strict(Trouble::kWait);
   while (system.board_now() < until && system.cpu.halt() == Halt::kNone) {
-    system.cpu.run(system.clock.cycle_at(until));
+    const BoardTime slice = watched ? std::min(until, system.board_now() + kWatchEvery) : until;
+    system.cpu.run(system.clock.cycle_at(slice));
     carry_out_resets();
+    if (watched) check_waits();
   }
+}
+
+// Ends a program that waits for what never comes.
+void Chip::check_waits() {
+  const Cpu& cpu = system.cpu;
+  WaitLoops::Loop& loop = system.bus.waits.at_level_of(cpu);
+  const std::size_t level = cpu.nesting();
+  if (system.board_now() - system.clock.time_at(loop.since) < kLongestWait) return;
+  // On to the load, through the handlers that come in between.
+  for (int i = 0; cpu.nesting() != level || cpu.pc() != loop.pc; ++i) {
+    const bool inside = cpu.nesting() > level || WaitLoops::stands_in(cpu, loop);
+    if (i == kMostSteps || !inside || cpu.held() || cpu.sleeping() || cpu.halt() != Halt::kNone)
+      return;
+    step();
+  }
+  if (!WaitLoops::stands_in(cpu, loop)) return;
+  const WaitLoops::Loop before = loop;
+  const std::uint32_t bits = system.cpu.deciding_bits(before.value);
+  const std::uint32_t outside = system.bus.outside_bits(before.address);
+  if ((bits & outside) != 0 || (bits == 0 && outside != 0)) {
+    loop.since = cpu.cycles();
+    return;
+  }
+  std::string wanted;
+  for (unsigned bit = 0; bit < 32; ++bit) {
+    if (((bits >> bit) & 1U) != 0) wanted += (wanted.empty() ? "" : ", ") + std::to_string(bit);
+  }
+  const bool one = (bits & (bits - 1)) == 0;
+  const std::string what = bits == 0 ? "the program waits for no single bit of it"
+                           : one     ? "the program waits for its bit " + wanted
+                                     : "the program waits for one of its bits " + wanted;
+  system.diagnostics.report(Trouble::kWait, before.address,
+                            "for 0.5 s a loop has read " + system.bus.name_of(before.address) +
+                                ", which stays " + hex(before.value) + ": " + what);
 }
 
 void Chip::step() {

@@ -5,6 +5,8 @@
 #include <cstdint>
 #include <memory>
 
+#include "chip/adc.hpp"
+#include "chip/dacc.hpp"
 #include "chip/eefc.hpp"
 #include "chip/pins.hpp"
 #include "chip/pio.hpp"
@@ -13,7 +15,9 @@
 #include "chip/supply.hpp"
 #include "chip/system.hpp"
 #include "chip/tc.hpp"
+#include "chip/trng.hpp"
 #include "chip/uart.hpp"
+#include "chip/uotghs.hpp"
 #include "cpu/scs.hpp"
 
 namespace heli_due {
@@ -62,11 +66,16 @@ class Chip final : public EventSink {
   Tc tc1;
   Tc tc2;
   Pwm pwm;
+  Adc adc;
+  Dacc dacc;
+  Trng trng;
+  Uotghs uotghs;
   Uart uart;
 
  private:
   void reset(ResetType type, bool processor_only);
   void carry_out_resets();
+  void check_waits();
   void boot();
 
   Scheduler::Id id_;

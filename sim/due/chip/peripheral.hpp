@@ -49,6 +49,10 @@ class Peripheral : public Device, public EventSink {
 
   virtual void reset() = 0;
   void event(std::uint64_t) override {}
+  std::string name_of(std::uint32_t address) const final { return describe(address - base_); }
+  std::uint32_t outside_bits(std::uint32_t address) const final {
+    return from_outside(address - base_);
+  }
 
  protected:
   virtual std::uint32_t read(std::uint32_t offset) = 0;
@@ -56,6 +60,9 @@ class Peripheral : public Device, public EventSink {
   // The PMC identifier that clocks the register at `offset`.
   virtual int clock_of(std::uint32_t) const { return clock_id_; }
   virtual bool write_protected() const { return false; }
+  // Bits of the register at `offset` that follow pins, lines or voltages, or a time of the
+  // program's choice: to wait for them is no mistake.
+  virtual std::uint32_t from_outside(std::uint32_t) const { return 0; }
 
   void misuse(std::uint32_t offset, const std::string& text) const;
   void not_modelled(std::uint32_t offset, const std::string& text) const;

@@ -17,6 +17,9 @@ class Pio final : public Peripheral, public PinListener {
   std::uint32_t read(std::uint32_t offset) override;
   void write(std::uint32_t offset, std::uint32_t value) override;
   bool write_protected() const override { return (protect_ & 1U) != 0; }
+  std::uint32_t from_outside(std::uint32_t offset) const override {
+    return offset == 0x3C || offset == 0x4C ? ~0U : 0;
+  }
 
  private:
   void apply(std::uint32_t changed);

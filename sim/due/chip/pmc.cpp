@@ -19,12 +19,12 @@ constexpr Register kRegisters[] = {
     {0x010, "PMC_PCER0", kWrite | kProtected},
     {0x014, "PMC_PCDR0", kWrite | kProtected},
     {0x018, "PMC_PCSR0", kRead},
-    {0x01C, "CKGR_UCKR", kBoth | kUnmodelled},
+    {0x01C, "CKGR_UCKR", kBoth | kProtected},
     {0x020, "CKGR_MOR", kBoth | kProtected},
     {0x024, "CKGR_MCFR", kRead},
     {0x028, "CKGR_PLLAR", kBoth | kProtected},
     {0x030, "PMC_MCKR", kBoth | kProtected},
-    {0x038, "PMC_USB", kBoth | kUnmodelled},
+    {0x038, "PMC_USB", kBoth | kProtected},
     {0x040, "PMC_PCK0", kBoth | kUnmodelled},
     {0x044, "PMC_PCK1", kBoth | kUnmodelled},
     {0x048, "PMC_PCK2", kBoth | kUnmodelled},
@@ -50,8 +50,15 @@ constexpr std::uint32_t kMoscSel = 1U << 24;
 constexpr std::uint32_t kMoscXtS = 1U << 0;
 constexpr std::uint32_t kLockA = 1U << 1;
 constexpr std::uint32_t kMckRdy = 1U << 3;
+constexpr std::uint32_t kLockU = 1U << 6;
 constexpr std::uint32_t kMoscSelS = 1U << 16;
 constexpr std::uint32_t kMoscRcS = 1U << 17;
+
+// CKGR_UCKR: bits that no field names read as they do after reset until they are written.
+constexpr std::uint32_t kUckrReset = 0x10200800;
+constexpr std::uint32_t kUpllEn = 1U << 16;
+// PMC_SCSR.UOTGCLK, the 48 MHz of the USB port; bit 0 always reads 1.
+constexpr std::uint32_t kUsbClock = 1U << 5;
 
 constexpr std::uint32_t kCrystal_Hz = 12000000;
 constexpr std::uint32_t kMorKey = 0x37;
@@ -63,6 +70,12 @@ constexpr std::uint64_t kSwitchCycles = 8;
 // PLLA runs from 84 to 192 MHz.
 constexpr std::uint32_t kPllaLowest_Hz = 84000000;
 constexpr std::uint32_t kPllaHighest_Hz = 192000000;
+// A 12 MHz crystal's start and the PLLs' at their slowest. PMC_SR says only that the counters
+// MOSCXTST, PLLACOUNT and UPLLCOUNT have run down, which it is the program's business to choose.
+// UPLL's time is not from the datasheet: it is below what one step of UPLLCOUNT gives.
+constexpr BoardTime kCrystalStart = 1400 * kOneUs;
+constexpr BoardTime kPllaStart = 200 * kOneUs;
+constexpr BoardTime kUpllStart = 100 * kOneUs;
 
 }  // namespace
 
@@ -73,11 +86,15 @@ Pmc::Pmc(System& system)
 void Pmc::reset() {
   main_oscillator_ = kMoscRcEn;
   plla_ = 0x3F00;
+  upll_ = kUckrReset;
+  usb_ = 0;
+  system_clocks_ = 1;
   master_ = 1;
   status_ = kMckRdy | kMoscSelS | kMoscRcS;
   interrupts_ = protect_ = pcr_ = fast_startup_ = fast_polarity_ = 0;
-  crystal_ready_ = plla_ready_ = master_ready_ = 0;
+  crystal_ready_ = plla_ready_ = upll_ready_ = master_ready_ = 0;
   system_.peripheral_clocks = 0;
+  system_.upll_locked = false;
   apply_master_clock();
   plan();
   update_irq();
@@ -143,13 +160,15 @@ void Pmc::settle() {
   };
   if (due(crystal_ready_)) status_ |= kMoscXtS;
   if (due(plla_ready_)) status_ |= kLockA;
+  if (due(upll_ready_)) status_ |= kLockU;
+  system_.upll_locked = (status_ & kLockU) != 0;
   if (due(master_ready_)) status_ |= kMckRdy;
   update_irq();
 }
 
 void Pmc::plan() {
   BoardTime first = ~BoardTime{0};
-  for (const BoardTime ready : {crystal_ready_, plla_ready_, master_ready_}) {
+  for (const BoardTime ready : {crystal_ready_, plla_ready_, upll_ready_, master_ready_}) {
     if (ready != 0) first = std::min(first, ready);
   }
   system_.scheduler.set(id_, first == ~BoardTime{0} ? kNever : system_.clock.cycle_at(first));
@@ -166,11 +185,13 @@ std::uint32_t Pmc::read(std::uint32_t offset) {
   settle();
   switch (offset) {
     case 0x008:
-      return 1;
+      return system_clocks_;
     case 0x018:
       return static_cast<std::uint32_t>(system_.peripheral_clocks);
     case 0x108:
       return static_cast<std::uint32_t>(system_.peripheral_clocks >> 32);
+    case 0x01C:
+      return upll_;
     case 0x020:
       return main_oscillator_;
     // Main clock cycles in 16 periods of the slow clock, and that the count is complete.
@@ -181,6 +202,8 @@ std::uint32_t Pmc::read(std::uint32_t offset) {
       return plla_;
     case 0x030:
       return master_;
+    case 0x038:
+      return usb_;
     case 0x068:
       return status_;
     case 0x06C:
@@ -205,6 +228,7 @@ void Pmc::write_main_oscillator(std::uint32_t value) {
   if ((value & kMoscXtEn) != 0 && (before & kMoscXtEn) == 0) {
     const std::uint32_t startup = 8 * ((value >> 8) & 0xFFU);
     crystal_ready_ = system_.board_now() + system_.slow_periods(startup + 1);
+    crystal_steady_ = system_.board_now() + kCrystalStart;
   }
   if ((value & kMoscXtEn) == 0) {
     crystal_ready_ = 0;
@@ -214,6 +238,8 @@ void Pmc::write_main_oscillator(std::uint32_t value) {
   const bool crystal = (value & kMoscSel) != 0;
   if (crystal && (status_ & kMoscXtS) == 0) {
     misuse(0x20, "the crystal is chosen before PMC_SR.MOSCXTS says that it runs");
+  } else if (crystal && system_.board_now() < crystal_steady_) {
+    misuse(0x20, "CKGR_MOR.MOSCXTST is too short: the crystal needs 1.4 ms to start");
   }
   if (!crystal && (value & kMoscRcEn) == 0)
     misuse(0x20, "no oscillator is left for the main clock");
@@ -233,8 +259,51 @@ void Pmc::write_plla(std::uint32_t value) {
       misuse(0x28, "PLLA at " + std::to_string(hz) + " Hz is outside of 84 to 192 MHz");
     }
     plla_ready_ = system_.board_now() + system_.slow_periods(((value >> 8) & 0x3FU) + 1);
+    plla_steady_ = system_.board_now() + kPllaStart;
   }
   plan();
+}
+
+// UPLL makes 480 MHz of the crystal's 12; UPLLCOUNT counts eight periods of the slow clock each.
+void Pmc::write_upll(std::uint32_t value) {
+  const bool was_on = (upll_ & kUpllEn) != 0;
+  upll_ = value;
+  if ((value & kUpllEn) == 0) {
+    if ((system_clocks_ & kUsbClock) != 0 && (usb_ & 1U) != 0) {
+      misuse(0x1C, "UPLL is switched off while the USB clock runs from it");
+    }
+    status_ &= ~kLockU;
+    system_.upll_locked = false;
+    upll_ready_ = 0;
+  } else if (!was_on) {
+    if ((main_oscillator_ & kMoscXtEn) == 0 || system_.board_now() < crystal_steady_) {
+      misuse(0x1C, "UPLL is switched on before the 12 MHz crystal runs, which it multiplies");
+    }
+    const std::uint64_t startup = 8 * ((value >> 20) & 0xFU);
+    upll_ready_ = system_.board_now() + system_.slow_periods(startup + 1);
+    upll_steady_ = system_.board_now() + kUpllStart;
+  }
+  plan();
+}
+
+void Pmc::write_system_clocks(std::uint32_t offset, std::uint32_t value) {
+  if ((value & 0x700U) != 0) not_modelled(offset, "programmable clocks are not modelled");
+  const std::uint32_t bits = value & kUsbClock;
+  if (offset == 0x004) {
+    system_clocks_ &= ~bits;
+    return;
+  }
+  const bool from_upll = (usb_ & 1U) != 0;
+  if (bits != 0 && (status_ & (from_upll ? kLockU : kLockA)) == 0) {
+    misuse(offset, from_upll
+                       ? "the USB clock is switched on before PMC_SR.LOCKU says that UPLL, its "
+                         "source in PMC_USB, is stable"
+                       : "the USB clock is switched on before PMC_SR.LOCKA says that PLLA, its "
+                         "source in PMC_USB, is stable");
+  } else if (bits != 0 && from_upll && system_.board_now() < upll_steady_) {
+    misuse(offset, "CKGR_UCKR.UPLLCOUNT is too short: UPLL needs 0.1 ms to lock");
+  }
+  system_clocks_ |= bits;
 }
 
 void Pmc::write_master_clock(std::uint32_t value) {
@@ -242,11 +311,14 @@ void Pmc::write_master_clock(std::uint32_t value) {
   if ((value & 3U) == 2 && (status_ & kLockA) == 0) {
     return misuse(0x30, "PLLA is chosen before PMC_SR.LOCKA says that it is stable");
   }
-  if ((value & 3U) == 3) return not_modelled(0x30, "the UPLL clock is not modelled");
+  if ((value & 3U) == 2 && system_.board_now() < plla_steady_) {
+    misuse(0x30, "CKGR_PLLAR.PLLACOUNT is too short: PLLA needs 0.2 ms to lock");
+  }
+  if ((value & 3U) == 3) return not_modelled(0x30, "a master clock from UPLL is not modelled");
   const bool source = ((value ^ master_) & 3U) != 0;
   const bool prescaler = ((value ^ master_) & 0x1070U) != 0;
-  if (source && prescaler && (value & 3U) >= 2 && (value & 0x1070U) < (master_ & 0x1070U)) {
-    misuse(0x30, "the prescaler must be set before the source is changed to a PLL");
+  if (source && prescaler) {
+    misuse(0x30, "prescaler and source of the master clock must not change in one write");
   }
   master_ = value & 0x3073U;
   apply_master_clock();
@@ -284,19 +356,23 @@ void Pmc::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
     case 0x000:
     case 0x004:
-      if (value != 0) not_modelled(offset, "USB and programmable clocks are not modelled");
-      return;
+      return write_system_clocks(offset, value);
     case 0x010:
     case 0x014:
     case 0x100:
     case 0x104:
       return write_peripheral(offset, value);
+    case 0x01C:
+      return write_upll(value);
     case 0x020:
       return write_main_oscillator(value);
     case 0x028:
       return write_plla(value);
     case 0x030:
       return write_master_clock(value);
+    case 0x038:
+      usb_ = value & 0xF01U;
+      return;
     case 0x060:
       interrupts_ |= value;
       return update_irq();

@@ -1,4 +1,4 @@
-// Power management controller (section 28): oscillators, PLLA, master clock, peripheral clocks.
+// Power management controller (section 28): oscillators, PLLs, master clock, peripheral clocks.
 #pragma once
 
 #include "chip/peripheral.hpp"
@@ -21,6 +21,8 @@ class Pmc final : public Peripheral {
  private:
   void write_main_oscillator(std::uint32_t value);
   void write_plla(std::uint32_t value);
+  void write_upll(std::uint32_t value);
+  void write_system_clocks(std::uint32_t offset, std::uint32_t value);
   void write_master_clock(std::uint32_t value);
   void write_peripheral(std::uint32_t offset, std::uint32_t value);
   void write_pcr(std::uint32_t value);
@@ -35,6 +37,9 @@ class Pmc final : public Peripheral {
   Scheduler::Id id_;
   std::uint32_t main_oscillator_ = 1;
   std::uint32_t plla_ = 0x3F00;
+  std::uint32_t upll_ = 0;
+  std::uint32_t usb_ = 0;            // PMC_USB
+  std::uint32_t system_clocks_ = 1;  // SCSR
   std::uint32_t master_ = 1;
   std::uint32_t status_ = 0;
   std::uint32_t interrupts_ = 0;
@@ -42,10 +47,15 @@ class Pmc final : public Peripheral {
   std::uint32_t pcr_ = 0;
   std::uint32_t fast_startup_ = 0;
   std::uint32_t fast_polarity_ = 0;
-  // Board times at which the crystal, PLLA and the master clock are ready; 0: not on their way.
+  // Board times at which the crystal, the PLLs and the master clock are ready; 0: not on their way.
   BoardTime crystal_ready_ = 0;
   BoardTime plla_ready_ = 0;
+  BoardTime upll_ready_ = 0;
   BoardTime master_ready_ = 0;
+  // When crystal and PLLs run true, whatever the counters of slow clocks make PMC_SR say.
+  BoardTime crystal_steady_ = 0;
+  BoardTime plla_steady_ = 0;
+  BoardTime upll_steady_ = 0;
 };
 
 }  // namespace heli_due

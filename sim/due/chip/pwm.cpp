@@ -112,7 +112,8 @@ constexpr PwmPin kFaultPins[] = {{pin_of('A', 5), 0}, {pin_of('A', 3), 1}, {pin_
 Pwm::Pwm(System& system, Pins& pins)
     : Peripheral(system, "PWM", 0x40094000, 0x4000, id::kPwm, kRegisters),
       pins_(pins),
-      id_(system.scheduler.add(this)) {
+      id_(system.scheduler.add(this)),
+      filter_id_(system.scheduler.add(&filter_)) {
   for (const PwmPin& pin : kPwmPins) pins.connect_driver(pin.pin, true, this, pin.signal);
   for (const PwmPin& pin : kFaultPins) pins.connect_listener(pin.pin, this, pin.signal);
 }
@@ -281,15 +282,30 @@ void Pwm::outputs_changed() {
 
 // -- faults -----------------------------------------------------------------------------------
 
-void Pwm::pin_changed(int, bool, std::uint64_t) { update_faults(); }
+void Pwm::pin_changed(int fault_input, bool, std::uint64_t now) {
+  fault_since_[index(fault_input)] = now;
+  if (((fault_mode_ >> (16 + fault_input)) & 1U) != 0) {
+    system_.scheduler.set(filter_id_, now + 1);
+  }
+  update_faults();
+}
+
+// FFIL drops what does not last a period of the master clock. Inputs 3 to 5 come from inside of the
+// chip and are quiet.
+void Pwm::filter_faults() {
+  const std::uint64_t now = system_.now();
+  for (const PwmPin& pin : kFaultPins) {
+    const std::uint32_t bit = 1U << pin.signal;
+    const bool filtered = ((fault_mode_ >> 16) & bit) != 0;
+    if (filtered && now <= fault_since_[index(pin.signal)]) continue;
+    const bool high = ((pins_.seen(pin.pin / 32) >> (pin.pin % 32)) & 1U) != 0;
+    fault_inputs_ = high ? fault_inputs_ | bit : fault_inputs_ & ~bit;
+  }
+}
 
 void Pwm::update_faults() {
   integrate_all();
-  // Inputs 3 to 5 come from inside of the chip and are quiet.
-  fault_inputs_ = 0;
-  for (const PwmPin& pin : kFaultPins) {
-    if (((pins_.seen(pin.pin / 32) >> (pin.pin % 32)) & 1U) != 0) fault_inputs_ |= 1U << pin.signal;
-  }
+  filter_faults();
   const std::uint32_t polarity = fault_mode_ & 0xFFU;
   const std::uint32_t present = ~(fault_inputs_ ^ polarity) & 0x3FU;
   const std::uint32_t latched = (fault_mode_ >> 8) & 0xFFU;

@@ -37,6 +37,9 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
  protected:
   std::uint32_t read(std::uint32_t offset) override;
   void write(std::uint32_t offset, std::uint32_t value) override;
+  std::uint32_t from_outside(std::uint32_t offset) const override {
+    return offset == 0x1C || offset == 0x40 || offset == 0x60 ? ~0U : 0;  // ISR1, ISR2, FSR
+  }
 
  private:
   struct Channel {
@@ -78,6 +81,14 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
   void update_single(int channel, std::uint64_t now);
   void update_group(std::uint64_t now);
   void update_faults();
+  void filter_faults();
+
+  // Looks again when a filtered fault input has stood for a period of the master clock.
+  struct FaultFilter final : EventSink {
+    explicit FaultFilter(Pwm& pwm) : owner(pwm) {}
+    void event(std::uint64_t) override { owner.update_faults(); }
+    Pwm& owner;
+  };
   std::uint32_t faults_active(int channel) const;
   std::uint32_t take_period_events();
   bool group_protected(int group) const;
@@ -94,6 +105,8 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
 
   Pins& pins_;
   Scheduler::Id id_;
+  FaultFilter filter_{*this};
+  Scheduler::Id filter_id_;
   std::array<Channel, kPwmChannels> channels_{};
   std::uint32_t clock_ = 0;
   std::uint32_t interrupts1_ = 0;
@@ -110,7 +123,8 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
   std::uint32_t override_next_ = 0;
   bool override_waiting_ = false;
   std::uint32_t fault_mode_ = 0;
-  std::uint32_t fault_inputs_ = 0;
+  std::uint32_t fault_inputs_ = 0;  // behind the filters
+  std::array<std::uint64_t, 3> fault_since_{};
   std::uint32_t faults_ = 0;
   std::uint32_t fault_values_ = 0;
   std::array<std::uint8_t, kPwmChannels> fault_enable_{};

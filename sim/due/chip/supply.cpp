@@ -119,6 +119,7 @@ void Wdt::write(std::uint32_t offset, std::uint32_t value) {
   const std::uint64_t steps = passed() / step;
   const std::uint64_t counter = steps > this->value() ? 0 : this->value() - steps;
   if (counter > window()) return fail(kWdtError);
+  ++restarts_;
   restart();
 }
 

@@ -15,6 +15,8 @@ class Wdt final : public Peripheral {
   void reset() override;
   void clock_changed() override { plan(); }
   void event(std::uint64_t now) override;
+  // By WDT_CR, since the model was made.
+  std::uint64_t restarts() const { return restarts_; }
 
  protected:
   std::uint32_t read(std::uint32_t offset) override;
@@ -31,6 +33,7 @@ class Wdt final : public Peripheral {
   Scheduler::Id id_;
   std::uint32_t mode_ = 0;
   bool written_ = false;
+  std::uint64_t restarts_ = 0;
   std::uint32_t status_ = 0;
   BoardTime start_ = 0;
   std::uint64_t sleep_at_start_ = 0;
@@ -84,6 +87,9 @@ class Rtt final : public Peripheral {
  protected:
   std::uint32_t read(std::uint32_t offset) override;
   void write(std::uint32_t offset, std::uint32_t value) override;
+  std::uint32_t from_outside(std::uint32_t offset) const override {
+    return offset == 0x08 || offset == 0x0C ? ~0U : 0;  // VR, SR
+  }
 
  private:
   std::uint32_t ticks() const;

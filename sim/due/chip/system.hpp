@@ -29,6 +29,10 @@ inline constexpr int kUart = 8;
 inline constexpr int kPioA = 11;
 inline constexpr int kTc0 = 27;
 inline constexpr int kPwm = 36;
+inline constexpr int kAdc = 37;
+inline constexpr int kDacc = 38;
+inline constexpr int kUotghs = 40;
+inline constexpr int kTrng = 41;
 }  // namespace id
 
 // RSTC_SR.RSTTYP
@@ -61,6 +65,8 @@ struct System {
   std::uint64_t peripheral_clocks = 0;
   // The RC oscillator of the slow clock: 20 to 44 kHz over parts and temperature.
   std::uint32_t slow_Hz = 32000;
+  // UPLL is locked: the clock of the USB transceiver.
+  bool upll_locked = false;
   // EEFC_FMR.FWS of both flash planes.
   std::array<std::uint32_t, 2> flash_wait_states{};
   // Set by whoever wants the chip reset; carried out after the running instruction.

@@ -138,6 +138,11 @@ void Tc::pin_changed(int signal, bool level, std::uint64_t now) {
   channels_[channel].input_changed(is_a, level);
 }
 
+std::uint32_t Tc::from_outside(std::uint32_t offset) const {
+  if (offset == 0xD4) return ~0U;                                   // QISR
+  return offset % 0x40 >= 0x10 && offset % 0x40 <= 0x20 ? ~0U : 0;  // CV, RA, RB, SR
+}
+
 std::uint32_t Tc::read(std::uint32_t offset) {
   if (quadrature_.enabled()) quadrature_.settle(system_.now());
   if (offset < 0xC0) return channels_[offset / 0x40].read(offset % 0x40);

@@ -38,6 +38,7 @@ class TcChannel final : public EventSink {
 
  private:
   std::uint64_t step() const;
+  bool pending() const;
   std::uint64_t ticks(std::uint64_t now) const;
   std::uint64_t period() const;
   std::uint32_t value() const;
@@ -48,6 +49,7 @@ class TcChannel final : public EventSink {
   void matched(std::uint32_t flag, std::uint32_t a_effect, std::uint32_t b_effect);
   void effect(bool& level, std::uint32_t code, bool is_a);
   void restart(std::uint32_t from);
+  void trigger();
   void stop();
   void plan();
   void write_control(std::uint32_t value);
@@ -67,6 +69,7 @@ class TcChannel final : public EventSink {
   bool enabled_ = false;  // CLKSTA
   bool running_ = false;  // enabled and triggered
   bool captured_a_ = false;
+  bool clears_ = false;           // the decoder's next step clears the counter
   std::uint32_t held_ = 0;        // the value while the clock stands, or counts edges
   std::uint64_t start_step_ = 0;  // clock steps at which the value was 0
   std::uint64_t seen_ticks_ = 0;  // compares up to here are in status_
@@ -104,6 +107,7 @@ class Tc final : public Peripheral, public PinListener, public PinDriver {
   void write(std::uint32_t offset, std::uint32_t value) override;
   int clock_of(std::uint32_t offset) const override;
   bool write_protected() const override { return (protect_ & 1U) != 0; }
+  std::uint32_t from_outside(std::uint32_t offset) const override;
 
  private:
   Pins& pins_;

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <utility>
 
 #include "chip/tc.hpp"
 
@@ -40,7 +41,7 @@ TcChannel::TcChannel(System& system, Tc& block, int index, int identifier)
 
 void TcChannel::reset() {
   mode_ = ra_ = rb_ = rc_ = status_ = interrupts_ = held_ = 0;
-  enabled_ = running_ = captured_a_ = level_a_ = level_b_ = false;
+  enabled_ = running_ = clears_ = captured_a_ = level_a_ = level_b_ = false;
   plan();
   update_irq();
 }
@@ -63,6 +64,11 @@ std::uint64_t TcChannel::step() const {
   }
 }
 
+// A trigger has come, and no edge of the counter's clock since: the old value still stands.
+bool TcChannel::pending() const {
+  return step() != 0 ? system_.now() / step() < start_step_ : clears_;
+}
+
 // The prescaler runs freely; the counter moves on its edges.
 std::uint64_t TcChannel::ticks(std::uint64_t now) const { return now / step() - start_step_; }
 
@@ -78,7 +84,7 @@ std::uint64_t TcChannel::period() const {
 }
 
 std::uint32_t TcChannel::value() const {
-  if (!running_ || step() == 0) return held_;
+  if (!running_ || step() == 0 || pending()) return held_;
   const std::uint64_t phase = ticks(system_.now()) % period();
   const std::uint64_t top = period() / 2;
   return static_cast<std::uint32_t>(updown() && phase > top ? period() - phase : phase);
@@ -126,7 +132,7 @@ void TcChannel::matched(std::uint32_t flag, std::uint32_t a_effect, std::uint32_
 
 // Works off the compares and overflows between the last look and now, in their order.
 void TcChannel::settle() {
-  if (!running_ || step() == 0) return;
+  if (!running_ || step() == 0 || pending()) return;
   const std::uint64_t now = ticks(system_.now());
   while (running_) {
     const std::uint64_t a = is_wave() ? next_match(seen_ticks_, ra_) : kNever;
@@ -192,9 +198,21 @@ void TcChannel::update_irq() {
 
 void TcChannel::restart(std::uint32_t from) {
   running_ = enabled_;
+  clears_ = false;
   held_ = from;
   if (step() != 0) start_step_ = system_.now() / step() - from;
   seen_ticks_ = from;
+}
+
+// "The counter value passes to zero on the next valid edge of the selected clock" (36.6.2): that
+// edge is not counted, be it a step of the quadrature decoder.
+void TcChannel::trigger() {
+  const std::uint32_t before = value();
+  restart(0);
+  if (!running_) return;
+  held_ = before;
+  clears_ = step() == 0;
+  if (step() != 0) ++start_step_;
 }
 
 void TcChannel::stop() {
@@ -203,6 +221,10 @@ void TcChannel::stop() {
 }
 
 void TcChannel::count(int direction) {
+  if (std::exchange(clears_, false)) {
+    held_ = 0;
+    return;
+  }
   const std::uint32_t before = held_;
   held_ += static_cast<std::uint32_t>(direction);
   if (direction > 0 && before == ~0U) status_ |= kCovfs;
@@ -212,7 +234,7 @@ void TcChannel::count(int direction) {
 
 void TcChannel::software_trigger() {
   settle();
-  restart(0);
+  trigger();
   if (is_wave()) {
     effect(level_a_, mode_ >> 22, true);
     effect(level_b_, mode_ >> 30, false);
@@ -249,7 +271,7 @@ void TcChannel::input_changed(bool is_a, bool level) {
   }
   if (trigger_is_a == is_a && edge((mode_ >> 8) & 3U)) {
     status_ |= kEtrgs;
-    if (enabled_) restart(0);
+    if (enabled_) trigger();
   }
   update_irq();
   plan();
@@ -305,8 +327,10 @@ void TcChannel::write_mode(std::uint32_t value) {
   if ((value & (1U << 15)) != 0 && (value & 0x300U) != 0) {
     block_.not_modelled_in(index_, kCmr, "external events in waveform mode are not modelled");
   }
+  const bool triggered = running_ && pending();
   mode_ = value;
   if (running_) restart(at);
+  if (triggered) trigger();
 }
 
 void TcChannel::write(std::uint32_t offset, std::uint32_t value) {
@@ -329,7 +353,7 @@ void TcChannel::write(std::uint32_t offset, std::uint32_t value) {
     case kRc: {
       const std::uint32_t at = this->value();
       rc_ = value;
-      if (!running_ || !resets_at_rc()) break;
+      if (!running_ || !resets_at_rc() || pending()) break;
       if (at >= value) block_.misuse_in(index_, offset, "RC is set below the running counter");
       restart(at);
       break;

@@ -226,7 +226,19 @@ std::uint32_t Uart::read_pdc(std::uint32_t offset) const {
   }
 }
 
+// What a buffer that is written just when the running one ends does is nowhere said.
+void Uart::check_pdc(std::uint32_t offset, std::uint32_t value) const {
+  const PdcHalf& half = (offset & 8U) != 0 ? tx_ : rx_;
+  if (!half.enabled) return;
+  const bool next = offset >= 0x110;
+  if (!next && half.count != 0) misuse(offset, "write while the PDC moves the running buffer");
+  if (next && half.count == 1 && value != 0) {
+    misuse(offset, "write while the PDC moves the last byte of the running buffer");
+  }
+}
+
 void Uart::write_pdc(std::uint32_t offset, std::uint32_t value) {
+  if (offset < 0x120) check_pdc(offset, value);
   switch (offset) {
     case 0x100:
       rx_.pointer = value;
@@ -261,6 +273,11 @@ void Uart::write_pdc(std::uint32_t offset, std::uint32_t value) {
   }
   drain_receiver();
   feed_transmitter();
+}
+
+std::uint32_t Uart::from_outside(std::uint32_t offset) const {
+  if (offset == 0x14) return kRxRdy | kEndRx | kRxBufF | kOvre | kFrame | kPare;
+  return offset == 0x18 || offset == 0x100 || offset == 0x104 ? ~0U : 0;
 }
 
 std::uint32_t Uart::read(std::uint32_t offset) {

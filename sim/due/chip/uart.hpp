@@ -58,6 +58,7 @@ class Uart final : public Peripheral, public PinDriver {
 
  protected:
   std::uint32_t read(std::uint32_t offset) override;
+  std::uint32_t from_outside(std::uint32_t offset) const override;
   void write(std::uint32_t offset, std::uint32_t value) override;
 
  private:
@@ -76,6 +77,7 @@ class Uart final : public Peripheral, public PinDriver {
   void drain_receiver();
   std::uint32_t read_pdc(std::uint32_t offset) const;
   void write_pdc(std::uint32_t offset, std::uint32_t value);
+  void check_pdc(std::uint32_t offset, std::uint32_t value) const;
   void update_irq();
 
   Pins& pins_;

@@ -4,10 +4,12 @@
 // them except through the functions in the first half.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <cstring>
 #include <map>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -97,6 +99,20 @@ class Cpu {
   ProbeStats probe(std::uint32_t address) const;
   const ExceptionStats& stats(std::uint8_t number) const { return stats_[number]; }
   void clear_stats();
+
+  // Running handlers, one in the other, and the instructions of the innermost, or of the program
+  // below them all, without what interrupted it. `entry_of_level` tells its runs apart.
+  std::size_t nesting() const { return open_exceptions_.size(); }
+  std::uint64_t instructions_of_level() const {
+    return instructions_ - nested_[std::min(nesting(), nested_.size() - 1)];
+  }
+  std::uint64_t entry_of_level() const {
+    return open_exceptions_.empty() ? 0 : open_exceptions_.back().instructions;
+  }
+  // The next instruction loads `value` from a peripheral and stands in a loop without another
+  // access to one: the bits of the value that make the program leave the loop when they change,
+  // each alone.
+  std::uint32_t deciding_bits(std::uint32_t value);
 
   // Fault status registers of the SCB, kept here because the processor writes them.
   std::uint32_t cfsr = 0;
@@ -205,6 +221,7 @@ class Cpu {
     std::uint64_t nested;
   };
 
+  bool follow(std::uint32_t polled, std::set<std::uint32_t>& loop, bool record);
   void forget_flash_code();
   void burst();
   bool prepare(std::uint64_t until);

@@ -55,6 +55,5 @@ void bind_board(nb::module_& module) {
           nb::arg("data"))
       .def("align", &DueBoard::align, nb::arg("handler"))
       .def("take_sent", &take_sent)
-      .def("power_cycle", [](DueBoard& board) { board.reset(heli::link::Reset::power_up); })
       .def_prop_ro("due", &DueBoard::due, nb::rv_policy::reference_internal);
 }

@@ -124,6 +124,9 @@ void bind_running(nb::class_<Due>& due) {
       .def("power_on", &Due::power_on)
       .def("power_off", &Due::power_off)
       .def(
+          "seed_random", [](Due& self, std::uint64_t seed) { self.chip.trng.seed(seed); },
+          nb::arg("seed"), "What the random number generator gives from now on.")
+      .def(
           "load",
           [](Due& self, std::uint32_t address, const nb::bytes& data) {
             self.load(address, bytes_of(data), data.size());
@@ -142,6 +145,7 @@ void bind_running(nb::class_<Due>& due) {
       .def_prop_ro("in_rom", [](const Due& self) { return self.chip.in_rom(); })
       .def_prop_ro("held_in_reset", [](const Due& self) { return self.chip.system.cpu.held(); })
       .def_prop_ro("resets", [](const Due& self) { return self.chip.resets(); })
+      .def_prop_ro("watchdog_restarts", [](const Due& self) { return self.chip.wdt.restarts(); })
       .def_prop_ro("last_reset",
                    [](const Due& self) {
                      static constexpr const char* kNames[] = {"general", "backup", "watchdog",
@@ -211,6 +215,24 @@ void bind_outside(nb::class_<Due>& due) {
                                         self.chip.system.now());
           },
           nb::arg("name"), nb::arg("state"))
+      .def(
+          "set_analog",
+          [](Due& self, int channel, double volts) {
+            if (channel < 0 || channel >= Adc::kChannels) {
+              throw std::invalid_argument("the converter has inputs 0 to 15");
+            }
+            self.chip.adc.set_input(channel, volts);
+          },
+          nb::arg("channel"), nb::arg("volts"))
+      .def(
+          "analog_out",
+          [](const Due& self, int channel) {
+            if (channel < 0 || channel >= Dacc::kChannels) {
+              throw std::invalid_argument("there are outputs DAC0 and DAC1");
+            }
+            return self.chip.dacc.output_V(channel);
+          },
+          nb::arg("channel"))
       .def(
           "pin_duty",
           [](const Due& self, const std::string& name) { return self.pin_duty(pin_number(name)); },

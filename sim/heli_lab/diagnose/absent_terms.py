@@ -16,18 +16,9 @@ import numpy as np
 from heli_sim.model.effects import EffectKind
 from heli_sim.rig import Prior, Rig
 
+from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis, errors
-from heli_lab.diagnose.thresholds import (
-    ABSENT_MAX_SHARE,
-    ABSENT_MIN_CONFIDENCE,
-    ABSENT_MIN_ERROR,
-    ABSENT_MIN_STD,
-    ABSENT_PRIOR,
-    CLOSELY_STATED,
-    MAX_CONFIDENCE,
-    PRESENT_LOG_STD,
-)
 from heli_lab.errors import IdentifyError
 from heli_lab.identify import Fit, Problem, solve
 
@@ -65,17 +56,8 @@ class AbsentTerm:
 
 
 def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[AbsentTerm, ...]:
-    """Find the terms whose parameters are zero within their standard errors.
-
-    Parameters
-    ----------
-    fit : Fit
-        The final model on the flights fitted.
-
-    Returns
-    -------
-    tuple of AbsentTerm
-        The terms that are more likely absent than not, the most likely first.
+    """Find the terms whose parameters are zero within their standard errors in `fit`, the final model on the
+    flights fitted: those more likely absent than not, the most likely first.
     """
     values, stds = fit.values, fit.std
     found = []
@@ -88,70 +70,52 @@ def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[A
             for name in names
         ]
         confidence = math.prod(absence_probability(value, std) for value, std in numbers)
-        if confidence < ABSENT_MIN_CONFIDENCE:
+        if confidence < thresholds.ABSENT_MIN_CONFIDENCE:
             continue
-        share, std = 1.0 - numbers[0][0], max(numbers[0][1], ABSENT_MIN_STD)
+        share, std = 1.0 - numbers[0][0], max(numbers[0][1], thresholds.ABSENT_MIN_STD)
         found.append(
             AbsentTerm(
                 id_,
                 min(max(share, 0.0), 1.0),
                 std,
                 confidence,
-                max(abs(value) / max(std, ABSENT_MIN_STD) for value, std in numbers),
-                min((1.0 - value) / max(std, ABSENT_MIN_STD) for value, std in numbers),
+                max(abs(value) / max(std, thresholds.ABSENT_MIN_STD) for value, std in numbers),
+                min((1.0 - value) / max(std, thresholds.ABSENT_MIN_STD) for value, std in numbers),
             )
         )
     return tuple(sorted(found, key=lambda one: -one.confidence))
 
 
 def absence_probability(value: float, std: float) -> float:
-    """Posterior probability that a parameter is zero, rather than log-normal about the rig's value.
-
-    Parameters
-    ----------
-    value, std : float
-        The estimate and its standard error, in units of the rig's value.
-
-    Returns
-    -------
-    float
-        Probability, at most 0.99.
+    """Posterior probability, at most 0.99, that a parameter is zero, rather than log-normal about the rig's
+    value; its estimate `value` and standard error `std` are in units of that value.
     """
-    std = max(std, ABSENT_MIN_STD)
+    std = max(std, thresholds.ABSENT_MIN_STD)
     there = np.geomspace(1e-3, 1e3, 4001)
-    likely = np.exp(-0.5 * (np.log(there) / PRESENT_LOG_STD) ** 2)
+    likely = np.exp(-0.5 * (np.log(there) / thresholds.PRESENT_LOG_STD) ** 2)
     likely /= likely.sum()
     # The normal densities' common factor cancels.
-    absent = math.exp(-0.5 * min((value / std) ** 2, 1e3)) * ABSENT_PRIOR
-    present = float(likely @ np.exp(-0.5 * ((value - there) / std) ** 2)) * (1.0 - ABSENT_PRIOR)
-    return min(MAX_CONFIDENCE, absent / max(absent + present, 1e-300))
+    absent = math.exp(-0.5 * min((value / std) ** 2, 1e3)) * thresholds.ABSENT_PRIOR
+    present = float(likely @ np.exp(-0.5 * ((value - there) / std) ** 2)) * (1.0 - thresholds.ABSENT_PRIOR)
+    return min(thresholds.MAX_CONFIDENCE, absent / max(absent + present, 1e-300))
 
 
 def closely_stated(kind: EffectKind, rig: Rig) -> bool:
-    """Whether a term's priors are so narrow that no fit would estimate its parameters as zero.
-
-    Returns
-    -------
-    bool
-        False also where the rig does not have the term.
+    """Whether a term's priors are so narrow that no fit would estimate its parameters as zero; False where
+    the rig does not have the term.
     """
     return bool(kind.override) and all(
-        name in rig and 0.0 < rig[name].tolerance < CLOSELY_STATED * rig[name].value for name in kind.override
+        name in rig and 0.0 < rig[name].tolerance < thresholds.CLOSELY_STATED * rig[name].value
+        for name in kind.override
     )
 
 
 def without_absent_terms(
     comparison: Comparison, baseline: Hypothesis, kinds: Iterable[EffectKind]
 ) -> Hypothesis:
-    """Remove the one closely stated term without which the model predicts far better, if there is one.
-
-    Returns
-    -------
-    Hypothesis
-        The model without the term, or the baseline.
-    """
+    """The model without the one closely stated term without which it predicts far better, or the baseline."""
     before = baseline.train.normalised
-    if before < ABSENT_MIN_ERROR:
+    if before < thresholds.ABSENT_MIN_ERROR:
         return baseline
     best: tuple[float, EffectKind, Fit] | None = None
     for kind in kinds:
@@ -172,7 +136,7 @@ def without_absent_terms(
         except IdentifyError:
             continue
         after = errors(fit).normalised
-        if after - 1.0 < ABSENT_MAX_SHARE * (before - 1.0) and (best is None or after < best[0]):
+        if after - 1.0 < thresholds.ABSENT_MAX_SHARE * (before - 1.0) and (best is None or after < best[0]):
             best = after, kind, fit
     if best is None:
         return baseline

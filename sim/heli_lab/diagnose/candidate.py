@@ -59,17 +59,8 @@ class Candidate:
         return isinstance(self.effect, SplineTerm)
 
     def start_values(self, coefficients: Floats) -> dict[str, float]:
-        """Values to start a fit from.
-
-        Parameters
-        ----------
-        coefficients : ndarray (g,)
-            Coefficient of each regressor.
-
-        Returns
-        -------
-        dict of float
-            By full name, within the priors' bounds.
+        """Values to start a fit from, by full name, within the priors' bounds, from the `coefficients` of the
+        regressors, shape (g,).
         """
         values = {**self.effect.values}
         if self.linear_parameters:
@@ -243,13 +234,7 @@ class _ExtendedModel:
 
 
 def effect_candidates(kind: EffectKind, seconds: float) -> list[Candidate]:
-    """Lay out the grid of an effect.
-
-    Parameters
-    ----------
-    seconds : float
-        Length of the flight.
-    """
+    """Lay out the grid of an effect over a flight of `seconds`."""
     scan = kind.grid_values(seconds)
     candidates = []
     for point in itertools.product(*scan.values()):
@@ -260,12 +245,8 @@ def effect_candidates(kind: EffectKind, seconds: float) -> list[Candidate]:
 
 
 def spline_candidates(linearisations: Sequence[Linearisation], number: int = 0) -> list[Candidate]:
-    """Spline terms of every channel on every quantity, over the range that the flights cover.
-
-    Parameters
-    ----------
-    number : int
-        Distinguishes the spline terms of one model.
+    """Spline terms of every channel on every quantity, over the range that the flights cover; `number`
+    distinguishes those of one model.
     """
     model = linearisations[0].fit.problem.model
     together: dict[str, list[Floats]] = {}

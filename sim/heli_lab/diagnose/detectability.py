@@ -13,13 +13,7 @@ from heli_lab.identify.uncertainty import uninformed_parameters
 
 
 def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectKind]) -> tuple[str, ...]:
-    """Find the effects that would not be significant at a typical size.
-
-    Returns
-    -------
-    tuple of str
-        Their ids.
-    """
+    """Find the effects that would not be significant at a typical size, by id."""
     undetectable = []
     for one in screened:
         kind = kinds[one.candidate.id]
@@ -32,11 +26,5 @@ def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectK
 
 
 def unidentifiable_parameters(fit: Fit) -> tuple[str, ...]:
-    """Find the parameters of the rig whose posterior is as wide as their prior.
-
-    Returns
-    -------
-    tuple of str
-        Their names.
-    """
+    """Find the parameters of the rig whose posterior is as wide as their prior, by name."""
     return tuple(uninformed_parameters(fit.problem.names, fit.covariance, fit.problem.prior_std))

@@ -39,12 +39,8 @@ class ErrorReduction:
 
 
 def error_reduction(before: Hypothesis, after: Hypothesis, seed: int = 0) -> dict[str, ErrorReduction]:
-    """Measure the free-run error on the validation flights, or without any on those fitted.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the bootstrap.
+    """Measure the free-run error on the validation flights, or without any on those fitted; `seed` is the
+    bootstrap's.
     """
     squares_before, rows = _squares(before)
     squares_after, _ = _squares(after)

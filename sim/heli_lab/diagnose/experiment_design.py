@@ -118,15 +118,7 @@ rate_deg_s = 8
 
 @dataclass(frozen=True)
 class ExperimentDesign:
-    """An experiment that would tell more.
-
-    Parameters
-    ----------
-    why : str
-        What it would tell.
-    plan : str
-        The plan, TOML, for `heli-host fly`.
-    """
+    """An experiment that would tell more: `why`, and the `plan`, TOML for `heli-host fly`."""
 
     why: str
     plan: str
@@ -143,14 +135,8 @@ def segment_for(kind: EffectKind) -> str:
 
 
 def compose_experiment(reason: str, parts: Iterable[str]) -> ExperimentDesign:
-    """Put a plan together from segments.
-
-    Parameters
-    ----------
-    reason : str
-        Why another flight is needed, a sentence.
-    parts : iterable of str
-        Keys of the segments that it needs; without any, those that excite every axis.
+    """Put a plan together from the segments of the keys in `parts`, or without any from those that excite
+    every axis; `reason` is a sentence that says why another flight is needed.
     """
     chosen = [key for key in _SEGMENTS if key in set(parts)] or list(_DEFAULT)
     return ExperimentDesign(f"{reason} Fly {_shows(chosen)}.", _plan(chosen))
@@ -181,7 +167,8 @@ def discriminating_experiment(
     enough: float,
     in_time: Callable[[], bool],
 ) -> ExperimentDesign:
-    """Choose the plan of the largest expected log-likelihood ratio between two hypotheses.
+    """Choose the plan of the largest expected log-likelihood ratio between two hypotheses; where there was no
+    time to simulate any, the one that excites the two effects best by what they act on.
 
     Parameters
     ----------
@@ -189,12 +176,6 @@ def discriminating_experiment(
         Log-likelihood ratio from which on two hypotheses count as told apart, nats.
     in_time : callable
         Whether there is time for another simulation.
-
-    Returns
-    -------
-    ExperimentDesign
-        The best plan of those simulated; where there was no time for any, the one that excites the two
-        effects best by what they act on.
     """
     apart = (
         f"These flights do not tell {pair.names[0]} from {pair.names[1]}: their log-likelihoods differ by "
@@ -229,7 +210,8 @@ def discriminating_experiment(
 def informative_experiment(
     reason: str, undetectable: Iterable[str], baseline: Hypothesis, kinds: Mapping[str, EffectKind]
 ) -> ExperimentDesign:
-    """Choose the plan that excites undetectable effects, and count those that it would make detectable.
+    """Choose the plan that excites undetectable effects, and count those that would be significant in it at a
+    typical size.
 
     Parameters
     ----------
@@ -239,11 +221,6 @@ def informative_experiment(
         Ids of the effects.
     baseline : Hypothesis
         The refitted baseline, to simulate the plan with.
-
-    Returns
-    -------
-    ExperimentDesign
-        The plan, and how many of the effects would be significant in it at a typical size.
     """
     asked = [kinds[id_] for id_ in undetectable]
     flight = compose_experiment(reason, {segment_for(kind) for kind in asked})

@@ -36,17 +36,8 @@ def _judged(hypothesis: Hypothesis) -> Fit:
 
 
 def figure_of_flight(before: Hypothesis, after: Hypothesis, index: int = 0) -> Figure:
-    """Draw measured and simulated angles before and after, on a flight held out where there is one.
-
-    Parameters
-    ----------
-    index : int
-        Which flight.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Angle and error of each axis.
+    """Draw measured and simulated angles and their errors before and after, on flight `index`, held out where
+    there is one.
     """
     from matplotlib.figure import Figure
 
@@ -77,18 +68,7 @@ def figure_of_flight(before: Hypothesis, after: Hypothesis, index: int = 0) -> F
 
 
 def figure_of_windows(before: Hypothesis, after: Hypothesis, index: int = 0) -> Figure:
-    """Draw the window of the baseline's largest error on each axis.
-
-    Parameters
-    ----------
-    index : int
-        Which flight.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Three panels.
-    """
+    """Draw the window of the baseline's largest error on each axis of flight `index`, a panel each."""
     from matplotlib.figure import Figure
 
     old, new = trace(_judged(before), index), trace(_judged(after), index)
@@ -113,12 +93,8 @@ def figure_of_windows(before: Hypothesis, after: Hypothesis, index: int = 0) -> 
 
 
 def figure_of_torque(diagnosis: Diagnosis) -> Figure:
-    """Draw the torque that each axis lacks, before and after, over time and as a spectrum.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Time on the left, spectrum on the right.
+    """Draw the torque that each axis lacks, before and after: over time on the left, as a spectrum on the
+    right.
     """
     from matplotlib.figure import Figure
 
@@ -145,12 +121,8 @@ def figure_of_torque(diagnosis: Diagnosis) -> Figure:
 
 
 def figure_of_ranking(rounds: tuple[Round, ...]) -> Figure:
-    """Draw the candidates of each round by their scores.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One panel a round; full bars are held-out scores of candidates that were refitted.
+    """Draw the candidates of each round by their scores, one panel a round; full bars are held-out scores of
+    candidates that were refitted.
     """
     from matplotlib.figure import Figure
 
@@ -195,12 +167,8 @@ def _rank(one: Round, number: int, panel: Axes) -> None:
 
 
 def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
-    """Draw the acceleration that each cause contributes along the flight.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        Difference of accelerations with and without each cause; None without causes.
+    """Draw the acceleration that each cause contributes along the flight: that with it less that without;
+    None without causes.
     """
     from matplotlib.figure import Figure
 
@@ -228,12 +196,8 @@ def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
 
 
 def figure_of_curves(curves: Sequence[SplineCurve]) -> Figure:
-    """Draw the spline terms that stand for causes outside the catalogue.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One panel a curve, with twice its standard error.
+    """Draw the spline terms that stand for causes outside the catalogue, one panel a curve, with twice its
+    standard error.
     """
     from matplotlib.figure import Figure
 
@@ -251,18 +215,7 @@ def figure_of_curves(curves: Sequence[SplineCurve]) -> Figure:
 
 
 def figure_of_equation(latex: str) -> Figure | None:
-    """Set an equation.
-
-    Parameters
-    ----------
-    latex : str
-        LaTeX, without dollars.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        As small as the equation; None where matplotlib cannot set it.
-    """
+    """Set an equation in `latex` without dollars, as small as it is; None where matplotlib cannot set it."""
     from matplotlib.figure import Figure
     from matplotlib.mathtext import MathTextParser
 

@@ -45,13 +45,7 @@ class InsufficientExcitation:
 def insufficient_excitation(
     why: str, model: Model, rig: Rig, kinds: Mapping[str, EffectKind]
 ) -> InsufficientExcitation:
-    """Make the result for flights without excitation.
-
-    Parameters
-    ----------
-    why : str
-        The message of `NotExcited`.
-    """
+    """Make the result for flights without excitation; `why` is the message of `NotExcited`."""
     return InsufficientExcitation(
         why,
         tuple(sorted(id_ for id_, kind in kinds.items() if kind.suits(model))),

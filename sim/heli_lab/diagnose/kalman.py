@@ -58,7 +58,8 @@ class StateSpace:
         state_std: Floats,
         measurement_variance: float,
     ) -> Self:
-        """Append first-order Gauss-Markov disturbances ``d[k+1] = rho d[k] + e[k]`` that act through `Gamma`.
+        """Append first-order Gauss-Markov disturbances ``d[k+1] = rho d[k] + e[k]`` that act through `Gamma`:
+        a model of order n + d, the disturbances last.
 
         Parameters
         ----------
@@ -78,11 +79,6 @@ class StateSpace:
             Standard deviation of the state at a window's start.
         measurement_variance : float
             Variance of the white noise on each output.
-
-        Returns
-        -------
-        StateSpace
-            Of order n + d, the disturbances last.
         """
         n, d = Gamma.shape[-2:]
         order = n + d
@@ -118,22 +114,11 @@ class Innovations:
 
 
 def filter_outputs(system: StateSpace, outputs: Floats, *, keep: bool = False) -> Innovations:
-    """Run the Kalman filter over columns of outputs, which share its gains.
+    """Run the Kalman filter over columns of `outputs`, shape (k, w, m, s), which share its gains; outputs and
+    innovations are zero after a window's end. With `keep` the filtered states are kept for `smooth`.
 
     Filtering is linear in the outputs: regressors are filtered as the measurement is, and their innovations
     are the regressors of the measurement's.
-
-    Parameters
-    ----------
-    outputs : ndarray (k, w, m, s)
-        Zero after a window's end.
-    keep : bool
-        Whether to keep the filtered states for `smooth`.
-
-    Returns
-    -------
-    Innovations
-        Zero after a window's end.
     """
     steps, windows, _, columns = outputs.shape
     order = system.Q.shape[0]

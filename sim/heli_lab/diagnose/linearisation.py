@@ -74,7 +74,6 @@ class Linearisation:
         self.first: Integers = grid.inputs.first
         self.windows: tuple[slice, ...] = tuple(grid.slices)
         self.rows = grid.inputs.rows
-        self.flight_rows: Integers = grid.rows
         parameters = problem.parameters(fit.theta, index)
         evaluation = problem.evaluation(index, fit.theta, fit.states[index], fine=True, derivatives=False)
         self.residual: Floats = evaluation.residual.reshape(self.rows, grid.every, 3).mean(axis=1)
@@ -157,7 +156,8 @@ class Linearisation:
         self._angles_by_free: Floats = c_by_free
 
     def response(self, signals: Floats, measured_rad: Floats | None = None) -> Floats:
-        """Response of the predicted angles to changes of the rates, and of what the encoders measure.
+        """Change of the predicted angles, mean over each step, in standard deviations of the quantisation,
+        shape (n, 3, s), for changes of the rates and of what the encoders measure.
 
         Parameters
         ----------
@@ -165,11 +165,6 @@ class Linearisation:
             Change of the rates of the state in the middle of each step, one column a regressor.
         measured_rad : ndarray (n, 3, s), optional
             Direct change of the measured angles.
-
-        Returns
-        -------
-        ndarray (n, 3, s)
-            Change of the predicted angles, mean over each step, in standard deviations of the quantisation.
         """
         count = signals.shape[2]
         out = np.empty((self.rows, 3, count))
@@ -184,17 +179,8 @@ class Linearisation:
         return result
 
     def stack_windows(self, rows: Floats) -> Floats:
-        """Stack rows by window, all of the longest one's length, zeros after a window's end.
-
-        Parameters
-        ----------
-        rows : ndarray (n, 3, s)
-            One entry a step.
-
-        Returns
-        -------
-        ndarray (w, 3, longest, s)
-            Axis before time.
+        """Stack `rows`, shape (n, 3, s), one a step, by window, shape (w, 3, longest, s), all of the longest
+        one's length, zeros after a window's end.
         """
         padded = np.zeros((len(self.steps), int(self.steps.max()), *rows.shape[1:]))
         for number, window in enumerate(self.windows):
@@ -202,17 +188,8 @@ class Linearisation:
         return np.ascontiguousarray(padded.transpose(0, 2, 1, 3))
 
     def unstack_windows(self, stacked: Floats) -> Floats:
-        """Undo `stack_steps` for this flight.
-
-        Parameters
-        ----------
-        stacked : ndarray (k, w, s)
-            Step of the window, window, column.
-
-        Returns
-        -------
-        ndarray (n, s)
-            One row a step of the flight.
+        """Undo `stack_steps` for this flight: from `stacked`, shape (k, w, s), to shape (n, s), one row a
+        step.
         """
         out = np.empty((self.rows, stacked.shape[2]))
         for number, window in enumerate(self.windows):
@@ -245,19 +222,9 @@ class Linearisation:
 
 
 def stack_steps(linearisations: Sequence[Linearisation], arrays: Sequence[Floats], block: int = 1) -> Floats:
-    """Stack the rows of several flights by step and window, as filters run over them.
-
-    Parameters
-    ----------
-    arrays : sequence of ndarray (n, ...)
-        For each flight one row a step.
-    block : int
-        Steps that are taken together; a window's last incomplete block is left out.
-
-    Returns
-    -------
-    ndarray (k, w, block, ...)
-        Block of the window, window of any flight, step of the block; zeros after a window's end.
+    """Stack the rows of `arrays`, one of shape (n, ...) for each flight, as filters run over them, shape (k,
+    w, block, ...): `block` of the window, window of any flight, step of the block; zeros after a window's
+    end. A window's last incomplete block is left out.
     """
     longest = max(int(one.steps.max()) for one in linearisations) // block
     windows = sum(len(one.windows) for one in linearisations)
@@ -273,14 +240,8 @@ def stack_steps(linearisations: Sequence[Linearisation], arrays: Sequence[Floats
 
 
 class MapEvaluator:
-    """Evaluates a function of (x, u, t, p) in every step of a trajectory.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        Its inputs are state, voltages, time and all parameters; its outputs are dense.
-    steps : int
-        Number of steps.
+    """Evaluates a `function` of state, voltages, time and all parameters in each of the `steps` of a
+    trajectory; its outputs are dense.
     """
 
     def __init__(self, function: ca.Function, steps: int) -> None:
@@ -293,13 +254,7 @@ class MapEvaluator:
         self._buffer, self._run = ca.Function("mapped", [*inputs, parameters], outputs).buffer()
 
     def __call__(self, trajectory: Trajectory) -> list[Floats]:
-        """Evaluate.
-
-        Returns
-        -------
-        list of ndarray
-            One array an output, shape (n, rows, columns).
-        """
+        """Evaluate: one array an output, shape (n, rows, columns)."""
         arrays = [
             np.ascontiguousarray(a, float)
             for a in (trajectory.state, trajectory.volts_V, trajectory.t_s, trajectory.parameters)

@@ -59,22 +59,12 @@ class Errors:
     sigma_rad: Floats
 
     def neg2_log_likelihood_rows(self, squares: Floats, rows: Floats) -> Floats:
-        """-2 log likelihood for each row of an axis, up to a constant.
+        """-2 log likelihood, up to a constant, shape (..., 3), for each of the `rows`, shape (...), of an
+        axis with sums of squared errors `squares`, shape (..., 3): the logarithm of the variance, plus the
+        mean square over it.
 
         Variances are those of `residual_noise.floored_mean_square`: where a model is wrong, its error in
         radians counts, and not the resolution of the axis' encoder.
-
-        Parameters
-        ----------
-        squares : ndarray (..., 3)
-            Sums of squared errors.
-        rows : ndarray (...)
-            Rows that they are of.
-
-        Returns
-        -------
-        ndarray (..., 3)
-            Logarithm of the variance, plus the mean square over it.
         """
         mean = np.maximum(squares / rows[..., None], LEAST_VARIANCE)
         scale = floored_mean_square(mean, self.sigma_rad)
@@ -184,17 +174,8 @@ class Comparison:
         candidates: Sequence[Candidate],
         start: Mapping[str, float] | Fit | None = None,
     ) -> Hypothesis:
-        """Refit the model with some effects and measure its errors.
-
-        Parameters
-        ----------
-        start : Mapping[str, float] or Fit, optional
-            Parameter values to start from.
-
-        Raises
-        ------
-        IdentifyError
-            When the fit fails.
+        """Refit the model with some effects from `start` on, parameter values or a fit, and measure its
+        errors; an IdentifyError when that fails.
         """
         effects: tuple[Effect, ...] = tuple(candidate.effect for candidate in candidates)
         model = type(self.model)((*self.model.effects, *effects))
@@ -208,13 +189,7 @@ class Comparison:
         )
 
     def evidence(self, more: Hypothesis, less: Hypothesis) -> Evidence:
-        """Compare two hypotheses.
-
-        Parameters
-        ----------
-        more, less : Hypothesis
-            Positive ratios are in favour of the first.
-        """
+        """Compare two hypotheses; positive ratios are in favour of `more` over `less`."""
         train = _ratio(more.train, less.train)
         if not self.held_out:
             return Evidence(

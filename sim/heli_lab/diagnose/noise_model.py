@@ -76,12 +76,8 @@ class DisturbanceModel:
 
 
 class InnovationsFilter:
-    """The Kalman filter of the coloured-noise model over all flights of a fit.
-
-    Parameters
-    ----------
-    fit : Fit
-        A fit; `pooled` gives one of all flights.
+    """The Kalman filter of the coloured-noise model over all flights of a `fit`; `pooled` gives one of all
+    flights.
     """
 
     def __init__(self, fit: Fit) -> None:
@@ -122,14 +118,8 @@ class InnovationsFilter:
         return state[..., :nx], state[..., nx:], measured
 
     def system(self, sigma_Nm: Floats, correlation_time_s: float) -> StateSpace:
-        """State space of the simulation errors, one step a block, the torques about the three axes last.
-
-        Parameters
-        ----------
-        sigma_Nm : ndarray (3,)
-            Standard deviation of the torque about each axis.
-        correlation_time_s : float
-            Time over which the torques' autocorrelation falls to 1/e.
+        """State space of the simulation errors, one step a block, the torques about the three axes last, with
+        `sigma_Nm` and `correlation_time_s` as in `DisturbanceModel`.
         """
         return StateSpace.with_disturbance(
             self.Phi,
@@ -203,7 +193,8 @@ class InnovationsFilter:
         sizes: Sequence[int],
         priors: Sequence[Floats] | None = None,
     ) -> list[float]:
-        """Score test of each candidate under the coloured-noise model, the free parameters projected out.
+        """Score test under the coloured-noise model, the free parameters projected out: the log-likelihood
+        ratio [nats] that each candidate would add, to first order.
 
         Parameters
         ----------
@@ -213,11 +204,6 @@ class InnovationsFilter:
             Number of regressors of each candidate.
         priors : sequence of ndarray, optional
             For each candidate standard deviations of its coefficients about 0; without them a ridge.
-
-        Returns
-        -------
-        list of float
-            Log-likelihood ratio that each would add, to first order, nats.
         """
         filtered, _ = self.innovations(disturbance.sigma_Nm, disturbance.correlation_time_s, regressors)
         free = len(self._prior_precision)
@@ -239,12 +225,8 @@ class InnovationsFilter:
         return found
 
     def estimate(self, start: DisturbanceModel | None = None) -> DisturbanceModel:
-        """Estimate the torques' standard deviations and correlation time by maximum likelihood.
-
-        Parameters
-        ----------
-        start : DisturbanceModel, optional
-            Where to start, such as the estimate of a similar model.
+        """Estimate the torques' standard deviations and correlation time by maximum likelihood from `start`
+        on, such as the estimate of a similar model.
         """
         sigma_Nm = np.array(_START_SIGMA_Nm) if start is None else start.sigma_Nm
         correlation_time_s = _START_CORRELATION_s if start is None else start.correlation_time_s
@@ -271,12 +253,8 @@ class InnovationsFilter:
 
 @dataclass(frozen=True)
 class DisturbanceFit:
-    """The coloured-noise model of a hypothesis, and the filter about the parameters that it was reached at.
-
-    Parameters
-    ----------
-    relinearisations : int
-        How often the parameters were allowed to move, at most.
+    """The coloured-noise model of a hypothesis, and the filter about the parameters that it was reached at,
+    which moved `relinearisations` times at most.
     """
 
     model: DisturbanceModel
@@ -285,12 +263,8 @@ class DisturbanceFit:
 
 
 def initial_state_std(states: int) -> Floats:
-    """Standard deviations of a window's initial state about the fitted one, angles first, then all others.
-
-    Parameters
-    ----------
-    states : int
-        Number of states of the model, at least 3.
+    """Standard deviations of the initial state of a window, of at least 3 `states`, about the fitted one,
+    angles first, then all others.
     """
     return np.array([INITIAL_ANGLE_STD_rad] * 3 + [INITIAL_RATE_STD_rad_s] * (states - 3))
 
@@ -325,14 +299,8 @@ def fit_disturbance(
     start: DisturbanceModel | None = None,
     relinearisations: int = MAX_RELINEARISATIONS,
 ) -> DisturbanceFit:
-    """Estimate the coloured-noise model of a hypothesis on all flights.
-
-    Parameters
-    ----------
-    hypothesis : Hypothesis
-        The model; its parameters are moved to where the likelihood is largest.
-    relinearisations : int
-        How often the parameters may be moved, at most.
+    """Estimate the coloured-noise model of a hypothesis on all flights; its parameters are moved to where the
+    likelihood is largest, at most `relinearisations` times.
     """
     reached = InnovationsFilter(pooled(comparison, hypothesis))
     disturbance = reached.estimate(start)

@@ -6,21 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from heli_lab.diagnose.figures import (
-    figure_of_curves,
-    figure_of_equation,
-    figure_of_flight,
-    figure_of_ranking,
-    figure_of_size,
-    figure_of_torque,
-    figure_of_windows,
-)
+from heli_lab.diagnose import figures
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.serialize import to_json
 from heli_lab.diagnose.summary import summary
 from heli_lab.identify.result import rounded
-from heli_lab.page import escaped, folder_with, image, table
+from heli_lab.page import escaped, folder_with, image, table, write_page
 
 _TITLES: Final = {
     "explained": "Nothing is missing",
@@ -29,38 +21,16 @@ _TITLES: Final = {
     "unexplained": "Something is missing, and it is none of what is known",
 }
 _WHEN: Final = ("before", "after")
-_STYLE: Final = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #222 }
-body { max-width: 64rem; margin: 2rem auto; padding: 0 1rem }
-h1 { font-size: 1.6rem; margin-bottom: .3rem } h2 { font-size: 1.15rem; margin-top: 2.2rem }
-h2 { border-bottom: 1px solid #ddd } table { border-collapse: collapse; margin: .8rem 0 }
-td, th { padding: .15rem .7rem; text-align: right } th { border-bottom: 1px solid #999; font-weight: 600 }
-td:first-child, th:first-child { text-align: left } tr:nth-child(even) { background: #f6f6f6 }
-img { max-width: 100% } .note { color: #666 } code, pre { background: #f6f6f6; font-size: .9em }
-pre { padding: .6rem } .taken { font-weight: 600 }
-.verdict { font-size: 1.15rem; background: #f2f6fa; padding: .7rem 1rem; border-left: 4px solid #0b5fa5 }
-.unexplained { border-color: #d1495b; background: #fbf2f3 } .ambiguous { border-color: #d9952b }
-.explained { border-color: #4a9c5d; background: #f2f9f4 }
-"""
 
 
 def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
-    """Write index.html, result.json and the figures as PNG.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Where to; made if it is missing.
-
-    Returns
-    -------
-    Path
-        The page.
+    """Write index.html, result.json and the figures as PNG into a `folder`, made if it is missing; return the
+    page.
     """
     numbers = to_json(diagnosis)
     folder = folder_with(numbers, folder)
     before, after = diagnosis.search.baseline, diagnosis.extended
-    size = figure_of_size(diagnosis)
+    size = figures.figure_of_size(diagnosis)
     judged = "a flight that no fit saw" if after.held_out_fit else "the flight that was fitted"
     label = diagnosis.verdict.label
     sections = [
@@ -68,37 +38,30 @@ def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
         f'<p class="verdict {label}">{escaped(summary(diagnosis))}{escaped(_gained(diagnosis))}</p>',
         f"<h2>Measured against simulated, on {judged}</h2>",
         _gain(numbers["gain"]),
-        image(figure_of_windows(before, after), folder / "windows.png", "worst windows"),
-        image(figure_of_flight(before, after), folder / "flight.png", "measured against simulated"),
+        image(figures.figure_of_windows(before, after), folder / "windows.png", "worst windows"),
+        image(figures.figure_of_flight(before, after), folder / "flight.png", "measured against simulated"),
         "<h2>What was found</h2>",
         _causes(numbers["causes"], folder),
         *([image(size, folder / "size.png", "acceleration by each cause")] if size is not None else []),
         "<h2>What is left over</h2>",
         _residual(numbers["residual"]),
-        image(figure_of_torque(diagnosis), folder / "torque.png", "torque that the model lacks"),
+        image(figures.figure_of_torque(diagnosis), folder / "torque.png", "torque that the model lacks"),
         _remains(diagnosis, numbers, folder),
         "<h2>What was tried</h2>",
-        image(figure_of_ranking(diagnosis.search.rounds), folder / "ranking.png", "candidates by score"),
+        image(
+            figures.figure_of_ranking(diagnosis.search.rounds), folder / "ranking.png", "candidates by score"
+        ),
         _ranking(numbers["ranking"]),
         *_next(numbers["next_flight"]),
         "<h2>What was used</h2>",
         _used(numbers),
     ]
-    return _page(folder, _TITLES[label], sections)
+    return write_page(folder, f"Diagnosis: {_TITLES[label]}", sections)
 
 
 def write_insufficient_excitation(result: InsufficientExcitation, folder: str | Path) -> Path:
-    """Write the page of flights without excitation, and result.json.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Where to; made if it is missing.
-
-    Returns
-    -------
-    Path
-        The page.
+    """Write the page of flights without excitation, and result.json, into a `folder`, made if it is missing;
+    return the page.
     """
     numbers = to_json(result)
     folder = folder_with(numbers, folder)
@@ -111,17 +74,7 @@ def write_insufficient_excitation(result: InsufficientExcitation, folder: str | 
         f"<p>Parameters that they do not identify: {escaped(', '.join(result.unidentifiable))}.</p>",
         *_next(numbers["next_flight"]),
     ]
-    return _page(folder, title, sections)
-
-
-def _page(folder: Path, title: str, sections: Sequence[str]) -> Path:
-    page = folder / "index.html"
-    page.write_text(
-        f'<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>Diagnosis: {escaped(title)}</title>'
-        f"<style>{_STYLE}</style>\n" + "\n".join(sections) + "\n</html>\n",
-        encoding="utf-8",
-    )
-    return page
+    return write_page(folder, f"Diagnosis: {title}", sections)
 
 
 def _gain(gain: dict[str, Any]) -> str:
@@ -156,7 +109,7 @@ def _gained(diagnosis: Diagnosis) -> str:
 
 
 def _equation(latex: str, path: Path) -> str:
-    figure = figure_of_equation(latex)
+    figure = figures.figure_of_equation(latex)
     if figure is None:
         return f"<p>Equation: <code>{escaped(latex)}</code></p>"
     return image(figure, path, latex)
@@ -237,7 +190,9 @@ def _remains(diagnosis: Diagnosis, numbers: dict[str, Any], folder: Path) -> str
             f"<p>In its place the model was given a plain curve: {escaped(said)}. It is in no rig. "
             "With it the free run would be off by this much:</p>"
             + _gain({"axis": missing["gain_with_splines"], "metric": numbers["gain"]["metric"]})
-            + image(figure_of_curves(curves), folder / "curves.png", "curve in the place of the cause")
+            + image(
+                figures.figure_of_curves(curves), folder / "curves.png", "curve in the place of the cause"
+            )
         )
     after = "Beyond what was found" + (" and that curve" if curves else "")
     return text + (

@@ -51,19 +51,8 @@ class ResidualAnalysis:
 
 
 def residual_analysis(screening: Screening, disturbance: DisturbanceFit | None = None) -> ResidualAnalysis:
-    """Describe the torque that the final model lacks.
-
-    Parameters
-    ----------
-    screening : Screening
-        Scores and missing torques of the final model.
-    disturbance : DisturbanceFit, optional
-        Coloured-noise model of its errors; without it nothing is tested.
-
-    Returns
-    -------
-    ResidualAnalysis
-        On the axis of the largest torque against its error.
+    """Describe the torque that the final model of a `screening` lacks, on the axis of the largest torque
+    against its error; without the coloured-noise model `disturbance` nothing is tested.
     """
     value = np.concatenate([torque.value_Nm for torque in screening.torques])
     std = np.concatenate([torque.std_Nm for torque in screening.torques])
@@ -101,17 +90,8 @@ def _correlation_time_s(value: Floats, step_s: float) -> float:
 
 
 def correlates(splines: Sequence[Scored]) -> list[str]:
-    """Name the quantities on which the missing part depends.
-
-    Parameters
-    ----------
-    splines : sequence of Scored
-        Scores of the spline terms, best first.
-
-    Returns
-    -------
-    list of str
-        ``CHANNEL on QUANTITY``, strongest first.
+    """Name the quantities on which the missing part depends by the scores of the spline terms `splines`, best
+    first, as ``CHANNEL on QUANTITY``.
     """
     best = splines[0].result.log_likelihood_gain if splines else 0.0
     least = max(CORRELATE_SHARE * best, CORRELATE_MIN)

@@ -72,13 +72,7 @@ class Diagnosis:
     seconds: float
 
     def values(self, found: Cause) -> dict[str, tuple[float, float, str]]:
-        """Parameters of a cause.
-
-        Returns
-        -------
-        dict of (float, float, str)
-            Value, standard error and unit by full name.
-        """
+        """Parameters of a cause by full name: value, standard error and unit."""
         kind, fit = self.kinds[found.candidate.id], self.extended.fit
         std = stds(fit)
         return {
@@ -91,13 +85,7 @@ class Diagnosis:
         }
 
     def sentence(self, found: Cause) -> str:
-        """A cause with its parameters, in words.
-
-        Returns
-        -------
-        str
-            One sentence without its full stop.
-        """
+        """A cause with its parameters, in one sentence without its full stop."""
         numbers = self.values(found)
         return self.kinds[found.candidate.id].describe(
             {name: value for name, (value, _, _) in numbers.items()},
@@ -150,17 +138,8 @@ class Diagnosis:
         return cautions
 
     def rig(self, name: str) -> Rig:
-        """Make the extended rig.
-
-        Parameters
-        ----------
-        name : str
-            What the new rig is called.
-
-        Returns
-        -------
-        Rig
-            The refitted parameters, and the causes with theirs; `heli-host sil|fly --rig` flies it.
+        """Make the extended rig `name`, of the refitted parameters and the causes with theirs, ready for
+        `heli-host sil|fly --rig`.
         """
         found = Identification(self.extended.fit, (), (), (), ()).rig(name)
         labels = ", ".join(record.label for record in self.extended.fit.problem.records)
@@ -192,15 +171,10 @@ class Diagnosis:
 
 
 def stds(fit: Fit) -> dict[str, float]:
-    """Standard errors, none finer than what the log's sampling resolves.
+    """Standard errors by name, none finer than what the log's sampling resolves.
 
     Voltages are held over a sample: a time constant or a delay is uncertain by a part of it, whichever way
     board and simulator count it.
-
-    Returns
-    -------
-    dict of float
-        By name.
     """
     units = {one.name: one.unit for one in fit.problem.free}
     half_s = 0.5 * fit.problem.records[0].step_s

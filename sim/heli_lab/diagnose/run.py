@@ -229,5 +229,5 @@ def _refuse_twins(train: Sequence[Record], held_out: Sequence[Record]) -> None:
         for other in held_out:
             if np.array_equal(one.angles_rad, other.angles_rad):
                 raise IdentifyError(
-                    f"{other.label} is both fitted and validated on; give another flight to --validate"
+                    f"{other.label} is both fitted and validated on", "give another flight to --validate"
                 )

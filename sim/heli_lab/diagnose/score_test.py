@@ -40,15 +40,12 @@ class ScoreResult:
         Standard error of each if the steps' errors were independent.
     variance : ndarray (3,)
         Mean square of each axis' residual that would be left, in units of the quantisation's variance.
-    parameter_change : ndarray (f,)
-        Change of the model's free parameters that goes with it.
     """
 
     log_likelihood_gain: float
     coefficients: Floats
     std: Floats
     variance: Floats
-    parameter_change: Floats
 
 
 class ScoreTest:
@@ -81,14 +78,9 @@ class ScoreTest:
         self._null_log_likelihood = self._solve(self._normal_matrix, np.zeros(0)).log_likelihood_gain
 
     def score(self, regressors: Sequence[Floats], prior_std: Floats | None = None) -> ScoreResult:
-        """Score one candidate.
-
-        Parameters
-        ----------
-        regressors : sequence of ndarray (n, 3, g)
-            For each flight, as `Linearisation.response` gives them.
-        prior_std : ndarray (g,), optional
-            Standard deviation of each coefficient about 0; without it no prior.
+        """Score one candidate of `regressors`, for each flight of shape (n, 3, g), as
+        `Linearisation.response` gives them; its coefficients have a prior about 0 where `prior_std`, shape
+        (g,), is given.
         """
         priors = None if prior_std is None else [prior_std]
         return self.score_each(regressors, [regressors[0].shape[2]], priors)[0]
@@ -165,4 +157,4 @@ class ScoreTest:
         neg2_log_likelihood = self.rows * float((np.log(scale) + variance / scale).sum())
         neg2_log_likelihood += float(offset @ (self._prior_precision * offset))
         std = np.sqrt(np.maximum(np.diag(covariance)[count:], 0.0))
-        return ScoreResult(-0.5 * neg2_log_likelihood, theta[count:], std, variance, theta[:count])
+        return ScoreResult(-0.5 * neg2_log_likelihood, theta[count:], std, variance)

@@ -35,15 +35,7 @@ _DIFFERENCE_STD: Final = 0.5
 
 @dataclass(frozen=True)
 class Scored:
-    """A candidate with its score.
-
-    Parameters
-    ----------
-    candidate : Candidate
-        The candidate at the best point of its grid.
-    tried : int
-        Number of points that were tried.
-    """
+    """A candidate at the best of the `tried` points of its grid, with its score."""
 
     candidate: Candidate
     result: ScoreResult
@@ -64,17 +56,8 @@ class Screening:
     def effects(
         self, kinds: Iterable[EffectKind], on_each: Callable[[str], None] | None = None
     ) -> list[Scored]:
-        """Score effects of the catalogue, each at the best point of its grid.
-
-        Parameters
-        ----------
-        on_each : callable, optional
-            Called with the id of each effect when it begins.
-
-        Returns
-        -------
-        list of Scored
-            One an effect, the highest score first.
+        """Score effects of the catalogue, each at the best point of its grid, the highest score first;
+        `on_each` is called with the id of each effect when it begins.
         """
         found = []
         for kind in kinds:
@@ -86,18 +69,7 @@ class Screening:
         return sorted(found, key=lambda one: -one.result.log_likelihood_gain)
 
     def splines(self, number: int = 0) -> list[Scored]:
-        """Score every spline term.
-
-        Parameters
-        ----------
-        number : int
-            Distinguishes the spline terms of one model.
-
-        Returns
-        -------
-        list of Scored
-            The highest score first.
-        """
+        """Score every spline term, the highest score first; `number` distinguishes those of one model."""
         candidates = spline_candidates(self.score_test.linearisations, number)
         results = self._score(candidates)
         found = [Scored(candidate, result, 1) for candidate, result in zip(candidates, results, strict=True)]
@@ -219,12 +191,8 @@ class Screening:
 
 
 def responses(makers: Sequence[Regressors], candidates: Sequence[Candidate]) -> list[Floats]:
-    """First-order responses of the predicted angles to candidates, side by side.
-
-    Returns
-    -------
-    list of ndarray (n, 3, s)
-        One for each flight, as `Linearisation.response` gives them.
+    """First-order responses of the predicted angles to candidates, side by side, shape (n, 3, s) for each
+    flight, as `Linearisation.response` gives them.
     """
     every: list[Floats] = []
     for maker in makers:

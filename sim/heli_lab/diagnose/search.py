@@ -16,37 +16,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from heli_sim.model.effects.kind import EffectKind
 
+from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.absent_terms import without_absent_terms
 from heli_lab.diagnose.candidate import Candidate, Regressors
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.diagnose.noise_model import MAX_RELINEARISATIONS, DisturbanceFit, fit_disturbance
 from heli_lab.diagnose.screening import Scored, Screening, coefficient_std, responses
 from heli_lab.diagnose.search_record import Alternative, Cause, Refit, Round, Search
-from heli_lab.diagnose.thresholds import (
-    ALTERNATIVE_SHARE,
-    AMBIGUOUS,
-    AT_NOISE_FLOOR,
-    CANDIDATES_TRIED,
-    CLOSE_ALTERNATIVE,
-    COMPARED,
-    DECIDED,
-    EXPECTED_REFIT_GAIN,
-    INDEPENDENT_SAMPLES_EVERY,
-    MAX_CAUSES,
-    MIN_COLOURED,
-    MIN_REDUCTION,
-    NOTHING_LEFT,
-    PLAIN,
-    SCREENED,
-    SECOND_CHANCE,
-    SECOND_CHANCE_SHARE,
-    SHORTLIST,
-    SHORTLIST_SHARE,
-    SPLINE_COEFFICIENT_WEIGHT,
-    SPLINE_MARGIN,
-    SPLINE_MIN,
-    EVENT_EDGE_s,
-)
 from heli_lab.errors import IdentifyError
 from heli_lab.identify import Fit
 
@@ -65,13 +41,13 @@ class _Searcher:
     def out_of_time(self) -> bool:
         return time.perf_counter() > self.until_s
 
-    def penalty(self, candidate: Candidate, tried: int = CANDIDATES_TRIED) -> float:
+    def penalty(self, candidate: Candidate, tried: int = thresholds.CANDIDATES_TRIED) -> float:
         """Bayesian information criterion in nats, and the logarithm of the number of candidates tried."""
-        rows = sum(len(record.t_s) for record in self.comparison.train) / INDEPENDENT_SAMPLES_EVERY
+        rows = sum(len(record.t_s) for record in self.comparison.train) / thresholds.INDEPENDENT_SAMPLES_EVERY
         free = len(candidate.effect.priors) + sum(
             1 for name in candidate.grid if name not in candidate.effect.priors
         )
-        weight = SPLINE_COEFFICIENT_WEIGHT if candidate.is_spline else 1.0
+        weight = thresholds.SPLINE_COEFFICIENT_WEIGHT if candidate.is_spline else 1.0
         return 0.5 * weight * free * math.log(rows) + math.log(tried)
 
     def attempt(
@@ -94,7 +70,7 @@ class _Searcher:
             best = hypothesis
         if best is None or not self._in_flight(best.fit, one.candidate):
             return None
-        penalty = self.penalty(one.candidate, CANDIDATES_TRIED + one.tried)
+        penalty = self.penalty(one.candidate, thresholds.CANDIDATES_TRIED + one.tried)
         return Refit(best, self.comparison.evidence(best, base), penalty, score)
 
     def _on_grid(self, one: Scored) -> list[Candidate]:
@@ -122,14 +98,16 @@ class _Searcher:
         """Whether a moment that was found lies within the flight."""
         last_s = max(float(record.t_s[-1] - record.t_s[0]) for record in self.comparison.train)
         moments = [fit.values[q.name] for q in candidate.effect.parameters if q.name.endswith("_at_s")]
-        return all(EVENT_EDGE_s < moment < last_s - EVENT_EDGE_s for moment in moments)
+        return all(thresholds.EVENT_EDGE_s < moment < last_s - thresholds.EVENT_EDGE_s for moment in moments)
 
     def shortlist(
         self, base: Hypothesis, screened: Sequence[Scored], splines: Sequence[Scored]
     ) -> list[tuple[Scored, float]]:
         """Candidates to refit, each with its score under the coloured-noise model, the best first."""
-        effects = [one for one in screened if one.result.log_likelihood_gain > 0.0][:SCREENED]
-        curves = [one for one in splines if one.result.log_likelihood_gain > SPLINE_MIN][:SCREENED]
+        effects = [one for one in screened if one.result.log_likelihood_gain > 0.0][: thresholds.SCREENED]
+        curves = [one for one in splines if one.result.log_likelihood_gain > thresholds.SPLINE_MIN][
+            : thresholds.SCREENED
+        ]
         every = [*effects, *curves]
         if not every:
             return []
@@ -146,15 +124,23 @@ class _Searcher:
             (one, score)
             for one, score in scored
             if not one.candidate.is_spline
-            and EXPECTED_REFIT_GAIN * score > self.penalty(one.candidate, CANDIDATES_TRIED + one.tried)
+            and thresholds.EXPECTED_REFIT_GAIN * score
+            > self.penalty(one.candidate, thresholds.CANDIDATES_TRIED + one.tried)
         ]
         best = likely[0][1] if likely else 0.0
-        chosen = [one for one in likely if one[1] >= SHORTLIST_SHARE * best][:SHORTLIST]
+        chosen = [one for one in likely if one[1] >= thresholds.SHORTLIST_SHARE * best][
+            : thresholds.SHORTLIST
+        ]
         if effects and all(one is not effects[0] for one, _ in chosen):
             # Where the model is so far off that linearisation fails, the white-noise score ranks better.
-            chosen = [*chosen[: SHORTLIST - 1], next(one for one in scored if one[0] is effects[0])]
+            chosen = [
+                *chosen[: thresholds.SHORTLIST - 1],
+                next(one for one in scored if one[0] is effects[0]),
+            ]
         curve = next((one for one in scored if one[0].candidate.is_spline), None)
-        if curve and curve[1] > max(SPLINE_MIN, best, self.penalty(curve[0].candidate, len(splines))):
+        if curve and curve[1] > max(
+            thresholds.SPLINE_MIN, best, self.penalty(curve[0].candidate, len(splines))
+        ):
             chosen.append(curve)
         return chosen
 
@@ -168,14 +154,14 @@ class _Searcher:
             screened = screening.effects(left)
             splines = screening.splines(number)
             refits: list[Refit] = []
-            full = len(hypothesis.candidates) >= MAX_CAUSES or self.out_of_time()
+            full = len(hypothesis.candidates) >= thresholds.MAX_CAUSES or self.out_of_time()
             shortlist = (
                 [] if full or _nothing_left(hypothesis) else self.shortlist(hypothesis, screened, splines)
             )
             for one, score in shortlist:
                 # Once an effect has reached the noise floor, only a close alternative is worth a refit.
                 if _at_noise_floor(refits) and (
-                    one.candidate.is_spline or score < CLOSE_ALTERNATIVE * refits[0].score
+                    one.candidate.is_spline or score < thresholds.CLOSE_ALTERNATIVE * refits[0].score
                 ):
                     continue
                 self.try_refit(refits, hypothesis, one, score)
@@ -184,8 +170,10 @@ class _Searcher:
                 # Under coloured noise an effect may gain nothing yet beside a larger one that is still
                 # missing.
                 known = {one.candidate.id for one, _ in shortlist}
-                others = [one for one in screened if one.candidate.id not in known][:SECOND_CHANCE]
-                least = SECOND_CHANCE_SHARE * screened[0].result.log_likelihood_gain
+                others = [one for one in screened if one.candidate.id not in known][
+                    : thresholds.SECOND_CHANCE
+                ]
+                least = thresholds.SECOND_CHANCE_SHARE * screened[0].result.log_likelihood_gain
                 for one in others:
                     if one.result.log_likelihood_gain > least:
                         self.try_refit(refits, hypothesis, one, 0.0)
@@ -217,8 +205,9 @@ class _Searcher:
             after = self.disturbance(refit.hypothesis, base, relinearisations).model
             gain = after.log_likelihood - before.log_likelihood
             # Where a disturbance remains it biases the parameters of both models: then once is not enough.
-            if gain < refit.penalty - DECIDED or (
-                gain > refit.penalty + DECIDED and refit.evidence.variance_reduction > PLAIN
+            if gain < refit.penalty - thresholds.DECIDED or (
+                gain > refit.penalty + thresholds.DECIDED
+                and refit.evidence.variance_reduction > thresholds.PLAIN
             ):
                 break
         return replace(refit, coloured_gain=gain)
@@ -241,12 +230,19 @@ class _Searcher:
             return refits, effects[0]
         effects = [refit for refit in refits if _eligible(refit, refits)]
         splines = [refit for refit in refits if refit.accepted and refit.candidate.is_spline][:1]
-        compared = {refit: self.with_coloured_gain(base, refit) for refit in (*effects[:COMPARED], *splines)}
-        ahead = [compared[one] for one in effects[:COMPARED] if compared[one].margin > MIN_COLOURED]
+        compared = {
+            refit: self.with_coloured_gain(base, refit)
+            for refit in (*effects[: thresholds.COMPARED], *splines)
+        }
+        ahead = [
+            compared[one]
+            for one in effects[: thresholds.COMPARED]
+            if compared[one].margin > thresholds.MIN_COLOURED
+        ]
         best = max(ahead, key=lambda refit: refit.margin, default=None)
         for spline in (compared[refit] for refit in splines):
             margin = spline.margin - (best.margin if best else 0.0)
-            if margin > max(SPLINE_MIN, SPLINE_MARGIN * spline.margin):
+            if margin > max(thresholds.SPLINE_MIN, thresholds.SPLINE_MARGIN * spline.margin):
                 best = spline
         return [compared.get(refit, refit) for refit in refits], best
 
@@ -266,7 +262,7 @@ class _Searcher:
             needed = refit.accepted or _eligible(refit, seen)
             if needed and not refit.at_noise_floor:
                 refit = self.with_coloured_gain(less, refit)
-            if not (needed and refit.margin > MIN_COLOURED) and not self.out_of_time():
+            if not (needed and refit.margin > thresholds.MIN_COLOURED) and not self.out_of_time():
                 final, number = less, 0
                 without.clear()
                 continue
@@ -302,7 +298,7 @@ class _Searcher:
                 continue
             if len(rest) == 0:
                 other = refit
-            elif self.out_of_time() or ratios or refit.score < ALTERNATIVE_SHARE * best:
+            elif self.out_of_time() or ratios or refit.score < thresholds.ALTERNATIVE_SHARE * best:
                 continue
             else:
                 scored = next(one for one in seen.screened if one.candidate.id == refit.candidate.id)
@@ -323,7 +319,7 @@ class _Searcher:
         if final is not reached:
             screening = Screening(final.fit)
         disturbance = None
-        if min(final.train.normalised, final.held_out.normalised) >= AT_NOISE_FLOOR:
+        if min(final.train.normalised, final.held_out.normalised) >= thresholds.AT_NOISE_FLOOR:
             self.say("estimating the disturbance that remains", 0.88)
             disturbance = self.disturbance(final, self.baseline, MAX_RELINEARISATIONS)
         return Search(
@@ -335,21 +331,23 @@ def _eligible(refit: Refit, beside: Sequence[Refit]) -> bool:
     """Whether it is an effect that is accepted, or one that is not told apart from such a one."""
     if refit.candidate.is_spline or refit.accepted:
         return not refit.candidate.is_spline
-    if refit.evidence.train <= refit.penalty or refit.evidence.variance_reduction < MIN_REDUCTION:
+    if refit.evidence.train <= refit.penalty or refit.evidence.variance_reduction < thresholds.MIN_REDUCTION:
         return False
     # Between two that the flights do not tell apart, such as a lag and a delay, no threshold may decide.
-    least = refit.evidence.total + AMBIGUOUS
+    least = refit.evidence.total + thresholds.AMBIGUOUS
     return any(least > one.evidence.total for one in beside if one.accepted and not one.candidate.is_spline)
 
 
 def _nothing_left(hypothesis: Hypothesis) -> bool:
-    return max(hypothesis.train.normalised, hypothesis.held_out.normalised) < NOTHING_LEFT
+    return max(hypothesis.train.normalised, hypothesis.held_out.normalised) < thresholds.NOTHING_LEFT
 
 
 def _at_noise_floor(refits: Sequence[Refit]) -> bool:
     """Whether a candidate leaves nothing but quantisation."""
     return any(
-        refit.accepted and not refit.candidate.is_spline and refit.normalised_error < AT_NOISE_FLOOR
+        refit.accepted
+        and not refit.candidate.is_spline
+        and refit.normalised_error < thresholds.AT_NOISE_FLOOR
         for refit in refits
     )
 
@@ -362,7 +360,7 @@ def search(
     say: Callable[[str, float], None] | None = None,
     seconds: float = math.inf,
 ) -> Search:
-    """Find what a model lacks.
+    """Find what a model lacks; what was found counts also when the time ran out.
 
     Parameters
     ----------
@@ -372,11 +370,6 @@ def search(
         Called with what is being done, and the share of the work that is done, 0 to 1.
     seconds : float
         Time after which no further refit is begun.
-
-    Returns
-    -------
-    Search
-        What was found, also when the time ran out.
     """
     until_s = time.perf_counter() + seconds
     return _Searcher(comparison, kinds, say or (lambda _what, _share: None), until_s, removable).run()

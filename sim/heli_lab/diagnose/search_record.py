@@ -4,20 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.diagnose.model_comparison import Evidence, Hypothesis
 from heli_lab.diagnose.noise_model import DisturbanceFit
 from heli_lab.diagnose.screening import Scored, Screening
-from heli_lab.diagnose.thresholds import (
-    AT_NOISE_FLOOR,
-    DECISIVE_TRAIN,
-    LOWER_BOUND_SHARE,
-    MIN_HELD_OUT,
-    MIN_REDUCTION,
-    MIN_REDUCTION_SPLINE,
-    PLAIN,
-    UNCONFIRMED_FACTOR,
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,24 +48,27 @@ class Refit:
     def accepted(self) -> bool:
         """Whether its gain on the flights fitted exceeds the penalty and the held-out flights confirm it."""
         if self.evidence.variance_reduction < (
-            MIN_REDUCTION_SPLINE if self.candidate.is_spline else MIN_REDUCTION
+            thresholds.MIN_REDUCTION_SPLINE if self.candidate.is_spline else thresholds.MIN_REDUCTION
         ):
             return False
         if self.hypothesis.held_out_fit is None:
-            return self.evidence.train > UNCONFIRMED_FACTOR * self.penalty
-        confirmed = self.evidence.held_out > MIN_HELD_OUT and self.evidence.held_out_low > 0.0
+            return self.evidence.train > thresholds.UNCONFIRMED_FACTOR * self.penalty
+        confirmed = self.evidence.held_out > thresholds.MIN_HELD_OUT and self.evidence.held_out_low > 0.0
         # A short flight held out has few windows, and one of them may decide the lower bound.
         decisive = (
             self.evidence.held_out > self.penalty
-            and self.evidence.train > DECISIVE_TRAIN * self.penalty
-            and self.evidence.held_out_low > -LOWER_BOUND_SHARE * self.evidence.held_out
+            and self.evidence.train > thresholds.DECISIVE_TRAIN * self.penalty
+            and self.evidence.held_out_low > -thresholds.LOWER_BOUND_SHARE * self.evidence.held_out
         )
         return self.evidence.train > self.penalty and (confirmed or decisive)
 
     @property
     def at_noise_floor(self) -> bool:
         """Whether it leaves nothing but quantisation, and removed much."""
-        return self.normalised_error < AT_NOISE_FLOOR and self.evidence.variance_reduction > PLAIN
+        return (
+            self.normalised_error < thresholds.AT_NOISE_FLOOR
+            and self.evidence.variance_reduction > thresholds.PLAIN
+        )
 
     @property
     def normalised_error(self) -> float:
@@ -113,14 +107,8 @@ class Round:
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another effect in the place of one that was found.
-
-    Parameters
-    ----------
-    id : str
-        The other effect.
-    log_likelihood_ratio : float
-        Of the effect found over it, penalties included, nats.
+    """Another effect, `id`, in the place of one that was found; `log_likelihood_ratio` is that of the effect
+    found over it, penalties included, nats.
     """
 
     id: str

@@ -18,17 +18,8 @@ from heli_lab.identify import check
 
 
 def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
-    """Write a result as lists, dicts and numbers.
-
-    Parameters
-    ----------
-    result : Diagnosis or InsufficientExcitation
-        The result; where nothing was excited, numbers are null.
-
-    Returns
-    -------
-    dict
-        verdict, causes, residual, gain, unexplained, next_flight and more.
+    """Write a `result` as lists, dicts and numbers: verdict, causes, residual, gain, unexplained, next_flight
+    and more; where nothing was excited, numbers are null.
     """
     if isinstance(result, InsufficientExcitation):
         return _of_insufficient_excitation(result)
@@ -36,15 +27,15 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
     return {
         "verdict": result.label,
         "causes": causes(result),
-        "residual": residual(result),
-        "gain": {"metric": result.metric, "axis": gains(result.gains)},
+        "residual": _residual(result),
+        "gain": {"metric": result.metric, "axis": _gains(result.gains)},
         "unexplained": unexplained(result),
         "next_flight": {"why": asked.why, "plan": asked.plan} if asked else None,
         "undetectable": list(result.undetectable),
         "unidentifiable": list(result.unidentifiable),
         "cautions": result.cautions,
-        "flights": flights(result),
-        "ranking": ranking(result),
+        "flights": _flights(result),
+        "ranking": _ranking(result),
         "seconds_taken": result.seconds,
         "complete": result.search.complete,
     }
@@ -73,13 +64,8 @@ def _of_insufficient_excitation(result: InsufficientExcitation) -> dict[str, Any
 
 
 def causes(found: Diagnosis) -> list[dict[str, Any]]:
-    """Write the causes.
-
-    Returns
-    -------
-    list of dict
-        Effect, parameters, confidence, sentence, equation, evidence and alternatives of each, strongest
-        first.
+    """Effect, parameters, confidence, sentence, equation, evidence and alternatives of each cause, strongest
+    first.
     """
     causes: list[dict[str, Any]] = []
     unexplained = found.verdict.label == "unexplained"
@@ -143,14 +129,8 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
     return causes
 
 
-def residual(found: Diagnosis) -> dict[str, Any]:
-    """Write the errors before and after.
-
-    Returns
-    -------
-    dict
-        Normalised errors by axis and of all, and whether they are white.
-    """
+def _residual(found: Diagnosis) -> dict[str, Any]:
+    """Normalised errors before and after by axis and of all, and whether they are white."""
     before, after = found.search.baseline, found.extended
     white, correlation = {}, {}
     for role, before_fit, after_fit in (
@@ -181,13 +161,7 @@ def residual(found: Diagnosis) -> dict[str, Any]:
 
 
 def unexplained(found: Diagnosis) -> dict[str, Any] | None:
-    """Write what no effect explains.
-
-    Returns
-    -------
-    dict or None
-        Axis, what it correlates with and its share; None when nothing is.
-    """
+    """Axis, correlates and share of what no effect explains; None when nothing is."""
     after = found.extended.train
     excess = float(1.0 - 1.0 / max(after.normalised**2, 1.0))
     if not found.verdict.off_list:
@@ -215,18 +189,12 @@ def unexplained(found: Diagnosis) -> dict[str, Any] | None:
         "correlates_with": [f"{channel} on {on}", *others],
         "share_of_variance": round(_share(base, final, axis), 4),
         "splines": [one.candidate.id.removeprefix("spline:") for one in found.verdict.off_list],
-        "gain_with_splines": gains(found.spline_gains),
+        "gain_with_splines": _gains(found.spline_gains),
     }
 
 
-def flights(found: Diagnosis) -> list[dict[str, Any]]:
-    """Write which parts of the flights were used.
-
-    Returns
-    -------
-    list of dict
-        One a flight.
-    """
+def _flights(found: Diagnosis) -> list[dict[str, Any]]:
+    """Which parts of the flights were used."""
     flights = []
     held_out = found.search.baseline.held_out_fit
     for role, fit in (("train", found.search.baseline.fit), ("held_out", held_out)):
@@ -244,14 +212,8 @@ def flights(found: Diagnosis) -> list[dict[str, Any]]:
     return flights
 
 
-def ranking(found: Diagnosis) -> list[dict[str, Any]]:
-    """Write the candidates with their scores.
-
-    Returns
-    -------
-    list of dict
-        One a candidate and round.
-    """
+def _ranking(found: Diagnosis) -> list[dict[str, Any]]:
+    """The candidates of each round with their scores."""
     rows = []
     for number, one in enumerate(found.search.rounds, 1):
         tried = {refit.candidate.id: refit for refit in one.refits}
@@ -275,14 +237,8 @@ def _parameters(values: Mapping[str, tuple[float, float, str]]) -> dict[str, dic
     return {name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in values.items()}
 
 
-def gains(measured: Mapping[str, ErrorReduction]) -> dict[str, dict[str, Any]]:
-    """Write free-run errors before and after.
-
-    Returns
-    -------
-    dict
-        before, after, ratio and interval95 of each axis.
-    """
+def _gains(measured: Mapping[str, ErrorReduction]) -> dict[str, dict[str, Any]]:
+    """Free-run errors before and after, ratio and interval95 of each axis."""
     return {
         axis: {
             "before": one.before_deg,

@@ -97,29 +97,12 @@ class SplineTerm(Effect):
         return sum((p[f"{self.name}_{i}"] * bspline(place - i) for i in range(KNOTS)), ca.SX(0))
 
     def torque_Nm(self, at: Operands) -> ca.SX:
-        """Add the curve to its axis; see `Effect.torque_Nm`.
-
-        Returns
-        -------
-        casadi.SX
-            Torques in N m, shape (3, 1).
-        """
+        """Add the curve to its axis [N m], shape (3, 1); see `Effect.torque_Nm`."""
         kind, where = self.channel.split(".")
         return ca.vertcat(*(self._curve(at) if kind == "torque" and where == axis else 0 for axis in AXES))
 
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        """Scale the thrust by the curve; see `Effect.thrust_N`.
-
-        Parameters
-        ----------
-        thrust_N : casadi.SX
-            Thrust before, shape (2, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Thrust with the curve's share, shape (2, 1).
-        """
+        """Scale the thrust by the curve [N], shape (2, 1); see `Effect.thrust_N`."""
         kind, where = self.channel.split(".")
         if kind != "thrust":
             return thrust_N
@@ -127,18 +110,7 @@ class SplineTerm(Effect):
         return thrust_N * ca.vertcat(1 + share, 1 + share if where == "both" else 1 - share)
 
     def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
-        """Add the curve to what its encoder shows; see `Effect.measured_rad`.
-
-        Parameters
-        ----------
-        angles_rad : casadi.SX
-            Angles before, shape (3, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Angles with the curve, shape (3, 1).
-        """
+        """Add the curve to what its encoder shows [rad], shape (3, 1); see `Effect.measured_rad`."""
         kind, where = self.channel.split(".")
         if kind != "measurement":
             return angles_rad
@@ -146,17 +118,8 @@ class SplineTerm(Effect):
 
 
 def bspline(distance: ca.SX) -> ca.SX:
-    """Cubic B-spline with knots at distance 1.
-
-    Parameters
-    ----------
-    distance : casadi.SX
-        Distance from its middle.
-
-    Returns
-    -------
-    casadi.SX
-        2/3 in the middle, 0 from distance 2 on.
+    """Cubic B-spline at a `distance` from its middle, with knots at distance 1: 2/3 in the middle, 0 from
+    distance 2 on.
     """
     far = ca.fmax(2.0 - ca.fabs(distance), 0.0)
     near = ca.fmax(1.0 - ca.fabs(distance), 0.0)
@@ -213,19 +176,8 @@ def knot_span(values: Floats) -> tuple[float, float]:
 
 
 def bspline_basis(values: Floats, low: float, step: float) -> Floats:
-    """Evaluate the B-spline basis of a curve.
-
-    Parameters
-    ----------
-    values : ndarray (n,)
-        Values of the quantity.
-    low, step : float
-        As `knot_span` gives them.
-
-    Returns
-    -------
-    ndarray (n, KNOTS)
-        Each row sums to 1.
+    """Evaluate the B-spline basis of a curve at the `values` of a quantity, shape (n,), with `low` and `step`
+    as `knot_span` gives them; shape (n, KNOTS), each row sums to 1.
     """
     place = np.clip(1.0 + (values - low) / step, 1.0, KNOTS - 2.0)
     distance = np.abs(place[:, None] - np.arange(KNOTS))
@@ -234,13 +186,7 @@ def bspline_basis(values: Floats, low: float, step: float) -> Floats:
 
 
 def quantity_values(model: Model, trajectory: Trajectory) -> dict[str, Floats]:
-    """Values of every quantity along a free run.
-
-    Returns
-    -------
-    dict of ndarray (n,)
-        By name, in the order of `QUANTITIES`.
-    """
+    """Values of every quantity along a free run, shape (n,), by name in the order of `QUANTITIES`."""
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
     at = model.operands(x, u, p, t)
@@ -252,13 +198,7 @@ def quantity_values(model: Model, trajectory: Trajectory) -> dict[str, Floats]:
 
 
 def channel_quantity_pairs() -> list[tuple[str, str]]:
-    """Every spline term that is tried.
-
-    Returns
-    -------
-    list of (str, str)
-        Channel and quantity.
-    """
+    """Every spline term that is tried, as channel and quantity."""
     # The controller feeds the quantisation error back, so voltages are correlated with it in any flight: a
     # measurement that depends on thrust would always be found.
     return [
@@ -269,17 +209,8 @@ def channel_quantity_pairs() -> list[tuple[str, str]]:
 
 
 def readable_id(candidate: str) -> str:
-    """Write a candidate's id for people.
-
-    Parameters
-    ----------
-    candidate : str
-        Its id.
-
-    Returns
-    -------
-    str
-        ``a curve: CHANNEL on QUANTITY`` for a spline term; an effect's id as it is.
+    """Write the id of a `candidate` for people: ``a curve: CHANNEL on QUANTITY`` for a spline term, an
+    effect's id as it is.
     """
     kind, _, rest = candidate.partition(":")
     return f"a curve: {rest.replace(':', ' on ')}" if kind == "spline" else candidate

@@ -5,20 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.residual_analysis import ResidualAnalysis
 from heli_lab.diagnose.search_record import Cause, Search
-from heli_lab.diagnose.thresholds import (
-    AMBIGUOUS,
-    AT_NOISE_FLOOR,
-    CONFIDENCE_BESIDE_UNKNOWN,
-    CONFIDENCE_NATS,
-    GUST_MAX_LOSS,
-    GUST_MAX_LOSS_SHARE,
-    GUST_MIN_SIGMA_OVER_STD,
-    MAX_CONFIDENCE,
-    OFF_LIST_SHARE,
-    UNEXPLAINED_SHARE,
-)
 
 
 @dataclass(frozen=True)
@@ -44,12 +33,8 @@ class Verdict:
 
 
 def judge(search: Search, remaining: ResidualAnalysis, absent: bool = False) -> Verdict:
-    """Decide the verdict.
-
-    Parameters
-    ----------
-    absent : bool
-        Whether the fit estimated a term of the baseline as zero, which is a cause as well.
+    """Decide the verdict; with `absent` the fit estimated a term of the baseline as zero, which is a cause as
+    well.
     """
     causes = tuple(one for one in search.causes if not one.candidate.is_spline)
     off_list = tuple(one for one in search.causes if one.candidate.is_spline)
@@ -57,12 +42,13 @@ def judge(search: Search, remaining: ResidualAnalysis, absent: bool = False) -> 
         remains(search)
         and not off_list
         and not remaining.dependences
-        and remaining.sigma_over_std > GUST_MIN_SIGMA_OVER_STD
-        and remaining.loss_to_all_axes < max(GUST_MAX_LOSS, GUST_MAX_LOSS_SHARE * remaining.gain_over_none)
+        and remaining.sigma_over_std > thresholds.GUST_MIN_SIGMA_OVER_STD
+        and remaining.loss_to_all_axes
+        < max(thresholds.GUST_MAX_LOSS, thresholds.GUST_MAX_LOSS_SHARE * remaining.gain_over_none)
     )
     if off_list:
         spline, effect = (sum(one.evidence.iid for one in group) for group in (off_list, causes))
-        if not causes or spline > OFF_LIST_SHARE * (spline + effect):
+        if not causes or spline > thresholds.OFF_LIST_SHARE * (spline + effect):
             return Verdict("unexplained", causes, off_list, False)
     if remains(search) and not gust:
         return Verdict("unexplained", causes, off_list, False)
@@ -76,37 +62,24 @@ def remains(search: Search) -> bool:
     """Whether the final model leaves more than quantisation."""
     train, held_out = search.final.train.normalised, search.final.held_out.normalised
     # The held-out flights alone may be worse by what differs from flight to flight.
-    if min(train, held_out) < AT_NOISE_FLOOR:
+    if min(train, held_out) < thresholds.AT_NOISE_FLOOR:
         return False
     before = search.baseline.train.normalised**2 + search.baseline.held_out.normalised**2 - 2.0
-    return train**2 + held_out**2 - 2.0 > UNEXPLAINED_SHARE * before
+    return train**2 + held_out**2 - 2.0 > thresholds.UNEXPLAINED_SHARE * before
 
 
 def ambiguous_with(found: Cause) -> list[str]:
-    """Other effects that the flights do not tell from a cause.
-
-    Returns
-    -------
-    list of str
-        Their ids, closest first.
-    """
+    """Ids of other effects that the flights do not tell from a cause, closest first."""
     return [
-        alternative.id for alternative in found.alternatives if alternative.log_likelihood_ratio < AMBIGUOUS
+        alternative.id
+        for alternative in found.alternatives
+        if alternative.log_likelihood_ratio < thresholds.AMBIGUOUS
     ]
 
 
 def confidence(found: Cause, search: Search, unexplained: bool = False) -> float:
-    """How sure the name of a cause is, of the closest alternative and of what remains.
-
-    Parameters
-    ----------
-    unexplained : bool
-        Whether something remains that no effect explains, and that this cause may imitate.
-
-    Returns
-    -------
-    float
-        Between 0 and 1.
+    """How sure the name of a cause is, 0 to 1, of the closest alternative and of what remains `unexplained`,
+    which this cause may imitate.
     """
     margin = min(
         [
@@ -114,9 +87,9 @@ def confidence(found: Cause, search: Search, unexplained: bool = False) -> float
             *(alternative.log_likelihood_ratio for alternative in found.alternatives),
         ]
     )
-    sure = 1.0 - 0.5 * math.exp(-max(margin, 0.0) / CONFIDENCE_NATS)
+    sure = 1.0 - 0.5 * math.exp(-max(margin, 0.0) / thresholds.CONFIDENCE_NATS)
     before = max(search.baseline.held_out.normalised**2 - 1.0, 1e-9)
     after = max(search.final.held_out.normalised**2 - 1.0, 0.0)
     open_share = min(1.0, after / before)
-    beside = CONFIDENCE_BESIDE_UNKNOWN if unexplained else 1.0
-    return float(min(MAX_CONFIDENCE, sure) * (1.0 - 0.5 * open_share) * beside)
+    beside = thresholds.CONFIDENCE_BESIDE_UNKNOWN if unexplained else 1.0
+    return float(min(thresholds.MAX_CONFIDENCE, sure) * (1.0 - 0.5 * open_share) * beside)

@@ -76,12 +76,8 @@ class Dependence:
 
 
 def penalty(coefficients: int) -> float:
-    """Set the gain, in nats, that the best of all dependences rarely reaches on white innovations.
-
-    Parameters
-    ----------
-    coefficients : int
-        Number of the dependence's coefficients.
+    """Set the gain, in nats, that the best of all dependences of so many `coefficients` rarely reaches on
+    white innovations.
     """
     return _PENALTY + _PENALTY_EACH * coefficients
 
@@ -116,17 +112,8 @@ def best_single_axis(disturbance: DisturbanceFit) -> tuple[str, float, float]:
 
 
 def score_dependences(disturbance: DisturbanceFit) -> list[Dependence]:
-    """Test the innovations against simple functions of states and inputs.
-
-    Parameters
-    ----------
-    disturbance : DisturbanceFit
-        The coloured-noise model, the null hypothesis.
-
-    Returns
-    -------
-    list of Dependence
-        All of them, the largest gain first.
+    """Test the innovations of a `disturbance`, the null hypothesis, against simple functions of states and
+    inputs; all of them, the largest gain first.
     """
     linearisations = disturbance.innovations_filter.linearisations
     names: list[tuple[str, int]] = []

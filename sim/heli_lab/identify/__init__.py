@@ -6,7 +6,6 @@ from heli_lab.identify.check import Check, Trace, check, trace, validate
 from heli_lab.identify.fit import Budget, Fit, Progress
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import Record, prepare
-from heli_lab.identify.screen import Score, screen
 from heli_lab.identify.solve import solve
 from heli_lab.identify.uncertainty import Combination, combinations, uninformed_parameters
 
@@ -18,12 +17,10 @@ __all__ = [
     "Problem",
     "Progress",
     "Record",
-    "Score",
     "Trace",
     "check",
     "combinations",
     "prepare",
-    "screen",
     "solve",
     "trace",
     "uninformed_parameters",

@@ -83,18 +83,7 @@ class Trace:
 
 
 def trace(fit: Fit, index: int = 0) -> Trace:
-    """Predict a flight of a fit, every sample.
-
-    Parameters
-    ----------
-    index : int
-        Which of its records.
-
-    Returns
-    -------
-    Trace
-        Measured against predicted.
-    """
+    """Predict flight `index` of a fit, every sample, beside what was measured."""
     evaluation = fit.problem.evaluation(index, fit.theta, fit.states[index], fine=True, derivatives=False)
     grid = fit.problem.grid(index, True, fit.theta)
     record = grid.record
@@ -111,13 +100,7 @@ def trace(fit: Fit, index: int = 0) -> Trace:
 
 
 def check(fit: Fit, index: int = 0) -> Check:
-    """Measure the free-run errors on a flight of a fit.
-
-    Parameters
-    ----------
-    index : int
-        Which of its records.
-    """
+    """Measure the free-run errors on flight `index` of a fit."""
     seen = trace(fit, index)
     step_s = fit.problem.records[index].step_s
     correlation, bound = correlation_at(seen.residual, seen.windows, max(1, round(WHITE_LAG_S / step_s)))
@@ -135,21 +118,12 @@ def check(fit: Fit, index: int = 0) -> Check:
 
 
 def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str] | None = None) -> Fit:
-    """Predict flights that a fit has not seen.
+    """Predict flights, called `labels`, that a fit has not seen; the result is a fit of the same parameters
+    on these flights, for `check` and `trace`. Its standard errors of the zeros leave the effect of
+    quantisation out.
 
     Only what differs from flight to flight is estimated from them: the windows' initial states, and the
     encoders' zeros, which are set each time the board starts.
-
-    Parameters
-    ----------
-    labels : sequence of str, optional
-        Their names.
-
-    Returns
-    -------
-    Fit
-        The same parameters on these flights, for `check` and `trace`. Standard errors of the zeros leave the
-        effect of quantisation out.
     """
     problem = fit.problem
     shared = {

@@ -212,13 +212,7 @@ def _nonzeros(sparsity: ca.Sparsity) -> list[tuple[int, int]]:
 
 
 def driver(functions: Functions) -> str:
-    """Write the kernel.
-
-    Returns
-    -------
-    str
-        One C file with the function heli_windows.
-    """
+    """Write the kernel: one C file with the function heli_windows."""
     sizes = [function.sz_arg() for function in functions.all], [f.sz_res() for f in functions.all]
     jacobians = (functions.rates_jacobian, functions.angles_jacobian, functions.reset_map_jacobian)
     nonzeros = [max(f.nnz_out(i) for f in jacobians) for i in (1, 2, 3)]
@@ -261,7 +255,7 @@ class CompiledKernel(Kernel):
         try:
             self._windows: Callable[..., None] = ctypes.CDLL(library).heli_windows
         except (OSError, AttributeError) as error:
-            raise PlantError(f"the compiled model does not load: {error}; delete {library}") from None
+            raise PlantError(f"the compiled model does not load: {error}", f"delete {library}") from None
         self._windows.restype = None
 
     @override

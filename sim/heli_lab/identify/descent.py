@@ -47,14 +47,8 @@ class Point:
 
 
 class Descent:
-    """State of a fit: weights, damping, and the steps that change them.
-
-    Parameters
-    ----------
-    robust : bool
-        Whether outlying windows lose weight.
-    on_progress : callable or None
-        Told where the fit is.
+    """State of a fit: weights, damping, and the steps that change them. If `robust`, outlying windows lose
+    weight; `on_progress` is told where the fit is.
     """
 
     def __init__(
@@ -80,19 +74,8 @@ class Descent:
         return self.evaluations >= self.budget.evaluations or seconds >= self.budget.seconds
 
     def evaluate(self, theta: Floats, states: list[Floats]) -> Point:
-        """Predict all records from a guess.
-
-        Parameters
-        ----------
-        theta : ndarray (f,)
-            Free parameters.
-        states : list of ndarray (w, states)
-            Initial states of the windows of each record.
-
-        Returns
-        -------
-        Point
-            The guess with residuals, derivatives and cost.
+        """Predict all records from a guess, with residuals, derivatives and cost: free parameters `theta`,
+        shape (f,), and initial `states` of the windows of each record, shape (w, states).
         """
         evaluations = [
             self.problem.evaluation(index, theta, start, fine=self.fine) for index, start in enumerate(states)
@@ -103,17 +86,8 @@ class Descent:
         return point
 
     def reweight(self, point: Point) -> float:
-        """Estimate variances and weights anew.
-
-        Parameters
-        ----------
-        point : Point
-            Gives the residuals; its cost is updated.
-
-        Returns
-        -------
-        float
-            Largest relative change of a variance.
+        """Estimate variances and weights anew from the residuals of a `point`, whose cost is updated; return
+        the largest relative change of a variance.
         """
         variance, weights = [], []
         for index, evaluation in enumerate(point.evaluations):
@@ -156,12 +130,8 @@ class Descent:
         return total if math.isfinite(total) else math.inf
 
     def update_state_prior(self, point: Point) -> None:
-        """Take the prior means of effects' states from the flight before their windows.
-
-        Parameters
-        ----------
-        point : Point
-            Gives the parameters found so far.
+        """Take the prior means of effects' states from the flight before their windows, with the parameters
+        of a `point`.
         """
         if self.problem.state_count > 6:
             self.reference = first_states(self.problem, point.theta)
@@ -205,12 +175,8 @@ class Descent:
         return other if other.cost < thresholds.WORTHWHILE * point.cost else None
 
     def restart_outliers(self, point: Point) -> bool:
-        """Optimise outlying windows from alternative initial states.
-
-        Returns
-        -------
-        bool
-            Whether the cost fell by more than `thresholds.WORTHWHILE` says.
+        """Optimise outlying windows from alternative initial states; return whether the cost fell by more
+        than `thresholds.WORTHWHILE` says.
         """
         before = point.cost
         for index in range(len(point.evaluations)):

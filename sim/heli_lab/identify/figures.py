@@ -20,17 +20,8 @@ _MUST_SEE_COUNTS = 1.0
 
 
 def figure_of_flight(trace: Trace, role: str) -> Figure:
-    """Draw measured against predicted angles, with the error below each axis.
-
-    Parameters
-    ----------
-    role : str
-        What it was used for, for the title.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Six panels on one time axis.
+    """Draw measured against predicted angles, with the error below each axis: six panels on one time axis.
+    The title says the `role` of the flight.
     """
     from matplotlib.figure import Figure
 
@@ -70,12 +61,8 @@ def figure_of_flight(trace: Trace, role: str) -> Figure:
 
 
 def figure_of_parameters(identification: Identification) -> Figure:
-    """Draw every parameter as the change from its prior, in the prior's standard deviations.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Prior as a grey band, estimate with two standard errors as a bar.
+    """Draw every parameter as the change from its prior, in the prior's standard deviations: the prior as a
+    grey band, the estimate with two standard errors as a bar.
     """
     from matplotlib.figure import Figure
 
@@ -96,13 +83,7 @@ def figure_of_parameters(identification: Identification) -> Figure:
 
 
 def figure_of_correlations(identification: Identification) -> Figure:
-    """Draw the correlations of the estimates.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        A square of colours, numbers where they are large.
-    """
+    """Draw the correlations of the estimates: a square of colours, numbers where they are large."""
     from matplotlib.figure import Figure
 
     names, correlation = identification.fit.problem.names, identification.fit.correlation

@@ -13,15 +13,7 @@ from heli_lab.identify.problem import Problem
 
 @dataclass(frozen=True)
 class Budget:
-    """How much a fit may cost.
-
-    Parameters
-    ----------
-    evaluations : int
-        Most predictions of all flights with derivatives.
-    seconds : float
-        Most time.
-    """
+    """How much a fit may cost: most `evaluations` of all flights with derivatives, and most `seconds`."""
 
     evaluations: int = 80
     seconds: float = math.inf

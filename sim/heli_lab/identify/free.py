@@ -47,7 +47,7 @@ class FreeParameter:
 def free_parameters(
     model: Model, rig: Rig, free: Sequence[str] | None, priors: Mapping[str, Prior]
 ) -> tuple[FreeParameter, ...]:
-    """Choose the free parameters of a model.
+    """Choose the free parameters of a model, in the order given, or in the model's.
 
     Parameters
     ----------
@@ -56,11 +56,6 @@ def free_parameters(
         excepted, and every parameter of the model's effects that has a prior.
     priors : Mapping[str, Prior]
         Instead of the rig's and the effects'.
-
-    Returns
-    -------
-    tuple of FreeParameter
-        In the order given, or in the model's.
 
     Raises
     ------
@@ -78,10 +73,10 @@ def free_parameters(
     parameters = []
     for name in dict.fromkeys(free):
         if name not in known:
-            raise IdentifyError(_unknown(model, name))
+            raise _unknown(model, name)
         if name not in given and (name not in rig or rig[name].tolerance == 0):
             raise IdentifyError(
-                f"nothing is known of '{name}' beforehand; give it a tolerance in the rig file, or fix it"
+                f"nothing is known of '{name}' beforehand", "give it a tolerance in the rig file, or fix it"
             )
         parameters.append(
             FreeParameter(name, known[name].unit, given.get(name) or rig_prior(rig, name), name)
@@ -90,57 +85,34 @@ def free_parameters(
 
 
 def estimated_names(model: Model, rig: Rig, free: Sequence[str] | None, fixed: Sequence[str]) -> list[str]:
-    """Take fixed parameters out of the free ones.
-
-    Parameters
-    ----------
-    free : sequence of str or None
-        As for `free_parameters`.
-    fixed : sequence of str
-        Names of parameters that are not to be estimated.
-
-    Returns
-    -------
-    list of str
-        Names of what is left.
-
-    Raises
-    ------
-    IdentifyError
-        When a name is unknown, asked for and fixed at once, or nothing is left.
+    """Take the `fixed` parameters out of the `free` ones, those of `free_parameters`; return the names of
+    what is left. An IdentifyError when a name is unknown, asked for and fixed at once, or nothing is left.
     """
     known = [quantity.name for quantity in model.parameters]
     for name in fixed:
         if name not in known:
-            raise IdentifyError(_unknown(model, name))
+            raise _unknown(model, name)
         if name in (free or ()):
-            raise IdentifyError(f"'{name}' is asked for and fixed at once; leave one of them out")
+            raise IdentifyError(f"'{name}' is asked for and fixed at once", "leave one of them out")
     names = [one.quantity for one in free_parameters(model, rig, free, {}) if one.quantity not in fixed]
     if not names:
-        raise IdentifyError("every number is fixed; free at least one")
+        raise IdentifyError("every number is fixed", "free at least one")
     return names
 
 
-def _unknown(model: Model, name: str) -> str:
+def _unknown(model: Model, name: str) -> IdentifyError:
     known = [quantity.name for quantity in model.parameters]
     close = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
-    return f"the model '{model.name}' has no parameter '{name}'; {hint}names: {', '.join(known)}"
+    return IdentifyError(
+        f"the model '{model.name}' has no parameter '{name}'", f"{hint}names: {', '.join(known)}"
+    )
 
 
 def rig_prior(rig: Rig, name: str) -> Prior:
-    """Prior of a rig's number.
-
-    Parameters
-    ----------
-    name : str
-        Name of the number.
-
-    Returns
-    -------
-    Prior
-        Normal, with half the tolerance as its standard deviation; where the number cannot be negative it is
-        bounded just above 0, because a rig without a length or a gain cannot be.
+    """Prior of the number `name` of a rig: normal, with half the tolerance as its standard deviation; where
+    the number cannot be negative it is bounded just above 0, because a rig without a length or a gain cannot
+    be.
     """
     number = rig[name]
     low = -np.inf if rig.may_be_negative(name) else LEAST_OF_PRIOR * abs(number.value)

@@ -59,18 +59,11 @@ class Inputs:
 
 
 class Functions:
-    """Rates, measurement and their Jacobians as CasADi functions.
-
-    Parameters
-    ----------
-    free : tuple of str
-        Names of the parameters to differentiate to, in this order.
-    """
+    """Rates, measurement and their Jacobians to the parameters `free`, in this order, as CasADi functions."""
 
     def __init__(self, model: Model, free: tuple[str, ...]) -> None:
         names = [quantity.name for quantity in model.parameters]
         self.state_count = len(model.states)
-        self.parameter_count = len(names)
         self.free_index = [names.index(name) for name in free]
         self.free = free
         shaping = (model.delay, "dead_zone")

@@ -42,18 +42,7 @@ class Grid:
         return [slice(int(f), int(f + n)) for f, n in zip(first, self.inputs.steps, strict=True)]
 
     def only(self, which: Integers) -> Grid:
-        """Keep some windows.
-
-        Parameters
-        ----------
-        which : ndarray of int64 (k,)
-            Which windows, in the order wanted.
-
-        Returns
-        -------
-        Grid
-            These windows alone.
-        """
+        """Keep some windows alone, those of the numbers in `which`, in the order wanted."""
         inputs, slices = self.inputs, self.slices
         kept = np.concatenate([np.arange(slices[i].start, slices[i].stop) for i in which])
         own = Inputs(
@@ -69,19 +58,8 @@ class Grid:
 
 
 def window_starts(record: Record, window_s: float, every: int) -> list[tuple[int, int]]:
-    """Split the free segments into windows of nearly equal length.
-
-    Parameters
-    ----------
-    window_s : float
-        Wanted length, s.
-    every : int
-        Each window is a whole number of this many rows.
-
-    Returns
-    -------
-    list of (int, int)
-        First row and number of rows of each window.
+    """Split the free segments into windows of nearly equal length, about `window_s`, and a multiple of
+    `every` rows: first row and number of rows of each.
     """
     windows = []
     for start, stop in record.segments:
@@ -105,7 +83,7 @@ def make_grid(
     delay: tuple[str, float] | None = None,
     dead_zone_V: float | None = None,
 ) -> Grid:
-    """Lay a grid of steps over windows.
+    """Lay a grid of steps over windows, with their inputs.
 
     Parameters
     ----------
@@ -120,11 +98,6 @@ def make_grid(
     dead_zone_V : float, optional
         Voltages below this give no thrust and are lifted to it before they are averaged over a step, so that
         the thrust of the mean is the mean of the thrust.
-
-    Returns
-    -------
-    Grid
-        The windows with their inputs.
     """
     rows = np.concatenate([np.arange(first, first + count, every) for first, count in windows]).astype(
         np.int64

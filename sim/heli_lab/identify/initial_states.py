@@ -18,17 +18,8 @@ _MECHANICAL: Final = 6
 
 
 def first_states(problem: Problem, theta: Floats) -> list[Floats]:
-    """Initial states of all windows, as the angles around their beginnings suggest.
-
-    Parameters
-    ----------
-    theta : ndarray (f,)
-        Free parameters.
-
-    Returns
-    -------
-    list of ndarray (w, states)
-        One array a record, see `states_at`.
+    """Initial states of all windows with free parameters `theta`, shape (f,), as the angles around their
+    beginnings suggest: shape (w, states) for each record, see `states_at`.
     """
     return [
         states_at(problem, index, _beginnings(problem, index, theta), theta)
@@ -37,7 +28,9 @@ def first_states(problem: Problem, theta: Floats) -> list[Floats]:
 
 
 def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Floats:
-    """States at given rows, from the angles around them.
+    """States at given rows, shape (w, states): angles and rates of parabolas through the samples around each
+    row; states of effects after a free run that ends there, or the measured angle where that is what they
+    are.
 
     Parameters
     ----------
@@ -47,12 +40,6 @@ def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Fl
         Samples of the record at which windows begin.
     theta : ndarray (f,)
         Free parameters.
-
-    Returns
-    -------
-    ndarray (w, states)
-        Angles and rates of parabolas through the samples around each row; states of effects after a free run
-        that ends there, or the measured angle where that is what they are.
     """
     record = problem.records[index]
     states = np.zeros((len(rows), problem.state_count))
@@ -68,7 +55,10 @@ def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Fl
 
 
 def alternative_states(problem: Problem, index: int, theta: Floats, states: Floats) -> list[Floats]:
-    """Other initial states of a record's windows, for those whose own lie in a wrong basin of attraction.
+    """Other initial states of a record's windows, each of shape (w, states), for those whose own lie in a
+    wrong basin of attraction. Where the window before ends, as long as nothing lies between: friction and
+    backlash remember how the arm came there. Then rates of a few samples alone, which no jump of the torque
+    nearby bends. Then the alternatives that effects know.
 
     Parameters
     ----------
@@ -78,13 +68,6 @@ def alternative_states(problem: Problem, index: int, theta: Floats, states: Floa
         Free parameters.
     states : ndarray (w, states)
         Initial states.
-
-    Returns
-    -------
-    list of ndarray (w, states)
-        Where the window before ends, as long as nothing lies between: friction and backlash remember how the
-        arm came there. Then rates of a few samples alone, which no jump of the torque nearby bends. Then the
-        alternatives that effects know.
     """
     record, windows = problem.records[index], problem.windows(index)
     grid = problem.grid(index, False, theta)

@@ -20,22 +20,8 @@ __all__ = ["Kernel", "kernel"]
 
 
 def kernel(model: Model, free: tuple[str, ...]) -> Kernel:
-    """Build or find the kernel of a model.
-
-    Parameters
-    ----------
-    free : tuple of str
-        Names of the parameters to differentiate to, in this order.
-
-    Returns
-    -------
-    Kernel
-        Compiled, or interpreted where there is no C compiler.
-
-    Raises
-    ------
-    PlantError
-        When the compiler fails.
+    """Build or find the kernel of a model, with derivatives to the parameters `free`, in this order:
+    compiled, or interpreted where there is no C compiler. A PlantError when the compiler fails.
     """
     functions = Functions(model, free)
     library = compile_source("identify", driver(functions))

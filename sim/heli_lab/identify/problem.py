@@ -101,9 +101,9 @@ class Problem:
             for i, flight in enumerate(flights)
         )
         if not self.records:
-            raise IdentifyError("there is no flight to identify from; give at least one")
+            raise IdentifyError("there is no flight to identify from", "give at least one")
         if len({record.label for record in self.records}) < len(self.records):
-            raise IdentifyError("two flights have the same label; give each its own")
+            raise IdentifyError("two flights have the same label", "give each its own")
         shared = [one for one in wanted if one.quantity not in per_flight]
         local = [one for one in wanted if one.quantity in per_flight]
         several = len(self.records) > 1
@@ -131,7 +131,7 @@ class Problem:
         self.base: Floats = model.parameter_values(rig)
         for name, value in (values or {}).items():
             if name not in names:
-                raise IdentifyError(f"the model has no parameter '{name}'; names are: {', '.join(names)}")
+                raise IdentifyError(f"the model has no parameter '{name}'", f"names are: {', '.join(names)}")
             self.base[names.index(name)] = value
         self._place = np.array([names.index(one.quantity) for one in self.free], int)
         self._delay = names.index(model.delay) if model.delay else None
@@ -171,17 +171,8 @@ class Problem:
         return result
 
     def with_windows(self, window_s: float) -> Problem:
-        """Pose the same problem with windows of another length.
-
-        Parameters
-        ----------
-        window_s : float
-            Length of the windows, nearly.
-
-        Returns
-        -------
-        Problem
-            Shares records, parameters and kernel with this one.
+        """Pose the same problem with windows of nearly `window_s`; it shares records, parameters and kernel
+        with this one.
         """
         other = copy.copy(self)
         other.window_s = window_s
@@ -189,19 +180,8 @@ class Problem:
         return other
 
     def parameters(self, theta: Floats, index: int = 0) -> Floats:
-        """Complete a vector of free parameters.
-
-        Parameters
-        ----------
-        theta : ndarray (f,)
-            Free parameters.
-        index : int
-            For which record.
-
-        Returns
-        -------
-        ndarray (p,)
-            All parameters of the model.
+        """Complete the free parameters `theta`, shape (f,), to all those of the model, shape (p,), for record
+        `index`.
         """
         full = self.base.copy()
         columns = self.columns[index]
@@ -209,7 +189,7 @@ class Problem:
         return full
 
     def grid(self, index: int, fine: bool, theta: Floats) -> Grid:
-        """Windows of a record.
+        """Windows of a record, with their inputs; the coarse and the fine grid have the same windows.
 
         Parameters
         ----------
@@ -219,11 +199,6 @@ class Problem:
             Every sample, or steps of about `step_s`.
         theta : ndarray (f,)
             Free parameters; a delay among them shifts the voltages.
-
-        Returns
-        -------
-        Grid
-            Windows with inputs. Both grids have the same windows.
         """
         delay, dead_zone_V = self.input_shape(self.parameters(theta, index))
         key = (index, fine)
@@ -244,14 +219,8 @@ class Problem:
         return self._grids[key][1]
 
     def block_grid(self, index: int, theta: Floats) -> Grid:
-        """The same windows in steps of a block.
-
-        Parameters
-        ----------
-        index : int
-            Which record.
-        theta : ndarray (f,)
-            Free parameters; a delay among them shifts the voltages.
+        """The windows of record `index` in steps of a block; a delay among the free parameters `theta` shifts
+        the voltages.
         """
         delay, dead_zone_V = self.input_shape(self.parameters(theta, index))
         record = self.records[index]
@@ -264,17 +233,8 @@ class Problem:
         )
 
     def windows(self, index: int) -> list[tuple[int, int]]:
-        """Windows of a record, a whole number of steps and of blocks of `BLOCK_S`.
-
-        Parameters
-        ----------
-        index : int
-            Which record.
-
-        Returns
-        -------
-        list of (int, int)
-            First row and number of rows of each window.
+        """Windows of record `index`, a whole number of steps and of blocks of `BLOCK_S`: first row and number
+        of rows of each.
         """
         record = self.records[index]
         coarse = max(1, int(self.step_s / record.step_s + 1e-6))
@@ -284,7 +244,7 @@ class Problem:
     def evaluation(
         self, index: int, theta: Floats, states: Floats, *, fine: bool = False, derivatives: bool = True
     ) -> Evaluation:
-        """Predict a record and compare.
+        """Predict a record and compare: residuals, and what a Gauss-Newton step needs.
 
         Parameters
         ----------
@@ -298,11 +258,6 @@ class Problem:
             Compare every sample.
         derivatives : bool
             Whether to compute the products of the Jacobian.
-
-        Returns
-        -------
-        Evaluation
-            Residuals, and what a Gauss-Newton step needs.
         """
         grid = self.grid(index, fine, theta)
         sigma, parameters = grid.record.sigma_rad, self.parameters(theta, index)

@@ -14,21 +14,8 @@ from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError, NotExcited
+from heli_lab.identify import thresholds
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.thresholds import (
-    AROUND_STOP_S,
-    BEYOND_STOP_DEG,
-    JUMP_RAD,
-    LEAST_COUNTS,
-    LEAST_SEGMENT_S,
-    MOST_STRAY_STEPS,
-    MOST_UNSURE_DEG,
-    STOP_MARGIN_DEG,
-    TABLE_MARGIN_DEG,
-    TAKE_OFF_DEG,
-    TAKE_OFF_TAIL_S,
-    ROTOR_m,
-)
 
 ON_GROUND: Final = frozenset({"idle", "armed", "fault"})
 """States of the board's supervisor in which the motors are off."""
@@ -36,15 +23,7 @@ ON_GROUND: Final = frozenset({"idle", "armed", "fault"})
 
 @dataclass(frozen=True)
 class Cut:
-    """A part of a flight that is not fitted.
-
-    Parameters
-    ----------
-    start_s, stop_s : float
-        From when to when.
-    why : str
-        Reason in a few words.
-    """
+    """A part of a flight from `start_s` to `stop_s` that is not fitted, and `why` in a few words."""
 
     start_s: float
     stop_s: float
@@ -123,11 +102,6 @@ def prepare(
     start_s, stop_s : float, optional
         Use only this part, on the flight's own time axis.
 
-    Returns
-    -------
-    Record
-        The flight with its free segments.
-
     Raises
     ------
     NotExcited
@@ -157,7 +131,7 @@ def prepare(
     gap = np.zeros(len(t_s), bool)
     gap[gaps] = True
 
-    segments, cuts = _segments(reasons, gap, t_s, max(2, round(LEAST_SEGMENT_S / step_s)))
+    segments, cuts = _segments(reasons, gap, t_s, max(2, round(thresholds.LEAST_SEGMENT_S / step_s)))
     _refuse_jumps(flight, label, segments)
     record = Record(
         label, t_s, angles, volts, step_s, count_rad, segments, cuts, tuple(notes), tuple(map(int, gaps))
@@ -166,7 +140,8 @@ def prepare(
         why = ", ".join(dict.fromkeys(cut.why for cut in cuts)) or "it is too short"
         raise NotExcited(
             f"{label}: no second of free flight in t_s {t_s[0]:g} to {t_s[-1]:g}, data row 1 to {len(t_s)} "
-            f"({why}); give a longer flight"
+            f"({why})",
+            "give a longer flight",
         )
     return record
 
@@ -178,10 +153,11 @@ def _step_s(flight: Flight, label: str) -> float:
     step_s = float(steps_s.mean())
     stray = np.abs(np.cumsum(steps_s - step_s)) / step_s
     worst = int(np.argmax(stray))
-    if stray[worst] > MOST_STRAY_STEPS:
+    if stray[worst] > thresholds.MOST_STRAY_STEPS:
         raise IdentifyError(
             f"{label}: t_s strays by {stray[worst]:.0f} steps of {step_s:.4g} s from even steps by data row "
-            f"{worst + 2}; log with an even clock, or resample the flight"
+            f"{worst + 2}",
+            "log with an even clock, or resample the flight",
         )
     return step_s
 
@@ -195,7 +171,8 @@ def _refuse_duties(flight: Flight, label: str, rig: Rig) -> None:
     if column[row] < least_V:
         raise IdentifyError(
             f"{label}: {highest} reaches {column[row]:.3g} at most, in data row {row + 1}, and below the "
-            f"dead zone of {least_V:g} V no rotor pushes; if it is a duty, multiply it by the supply"
+            f"dead zone of {least_V:g} V no rotor pushes",
+            "if it is a duty, multiply it by the supply",
         )
 
 
@@ -203,11 +180,11 @@ def _refuse_jumps(flight: Flight, label: str, segments: tuple[tuple[int, int], .
     for index, axis in enumerate(AXES):
         for start, stop in segments:
             moves = np.abs(np.diff(flight.angles_rad[start:stop, index]))
-            if moves.size and moves.max() > JUMP_RAD:
+            if moves.size and moves.max() > thresholds.JUMP_RAD:
                 row = start + int(np.argmax(moves)) + 2
                 raise IdentifyError(
-                    f"{label}: {axis}_rad jumps by {moves.max():.3g} in data row {row}; unwrap the angle, or "
-                    "cut the flight there"
+                    f"{label}: {axis}_rad jumps by {moves.max():.3g} in data row {row}",
+                    "unwrap the angle, or cut the flight there",
                 )
 
 
@@ -234,23 +211,24 @@ def _counts(angles_rad: Floats, rig: Rig) -> tuple[Floats, list[str]]:
 def _refuse_dead_columns(flight: Flight, label: str, count_rad: Floats) -> None:
     rows = len(flight)
     moved = np.ptp(flight.angles_rad, axis=0) / count_rad
-    if np.all(moved < LEAST_COUNTS):
+    if np.all(moved < thresholds.LEAST_COUNTS):
         most = int(np.argmax(moved))
         raise NotExcited(
             f"{label}: the rig never moves: {AXES[most]}_rad varies by {moved[most]:.0f} counts "
-            f"from data row 1 to {rows}; fly it, for example with heli-host fly identify"
+            f"from data row 1 to {rows}",
+            "fly it, for example with heli-host fly identify",
         )
     for name in ("front_V", "back_V"):
         column = getattr(flight, name)
         if not np.any(column):
             raise IdentifyError(
-                f"{label}: {name} is 0 from data row 1 to {rows}; "
-                "the flight has no voltages, log those that act"
+                f"{label}: {name} is 0 from data row 1 to {rows}",
+                "the flight has no voltages, log those that act",
             )
         if float(np.ptp(column)) < 1e-9:
             raise IdentifyError(
-                f"{label}: {name} is {column[0]:g} from data row 1 to {rows}; "
-                "nothing can be learned from voltages that never change"
+                f"{label}: {name} is {column[0]:g} from data row 1 to {rows}",
+                "nothing can be learned from voltages that never change",
             )
 
 
@@ -265,21 +243,24 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> npt.NDArray[np.bool_
     if at_rest and start_deg < elevation_deg.min() + 1.0 and start_deg < np.median(elevation_deg) - 10.0:
         table_deg = max(table_deg, start_deg)
     contact = (
-        elevation_deg < table_deg + min(rig["elevation_min"].tolerance, MOST_UNSURE_DEG) + TABLE_MARGIN_DEG
+        elevation_deg
+        < table_deg
+        + min(rig["elevation_min"].tolerance, thresholds.MOST_UNSURE_DEG)
+        + thresholds.TABLE_MARGIN_DEG
     )
     # An arm that leans far reaches the table with its lower rotor long before it stands on it.
-    share = (rig["L_h"].value + ROTOR_m) / rig["L_a"].value
+    share = (rig["L_h"].value + thresholds.ROTOR_m) / rig["L_a"].value
     low = np.sin(flight.elevation_rad) - share * np.abs(np.sin(flight.pitch_rad)) * np.cos(
         flight.elevation_rad
     )
     contact |= low < math.sin(math.radians(table_deg))
     if not contact.any():
         return contact
-    clear = elevation_deg > table_deg + TAKE_OFF_DEG
+    clear = elevation_deg > table_deg + thresholds.TAKE_OFF_DEG
     typical_deg = float(np.median(elevation_deg[clear])) if clear.any() else 0.0
-    up = elevation_deg > max(table_deg + TAKE_OFF_DEG, typical_deg - 5.0)
+    up = elevation_deg > max(table_deg + thresholds.TAKE_OFF_DEG, typical_deg - 5.0)
     cut = contact.copy()
-    tail = round(TAKE_OFF_TAIL_S / step_s)
+    tail = round(thresholds.TAKE_OFF_TAIL_S / step_s)
     edges = np.flatnonzero(np.diff(contact.astype(int)))
     for edge in edges:
         if contact[edge]:
@@ -293,15 +274,17 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> npt.NDArray[np.bool_
 
 def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, npt.NDArray[np.bool_], list[str]]]:
     found: list[tuple[str, npt.NDArray[np.bool_], list[str]]] = []
-    around = round(AROUND_STOP_S / step_s)
+    around = round(thresholds.AROUND_STOP_S / step_s)
     names = ("elevation_max", "pitch_max", "travel_max")
     for index, (axis, name) in enumerate(zip(AXES, names, strict=True)):
         stop, degrees = rig[name], np.rad2deg(angles_rad[:, index])
         beyond = degrees if axis == "elevation" else np.abs(degrees)
-        at_stop = beyond > stop.value - min(stop.tolerance, MOST_UNSURE_DEG) - STOP_MARGIN_DEG
+        at_stop = (
+            beyond > stop.value - min(stop.tolerance, thresholds.MOST_UNSURE_DEG) - thresholds.STOP_MARGIN_DEG
+        )
         if not at_stop.any():
             continue
-        if beyond.max() > stop.value + stop.tolerance + BEYOND_STOP_DEG:
+        if beyond.max() > stop.value + stop.tolerance + thresholds.BEYOND_STOP_DEG:
             note = f"{axis} reaches {beyond.max():.0f} degrees, beyond the rig's {name} of {stop.value:g}"
             found.append((axis, np.zeros_like(at_stop), [f"{note}: taken to be free there"]))
             continue

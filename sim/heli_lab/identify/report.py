@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
 
 from heli_sim.model.parts import AXES
 
@@ -12,31 +11,12 @@ from heli_lab.identify.figures import figure_of_correlations, figure_of_flight, 
 from heli_lab.identify.result import Identification, rounded
 from heli_lab.identify.thresholds import NOTHING_LEFT
 from heli_lab.identify.uncertainty import Combination
-from heli_lab.page import escaped, folder_with, image, table
-
-_STYLE: Final = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #222 }
-body { max-width: 62rem; margin: 2rem auto; padding: 0 1rem }
-h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2.2rem; border-bottom: 1px solid #ddd }
-table { border-collapse: collapse; margin: .8rem 0 } td, th { padding: .15rem .7rem; text-align: right }
-th { border-bottom: 1px solid #999; font-weight: 600 } td:first-child, th:first-child { text-align: left }
-tr:nth-child(even) { background: #f6f6f6 } img { max-width: 100% } .note { color: #666 }
-.verdict { font-size: 1.1rem; background: #f2f6fa; padding: .7rem 1rem; border-left: 4px solid #0b5fa5 }
-"""
+from heli_lab.page import escaped, folder_with, image, table, write_page
 
 
 def write_report(identification: Identification, folder: str | Path) -> Path:
-    """Write index.html, result.json and the figures as PNG.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Where to; made if it is missing.
-
-    Returns
-    -------
-    Path
-        The page.
+    """Write index.html, result.json and the figures as PNG into a `folder`, made if it is missing; return the
+    page.
     """
     folder = folder_with(identification.json(), folder)
     flights = [
@@ -65,14 +45,7 @@ def write_report(identification: Identification, folder: str | Path) -> Path:
         "<h2>What was used</h2>",
         _used(identification),
     ]
-    title = f"Identification of {problem.rig.name}"
-    page = folder / "index.html"
-    page.write_text(
-        f'<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>{escaped(title)}</title>'
-        f"<style>{_STYLE}</style>\n" + "\n".join(sections) + "\n</html>\n",
-        encoding="utf-8",
-    )
-    return page
+    return write_page(folder, f"Identification of {problem.rig.name}", sections)
 
 
 def verdict(identification: Identification) -> str:

@@ -11,7 +11,8 @@ from heli_lab.identify.thresholds import GROSS, LEAST_SHARE, LEAST_VARIANCE, LON
 
 
 def autocovariance(residual: Floats, windows: Sequence[slice], lags: int) -> Floats:
-    """Mean lagged product of a residual about zero, pairs within windows only.
+    """Mean lagged product of a residual about zero, shape (lags + 1, a), pairs within windows only: sums of
+    products over the number of all rows, which keeps the spectrum positive.
 
     Parameters
     ----------
@@ -21,11 +22,6 @@ def autocovariance(residual: Floats, windows: Sequence[slice], lags: int) -> Flo
         Rows of each window.
     lags : int
         Largest lag, in rows.
-
-    Returns
-    -------
-    ndarray (lags + 1, a)
-        Sums of products over the number of all rows, which keeps the spectrum positive.
     """
     total = np.zeros((lags + 1, residual.shape[1]))
     for window in windows:
@@ -40,7 +36,8 @@ def autocovariance(residual: Floats, windows: Sequence[slice], lags: int) -> Flo
 
 
 def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float) -> Floats:
-    """Long-run (HAC) variance: that of a sum over many neighbouring residuals, for each residual in it.
+    """Long-run (HAC) variance: that of a sum over many neighbouring residuals, for each residual in it; a
+    factor of at least 1 on the variance, shape (3,).
 
     Parameters of the rig move the prediction slowly, so what counts for their standard errors is not the
     residuals' variance but their spectral density at low frequencies (Newey and West, with Bartlett's
@@ -54,11 +51,6 @@ def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float)
         Rows of each window.
     step_s : float
         Time from one row to the next.
-
-    Returns
-    -------
-    ndarray (3,)
-        Factor on the variance, at least 1.
     """
     lags = max(1, round(LONGEST_LAG_S / step_s))
     covariance = autocovariance(residual, windows, lags)
@@ -69,7 +61,8 @@ def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float)
 
 
 def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floats:
-    """Bound the axes' variances from below, so that a wrong model is not fitted to one axis alone.
+    """Bound the axes' variances, shape (..., 3), from below, so that a wrong model is not fitted to one axis
+    alone; unchanged where only quantisation is left.
 
     Where a model is wrong, dividing each axis by its own error rewards the axis that the free initial states
     can hide the error in (travel) and gives up the one that shows it (pitch): on measured flights pitch came
@@ -84,11 +77,6 @@ def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floa
         Mean square of the residuals.
     sigma_rad : ndarray (3,)
         Standard deviation of the quantisation of each axis.
-
-    Returns
-    -------
-    ndarray (..., 3)
-        Variances, none smaller than given; unchanged where only quantisation is left.
     """
     wrong = np.maximum(0.0, 1.0 - 2.0 / np.maximum(mean_square, 1e-12))
     least_rad2 = LEAST_SHARE * np.max(variance * wrong * sigma_rad**2, axis=-1, keepdims=True)
@@ -97,7 +85,8 @@ def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floa
 
 
 def floored_mean_square(mean_square: Floats, sigma_rad: Floats) -> Floats:
-    """Variances of the axes from mean squares, bounded as a fit bounds them.
+    """Variances of the axes, shape (..., 3), from mean squares in the same unit, bounded as a fit bounds
+    them.
 
     Without the bound a score test let travel, whose encoder is fine, decide alone: a candidate that a refit
     accepts at once on measured flights came 27th.
@@ -108,17 +97,14 @@ def floored_mean_square(mean_square: Floats, sigma_rad: Floats) -> Floats:
         Mean square of the residuals, in units of the quantisation's variance.
     sigma_rad : ndarray (3,)
         Standard deviation of the quantisation of each axis.
-
-    Returns
-    -------
-    ndarray (..., 3)
-        Variances, in the same unit.
     """
     return floor_axes(np.maximum(mean_square, LEAST_VARIANCE), mean_square, sigma_rad)
 
 
 def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats) -> Floats:
-    """Robust weights, which keep a few disturbed windows from deciding the fit.
+    """Robust weights, shape (w,), which keep a few disturbed windows from deciding the fit: 1 for a window
+    like the others; less for one whose rms is over `OUTLIER` times the median, so that it counts as one at
+    that limit, and next to nothing far beyond `GROSS` times.
 
     Parameters
     ----------
@@ -128,12 +114,6 @@ def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats)
         Rows of each window.
     variance : ndarray (3,)
         What the fit divides the squares of each axis by.
-
-    Returns
-    -------
-    ndarray (w,)
-        1 for a window like the others; less for one whose rms is over `OUTLIER` times the median, so
-        that it counts as one at that limit, and next to nothing far beyond `GROSS` times.
     """
     rms = np.sqrt([np.mean(residual[window] ** 2 / variance) for window in windows])
     times = np.maximum(rms, 1e-12) / max(float(np.median(rms)), 1e-12)
@@ -142,17 +122,8 @@ def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats)
 
 
 def normalised(residual: Floats) -> float:
-    """Root mean square of residuals.
-
-    Parameters
-    ----------
-    residual : ndarray
-        Residuals in standard deviations of the quantisation.
-
-    Returns
-    -------
-    float
-        1 when only quantisation is left.
+    """Root mean square of `residual`, in standard deviations of the quantisation: 1 when only that
+    is left.
     """
     return float(np.sqrt(np.mean(residual**2)))
 

@@ -19,13 +19,7 @@ from heli_lab.identify.uncertainty import Combination, combinations, uninformed_
 
 @dataclass(frozen=True)
 class Identification:
-    """A fit with its checks.
-
-    Parameters
-    ----------
-    validation : tuple of Check
-        Errors on other flights; empty when none were given.
-    """
+    """A fit with its checks; `validation` holds those on other flights, none when none were given."""
 
     fit: Fit
     training: tuple[Check, ...]
@@ -57,19 +51,9 @@ class Identification:
         return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
     def rig(self, name: str) -> Rig:
-        """Make the rig that was found.
-
-        Parameters
-        ----------
-        name : str
-            What the new rig is called.
-
-        Returns
-        -------
-        Rig
-            The identified numbers with twice their standard errors as tolerances; everything else as it was.
-            It names the model that was fitted, and has that model's effects.
-            Numbers that each of several flights has its own value of stay as they were.
+        """Make the rig that was found, called `name`: the identified numbers with twice their standard errors
+        as tolerances; everything else as it was. It names the model that was fitted, and has that model's
+        effects. Numbers that each of several flights has its own value of stay as they were.
         """
         old = self.fit.problem.rig
         labels = ", ".join(record.label for record in self.fit.problem.records)
@@ -107,13 +91,9 @@ class Identification:
         return effects
 
     def json(self) -> dict[str, Any]:
-        """The result as JSON has it.
-
-        Returns
-        -------
-        dict
-            parameters{NAME: {value, std, prior: {value, std}, unit}}, normalised_residual{train, validation},
-            free_run_rms_deg{axis: ...}, correlations{NAME: {NAME: ...}}, seconds_used, and more.
+        """The result as JSON has it: parameters{NAME: {value, std, prior: {value, std}, unit}},
+        normalised_residual{train, validation}, free_run_rms_deg{axis: ...}, correlations{NAME: {NAME: ...}},
+        seconds_used, and more.
         """
         fit, problem = self.fit, self.fit.problem
         judged = self.validation or self.training
@@ -178,17 +158,8 @@ class Identification:
 
 
 def short_names(paths: Sequence[Path]) -> list[str]:
-    """Names of flights for reports: as short as keeps them apart.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Their files.
-
-    Returns
-    -------
-    list of str
-        File names, with as many folders before them as needed.
+    """Names of flights for reports: the file names of `paths`, with as many folders before them as keep them
+    apart.
     """
     depth = 1
     while True:
@@ -205,20 +176,7 @@ def _together(values: Sequence[float], checks: Sequence[Check]) -> float:
 
 
 def rounded(number: float, std: float) -> str:
-    """Spell a number to two digits of its standard error.
-
-    Parameters
-    ----------
-    number : float
-        What is to be written.
-    std : float
-        Its standard error.
-
-    Returns
-    -------
-    str
-        As a person would write it.
-    """
+    """Spell a `number` to two digits of its standard error `std`, as a person would write it."""
     if not std > 0.0 or not np.isfinite(std):
         return f"{number:.6g}"
     digits = max(0, 1 - int(np.floor(np.log10(std))))

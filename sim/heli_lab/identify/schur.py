@@ -124,7 +124,8 @@ def eliminate_states(
 
 
 def bounded_solve(matrix: Floats, right: Floats, low: Floats, high: Floats) -> Floats:
-    """Solve a positive definite system within bounds.
+    """Solve a positive definite system within bounds, shape (f,): what would leave its bounds is on them, and
+    the rest is solved again.
 
     Parameters
     ----------
@@ -134,11 +135,6 @@ def bounded_solve(matrix: Floats, right: Floats, low: Floats, high: Floats) -> F
         Its right-hand side.
     low, high : ndarray (f,)
         Bounds of the solution.
-
-    Returns
-    -------
-    ndarray (f,)
-        The solution; what would leave its bounds is on them, and the rest is solved again.
     """
     move = np.zeros(len(right))
     fixed = np.zeros(len(right), bool)

@@ -28,7 +28,8 @@ def solve(
     scatter: bool = True,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Fit:
-    """Fit the free parameters and the windows' initial states.
+    """Fit the free parameters and the windows' initial states; there is a result also when the budget ran
+    out.
 
     The squares of each axis are divided by the long-run variance of its own residuals
     (`residual_noise.long_run_variance`), so that standard errors stay honest when the model is wrong, or when
@@ -48,11 +49,6 @@ def solve(
     on_progress : callable, optional
         Told where the fit is.
 
-    Returns
-    -------
-    Fit
-        The result, also when the budget ran out.
-
     Raises
     ------
     IdentifyError
@@ -65,7 +61,7 @@ def solve(
     solver.reweight(point)
     if not math.isfinite(point.cost):
         raise IdentifyError(
-            "the model's free run diverges from the start values; check the rig's numbers and units"
+            "the model's free run diverges from the start values", "check the rig's numbers and units"
         )
     rounds = thresholds.ROUNDS
     converged = True

@@ -21,7 +21,8 @@ def quantisation_scatter(
     weights: Sequence[Floats],
     covariance: Floats,
 ) -> Floats:
-    """Scatter of the estimates under quantisation, by dithering the counts.
+    """Standard deviation, shape (f,), of each estimate under quantisation and priors, by dithering the
+    counts.
 
     Quantisation errors are no white noise: while an axis hovers, the same count stays for seconds, and its
     error is the same in every window. So the predicted angles are quantised again with the counts shifted by
@@ -37,11 +38,6 @@ def quantisation_scatter(
         As in `Fit`.
     covariance : ndarray (f, f)
         Covariance of the estimates.
-
-    Returns
-    -------
-    ndarray (f,)
-        Standard deviation of each estimate under quantisation and priors.
     """
     random = np.random.default_rng(0)
     scores = np.zeros((DITHER_PHASES, len(theta)))
@@ -68,16 +64,12 @@ def quantisation_scatter(
 
 
 def timing_variance(problem: Problem) -> Floats:
-    """Variance of estimated times, because a log does not say when within a tick the voltages began.
+    """Variance, shape (f,), of estimated times, because a log does not say when within a tick the voltages
+    began: of a moment evenly distributed over a tick, for parameters of effects in s; 0 for others.
 
     A row holds the voltage of its tick, not the moment within the tick at which the motors got it. Simulators
     differ in this by half a tick, as do explicit and exact steps of a lag, and a fit finds the time to a
     fiftieth of a tick.
-
-    Returns
-    -------
-    ndarray (f,)
-        Variance of a moment evenly distributed over a tick, for parameters of effects in s; 0 for others.
     """
     own = {name for effect in problem.model.effects for name in effect.priors}
     tick_s = max(record.step_s for record in problem.records)
@@ -104,7 +96,8 @@ class Combination:
 
 
 def combinations(names: Sequence[str], information: Floats, prior_std: Floats) -> list[Combination]:
-    """Find the combinations of parameters that the flights hardly identify.
+    """Find the combinations of parameters about which the flights say less than the priors, worst first.
+    Directions along a single parameter are among them.
 
     Parameters
     ----------
@@ -114,12 +107,6 @@ def combinations(names: Sequence[str], information: Floats, prior_std: Floats) -
         Fisher information of the flights alone.
     prior_std : ndarray (f,)
         Standard deviations of the priors.
-
-    Returns
-    -------
-    list of Combination
-        Directions about which the flights say less than the priors, worst first. Directions along a
-        single parameter are among them.
     """
     whitened = information * np.outer(prior_std, prior_std)
     strength, directions = np.linalg.eigh(0.5 * (whitened + whitened.T))
@@ -137,7 +124,8 @@ def combinations(names: Sequence[str], information: Floats, prior_std: Floats) -
 
 
 def uninformed_parameters(names: Sequence[str], covariance: Floats, prior_std: Floats) -> list[str]:
-    """Parameters that the flights do not inform: the posterior is nearly the prior.
+    """Names of the parameters that the flights do not inform: the standard error is over 90 % of the prior's
+    standard deviation.
 
     Parameters
     ----------
@@ -147,11 +135,6 @@ def uninformed_parameters(names: Sequence[str], covariance: Floats, prior_std: F
         Covariance of the estimates.
     prior_std : ndarray (f,)
         Standard deviations of the priors.
-
-    Returns
-    -------
-    list of str
-        Names whose standard error is over 90 % of the prior's standard deviation.
     """
     shares = np.sqrt(np.diag(covariance)) / prior_std
     return [name for name, share in zip(names, shares, strict=True) if share > UNINFORMED]

@@ -10,16 +10,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from heli_lab.identify import thresholds
 from heli_lab.identify.functions import Floats, Integers
 from heli_lab.identify.problem import Evaluation, Problem
 from heli_lab.identify.schur import add_state_prior, eliminate
-from heli_lab.identify.thresholds import (
-    RESTART_PATIENCE,
-    SINGULAR_GUARD,
-    WINDOW_DAMPING,
-    WINDOW_GAIN,
-    WINDOW_PATIENCE,
-)
 
 
 def window_cost(
@@ -30,7 +24,8 @@ def window_cost(
     variance: Floats,
     weights: Floats,
 ) -> Floats:
-    """Cost of each window of a record.
+    """Cost of each window of a record, shape (w,): weighted sums of squares with the states' prior; infinite
+    where a prediction diverges.
 
     Parameters
     ----------
@@ -42,11 +37,6 @@ def window_cost(
         What the squared residuals of each axis are divided by.
     weights : ndarray (w,)
         Weights of the windows.
-
-    Returns
-    -------
-    ndarray (w,)
-        Weighted sums of squares with the states' prior; infinite where a prediction diverges.
     """
     assert evaluation.normal_matrix is not None
     cost = weights * (evaluation.normal_matrix[:, :, -1, -1] / variance).sum(axis=1)
@@ -105,7 +95,7 @@ def refine_states(
     some = _Windows(problem, index, theta, states, evaluation, reference, variance, which, fine)
     if before is not None:
         some.offer(before[which])
-    some.descend(most, WINDOW_PATIENCE)
+    some.descend(most, thresholds.WINDOW_PATIENCE)
     return some.inserted(states, evaluation)
 
 
@@ -143,7 +133,7 @@ def restart_states(
     again = _Windows(problem, index, theta, states, evaluation, reference, variance, which, fine)
     again.cost[:] = np.inf
     again.offer(other[which])
-    again.descend(most, RESTART_PATIENCE)
+    again.descend(most, thresholds.RESTART_PATIENCE)
     some.take(again)
     return some.inserted(states, evaluation)
 
@@ -199,14 +189,14 @@ class _Windows:
 
     def descend(self, most: int, patience: int) -> None:
         """Take damped steps while the cost falls enough."""
-        damping, idle = np.full(len(self.which), WINDOW_DAMPING), 0
+        damping, idle = np.full(len(self.which), thresholds.WINDOW_DAMPING), 0
         for _ in range(most):
             if not np.isfinite(self.cost).all() or idle == patience:
                 break
             total = float(self.cost.sum())
             better = self.offer(self.step(damping))
             damping = np.where(better, 0.2 * damping, 30.0 * damping)
-            idle = 0 if total - float(self.cost.sum()) > WINDOW_GAIN * total else idle + 1
+            idle = 0 if total - float(self.cost.sum()) > thresholds.WINDOW_GAIN * total else idle + 1
 
     def step(self, damping: Floats) -> Floats:
         """States after a damped Gauss-Newton step, each window's damping in units of its own diagonal."""
@@ -214,7 +204,7 @@ class _Windows:
         normal = np.einsum("a,waij->wij", 1.0 / self.variance, self.normal_matrix)
         add_state_prior(self.problem, normal, self.states, self.reference, damping)
         residual = [*range(nx), normal.shape[1] - 1]
-        _, gain = eliminate(normal[:, residual][:, :, residual], nx, SINGULAR_GUARD)
+        _, gain = eliminate(normal[:, residual][:, :, residual], nx, thresholds.SINGULAR_GUARD)
         result: Floats = self.states + gain[:, :, 0]
         return result
 

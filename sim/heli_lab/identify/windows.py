@@ -59,19 +59,8 @@ class Kernel(ABC):
         return self._products(inputs, start, parameters, measured_rad, sigma_rad)
 
     def end(self, inputs: Inputs, start: Floats, parameters: Floats) -> Floats:
-        """Run every window and return the states at their ends.
-
-        Parameters
-        ----------
-        start : ndarray (w, states)
-            Initial states.
-        parameters : ndarray (p,)
-            All parameters of the model.
-
-        Returns
-        -------
-        ndarray (w, states)
-            State after each window's last step.
+        """Run every window from its initial state in `start`, shape (w, states), with all `parameters` of the
+        model, shape (p,), and return the states at their ends, shape (w, states).
         """
         return self._end(inputs, start, parameters)
 

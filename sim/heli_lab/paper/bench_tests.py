@@ -71,7 +71,6 @@ TRAVEL_STEPS: Final = (
     BenchTest("travel, 1.85 V and 1.55 V", "18 (a)", (True, False, False), 0.0, 0.0, 1.85, 1.55, 7.5),
     BenchTest("travel, 2.1 V and 1.6 V", "18 (b)", (True, False, False), 0.0, 0.0, 2.1, 1.6, 5.5),
 )
-BENCH_TESTS: Final = (*PITCH_RELEASES, *ELEVATION_STEPS, *TRAVEL_STEPS)
 
 THRUST_V: Final[tuple[float, ...]] = (0.5, *(float(volts) for volts in range(1, 11)))
 """Voltages of the thrust curve, Fig. 15."""
@@ -80,14 +79,8 @@ SCALE_N: Final = 0.00981
 
 
 def check_rig(rig: Rig) -> None:
-    """Refuse a rig that the voltages of these tests do not suit.
-
-    Raises
-    ------
-    IdentifyError
-        When it hovers at other voltages than Table 2's masses do.
-    PlantError
-        When it cannot hover at all.
+    """Refuse a rig that the voltages of these tests do not suit: IdentifyError when it hovers at others than
+    Table 2's masses do, PlantError when it cannot hover at all.
     """
     hover_V = float(np.mean(trim(MultibodyModel(), rig).volts_V))
     if abs(hover_V - _HOVER_V) > _HOVER_SLACK_V:
@@ -99,12 +92,8 @@ def check_rig(rig: Rig) -> None:
 
 
 def record_of(test: BenchTest, flight: Flight, rig: Rig) -> Record:
-    """Make a bench test ready for fitting: all of it counts, from the moment of release.
-
-    Raises
-    ------
-    IdentifyError
-        When a free axis reached a stop, or time is missing.
+    """Make a bench test ready for fitting: all of it counts, from the moment of release. An IdentifyError
+    when a free axis reached a stop, or time is missing.
     """
     angles_deg = np.rad2deg(flight.angles_rad)
     elevation_deg, pitch_deg, travel_deg = (angles_deg[:, axis] for axis in range(3))

@@ -7,7 +7,6 @@ print no units and do not share any; `PRINTED` says how each table reads.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -68,21 +67,10 @@ PRINTED: Final[tuple[Printed, ...]] = (
 )
 """Tables 3, 4 and 5, in their order."""
 
-AXIS_OF_TABLE: Final[Mapping[int, str]] = {3: "pitch", 4: "elevation", 5: "travel"}
-
 
 def printed_inertias_kg_m2(rig: Rig, elevation_rad: float = 0.0, pitch_rad: float = 0.0) -> dict[str, float]:
-    """(27), (28) and (29) as they are printed, at given angles.
-
-    Parameters
-    ----------
-    elevation_rad, pitch_rad : float
-        Angles at which to evaluate them.
-
-    Returns
-    -------
-    dict of str to float
-        J_theta, J_phi and J_psi, kg m2.
+    """J_theta, J_phi and J_psi [kg m2] by (27), (28) and (29) as they are printed, at `elevation_rad` and
+    `pitch_rad`.
     """
     v = {name: number.value for name, number in rig.items()}
     rotors, across2 = v["M_f"] + v["M_b"], v["L_h"] ** 2 + v["L_phi"] ** 2
@@ -99,18 +87,9 @@ def printed_inertias_kg_m2(rig: Rig, elevation_rad: float = 0.0, pitch_rad: floa
 
 
 def analytic(rig: Rig, corrected: bool = True) -> dict[str, float]:
-    """P_1 to P_18 from a rig's numbers, by the formulas below (30).
-
-    Parameters
-    ----------
-    corrected : bool
-        Leave P_18 out, and give P_13 and P_16 the arm L_a that a torque of the drag (22) has; False is as
-        printed.
-
-    Returns
-    -------
-    dict of str to float
-        In rad, s and V of U+ and U-.
+    """P_1 to P_18 from a rig's numbers, by the formulas below (30), in rad, s and V of U+ and U-. If
+    `corrected`, P_18 is left out, and P_13 and P_16 have the arm L_a that a torque of the drag (22) has; else
+    as printed.
     """
     v = {name: number.value for name, number in rig.items()}
     inertia = printed_inertias_kg_m2(rig)

@@ -36,17 +36,8 @@ class Distance:
 
 
 def distances(models: Sequence[Model], rig: Rig, flight: Flight, window_s: float = 2.0) -> list[Distance]:
-    """Predict a flight freely with each model, window by window.
-
-    Parameters
-    ----------
-    window_s : float
-        Length of a free run.
-
-    Raises
-    ------
-    IdentifyError
-        When no part of the flight is free.
+    """Predict a flight freely with each model, window by window of `window_s`; an IdentifyError when no part
+    of it is free.
     """
     record = prepare(flight, rig)
     out = []

@@ -110,17 +110,8 @@ def board_on(plant: Plant, seed: int, elevation_deg: float) -> Iterator[tuple[He
 
 
 def run_bench_test(test: BenchTest, plant: Plant, seed: int = 1) -> Flight:
-    """Do one of the bench tests.
-
-    Parameters
-    ----------
-    seed : int
-        Of the encoders' starting points.
-
-    Returns
-    -------
-    Flight
-        Every tick from the release on, time 0 at the release.
+    """Do one of the bench tests: every tick from the release on, time 0 at the release; the encoders'
+    starting points are drawn from the `seed`.
     """
     from heli_host.declaration import Axes
     from heli_host.fly.recorder import Recorder
@@ -155,17 +146,8 @@ def run_bench_test(test: BenchTest, plant: Plant, seed: int = 1) -> Flight:
 
 
 def read_thrust(plant: Plant, seed: int = 1) -> ThrustCurve:
-    """Read thrust against voltage from a scale, every axis locked.
-
-    Parameters
-    ----------
-    seed : int
-        Of the encoders' starting points.
-
-    Returns
-    -------
-    ThrustCurve
-        One point for each of the voltages of Fig. 15.
+    """Read thrust against voltage from a scale, every axis locked, at each of the voltages of Fig. 15; the
+    encoders' starting points are drawn from the `seed`.
     """
     from heli_host.declaration import Axes
 
@@ -194,7 +176,7 @@ def fly_plan(
     seed: int = 1,
     on_progress: Callable[[float], None] | None = None,
 ) -> Flown:
-    """Fly one of the plans behind Figs. 21 to 25.
+    """Fly one of the plans behind Figs. 21 to 25; the flight is there also when a fault ended it.
 
     Parameters
     ----------
@@ -208,11 +190,6 @@ def fly_plan(
         Of the encoders' starting points.
     on_progress : callable, optional
         Told the share that is done.
-
-    Returns
-    -------
-    Flown
-        The flight beside what the plan asked for; also when a fault ended it.
     """
     from heli_host.declaration import State
     from heli_host.fly.plan import Plan, take_off

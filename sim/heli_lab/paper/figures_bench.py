@@ -37,13 +37,7 @@ _SMALL: Final = 8
 
 
 def thrust_figure(curve: ThrustCurve) -> Figure:
-    """Draw Fig. 15: thrust against voltage with the line through it.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One panel.
-    """
+    """Draw Fig. 15: thrust against voltage with the line through it."""
     from matplotlib.figure import Figure
 
     line = curve.line()
@@ -76,12 +70,8 @@ def thrust_figure(curve: ThrustCurve) -> Figure:
 
 
 def bench_figure(table: Table, records: Sequence[Record], rig: Rig) -> Figure:
-    """Draw one of Figs. 16 to 18: the bench tests of a table, measured and by (30) as identified from them.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Two panels, (a) and (b), one above the other.
+    """Draw one of Figs. 16 to 18: the bench tests of a table in panels (a) and (b), measured and by (30) as
+    identified from them.
     """
     from matplotlib.figure import Figure
 
@@ -113,13 +103,7 @@ def bench_figure(table: Table, records: Sequence[Record], rig: Rig) -> Figure:
 
 
 def sensitivity_figure(rig: Rig) -> Figure:
-    """Draw Fig. 19: the elevation's step response with parameters changed or neglected.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One panel.
-    """
+    """Draw Fig. 19: the elevation's step response with parameters changed or neglected."""
     from matplotlib.figure import Figure
 
     test, t_s = ELEVATION_STEPS[0], np.arange(0.0, 20.0, 0.02)

@@ -55,7 +55,7 @@ class Flown:
 
 
 def flown(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> Flown:
-    """Cut the closed-loop part out of a log.
+    """Cut the closed-loop part, from take-off to the end of the plan, out of a log.
 
     Parameters
     ----------
@@ -65,11 +65,6 @@ def flown(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> Flow
         Elevation, pitch and travel that the plan asked for at each row, pitch being ignored.
     outcome : str
         How the flight ended.
-
-    Returns
-    -------
-    Flown
-        From take-off to the end of the plan.
 
     Raises
     ------
@@ -96,99 +91,43 @@ def flown(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> Flow
 
 
 def hover_figure(flights: Sequence[Flown]) -> Figure:
-    """Draw Fig. 21: pitch, elevation and travel while hovering.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Three panels on one time axis.
-    """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(_WIDTH, 3.0 * _HEIGHT), layout="constrained")
-    panels = figure.subplots(3, 1, sharex=True)
+    """Draw Fig. 21: pitch, elevation and travel while hovering, on one time axis."""
+    figure, panels = _panels(3, "Pitch, elevation and travel while hovering (after Fig. 21)")
     for panel, axis in zip(panels, (1, 0, 2), strict=True):
         _response(panel, flights, axis, desired=axis != 1)
-    panels[-1].set_xlabel("time since the loops closed on the table [s]")
-    figure.suptitle("Pitch, elevation and travel while hovering (after Fig. 21)")
     return figure
 
 
 def response_figure(flights: Sequence[Flown], path: str, number: int) -> Figure:
-    """Draw Fig. 22 or 24: travel and elevation along a path.
-
-    Parameters
-    ----------
-    path : str
-        Name of the path.
-    number : int
-        Of the paper's figure.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Panels (a) travel and (b) elevation.
-    """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(_WIDTH, 2.0 * _HEIGHT), layout="constrained")
-    panels = figure.subplots(2, 1, sharex=True)
+    """Draw Fig. 22 or 24, its `number`: (a) travel and (b) elevation along the `path` of that name."""
+    figure, panels = _panels(2, f"Response during flight along the {path} (after Fig. {number})")
     for letter, panel, axis in zip("ab", panels, (2, 0), strict=True):
         _response(panel, flights, axis, desired=True)
         panel.set_title(f"({letter}) {AXES[axis]} angle", fontsize=9)
-    panels[-1].set_xlabel("time since the loops closed on the table [s]")
-    figure.suptitle(f"Response during flight along the {path} (after Fig. {number})")
     return figure
 
 
 def performance_figure(flights: Sequence[Flown], path: str, number: int) -> Figure:
-    """Draw Fig. 23 or 25: how well travel and elevation follow a path.
-
-    Parameters
-    ----------
-    path : str
-        Name of the path.
-    number : int
-        Of the paper's figure.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Panels (a) travel and (b) elevation.
-    """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(_WIDTH, 2.0 * _HEIGHT), layout="constrained")
-    panels = figure.subplots(2, 1, sharex=True)
+    """Draw Fig. 23 or 25, its `number`: how well (a) travel and (b) elevation follow that `path`."""
+    figure, panels = _panels(
+        2, f"Tracking performance along the {path} (after Fig. {number})", "; take-off left out"
+    )
     for letter, panel, axis in zip("ab", panels, (2, 0), strict=True):
         for one, colour in zip(flights, _COLOURS, strict=False):
             error = one.error_deg[:, axis]
             aloft = one.flight.t_s > aloft_s(one)
             rms = float(np.sqrt(np.mean(error[aloft] ** 2))) if aloft.any() else float("nan")
-            panel.plot(
-                one.flight.t_s[aloft],
-                error[aloft],
-                color=colour,
-                lw=0.9,
-                label=f"{one.label}: {rms:.2f} deg rms",
-            )
+            label = f"{one.label}: {rms:.2f} deg rms"
+            panel.plot(one.flight.t_s[aloft], error[aloft], color=colour, lw=0.9, label=label)
         panel.axhline(0.0, color=GREY, lw=0.8)
         panel.set_title(f"({letter}) {AXES[axis]}", fontsize=9)
-        panel.set_ylabel("error [deg]")
-        panel.grid(alpha=0.25)
-        panel.legend(fontsize=_SMALL)
-    panels[-1].set_xlabel("time since the loops closed on the table [s]; take-off left out")
-    figure.suptitle(f"Tracking performance along the {path} (after Fig. {number})")
+        _finish(panel, "error [deg]")
     return figure
 
 
 def aloft_s(one: Flown) -> float:
-    """When the take-off is over: the elevation has reached what it starts its path at.
-
-    Returns
-    -------
-    float
-        Seconds; the desired elevation is first reached within half a degree, and a second has passed.
+    """When the take-off is over [s]: the elevation has first reached what is desired within half a degree,
+    and a second has passed.
     """
     level = np.abs(one.error_deg[:, 0]) < _THERE_DEG
     up = level & (one.desired_deg[:, 0] > _ALOFT_DEG)
@@ -201,25 +140,32 @@ _ALOFT_DEG: Final = -1.0
 _SETTLE_S: Final = 1.0
 
 
+def _panels(count: int, title: str, note: str = "") -> tuple[Figure, list[Axes]]:
+    """A figure of panels over one time axis."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(_WIDTH, count * _HEIGHT), layout="constrained")
+    panels = list(figure.subplots(count, 1, sharex=True))
+    panels[-1].set_xlabel(f"time since the loops closed on the table [s]{note}")
+    figure.suptitle(title)
+    return figure, panels
+
+
+def _finish(panel: Axes, label: str) -> None:
+    panel.set_ylabel(label)
+    panel.grid(alpha=0.25)
+    panel.legend(fontsize=_SMALL, loc="best")
+
+
 def _response(panel: Axes, flights: Sequence[Flown], axis: int, *, desired: bool) -> None:
     if desired:
         first = flights[0]
-        panel.plot(
-            first.flight.t_s, first.desired_deg[:, axis], "--", color=MEASURED, lw=1.0, label="desired"
-        )
+        panel.plot(first.flight.t_s, first.desired_deg[:, axis], "--", c=MEASURED, lw=1.0, label="desired")
     for one, colour in zip(flights, _COLOURS, strict=False):
         label = one.label if one.outcome == "completed" else f"{one.label}: {one.outcome.split(';')[0]}"
         angle_deg = np.rad2deg(one.flight.angles_rad[:, axis])
         panel.plot(one.flight.t_s, angle_deg, color=colour, lw=0.9, label=label)
         if axis == 1:
-            panel.plot(
-                one.flight.t_s,
-                one.desired_deg[:, 1],
-                ":",
-                color=colour,
-                lw=0.7,
-                label=f"{one.label}, setpoint",
-            )
-    panel.set_ylabel(f"{AXES[axis]} [deg]")
-    panel.grid(alpha=0.25)
-    panel.legend(fontsize=_SMALL, loc="best")
+            label = f"{one.label}, setpoint"
+            panel.plot(one.flight.t_s, one.desired_deg[:, 1], ":", color=colour, lw=0.7, label=label)
+    _finish(panel, f"{AXES[axis]} [deg]")

@@ -74,13 +74,8 @@ class RigRow:
 
 @dataclass(frozen=True)
 class RigTable:
-    """Table 2 beside what the bench tests give.
-
-    Parameters
-    ----------
-    normalised : dict of int to float
-        Root mean square error of the multibody model on the tests of Tables 3 to 5, free axes only, in
-        standard deviations of the quantisation.
+    """Table 2 beside what the bench tests give; `normalised` is the root mean square error of the multibody
+    model on the tests of Tables 3 to 5, free axes only, in standard deviations of the quantisation.
     """
 
     rows: tuple[RigRow, ...]
@@ -93,7 +88,8 @@ def fit_rig(
     line: Line,
     on_progress: Callable[[float], None] | None = None,
 ) -> RigTable:
-    """Fit the multibody model's numbers to each table's bench tests.
+    """Fit the multibody model's numbers to each table's bench tests; each number is from the tests that
+    identify it best.
 
     Parameters
     ----------
@@ -103,11 +99,6 @@ def fit_rig(
         The tests of each of `TESTS_OF_TABLE`.
     on_progress : callable, optional
         Told the share that is done.
-
-    Returns
-    -------
-    RigTable
-        Each number from the tests that identify it best.
 
     Raises
     ------

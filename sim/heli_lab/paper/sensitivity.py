@@ -22,15 +22,7 @@ _NAMES: Final = ("P_1", "P_2", "P_3", "P_4", "P_6")
 
 @dataclass(frozen=True)
 class Case:
-    """One curve of the figure.
-
-    Parameters
-    ----------
-    label : str
-        What was changed.
-    changes : Mapping[str, float]
-        Factor on each coefficient that was; 0 neglects it.
-    """
+    """One curve of the figure: its `label`, and the `changes`, factors on coefficients; 0 neglects one."""
 
     label: str
     changes: Mapping[str, float]
@@ -67,19 +59,9 @@ class Sensitivity:
 
 
 def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats) -> Floats:
-    """Elevation of (30) after a step of both voltages, pitch and travel locked, from the table on.
-
-    Parameters
-    ----------
-    coefficients : Mapping[str, float]
-        P_1 to P_6, in rad, s and V of U+.
-    t_s : ndarray (n,)
-        Times since the step, evenly spaced.
-
-    Returns
-    -------
-    ndarray (n,)
-        Degrees; no stop but the table.
+    """Elevation [deg] of (30), shape (n,), at evenly spaced times `t_s` after a step of both voltages, pitch
+    and travel locked, from the table on; no stop but the table. The `coefficients` are P_1 to P_6, in rad, s
+    and V of U+.
     """
     p, both_V = coefficients, test.front_V + test.back_V
     table = math.radians(TABLE_DEG)
@@ -107,17 +89,8 @@ def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats
 
 
 def equilibrium_deg(coefficients: Mapping[str, float], test: BenchTest) -> float:
-    """Elevation at which thrust and gravity balance.
-
-    Parameters
-    ----------
-    coefficients : Mapping[str, float]
-        P_1 to P_6, in rad, s and V of U+.
-
-    Returns
-    -------
-    float
-        Degrees; not a number when nothing balances.
+    """Elevation [deg] at which thrust and gravity balance by the `coefficients` P_1 to P_6, in rad, s and V
+    of U+; not a number when nothing balances.
     """
     p = coefficients
     forced = p["P_1"] + p["P_5"] + p["P_6"] * (test.front_V + test.back_V)

@@ -74,22 +74,8 @@ class Verdict:
 
 
 def verdicts(model: Model, rig: Rig) -> list[Verdict]:
-    """Close pitch and travel with Table 6 around a linearised rig, in every reading.
-
-    Parameters
-    ----------
-    model : Model
-        Equations of motion, without any effect.
-
-    Returns
-    -------
-    list of Verdict
-        Printed gains first.
-
-    Raises
-    ------
-    PlantError
-        When the rig cannot hover.
+    """Close pitch and travel with Table 6 around a linearised rig, a `model` without any effect, in every
+    reading, printed gains first. A PlantError when the rig cannot hover.
     """
     plant = _Tilt.of(model, rig)
     out = []

@@ -167,17 +167,8 @@ def fit_table(
 
 
 def free_axes_normalised(fit: Fit, locked: tuple[bool, bool, bool]) -> float:
-    """Root mean square error of a fit over the axes that are not locked.
-
-    Parameters
-    ----------
-    locked : tuple of bool
-        Which of elevation, pitch and travel are locked.
-
-    Returns
-    -------
-    float
-        In standard deviations of the quantisation.
+    """Root mean square error of a fit over the axes (elevation, pitch, travel) that are not `locked`, in
+    standard deviations of the quantisation.
     """
     free = [axis for axis, held in zip(AXES, locked, strict=True) if not held]
     checks = [check(fit, index) for index in range(len(fit.problem.records))]

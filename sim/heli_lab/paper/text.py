@@ -20,13 +20,7 @@ if TYPE_CHECKING:
 
 
 def table_lines(line: Line, by_rig: RigTable, found: Sequence[Table]) -> list[str]:
-    """Format Tables 2 to 5 for a terminal.
-
-    Returns
-    -------
-    list of str
-        Lines.
-    """
+    """Format Tables 2 to 5 for a terminal."""
     out = [
         f"Fig. 15: F = {line.gain_N_per_V:.4f} +- {line.gain_half:.4f} N/V "
         f"(V - {line.dead_zone_V:.3f} +- {line.dead_zone_half:.3f} V); printed: 0.5839 (V - 1)",
@@ -61,13 +55,7 @@ def table_lines(line: Line, by_rig: RigTable, found: Sequence[Table]) -> list[st
 
 
 def model_lines(found: Sequence[Distance]) -> list[str]:
-    """Format the models' errors for a terminal.
-
-    Returns
-    -------
-    list of str
-        Lines.
-    """
+    """Format the models' errors for a terminal."""
     out = [
         "Free runs of 2 s over a multibody rig's sines, rig file's numbers, rms error",
         f"  {'model':14} {' '.join(f'{axis:>10}' for axis in AXES)}      over the encoder's quantisation",
@@ -79,13 +67,7 @@ def model_lines(found: Sequence[Distance]) -> list[str]:
 
 
 def gain_lines(found: dict[str, list[Verdict]]) -> list[str]:
-    """Format the readings of Table 6 for a terminal.
-
-    Returns
-    -------
-    list of str
-        Lines.
-    """
+    """Format the readings of Table 6 for a terminal."""
     reading = {"degrees": "pitch in deg", "u3": "u3 in V"}
     out = ["Table 6 on the linearised rig: are pitch and travel stable, and up to which lag (399 ms: any)?"]
     for model, rows in found.items():
@@ -103,12 +85,8 @@ def gain_lines(found: dict[str, list[Verdict]]) -> list[str]:
 
 
 def tables_json(plant: Plant, line: Line, by_rig: RigTable, found: Sequence[Table]) -> dict[str, Any]:
-    """Tables 2 to 5 as JSON has them.
-
-    Returns
-    -------
-    dict
-        rig, model, thrust, table_2, table_3, table_4, table_5, each with its rows and errors.
+    """Tables 2 to 5 as JSON has them: rig, model, thrust, table_2, table_3, table_4, table_5, each with its
+    rows and errors.
     """
     return {
         "rig": plant.rig.name,

@@ -35,19 +35,8 @@ class Scale:
         self._thrust_N = ca.Function("thrust_N", [x, u], [thrust])
 
     def read_N(self, state: Floats, volts_V: Sequence[float]) -> Floats:
-        """Read both scales.
-
-        Parameters
-        ----------
-        state : ndarray (n,)
-            State of the plant.
-        volts_V : sequence of float (2,)
-            Front and back voltage that act.
-
-        Returns
-        -------
-        ndarray (2,)
-            Thrust of the front and the back rotor in N, rounded to the scale's step.
+        """Read the thrust of the front and the back rotor [N], shape (2,), rounded to the scale's step, in a
+        `state` of the plant, shape (n,), with front and back voltage `volts_V` acting.
         """
         exact = np.asarray(self._thrust_N(state, np.asarray(volts_V))).ravel()
         result: Floats = np.round(exact / SCALE_N) * SCALE_N
@@ -74,31 +63,16 @@ class Line:
 
 @dataclass(frozen=True)
 class ThrustCurve:
-    """Readings of a thrust stand.
-
-    Parameters
-    ----------
-    volts_V : ndarray (n, 2)
-        Voltages that acted on the front and the back motor.
-    thrust_N : ndarray (n, 2)
-        Thrust of each rotor.
+    """Readings of a thrust stand: `thrust_N` of the front and the back rotor at `volts_V`, both
+    shape (n, 2).
     """
 
     volts_V: Floats
     thrust_N: Floats
 
     def line(self) -> Line:
-        """Fit the straight line to the readings above zero.
-
-        Returns
-        -------
-        Line
-            With intervals from the scatter of the readings, or from the scale's step where that is larger.
-
-        Raises
-        ------
-        IdentifyError
-            When fewer than three readings are above zero.
+        """Fit the straight line to the readings above zero, with intervals from the scatter of the readings,
+        or from the scale's step where that is larger; fewer than three are an IdentifyError.
         """
         above = self.thrust_N > 0.0
         volts, thrust = self.volts_V[above], self.thrust_N[above]

@@ -16,6 +16,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from heli_host.declaration import PARAMS
 from heli_sim.errors import PlantError
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Model
@@ -130,13 +131,20 @@ def _silent(_: str) -> None:
 
 
 def _of_rig(rig: Rig) -> dict[str, float]:
-    """What the board must know of the machine."""
+    """What the board must know of the machine.
+
+    Counts a revolution only where they are not the declared ones: their sign is how an encoder is wired,
+    which a rig does not know, and a file of gains must not turn it round.
+    """
     counts = rig["encoder_counts"].value
-    supply_V = rig["supply"].value
-    return {
+    counted = {
         "elevation_counts_per_rev": counts,
         "pitch_counts_per_rev": counts,
         "travel_counts_per_rev": counts * rig["encoder_travel_ratio"].value,
+    }
+    usual = {spec.name: spec.default for spec in PARAMS}
+    supply_V = rig["supply"].value
+    return {name: value for name, value in counted.items() if value != usual[name]} | {
         "elevation_rest_deg": rig["elevation_min"].value,
         "supply_V": supply_V,
         "motor_min_V": -supply_V if rig["reverse_thrust"].value > 0.0 else 0.0,

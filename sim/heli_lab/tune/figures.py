@@ -23,19 +23,8 @@ _SMALL: Final = 8
 
 
 def figure_of(design: Design, flights: Sequence[tuple[str, Flight]]) -> Figure:
-    """Draw a design.
-
-    Parameters
-    ----------
-    design : Design
-        Gains and the plants that they were found on.
-    flights : sequence of (str, Flight)
-        What they flew: a label, and the flight.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Angles and voltages over time on the left, Nyquist plots on the right.
+    """Draw a `design` with the plants that it was found on, as Nyquist plots on the right; on the left angles
+    and voltages over time of `flights`, each with a label.
     """
     from matplotlib.figure import Figure
 

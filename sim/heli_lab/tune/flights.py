@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -67,7 +67,8 @@ def try_gains(
     seed: int = 1,
     on_progress: Callable[[float], None] | None = None,
 ) -> Trial:
-    """Fly a set of parameters on a simulated rig, through the flight code and the whole link.
+    """Fly a set of parameters on a simulated rig, through the flight code and the whole link; there is a
+    trial also when a fault ended it.
 
     Parameters
     ----------
@@ -79,11 +80,6 @@ def try_gains(
         Of the encoders' starting points.
     on_progress : callable, optional
         Told the share that is done.
-
-    Returns
-    -------
-    Trial
-        Also when a fault ended it.
 
     Raises
     ------
@@ -127,10 +123,4 @@ def try_gains(
     phases = Phases(start_s, step_s, step_s + _STEP_S, step_s + 2 * _STEP_S, step_s + 2 * _STEP_S + _SINE_S)
     cut = flight.between(start_s, stop_s)
     metrics = step_metrics(cut, lambda t_s: route.evaluate(t_s - start_s), phases, summary.outcome)
-    return Trial(label, _from_zero(cut, start_s), metrics)
-
-
-def _from_zero(flight: Flight, start_s: float) -> Flight:
-    from dataclasses import replace
-
-    return replace(flight, t_s=flight.t_s - start_s)
+    return Trial(label, replace(cut, t_s=cut.t_s - start_s), metrics)

@@ -10,17 +10,8 @@ from heli_lab.tune.loops import Law, Pid
 
 
 def law_of(parameters: Mapping[str, float]) -> Law:
-    """Gains of a parameter set, as the analysis of loops takes them.
-
-    Parameters
-    ----------
-    parameters : Mapping of str to float
-        Holds kp, ki, kd and the filter of each axis, and maybe pitch_hold_ff, in declared units.
-
-    Returns
-    -------
-    Law
-        The gains in V/rad and rad/rad.
+    """Gains in V/rad and rad/rad, as the analysis of loops takes them, of `parameters` in declared units: kp,
+    ki, kd and the filter of each axis, and maybe pitch_hold_ff.
     """
 
     def pid(axis: str, per: float) -> Pid:

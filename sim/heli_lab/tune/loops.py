@@ -8,6 +8,7 @@ counts as a delay.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -22,6 +23,9 @@ Complexes = npt.NDArray[np.complex128]
 SAMPLING_s: Final = 0.001
 """Half a millisecond of hold, and as much for reading, computing and the bridge's switching."""
 FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 200.0, 160)
+MARGIN_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.02, 300.0, 1500)
+"""Where margins are looked for: two crossings within 0.64 % of a frequency are not seen."""
+_BISECTIONS: Final = 30
 LOOPS: Final = ("elevation", "pitch", "travel", "differential")
 """Where each is cut: at the collective; at the differential, travel's loop open; at the pitch setpoint,
 pitch's loop closed; at the differential with both closed."""
@@ -45,17 +49,8 @@ class Pid:
     filter_Hz: float
 
     def response(self, frequency_rad_s: Floats) -> Complexes:
-        """From the measured angle to the output, sign reversed.
-
-        Parameters
-        ----------
-        frequency_rad_s : ndarray (n,)
-            Frequencies.
-
-        Returns
-        -------
-        ndarray (n,)
-            Complex gain.
+        """Complex gain, shape (n,), from the measured angle to the output, sign reversed, at each
+        `frequency_rad_s`.
         """
         s = 1j * frequency_rad_s
         rate = s / (1.0 + s / (2.0 * np.pi * self.filter_Hz)) ** 2
@@ -64,13 +59,8 @@ class Pid:
 
 @dataclass(frozen=True)
 class Law:
-    """The whole cascade.
-
-    Parameters
-    ----------
-    pitch_hold : float
-        Feed-forward from pitch's setpoint to the differential, V/rad: holds a tilt against masses that hang
-        below the axis.
+    """The whole cascade; `pitch_hold` is the feed-forward from pitch's setpoint to the differential, V/rad,
+    which holds a tilt against masses that hang below the axis.
     """
 
     elevation: Pid
@@ -106,12 +96,8 @@ class Margin:
 
 
 def elevation_closed(plant: LinearPlant, pid: Pid) -> Floats:
-    """Close the elevation loop.
-
-    Returns
-    -------
-    ndarray (6, 6)
-        State matrix: the plant's three states, two of the rate filter, the integral of minus the elevation.
+    """State matrix (6, 6) of the closed elevation loop: the plant's three states, two of the rate filter, the
+    integral of minus the elevation.
     """
     closed = _with_filters(plant.elevation_A, (0,), (pid,))
     output = _output(closed.shape[0], 0, 3, pid)
@@ -122,18 +108,9 @@ def elevation_closed(plant: LinearPlant, pid: Pid) -> Floats:
 
 
 def tilt_closed(plant: LinearPlant, pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> Floats:
-    """Close pitch and travel.
-
-    Parameters
-    ----------
-    pitch_hold : float
-        As in `Law`.
-
-    Returns
-    -------
-    ndarray (11, 11)
-        State matrix: the plant's five states, two of each rate filter (pitch first), the integrals of pitch's
-        and of travel's error, both for setpoints of zero.
+    """State matrix (11, 11) of pitch and travel closed: the plant's five states, two of each rate filter
+    (pitch first), the integrals of pitch's and of travel's error, both for setpoints of zero; `pitch_hold` as
+    in `Law`.
     """
     closed = _with_filters(plant.tilt_A, (0, 1), (pitch, travel))
     size = closed.shape[0]
@@ -143,19 +120,8 @@ def tilt_closed(plant: LinearPlant, pitch: Pid, travel: Pid, pitch_hold: float =
 
 
 def tilt_output(size: int, pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> Floats:
-    """What the closed loops make of their states.
-
-    Parameters
-    ----------
-    size : int
-        Number of states, those of `tilt_closed` first.
-    pitch_hold : float
-        As in `Law`.
-
-    Returns
-    -------
-    ndarray (size,)
-        Row from the states to the differential, V for each unit, setpoints being zero.
+    """Row, shape (`size`,), from the states of the closed loops, those of `tilt_closed` first, to the
+    differential, V for each unit, setpoints being zero; `pitch_hold` as in `Law`.
     """
     row = (pitch.kp + pitch_hold) * _pitch_error(size, travel)
     row[0] += pitch_hold
@@ -167,17 +133,8 @@ def tilt_output(size: int, pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> 
 def open_loops(
     plant: LinearPlant, law: Law, frequency_rad_s: Floats = FREQUENCY_rad_s
 ) -> dict[str, Complexes]:
-    """Frequency response of every loop, cut as `LOOPS` says.
-
-    Parameters
-    ----------
-    frequency_rad_s : ndarray (n,)
-        Frequencies.
-
-    Returns
-    -------
-    dict of str to ndarray (n,)
-        Loop gain L; a Nyquist curve through -1 is marginally stable.
+    """Loop gain L of every loop, shape (n,), at each `frequency_rad_s`, cut as `LOOPS` says; a Nyquist curve
+    through -1 is marginally stable.
     """
     s = 1j * frequency_rad_s
     # The matrices have the delay of the voltages as more lag: out with that, and in with the delay itself.
@@ -202,42 +159,29 @@ def open_loops(
 
 
 def peak_sensitivity(loop: Complexes) -> float:
-    """Peak sensitivity Ms: the largest amplification of a disturbance by the closed loop.
-
-    Parameters
-    ----------
-    loop : ndarray (n,)
-        Loop gain over frequency.
-
-    Returns
-    -------
-    float
-        Largest 1 / |1 + L|.
+    """Peak sensitivity Ms: the largest 1 / |1 + L| of a gain L over frequency, `loop`, by which the closed
+    loop amplifies a disturbance.
     """
     return float(np.max(1.0 / np.abs(1.0 + loop)))
 
 
 def margins(plant: LinearPlant, law: Law) -> dict[str, Margin]:
-    """Margins of every loop.
-
-    Parameters
-    ----------
-    law : Law
-        Gains that stabilise it; without that no margin means anything.
-    """
-    import control
-
-    frequency = np.geomspace(0.02, 300.0, 1500)
+    """Margins of every loop under a `law` that stabilises it; without that no margin means anything."""
+    grid = open_loops(plant, law, MARGIN_FREQUENCY_rad_s)
+    at_180 = _crossings(plant, law, grid, _sine)
+    at_1 = _crossings(plant, law, grid, _log_gain)
     found = {}
-    for name, loop in open_loops(plant, law, frequency).items():
-        response = control.frd(loop, frequency, smooth=True)
-        gains, phases, _, _, crossings, _ = control.stability_margins(response, returnall=True)
+    for name, loop in grid.items():
+        crossed = at_180[name][1].real
+        gains = -1.0 / crossed[crossed < 0.0]
+        crossings, responses = at_1[name]
+        phases_deg = np.mod(np.degrees(np.angle(responses)), 360.0) - 180.0
         # A phase margin is to the nearest side; what a delay costs is the way round to -180.
-        lost_deg = np.mod(phases, 360.0)
+        lost_deg = np.mod(phases_deg, 360.0)
         found[name] = Margin(
             gain_up=float(np.min(gains[gains > 1.0], initial=np.inf)),
             gain_down=float(np.max(gains[gains < 1.0], initial=0.0)),
-            phase_deg=float(np.min(np.abs(phases), initial=np.inf)),
+            phase_deg=float(np.min(np.abs(phases_deg), initial=np.inf)),
             delay_s=float(np.min(np.radians(lost_deg) / crossings, initial=np.inf)),
             sensitivity=peak_sensitivity(loop),
             crossover_rad_s=float(np.max(crossings, initial=0.0)),
@@ -245,14 +189,41 @@ def margins(plant: LinearPlant, law: Law) -> dict[str, Margin]:
     return found
 
 
-def is_stable(plant: LinearPlant, law: Law) -> bool:
-    """Whether every closed loop of a plant decays.
+def _sine(loop: Complexes) -> Floats:
+    """Sine of the phase: changes its sign where the loop gain is real."""
+    return np.asarray(loop.imag / np.abs(loop))
 
-    Returns
-    -------
-    bool
-        True when it does.
+
+def _log_gain(loop: Complexes) -> Floats:
+    return np.asarray(np.log(np.abs(loop)))
+
+
+def _crossings(
+    plant: LinearPlant, law: Law, grid: dict[str, Complexes], value: Callable[[Complexes], Floats]
+) -> dict[str, tuple[Floats, Complexes]]:
+    """Where a value of each loop gain changes its sign, rad/s, and the loop gain there.
+
+    All loops are bisected at once: `control.stability_margins` interpolates by a spline of its own, a point a
+    call, and takes a hundred times as long.
     """
+    changes = {name: np.flatnonzero(np.diff(np.sign(value(loop)))) for name, loop in grid.items()}
+    at = np.concatenate(list(changes.values()))
+    owner = np.repeat(np.arange(len(grid)), [len(places) for places in changes.values()])
+    each = np.arange(len(at))
+    low, high = MARGIN_FREQUENCY_rad_s[at], MARGIN_FREQUENCY_rad_s[at + 1]
+    below = value(np.array(list(grid.values()))[owner, at]) < 0.0
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        response = np.array(list(open_loops(plant, law, middle).values()))[owner, each]
+        is_low = (value(response) < 0.0) == below
+        low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
+    middle = 0.5 * (low + high)
+    response = np.array(list(open_loops(plant, law, middle).values()))[owner, each]
+    return {name: (middle[owner == i], response[owner == i]) for i, name in enumerate(grid)}
+
+
+def is_stable(plant: LinearPlant, law: Law) -> bool:
+    """Whether every closed loop of a plant decays."""
     both = (elevation_closed(plant, law.elevation), tilt_closed(plant, law.pitch, law.travel, law.pitch_hold))
     return all(float(np.linalg.eigvals(closed).real.max()) < 0.0 for closed in both)
 

@@ -221,7 +221,8 @@ def _equations(model: type[Model], lag_s: float, linear: tuple[Effect, ...]) -> 
 def spread_plants(
     rig: Rig, spread: Spread, *, model: type[Model] = MultibodyModel, known: Known | None = None
 ) -> Sequence[LinearPlant]:
-    """Every corner of the spread, at every lag.
+    """The rig itself at every lag, in the spread's order; then its corners, at every lag, that can fly: a
+    counterweight 3 % heavier lifts some arms without any thrust.
 
     Parameters
     ----------
@@ -231,12 +232,6 @@ def spread_plants(
         Its equations.
     known : Known, optional
         Its effects; the lags are the spread's.
-
-    Returns
-    -------
-    sequence of LinearPlant
-        The rig itself at every lag, in the spread's order; then those of its corners, at every lag, that
-        can fly: a counterweight 3 % heavier lifts some arms without any thrust.
 
     Raises
     ------

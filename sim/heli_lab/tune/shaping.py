@@ -16,7 +16,8 @@ _SMOOTHING: Final = 0.01  # of the acceleration that is fed forward, a tick
 def shaped_step(
     distance: float, slew: float, acceleration: float, duration_s: float, every_s: float
 ) -> npt.NDArray[np.float64]:
-    """Setpoint after a step of the target, with its rate and acceleration.
+    """Setpoint after a step of the target, shape (n, 3): setpoint, its rate, and the smoothed acceleration
+    that the control law is fed with.
 
     Parameters
     ----------
@@ -30,11 +31,6 @@ def shaped_step(
         Length of the path, s.
     every_s : float
         Time between two rows, s, a whole number of milliseconds.
-
-    Returns
-    -------
-    ndarray (n, 3)
-        Setpoint, its rate, and the smoothed acceleration that the control law is fed with.
     """
     step_max, change_max = slew * _TICK_s, acceleration * _TICK_s**2
     angle = step = smooth = 0.0

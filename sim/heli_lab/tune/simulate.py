@@ -14,7 +14,8 @@ STEP_s: Final = 0.04
 
 
 def simulate(closed: Floats, given: Floats, inputs: Floats, start: Floats | None = None) -> Floats:
-    """Simulate plants along a path, by exact discretisation with inputs held.
+    """Simulate plants along a path, by exact discretisation with inputs held: states, shape (times, plants,
+    n).
 
     Parameters
     ----------
@@ -26,11 +27,6 @@ def simulate(closed: Floats, given: Floats, inputs: Floats, start: Floats | None
         Inputs, the same for all plants, `STEP_s` apart.
     start : ndarray (plants, n, 1), optional
         States to start from; 0 by default.
-
-    Returns
-    -------
-    ndarray (times, plants, n)
-        States.
     """
     transition, input_matrix = _discretised(closed, given, STEP_s)
     state = np.zeros((*closed.shape[:2], 1)) if start is None else start
@@ -42,7 +38,7 @@ def simulate(closed: Floats, given: Floats, inputs: Floats, start: Floats | None
 
 
 def zero_state_step_response(closed: Floats, given: Floats, duration_s: float) -> Floats:
-    """Zero-state step response at one time.
+    """Zero-state step response at one time T: states from rest, shape (plants, n, 1).
 
     Parameters
     ----------
@@ -52,11 +48,6 @@ def zero_state_step_response(closed: Floats, given: Floats, duration_s: float) -
         Input matrices.
     duration_s : float
         Time T since the step of a unit input, s.
-
-    Returns
-    -------
-    ndarray (plants, n, 1)
-        States at T, from rest.
     """
     return _discretised(closed, given, duration_s)[1]
 

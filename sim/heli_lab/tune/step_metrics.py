@@ -69,7 +69,7 @@ class StepMetrics:
 def step_metrics(
     flight: Flight, path_deg: Callable[[Floats], Floats], phases: Phases, outcome: str
 ) -> StepMetrics:
-    """Measure a flight.
+    """Measure a flight; infinite where it did not get so far.
 
     Parameters
     ----------
@@ -77,11 +77,6 @@ def step_metrics(
         From times on the flight's axis, (n,), to elevation, pitch and travel that were asked for, (n, 3).
     outcome : str
         How it ended.
-
-    Returns
-    -------
-    StepMetrics
-        Infinite where the flight did not get so far.
     """
     t_s, angles_deg = flight.t_s, np.rad2deg(flight.angles_rad)
     elevation, pitch, travel = angles_deg.T

@@ -10,18 +10,7 @@ import typer
 from heli_host.cli.simulated import DEFAULT_RIG
 from heli_host.cli.verb import Verb
 
-from heli_lab.fit_options import (
-    EquationsOption,
-    FlightsArgument,
-    FoundRigOption,
-    FromOption,
-    KnownRigOption,
-    NumbersOption,
-    OwnEffectsOption,
-    ReportOption,
-    ToOption,
-    ValidateOption,
-)
+from heli_lab import fit_options as option
 
 if TYPE_CHECKING:
     from heli_lab.diagnose import Diagnosis
@@ -29,16 +18,16 @@ if TYPE_CHECKING:
 
 
 def diagnose(
-    flights: FlightsArgument,
-    validate: ValidateOption = None,
-    rig: KnownRigOption = DEFAULT_RIG,
-    model: EquationsOption = None,
-    effects: OwnEffectsOption = None,
-    start_s: FromOption = None,
-    stop_s: ToOption = None,
-    report: ReportOption = None,
-    json: NumbersOption = None,
-    out: FoundRigOption = None,
+    flights: option.FlightsArgument,
+    validate: option.ValidateOption = None,
+    rig: option.KnownRigOption = DEFAULT_RIG,
+    model: option.EquationsOption = None,
+    effects: option.OwnEffectsOption = None,
+    start_s: option.FromOption = None,
+    stop_s: option.ToOption = None,
+    report: option.ReportOption = None,
+    json: option.NumbersOption = None,
+    out: option.FoundRigOption = None,
     seed: Annotated[
         int, typer.Option("--seed", metavar="N", min=0, help="Seed of the bootstrap behind the intervals.")
     ] = 0,
@@ -73,7 +62,8 @@ def diagnose(
     from heli_lab.diagnose.serialize import to_json
     from heli_lab.diagnose.summary import summary
     from heli_lab.errors import NotExcited
-    from heli_lab.fit_inputs import fit_inputs, read_flights, write_numbers
+    from heli_lab.fit_inputs import fit_inputs, read_flights
+    from heli_lab.page import write_json
 
     others = validate or []
     check_result_places(out, json, report=report)
@@ -113,7 +103,9 @@ def diagnose(
                 written.append(write_insufficient_excitation(found, report))
             else:
                 written.append(write_report(found, report))
-        written += write_numbers(json, to_json(found))
+        if json is not None:
+            write_json(json, to_json(found))
+            written.append(json)
     _print(found)
     if written:
         print(f"files: {', '.join(str(path) for path in written)}")

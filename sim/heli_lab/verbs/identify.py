@@ -9,32 +9,21 @@ import typer
 from heli_host.cli.simulated import DEFAULT_RIG
 from heli_host.cli.verb import Verb
 
-from heli_lab.fit_options import (
-    EquationsOption,
-    FlightsArgument,
-    FoundRigOption,
-    FromOption,
-    KnownRigOption,
-    NumbersOption,
-    OwnEffectsOption,
-    ReportOption,
-    ToOption,
-    ValidateOption,
-)
+from heli_lab import fit_options as option
 
 if TYPE_CHECKING:
     from heli_lab.identify.result import Identification
 
 
 def identify(
-    flights: FlightsArgument,
-    rig: KnownRigOption = DEFAULT_RIG,
-    model: EquationsOption = None,
+    flights: option.FlightsArgument,
+    rig: option.KnownRigOption = DEFAULT_RIG,
+    model: option.EquationsOption = None,
     effect: Annotated[
         list[str] | None,
         typer.Option("--effect", metavar="ID...", help="Effects to estimate as well, such as rotor_lag."),
     ] = None,
-    effects: OwnEffectsOption = None,
+    effects: option.OwnEffectsOption = None,
     free: Annotated[
         list[str] | None,
         typer.Option("--free", metavar="NAME...", help="Estimate only these; else all with a tolerance."),
@@ -42,18 +31,18 @@ def identify(
     fix: Annotated[
         list[str] | None, typer.Option("--fix", metavar="NAME...", help="Do not estimate these parameters.")
     ] = None,
-    validate: ValidateOption = None,
-    start_s: FromOption = None,
-    stop_s: ToOption = None,
+    validate: option.ValidateOption = None,
+    start_s: option.FromOption = None,
+    stop_s: option.ToOption = None,
     window_s: Annotated[
         float, typer.Option("--window-s", metavar="S", min=0.5, max=30.0, help="Length of a free run.")
     ] = 2.0,
     allow_gaps: Annotated[
         bool, typer.Option("--allow-gaps", help="Leave out missing rows instead of refusing the flight.")
     ] = False,
-    out: FoundRigOption = None,
-    report: ReportOption = None,
-    json: NumbersOption = None,
+    out: option.FoundRigOption = None,
+    report: option.ReportOption = None,
+    json: option.NumbersOption = None,
 ) -> None:
     """Estimate a rig's parameters from flights, with standard errors.
 
@@ -66,9 +55,10 @@ def identify(
     from heli_host.cli.progress_bar import WorkBar
     from heli_sim.rig import write_rig
 
-    from heli_lab.fit_inputs import fit_inputs, read_flights, write_numbers
+    from heli_lab.fit_inputs import fit_inputs, read_flights
     from heli_lab.identify.report import verdict, write_report
     from heli_lab.identify.run import identify as find
+    from heli_lab.page import write_json
 
     others = validate or []
     check_result_places(out, json, report=report)
@@ -97,7 +87,9 @@ def identify(
         if report is not None:
             bar.show("drawing", 0.9)
             written.append(write_report(found, report))
-        written += write_numbers(json, found.json())
+        if json is not None:
+            write_json(json, found.json())
+            written.append(json)
     _print(found)
     print(verdict(found))
     if written:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from heli_host.cli.simulated import DEFAULT_RIG, SeedOption
@@ -39,16 +39,16 @@ def tables(
 
     Example: `heli-host paper tables --json tables.json`
     """
-    from heli_host.cli.outputs import check_place
+    from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
 
+    from heli_lab.page import write_json
     from heli_lab.paper.experiments import read_thrust
     from heli_lab.paper.rig_table import fit_rig
     from heli_lab.paper.tables import fit_table
     from heli_lab.paper.text import table_lines, tables_json
 
-    if json is not None:
-        check_place(json)
+    check_result_places(json)
     plant = _plant(rig, model)
     with WorkBar() as bar:
         bar.show("bench tests", 0.0)
@@ -66,7 +66,7 @@ def tables(
     for text in table_lines(line, by_rig, found):
         print(text)
     if json is not None:
-        _write_json(json, tables_json(plant, line, by_rig, found))
+        write_json(json, tables_json(plant, line, by_rig, found))
 
 
 @app.command("gains")
@@ -75,21 +75,21 @@ def gains(rig: RigName = DEFAULT_RIG, json: JsonFile = None) -> None:
 
     Example: `heli-host paper gains`
     """
-    from heli_host.cli.outputs import check_place
+    from heli_host.cli.outputs import check_result_places
     from heli_sim.model.named import model_named
     from heli_sim.rig import load_rig
 
+    from heli_lab.page import write_json
     from heli_lab.paper.table6 import verdicts
     from heli_lab.paper.text import gain_lines
 
-    if json is not None:
-        check_place(json)
+    check_result_places(json)
     loaded = load_rig(rig)
     found = {name: verdicts(model_named(name), loaded) for name in ("paper", "multibody")}
     for text in gain_lines(found):
         print(text)
     if json is not None:
-        _write_json(json, {name: [asdict(one) for one in rows] for name, rows in found.items()})
+        write_json(json, {name: [asdict(one) for one in rows] for name, rows in found.items()})
 
 
 @app.command("models")
@@ -100,16 +100,16 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonFile = No
 
     Example: `heli-host paper models`
     """
-    from heli_host.cli.outputs import check_place
+    from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
     from heli_sim.model.named import MODELS, model_named
 
+    from heli_lab.page import write_json
     from heli_lab.paper.compare import distances
     from heli_lab.paper.experiments import fly_plan
     from heli_lab.paper.text import model_lines
 
-    if json is not None:
-        check_place(json)
+    check_result_places(json)
     plant = _plant(rig, _MODEL)
     with WorkBar() as bar:
         flown = fly_plan("sine", plant, "sine", None, seed, lambda done: bar.show("flying", 0.5 * done))
@@ -118,7 +118,7 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonFile = No
     for text in model_lines(found):
         print(text)
     if json is not None:
-        _write_json(json, {one.model: asdict(one) for one in found})
+        write_json(json, {one.model: asdict(one) for one in found})
 
 
 @app.command("equations")
@@ -152,7 +152,7 @@ def figures(
 
     Example: `heli-host paper figures paper-figures`
     """
-    from heli_host.cli.outputs import check_place
+    from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
 
     from heli_lab.paper import figures_bench as bench
@@ -160,7 +160,7 @@ def figures(
     from heli_lab.paper.experiments import read_thrust
     from heli_lab.paper.tables import fit_table
 
-    check_place(folder / "fig15.png")
+    check_result_places(folder / "fig15.png")
     plant = _plant(rig, model)
     written = []
 
@@ -244,25 +244,6 @@ def _errors_text(one: Flown) -> str:
         return ""
     rms = np.sqrt(np.mean(error**2, axis=0))
     return f"; error after take-off, rms: elevation {rms[0]:.2f}, travel {rms[2]:.2f} deg"
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    import json
-
-    path.write_text(json.dumps(_finite(content), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def _finite(value: Any) -> Any:
-    """JSON has no infinity: what is not finite becomes null."""
-    import math
-
-    if isinstance(value, dict):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return value
 
 
 VERB = Verb(app, "Laboratory")

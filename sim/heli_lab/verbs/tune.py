@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from heli_host.cli.simulated import DEFAULT_RIG, SeedOption
+from heli_host.cli.simulated import DEFAULT_RIG, EffectFilesOption, SeedOption
 from heli_host.cli.verb import Verb
+
+from heli_lab.fit_options import DEFAULT_MODEL, EquationsOption
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -18,7 +20,6 @@ if TYPE_CHECKING:
     from heli_lab.tune import Design, Known, Margin
     from heli_lab.tune.flights import Trial
 
-DEFAULT_MODEL = "multibody"
 LAG_TRIED_s = 0.12
 """Of the second trial, where no lag is stated: rotors of this size show 0.09 to 0.15 s."""
 _DIGITS = 4
@@ -26,15 +27,7 @@ _DIGITS = 4
 
 def tune(
     rig: Annotated[str, typer.Option("--rig", metavar="NAME|FILE", help="Rig to fly.")] = DEFAULT_RIG,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            "--model",
-            metavar="NAME",
-            help="Equations of motion; else those that the rig's file names, or multibody.",
-            show_default=False,
-        ),
-    ] = None,
+    model: EquationsOption = None,
     effect: Annotated[
         list[str] | None,
         typer.Option(
@@ -43,9 +36,7 @@ def tune(
             help="What the rig has beyond the model, such as rotor_lag=0.12.",
         ),
     ] = None,
-    effects: Annotated[
-        list[Path] | None, typer.Option("--effects", metavar="FILE.py", help="More effects; may be repeated.")
-    ] = None,
+    effects: EffectFilesOption = None,
     sensitivity: Annotated[
         float,
         typer.Option(
@@ -84,6 +75,7 @@ def tune(
     from heli_sim.plant import Plant
     from heli_sim.rig import load_rig
 
+    from heli_lab.page import write_json
     from heli_lab.tune import find_gains, known_of
     from heli_lab.tune.flights import try_gains
 
@@ -132,7 +124,7 @@ def tune(
         out.write_text(parameters_text(parameters, comment), encoding="utf-8")
         written.append(out)
     if json is not None:
-        _write_json(json, _numbers(loaded, name, design, of_plants, known, parameters, tried))
+        write_json(json, _numbers(loaded, name, design, of_plants, known, parameters, tried))
         written.append(json)
     if figure is not None:
         from heli_lab.tune.figures import figure_of
@@ -146,18 +138,7 @@ def tune(
 
 
 def rounded(parameters: Mapping[str, float]) -> dict[str, float]:
-    """Round parameters to what is worth writing.
-
-    Parameters
-    ----------
-    parameters : Mapping of str to float
-        By name.
-
-    Returns
-    -------
-    dict of str to float
-        With four digits.
-    """
+    """Round `parameters` to the four digits that are worth writing."""
     return {name: float(f"{value:.{_DIGITS}g}") for name, value in parameters.items()}
 
 
@@ -248,21 +229,6 @@ def _numbers(
         "plants": plants,
         "flights": [{"on": one.label, **asdict(one.metrics)} for one in tried],
     }
-
-
-def _write_json(path: Path, numbers: dict[str, Any]) -> None:
-    import json
-    import math
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: plain(one) for key, one in value.items()}
-        if isinstance(value, list):
-            return [plain(one) for one in value]
-        # JSON has no infinity: null is a margin that nothing limits, or a moment that never came.
-        return None if isinstance(value, float) and not math.isfinite(value) else value
-
-    path.write_text(json.dumps(plain(numbers), indent=1) + "\n", encoding="utf-8")
 
 
 VERB = Verb(tune, "Laboratory")

@@ -1,7 +1,7 @@
 """``python -m heli_sim.due ELF``: run any program for the Due and copy UART0 to stdout.
 
 Exit codes: 0 the time is over, 1 a HardFault or a lockup, 2 bad arguments, 3 the emulator stopped in strict
-mode.
+mode, 4 lenient mode found a loop that waits for a register which never changes.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ EXIT_DONE = 0
 EXIT_FAULT = 1
 EXIT_USAGE = 2
 EXIT_STRICT = 3
+EXIT_WAIT = 4
 
 _SLICE_US = 1000.0
 
@@ -58,13 +59,7 @@ def _run(due: Due, end_us: float) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Parameters
-    ----------
-    arguments
-        Without the program's name; None takes those of this process.
-    """
+    """Run the command line of `arguments` without the program's name, or of this process if None."""
     options = _parser().parse_args(arguments)
     try:
         image = read_image(options.program)
@@ -83,7 +78,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Stop as stop:
         _copy_output(due)
         print(f"error after {due.now_us / 1e3:.3f} ms: {stop}\n{report_of(due)}", file=sys.stderr)
-        return EXIT_FAULT if due.halt else EXIT_STRICT
+        if due.halt:
+            return EXIT_FAULT
+        return EXIT_WAIT if options.lenient and str(stop).startswith("wait:") else EXIT_STRICT
     if due.halt:
         print(f"{due.halt} after {due.now_us / 1e3:.3f} ms\n{report_of(due)}", file=sys.stderr)
         return EXIT_FAULT

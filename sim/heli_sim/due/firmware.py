@@ -20,13 +20,8 @@ _MAKE: Final = "make firmware"
 
 
 def candidates() -> list[Path]:
-    """Every ELF of the flight code that is there, newest first.
-
-    Returns
-    -------
-    list of Path
-        What the package ships, when it was built where a cross-compiler is, and, in a checkout, what was
-        built since.
+    """Every ELF of the flight code, newest first: what the package ships, when it was built where a
+    cross-compiler is, and, in a checkout, what was built since.
     """
     import heli_sim
 
@@ -38,12 +33,8 @@ def candidates() -> list[Path]:
 
 
 def new_board(image: Image) -> DueBoard:
-    """An emulated Due for the simulated world, with a program that lies in its flash and ticks like ours.
-
-    Returns
-    -------
-    DueBoard
-        Powered off; its power comes on when time begins.
+    """An emulated Due for the simulated world, powered off, with a program that lies in its flash and ticks
+    like ours.
     """
     from heli_sim.due._due import DueBoard
 
@@ -56,24 +47,9 @@ def new_board(image: Image) -> DueBoard:
 
 
 def check_firmware(path: Path) -> Image:
-    """Read an ELF, and ask it on an emulated board of its own which link it speaks.
-
-    Parameters
-    ----------
-    path : Path
-        The ELF.
-
-    Returns
-    -------
-    Image
-        The program, which speaks this host's link.
-
-    Raises
-    ------
-    ImageError
-        It cannot be read, or is none for the Due.
-    FirmwareError
-        It does not answer, or speaks another version of the link; the message has both.
+    """Read an ELF at `path` that speaks this host's link; it is asked on an emulated board of its own. An
+    ImageError when it is none for the Due, a FirmwareError, with both versions, when it does not answer or
+    speaks another version of the link.
     """
     from heli_sim import _native
     from heli_sim.due._due import Stop
@@ -96,17 +72,8 @@ def check_firmware(path: Path) -> Image:
 
 
 def find_firmware() -> Path:
-    """The newest ELF that speaks this host's link.
-
-    Returns
-    -------
-    Path
-        One of `candidates`.
-
-    Raises
-    ------
-    FirmwareError
-        There is none; the message says what to do, and why the newest will not do.
+    """The newest of `candidates` that speaks this host's link; a FirmwareError says why the newest will not
+    do, and what to do.
     """
     found = candidates()
     reason: FirmwareError | None = None

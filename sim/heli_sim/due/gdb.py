@@ -44,24 +44,12 @@ _MEMORY = (
 
 
 def packet(text: str) -> bytes:
-    """Frame a reply: ``$text#checksum``.
-
-    Parameters
-    ----------
-    text
-        Without ``$`` and ``#``.
-    """
+    """Frame a reply, ``$text#checksum``, around `text` without ``$`` and ``#``."""
     return f"${text}#{sum(text.encode('latin-1')) & 0xFF:02x}".encode("latin-1")
 
 
 class GdbServer:
-    """Answers one debugger.
-
-    Parameters
-    ----------
-    due
-        The board, powered on.
-    """
+    """Answers one debugger of a board, `due`, that is powered on."""
 
     def __init__(self, due: Due, image: Image) -> None:
         self._due = due
@@ -70,17 +58,8 @@ class GdbServer:
         self._last_stop = _SIGTRAP
 
     def serve(self, port: int) -> None:
-        """Wait for a debugger on a TCP port and answer it until it leaves.
-
-        Parameters
-        ----------
-        port
-            On localhost.
-
-        Raises
-        ------
-        GdbError
-            The port cannot be opened.
+        """Wait for a debugger on a TCP `port` of localhost and answer it until it leaves; a GdbError when it
+        cannot be opened.
         """
         try:
             listener = socket.create_server(("127.0.0.1", port))
@@ -124,13 +103,7 @@ class GdbServer:
             connection.sendall(packet(self.answer(text)))
 
     def answer(self, text: str) -> str:
-        """The reply to one packet; empty for one that is not supported.
-
-        Parameters
-        ----------
-        text
-            The packet's content.
-        """
+        """The reply to the `text` of one packet; empty for one that is not supported."""
         kind, rest = text[:1], text[1:]
         simple: dict[str, Callable[[str], str]] = {
             "?": lambda _: self._last_stop,

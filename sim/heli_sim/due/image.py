@@ -53,18 +53,7 @@ class Image:
     symbols: tuple[Symbol, ...]
 
     def address(self, name: str) -> int:
-        """Address of a symbol.
-
-        Parameters
-        ----------
-        name
-            As in the ELF, mangled.
-
-        Raises
-        ------
-        ImageError
-            No symbol has that name.
-        """
+        """Address of a symbol by its `name` in the ELF, mangled; an ImageError when there is none."""
         for symbol in self.symbols:
             if symbol.name == name:
                 return symbol.address
@@ -111,17 +100,8 @@ def _read_segments(path: Path, elf_file: Any) -> Image:
 
 
 def read_image(path: Path | str) -> Image:
-    """Read a program.
-
-    Parameters
-    ----------
-    path
-        An ELF, or the bytes of the flash from 0x80000 on (``.bin``).
-
-    Raises
-    ------
-    ImageError
-        The file is missing, no ELF for ARM, or does not lie in the Due's flash.
+    """Read a program at `path`: an ELF, or the bytes of the flash from 0x80000 on (``.bin``). An ImageError
+    when it is missing, no ELF for ARM, or does not lie in the Due's flash.
     """
     path = Path(path)
     try:

@@ -18,14 +18,8 @@ _FAULT_BITS = {
 
 
 def new_due(image: Image | None = None, *, strict: bool = True) -> Due:
-    """An emulated board, powered off.
-
-    Parameters
-    ----------
-    image
-        Program to load into the flash; None leaves it erased.
-    strict
-        False: what the chip does not promise to take is a warning instead of a stop.
+    """An emulated board, powered off, with the program `image` in its flash, which None leaves erased. Unless
+    `strict`, what the chip does not promise to take is a warning instead of a stop.
     """
     from heli_sim.due._due import Due
 
@@ -37,13 +31,7 @@ def new_due(image: Image | None = None, *, strict: bool = True) -> Due:
 
 
 def load_image(due: Due, image: Image) -> None:
-    """Load a program into the flash, with the names of its functions.
-
-    Parameters
-    ----------
-    due
-        The board.
-    """
+    """Load a program into the flash of a board, `due`, with the names of its functions."""
     for address, data in image.segments:
         due.load(address, data)
     for symbol in image.symbols:
@@ -91,13 +79,7 @@ class Report:
 
 
 def report_of(due: Due) -> Report:
-    """What the processor looks like now.
-
-    Parameters
-    ----------
-    due
-        The board.
-    """
+    """What the processor of a board, `due`, looks like now."""
     return Report(
         registers=tuple(due.reg(i) for i in range(16)),
         xpsr=due.xpsr,

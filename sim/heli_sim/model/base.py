@@ -84,7 +84,8 @@ class Model(ABC):
 
     @abstractmethod
     def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
-        """Angular acceleration under given thrust and torque.
+        """Angular acceleration of elevation, pitch and travel [rad/s2], shape (3, 1), under given thrust and
+        torque.
 
         A locked axis (`Operands.locked`) has none, and the lock gives whatever torque that takes: where axes
         are coupled, the others accelerate otherwise than they would with that axis free.
@@ -96,11 +97,6 @@ class Model(ABC):
         torque_Nm : casadi.SX
             Friction and other torques about the elevation, pitch and travel axes, shape (3, 1); gravity and
             thrust are the model's own business.
-
-        Returns
-        -------
-        casadi.SX
-            Acceleration of elevation, pitch and travel in rad/s2, shape (3, 1).
         """
 
     def operands(
@@ -120,11 +116,6 @@ class Model(ABC):
             Time since the flight's first sample; 0 where it is not given.
         locked : casadi.SX, optional
             1 for each axis that is locked, shape (3, 1); none where it is not given.
-
-        Returns
-        -------
-        Operands
-            The same expressions by name.
         """
         return Operands(
             {state.name: x[i] for i, state in enumerate(self.states)},
@@ -137,25 +128,8 @@ class Model(ABC):
     def dynamics(
         self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None, locked: ca.SX | None = None
     ) -> ca.SX:
-        """Time derivative of the state.
-
-        Parameters
-        ----------
-        x : casadi.SX
-            State, in the order of `states`.
-        u : casadi.SX
-            Voltages that act, in the order of `inputs`.
-        p : casadi.SX
-            Parameters, in the order of `parameters`.
-        time_s : casadi.SX, optional
-            Time since the flight's first sample; 0 where it is not given.
-        locked : casadi.SX, optional
-            1 for each axis that is locked, shape (3, 1); none where it is not given.
-
-        Returns
-        -------
-        casadi.SX
-            Rate of each state in its unit per second. A locked axis does not accelerate.
+        """Rate of each state in its unit per second, of `x`, `u`, `p`, `time_s` and `locked` as in
+        `operands`; `u` are the voltages that act. A locked axis does not accelerate.
         """
         at = self._with_modified_parameters(self.operands(x, u, p, time_s, locked))
         for effect in self.effects:
@@ -187,29 +161,16 @@ class Model(ABC):
         return acceleration + mobility @ sum(friction, ca.SX.zeros(3))
 
     def reset_map(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> ca.SX:
-        """Reset the state after each step of an integration, for effects that no rate describes.
-
-        Parameters
-        ----------
-        x : casadi.SX
-            State after the step, in the order of `states`.
-        u : casadi.SX
-            Voltages that act, in the order of `inputs`.
-        p : casadi.SX
-            Parameters, in the order of `parameters`.
-        time_s : casadi.SX, optional
-            Time after the step since the flight's first sample; 0 where it is not given.
-
-        Returns
-        -------
-        casadi.SX
-            State to go on from; `x` itself where no effect resets any.
+        """Reset the state after each step of an integration, for effects that no rate describes; `x` itself
+        where no effect resets any. State `x` and time `time_s` are those after the step, `u` and `p` as in
+        `operands`.
         """
         at = self._with_modified_parameters(self.operands(x, u, p, time_s))
         return ca.vertcat(x[:6], *(effect.reset_map(at) for effect in self.effects if effect.states))
 
     def diffusion(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX, step_s: float, normal: ca.SX) -> ca.SX:
-        """Increment of the state by the effects' driving noise in one step of a simulation.
+        """Increment of the state by the effects' driving noise in one step of a simulation, in the order of
+        `states`.
 
         Parameters
         ----------
@@ -225,11 +186,6 @@ class Model(ABC):
             Length of the step.
         normal : casadi.SX
             Independent random numbers with mean 0 and variance 1, shape (noise_inputs, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Increment, in the order of `states`.
         """
         at = self._with_modified_parameters(self.operands(x, u, p, time_s))
         increments, used = [ca.SX.zeros(6)], 0
@@ -250,23 +206,8 @@ class Model(ABC):
         return at
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> ca.SX:
-        """Angles that encoders without quantisation would measure: those of the state, zero offsets, effects.
-
-        Parameters
-        ----------
-        x : casadi.SX
-            State, in the order of `states`.
-        u : casadi.SX
-            Voltages that act, in the order of `inputs`.
-        p : casadi.SX
-            Parameters, in the order of `parameters`.
-        time_s : casadi.SX, optional
-            Time since the flight's first sample; 0 where it is not given.
-
-        Returns
-        -------
-        casadi.SX
-            Elevation, pitch and travel in rad, shape (3, 1).
+        """Elevation, pitch and travel [rad], shape (3, 1), that encoders without quantisation would measure:
+        the angles of the state, zero offsets, effects; of `x`, `u`, `p` and `time_s` as in `operands`.
         """
         at = self._with_modified_parameters(self.operands(x, u, p, time_s))
         offsets_deg = ca.vertcat(at.parameter["offset_elevation"], at.parameter["offset_pitch"], 0)
@@ -276,17 +217,8 @@ class Model(ABC):
         return angles
 
     def parameter_values(self, rig: Rig) -> npt.NDArray[np.float64]:
-        """Numbers for the symbols of `parameters`.
-
-        Parameters
-        ----------
-        rig : Rig
-            Gives the values of its own names; effects give theirs.
-
-        Returns
-        -------
-        numpy.ndarray
-            Values in the units of `parameters`, shape (len(parameters),).
+        """Numbers for the symbols of `parameters`, in their units, shape (len(parameters),): those of the
+        `rig` and of the effects.
         """
         own = {name: value for effect in self.effects for name, value in effect.values.items()}
         return np.array([rig[q.name].value if q.name in rig else own[q.name] for q in self.parameters])

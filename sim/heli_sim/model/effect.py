@@ -114,78 +114,35 @@ class Effect:
         return self.name.rpartition(".")[2]
 
     def own(self, at: Operands, what: str) -> ca.SX:
-        """Look up a parameter or a state of the effect.
-
-        Parameters
-        ----------
-        what : str
-            Its name after the prefix, such as ``share`` of ``thrust_step_front_share``.
-
-        Returns
-        -------
-        casadi.SX
-            Scalar, in its own unit.
+        """Look up a parameter or a state of the effect, in its own unit; `what` is its name after the prefix,
+        such as ``share`` of ``thrust_step_front_share``.
         """
         name = f"{self.prefix}_{what}"
         return at.parameter[name] if name in at.parameter else at.state[name]
 
     def modified_parameters(self, at: Operands) -> Mapping[str, ca.SX]:
-        """Numbers of the rig as the effect modifies them, before anything is computed with them.
-
-        Returns
-        -------
-        Mapping[str, casadi.SX]
-            New values by name.
-        """
+        """Numbers of the rig by name, as the effect modifies them before anything is computed with them."""
         return {}
 
     def voltage_V(self, at: Operands, volts_V: ca.SX) -> ca.SX:
-        """Change the voltages before the thrust curve.
-
-        Parameters
-        ----------
-        volts_V : casadi.SX
-            Voltages of the front and the back motor before this effect, shape (2, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Voltages with this effect, shape (2, 1).
+        """Change the voltages `volts_V` of the front and the back motor, shape (2, 1), before the thrust
+        curve.
         """
         return volts_V
 
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        """Change the thrust.
-
-        Parameters
-        ----------
-        thrust_N : casadi.SX
-            Thrust of the front and the back rotor before this effect, shape (2, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Thrust with this effect, shape (2, 1).
-        """
+        """Change the thrust `thrust_N` of the front and the back rotor, shape (2, 1)."""
         return thrust_N
 
     def torque_Nm(self, at: Operands) -> ca.SX:
-        """Add a torque.
-
-        Parameters
-        ----------
-        at : Operands
-            Present state, voltages and parameters, and the final thrust.
-
-        Returns
-        -------
-        casadi.SX
-            Torque about the elevation, pitch and travel axes, shape (3, 1).
+        """Add a torque about the elevation, pitch and travel axes, shape (3, 1); `at` holds the present
+        state, voltages and parameters, and the final thrust.
         """
         return ca.SX.zeros(3)
 
     def friction_Nm(self, at: Operands, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
-        """Add a torque that depends on the acceleration without it, as dry friction does at standstill.
+        """Add a torque, shape (3, 1), that depends on the acceleration without it, as dry friction does at
+        standstill.
 
         Parameters
         ----------
@@ -195,11 +152,6 @@ class Effect:
             Acceleration of elevation, pitch and travel without any such torque, shape (3, 1).
         inertia_kg_m2 : casadi.SX
             Torque about each axis over the acceleration that it gives that axis, shape (3, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Torque about the elevation, pitch and travel axes, shape (3, 1).
         """
         return ca.SX.zeros(3)
 
@@ -209,72 +161,35 @@ class Effect:
         return type(self).friction_Nm is not Effect.friction_Nm
 
     def energy_J(self, at: Operands) -> ca.SX:
-        """Potential energy of a torque that has one, such as a spring's.
-
-        Returns
-        -------
-        casadi.SX
-            Energy in J.
-        """
+        """Potential energy of a torque that has one, such as a spring's."""
         return ca.SX(0)
 
     def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
-        """Change what the encoders see.
-
-        Parameters
-        ----------
-        angles_rad : casadi.SX
-            Elevation, pitch and travel before this effect, shape (3, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Angles with this effect, shape (3, 1).
+        """Change the angles `angles_rad` of elevation, pitch and travel, shape (3, 1), that the
+        encoders see.
         """
         return angles_rad
 
     def state_rates(self, at: Operands) -> ca.SX:
-        """Time derivatives of the effect's own states.
-
-        Returns
-        -------
-        casadi.SX
-            One rate for each of `states`, in its unit per second.
-        """
+        """Time derivatives of the effect's own states: one for each of `states`, in its unit per second."""
         return ca.SX.zeros(len(self.states))
 
     def alternative_starts(self, parameters: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
-        """Other initial states from which a prediction may have to start, where the angles leave them open.
-
-        Parameters
-        ----------
-        parameters : Mapping[str, float]
-            Values of all parameters of the model.
-
-        Returns
-        -------
-        tuple of Mapping[str, float]
-            For each, offsets of states from what the measured angles suggest, by name.
+        """Other initial states from which a prediction may have to start, where the angles leave them open:
+        for each, offsets of states by name from what the measured angles suggest, by the values of all
+        `parameters` of the model.
         """
         return ()
 
     def reset_map(self, at: Operands) -> ca.SX:
-        """Reset own states after a step of whatever length, for what no rate describes, such as backlash.
-
-        Parameters
-        ----------
-        at : Operands
-            State after the step, voltages and parameters.
-
-        Returns
-        -------
-        casadi.SX
-            Own states, in the order of `states`.
+        """Reset own states, in the order of `states`, after a step of whatever length, for what no rate
+        describes, such as backlash; `at` holds the state after the step, voltages and parameters.
         """
         return ca.vertcat(*(at.state[state.name] for state in self.states))
 
     def diffusion(self, at: Operands, step_s: float, normal: ca.SX) -> ca.SX:
-        """Increment of own states by their driving noise in one step of a simulation; a fit leaves it out.
+        """Increment of own states, in the order of `states`, by their driving noise in one step of a
+        simulation; a fit leaves it out.
 
         Parameters
         ----------
@@ -284,10 +199,5 @@ class Effect:
             Length of the step.
         normal : casadi.SX
             Independent random numbers with mean 0 and variance 1, shape (noise_inputs, 1).
-
-        Returns
-        -------
-        casadi.SX
-            Increment of own states, in the order of `states`.
         """
         return ca.SX.zeros(len(self.states))

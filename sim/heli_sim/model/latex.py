@@ -44,13 +44,7 @@ _LEAST_OPERATIONS: Final = 2
 
 @dataclass(frozen=True)
 class Equation:
-    """One line: left = right.
-
-    Parameters
-    ----------
-    left, right : str
-        LaTeX without dollar signs.
-    """
+    """One line, `left` = `right`, in LaTeX without dollar signs."""
 
     left: str
     right: str
@@ -62,17 +56,8 @@ class Equation:
 
 
 def symbol(name: str) -> str:
-    """Spell the name of a state, a parameter or an input.
-
-    Parameters
-    ----------
-    name : str
-        As in `Model.states`, `Model.parameters` or `Model.inputs`.
-
-    Returns
-    -------
-    str
-        The paper's letter where it has one, else the name upright.
+    """Spell the `name` of a state, a parameter or an input of a `Model`: the paper's letter where it has one,
+    else upright.
     """
     if name in _NAMES:
         return _NAMES[name]
@@ -82,20 +67,16 @@ def symbol(name: str) -> str:
 
 
 def equations(model: Model) -> list[Equation]:
-    """Write a model's equations of motion.
+    """Write a model's equations of motion, in an order in which every name is known before it is used. F_f
+    and F_b are the thrusts, f friction, D constant torques. A multibody model is written with its mass matrix
+    M, potential energy U and generalised forces Q; Coriolis and centrifugal forces c follow from M by the
+    rule in its first line. Dry friction goes by the acceleration without it, with the index 0, and the
+    inertia J of the axis.
 
     Parameters
     ----------
     model : Model
         The model; its effects follow its own equations.
-
-    Returns
-    -------
-    list of Equation
-        In an order in which every name is known before it is used. F_f and F_b are the thrusts, f friction,
-        D constant torques. A multibody model is written with its mass matrix M, potential energy U and
-        generalised forces Q; Coriolis and centrifugal forces c follow from M by the rule in its first line.
-        Dry friction goes by the acceleration without it, with the index 0, and the inertia J of the axis.
 
     Raises
     ------

@@ -26,14 +26,8 @@ _ITERATIONS: Final = 50
 
 @dataclass(frozen=True)
 class Trim:
-    """A state that stays as it is.
-
-    Parameters
-    ----------
-    state : ndarray (n,)
-        In the order of the model's states.
-    volts_V : ndarray (2,)
-        Front and back.
+    """A state that stays as it is: `state` in the order of the model's, shape (n,), and `volts_V`, front and
+    back, shape (2,).
     """
 
     state: Floats
@@ -64,17 +58,8 @@ class Derivatives:
 
 @functools.lru_cache(maxsize=32)
 def derivative_function(model: Model) -> ca.Function:
-    """Exact Jacobians of a model, by differentiation of its symbols.
-
-    Parameters
-    ----------
-    model : Model
-        The model; the function is made once for each.
-
-    Returns
-    -------
-    casadi.Function
-        ``derivatives(x, u, p) -> (f, A, B, P, C, D)`` as in `Derivatives`.
+    """Exact Jacobians ``derivatives(x, u, p) -> (f, A, B, P, C, D)`` of a model, as in `Derivatives`, by
+    differentiation of its symbols; the function is made once for each.
     """
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
     p = ca.SX.sym("p", len(model.parameters))
@@ -99,22 +84,9 @@ def derivatives(model: Model, rig: Rig, state: npt.ArrayLike, volts_V: npt.Array
 
 
 def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
-    """Find the voltages and the pitch that hold an elevation, by Newton's method on the exact Jacobians.
-
-    Parameters
-    ----------
-    elevation_rad : float
-        Elevation to hold, rad.
-
-    Returns
-    -------
-    Trim
-        With every rate zero and travel at 0.
-
-    Raises
-    ------
-    PlantError
-        When no voltage holds it, as when a counterweight is so heavy that the arm rises by itself.
+    """Find the voltages and the pitch that hold `elevation_rad` with every rate zero and travel at 0, by
+    Newton's method on the exact Jacobians. A PlantError when no voltage holds it, as when a counterweight is
+    so heavy that the arm rises by itself.
     """
     count = len(model.states)
     # Unknown: pitch, the states of effects, both voltages. Known to be zero: travel and the three rates.
@@ -145,23 +117,9 @@ def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
 
 
 def linearise(model: Model, rig: Rig, at: Trim | None = None) -> control.StateSpace:
-    """Linearise about a trim; derivatives are exact.
-
-    Parameters
-    ----------
-    at : Trim, optional
-        Where; hovering at level by default.
-
-    Returns
-    -------
-    control.StateSpace
-        Deviations from the trim: states of the model, inputs front_V and back_V, outputs the three angles
-        that the encoders see, all by name.
-
-    Raises
-    ------
-    PlantError
-        When the rig cannot hover.
+    """Linearise about a trim `at`, hovering at level by default, with exact derivatives, in deviations from
+    it: states of the model, inputs front_V and back_V, outputs the three angles that the encoders see, all by
+    name. A PlantError when the rig cannot hover.
     """
     import control
 

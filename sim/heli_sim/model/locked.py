@@ -13,12 +13,8 @@ from heli_sim.rig import Rig
 
 
 class Locked(Model):
-    """A model with locked axes: they do not accelerate, and the others feel the reactions of the locks.
-
-    Parameters
-    ----------
-    locked : tuple of bool
-        Which of elevation, pitch and travel are locked.
+    """A model with axes locked, `locked` saying which of elevation, pitch and travel: they do not accelerate,
+    and the others feel the reactions of the locks.
     """
 
     def __init__(self, model: Model, locked: tuple[bool, bool, bool]) -> None:

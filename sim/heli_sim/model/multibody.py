@@ -48,13 +48,7 @@ class _LongArm:
 
 
 class MultibodyModel(Model):
-    """Full Lagrangian of the point masses of Table 2.
-
-    Parameters
-    ----------
-    effects : tuple of Effect
-        Effects on top of the model, applied in this order.
-    """
+    """Full Lagrangian of the point masses of Table 2, and on top of it `effects`, applied in this order."""
 
     name = "multibody"
     rig_parameters = ("M_f", "M_b", "M_w", "M_h", "M_l", "L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x", "g")
@@ -72,39 +66,22 @@ class MultibodyModel(Model):
         return _solve(*_with_locks(inertia, force + torque_Nm, at.locked))
 
     def inertia_kg_m2(self, at: Operands) -> ca.SX:
-        """Mass matrix M(q) at the present angles.
-
-        Returns
-        -------
-        casadi.SX
-            Symmetric, shape (3, 3), in the order elevation, pitch, travel.
+        """Mass matrix M(q) at the present angles: symmetric, shape (3, 3), in the order elevation, pitch,
+        travel.
         """
         return self._inertia_kg_m2(at, _angles(at))
 
     def energy_J(self, at: Operands) -> ca.SX:
-        """Kinetic and potential energy, effects' included; zero at rest with every mass at the axes' height.
-
-        Returns
-        -------
-        casadi.SX
-            Energy in J.
+        """Kinetic and potential energy, effects' included; zero at rest with every mass at the
+        axes' height.
         """
         rates = _rates(at)
         potential_J = self._potential_J(at, _angles(at)) + sum(e.energy_J(at) for e in self.effects)
         return 0.5 * rates.T @ self.inertia_kg_m2(at) @ rates + potential_J
 
     def thrust_torque_Nm(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        """Generalised forces of the thrusts at the present angles.
-
-        Parameters
-        ----------
-        thrust_N : casadi.SX
-            Thrust of the front and the back rotor, shape (2, 1).
-
-        Returns
-        -------
-        casadi.SX
-            About elevation, pitch and travel in N m, shape (3, 1).
+        """Generalised forces of the rotors' `thrust_N`, front and back, shape (2, 1), at the present angles,
+        about elevation, pitch and travel, shape (3, 1).
         """
         return self._thrust_Nm(at, _angles(at), thrust_N)
 

@@ -20,18 +20,7 @@ MODELS: Final[Mapping[str, type[Model]]] = MappingProxyType(
 
 
 def model_named(name: str, effects: tuple[Effect, ...] = ()) -> Model:
-    """Make a model.
-
-    Parameters
-    ----------
-    name : str
-        A key of `MODELS`.
-
-    Raises
-    ------
-    PlantError
-        When there is no such model.
-    """
+    """Make the model `name`, a key of `MODELS`; a PlantError when there is no such one."""
     if name not in MODELS:
         close = difflib.get_close_matches(name, MODELS, n=1)
         hint = f"did you mean {close[0]}? " if close else ""

@@ -24,12 +24,8 @@ from heli_sim.model.base import Model, Operands
 
 
 class PaperModel(Model):
-    """The paper's model: three uncoupled inertias, gravity, thrust, viscous friction, drag on travel.
-
-    Parameters
-    ----------
-    effects : tuple of Effect
-        Effects on top of the model, applied in this order.
+    """The paper's model: three uncoupled inertias, gravity, thrust, viscous friction, drag on travel; on top
+    of it `effects`, applied in this order.
     """
 
     name = "paper"
@@ -39,17 +35,8 @@ class PaperModel(Model):
     )
 
     def inertia_kg_m2(self, at: Operands) -> ca.SX:
-        """J_theta (27), J_phi (28) and J_psi (29) at level.
-
-        Parameters
-        ----------
-        at : Operands
-            Gives the rig's numbers.
-
-        Returns
-        -------
-        casadi.SX
-            Inertia about the elevation, pitch and travel axes, shape (3, 1).
+        """J_theta (27), J_phi (28) and J_psi (29) at level, about the elevation, pitch and travel axes, shape
+        (3, 1).
         """
         p = at.parameter
         rotors = p["M_f"] + p["M_b"]

@@ -26,35 +26,18 @@ import casadi as ca
 from typing_extensions import override
 
 from heli_sim.model.base import Model, Operands
+from heli_sim.model.paper import PaperModel
 
 
 class PaperPrintedModel(Model):
-    """The paper's equations as printed.
-
-    Parameters
-    ----------
-    effects : tuple of Effect
-        Effects on top of the model, applied in this order.
-    """
+    """The paper's equations as printed, and on top of them `effects`, applied in this order."""
 
     name = "paper_printed"
-    rig_parameters = (
-        *("M_f", "M_b", "M_w", "M_h", "M_l", "L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x", "g"),
-        *("air_density", "drag_area_arm", "drag_area_body"),
-    )
+    rig_parameters = PaperModel.rig_parameters
 
     def inertia_kg_m2(self, at: Operands) -> ca.SX:
-        """J_theta (27), J_phi (28) and J_psi (29) at the present angles.
-
-        Parameters
-        ----------
-        at : Operands
-            Gives angles and the rig's numbers.
-
-        Returns
-        -------
-        casadi.SX
-            Inertia about the elevation, pitch and travel axes, shape (3, 1).
+        """J_theta (27), J_phi (28) and J_psi (29) at the present angles, about the elevation, pitch and
+        travel axes, shape (3, 1).
         """
         p = at.parameter
         elevation, pitch = at.state["elevation_rad"], at.state["pitch_rad"]

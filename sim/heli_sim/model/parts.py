@@ -21,7 +21,7 @@ _ABRUPT_s: Final = 0.01
 
 
 def thrust_N(volts_V: ca.SX, gain_N_per_V: ca.SX, dead_zone_V: ca.SX, reverse: ca.SX | float = 0.0) -> ca.SX:
-    """Thrust of rotors against voltage, F = k (V - V_0) above V_0 and none below (31).
+    """Thrust of rotors against voltage, shape of `volts_V`: F = k (V - V_0) above V_0 and none below (31).
 
     The paper fits the straight line above the dead zone only. Rotors that may be driven backwards push down
     with a share of it beyond the dead zone at negative voltage.
@@ -36,11 +36,6 @@ def thrust_N(volts_V: ca.SX, gain_N_per_V: ca.SX, dead_zone_V: ca.SX, reverse: c
         V_0, volts.
     reverse : casadi.SX or float
         Share of its thrust that a rotor gives at reversed voltage; 0 where the drivers do not reverse.
-
-    Returns
-    -------
-    casadi.SX
-        Thrust in N, shape of `volts_V`.
     """
     forward_V = ca.fmax(volts_V - dead_zone_V, 0.0)
     backward_V = ca.fmax(-volts_V - dead_zone_V, 0.0)
@@ -48,19 +43,9 @@ def thrust_N(volts_V: ca.SX, gain_N_per_V: ca.SX, dead_zone_V: ca.SX, reverse: c
 
 
 def friction_torque_Nm(rates_rad_s: ca.SX, parameter: Mapping[str, ca.SX]) -> ca.SX:
-    """Viscous friction of the three bearings, R = -f rate (12), (17), (21).
-
-    Parameters
-    ----------
-    rates_rad_s : casadi.SX
-        Rates of elevation, pitch and travel, shape (3, 1).
-    parameter : Mapping[str, casadi.SX]
-        Holds friction_elevation, friction_pitch and friction_travel in N m s/rad.
-
-    Returns
-    -------
-    casadi.SX
-        Torques in N m, shape (3, 1).
+    """Viscous friction of the three bearings, R = -f rate (12), (17), (21), shape (3, 1), by `rates_rad_s` of
+    elevation, pitch and travel, shape (3, 1), and the numbers in `parameter`: friction_elevation,
+    friction_pitch and friction_travel in N m s/rad.
     """
     coefficients = ca.vertcat(
         parameter["friction_elevation"], parameter["friction_pitch"], parameter["friction_travel"]
@@ -69,21 +54,10 @@ def friction_torque_Nm(rates_rad_s: ca.SX, parameter: Mapping[str, ca.SX]) -> ca
 
 
 def rotor_climb_m_s(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -> ca.SX:
-    """Speed of each rotor along its thrust axis, positive when it climbs.
+    """Speed of the front and the back rotor along its thrust axis, shape (2, 1), positive when it climbs, by
+    angles and rates in `state` and the numbers in `parameter`: L_a, L_h and L_theta in m.
 
     By virtual work: thrust times climb is the power that the thrust gives to the axes.
-
-    Parameters
-    ----------
-    state : Mapping[str, casadi.SX]
-        Angles and rates of the rig.
-    parameter : Mapping[str, casadi.SX]
-        Holds L_a, L_h and L_theta in m.
-
-    Returns
-    -------
-    casadi.SX
-        Front and back, m/s, shape (2, 1).
     """
     c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
     c_pitch, s_pitch = ca.cos(state["pitch_rad"]), ca.sin(state["pitch_rad"])
@@ -97,19 +71,8 @@ def rotor_climb_m_s(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) 
 
 
 def rotor_height_m(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -> ca.SX:
-    """Height of each rotor's centre above the elevation axis.
-
-    Parameters
-    ----------
-    state : Mapping[str, casadi.SX]
-        Angles of the rig.
-    parameter : Mapping[str, casadi.SX]
-        Holds L_a, L_h and L_theta in m.
-
-    Returns
-    -------
-    casadi.SX
-        Front and back, m, shape (2, 1).
+    """Height of the front and the back rotor's centre above the elevation axis, shape (2, 1), by the angles
+    in `state` and the numbers in `parameter`: L_a, L_h and L_theta in m.
     """
     c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
     middle = parameter["L_a"] * s - parameter["L_theta"] * c
@@ -118,36 +81,14 @@ def rotor_height_m(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -
 
 
 def since(time_s: ca.SX, moment_s: ca.SX) -> ca.SX:
-    """Unit step at a moment, smoothed over some 20 ms so that it has a derivative to the moment.
-
-    Parameters
-    ----------
-    time_s : casadi.SX
-        Time, s.
-    moment_s : casadi.SX
-        When it happens, s.
-
-    Returns
-    -------
-    casadi.SX
-        0 before, 1 after.
+    """Unit step at `moment_s` [s] of the time `time_s` [s], 0 before and 1 after, smoothed over some 20 ms so
+    that it has a derivative to the moment.
     """
     return 0.5 * (1 + ca.tanh((time_s - moment_s) / _ABRUPT_s))
 
 
 def on_axis(axis: str, value: ca.SX) -> ca.SX:
-    """Put a scalar at an axis' place.
-
-    Parameters
-    ----------
-    axis : str
-        elevation, pitch or travel.
-    value : casadi.SX
-        Scalar.
-
-    Returns
-    -------
-    casadi.SX
-        It, and 0 at the other two axes; shape (3, 1).
+    """Put a scalar `value` at the place of an `axis`, elevation, pitch or travel, shape (3, 1), 0 at the
+    other two.
     """
     return ca.vertcat(*(value if axis == one else ca.SX(0) for one in AXES))

@@ -14,14 +14,8 @@ _SAME = 1e-6
 
 @dataclass(frozen=True)
 class Difference:
-    """A number of two rigs.
-
-    Parameters
-    ----------
-    name : str
-        Its name; of an effect's number, ``effect.name``.
-    left, right : Number or None
-        In either rig; None where one does not have it.
+    """A number of two rigs: its `name`, or ``effect.name`` for an effect's; None in `left` or `right` where
+    that rig does not have it.
     """
 
     name: str
@@ -52,12 +46,8 @@ class Difference:
 
 
 def compare_rigs(left: Rig, right: Rig) -> list[Difference]:
-    """Compare two rigs, number by number.
-
-    Returns
-    -------
-    list of Difference
-        Every number of either, the largest difference in tolerances first, then in the rigs' order.
+    """Compare two rigs by every number of either, the largest difference in tolerances first, then in the
+    rigs' order.
     """
     sides = dict(_numbers(left)), dict(_numbers(right))
     names = dict.fromkeys([*sides[0], *sides[1]])

@@ -16,17 +16,12 @@ STATED_INERTIAS: Final[tuple[Quantity, ...]] = (
 
 
 def inertias_kg_m2(values: Mapping[str, float]) -> dict[str, float]:
-    """Moments of inertia of the point masses at level, elevation and pitch 0.
+    """Moments of inertia J_theta, J_phi and J_psi of the point masses at level, elevation and pitch 0.
 
     Parameters
     ----------
     values : Mapping of str to float
         Masses (kg) and lengths (m) by their names in a rig file.
-
-    Returns
-    -------
-    dict of str to float
-        J_theta, J_phi and J_psi, kg m2.
     """
     v = values
     rotors, short = v["M_f"] + v["M_b"], v["M_f"] + v["M_b"] + v["M_h"]
@@ -39,7 +34,9 @@ def inertias_kg_m2(values: Mapping[str, float]) -> dict[str, float]:
 def inertia_range_kg_m2(
     values: Mapping[str, float], tolerances: Mapping[str, float]
 ) -> dict[str, tuple[float, float]]:
-    """Least and greatest inertia of all arrangements within the tolerances.
+    """Least and greatest J_theta, J_phi and J_psi of all arrangements within the tolerances. Every inertia
+    grows with every mass and with the size of every length, so the ends are reached where all are at their
+    ends.
 
     Parameters
     ----------
@@ -47,12 +44,6 @@ def inertia_range_kg_m2(
         As for `inertias_kg_m2`.
     tolerances : Mapping of str to float
         Half width for each.
-
-    Returns
-    -------
-    dict of str to (float, float)
-        For J_theta, J_phi and J_psi, kg m2. Every inertia grows with every mass and with the size of every
-        length, so the ends are reached where all are at their ends.
     """
     names = [name for name in values if name.startswith(("M_", "L_"))]
     least = inertias_kg_m2({name: max(abs(values[name]) - tolerances[name], 0.0) for name in names})

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
+
+from heli_host.files import TOML_BYTES, parse_toml, read_file
 
 from heli_sim.errors import RigError
 from heli_sim.rig.inertia import STATED_INERTIAS, inertia_range_kg_m2
@@ -112,17 +113,8 @@ class Rig(Mapping[str, Number]):
 
     @staticmethod
     def may_be_negative(name: str) -> bool:
-        """Tell whether a number may be below 0.
-
-        Parameters
-        ----------
-        name : str
-            Name of the number.
-
-        Returns
-        -------
-        bool
-            False for masses, distances, gains and everything else of which there cannot be less than none.
+        """Tell whether the number `name` may be below 0; not so masses, distances, gains and everything else
+        of which there cannot be less than none.
         """
         return name in _MAY_BE_NEGATIVE
 
@@ -148,13 +140,7 @@ class Rig(Mapping[str, Number]):
 
 
 def rig_names() -> list[str]:
-    """Names of the rigs that come with the package.
-
-    Returns
-    -------
-    list of str
-        Sorted names, each good for `load_rig`.
-    """
+    """Sorted names of the rigs that come with the package, each good for `load_rig`."""
     return sorted(path.stem for path in _FOLDER.glob("*.toml"))
 
 
@@ -175,13 +161,13 @@ def load_rig(name_or_path: str | Path) -> Rig:
     if str(name_or_path) not in rig_names():
         path = Path(name_or_path)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_file(path, TOML_BYTES).decode("utf-8")
     except (OSError, UnicodeDecodeError):
         known = ", ".join(rig_names())
         raise RigError(f"no rig '{name_or_path}'", f"give a TOML file or one of: {known}") from None
     try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        table = parse_toml(text)
+    except ValueError as error:
         raise RigError(f"rig file {path} is not TOML: {error}", "correct that line") from None
     return _rig_from_table(path, table)
 

@@ -12,18 +12,7 @@ _DIGITS = 7
 
 
 def rig_text(rig: Rig, comment: str = "") -> str:
-    """Spell a rig as TOML.
-
-    Parameters
-    ----------
-    comment : str
-        What to say above it.
-
-    Returns
-    -------
-    str
-        The file's content; numbers with seven digits.
-    """
+    """Spell a rig as TOML, numbers with seven digits, under a `comment`."""
     lines = [f"# {line}" for line in textwrap.wrap(comment, 108)]
     lines += [f"name = {_quoted(rig.name)}", f"description = {_quoted(rig.description)}"]
     if rig.model:
@@ -48,15 +37,7 @@ def _table(name: str, number: Number) -> list[str]:
 
 
 def write_rig(rig: Rig, path: str | Path, comment: str = "") -> None:
-    """Write a rig file.
-
-    Parameters
-    ----------
-    path : str or Path
-        File to write.
-    comment : str
-        What to say above it.
-    """
+    """Write a rig into the file at `path`, under a `comment`."""
     Path(path).write_text(rig_text(rig, comment), encoding="utf-8")
 
 

@@ -35,19 +35,8 @@ class ArmSupport:
         self._needed = float(after[3]) > 0.0
 
     def update(self, native: _native.World, ticks: int) -> int:
-        """Lock or free the elevation.
-
-        Parameters
-        ----------
-        native : _native.World
-            The world that the arm is in.
-        ticks : int
-            Milliseconds that are going to pass.
-
-        Returns
-        -------
-        int
-            Milliseconds after which to ask again: all of them, for a rig that needs no support.
+        """Lock or free the elevation of the arm in a world, `native`, that is going to pass `ticks`
+        milliseconds; return those after which to ask again: all of them, for a rig that needs no support.
         """
         if not self._needed or list(native.locked) != self._locked:
             return ticks

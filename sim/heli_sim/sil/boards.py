@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 # The two pages of the parameters, as in firmware/due/flash.hpp. A flash file has them first, and is as long
 # as the native board's flash, so that the two boards can take each other's.
-_PAGES_AT: Final = 0x000FFE00
-_PAGES_BYTES: Final = 512
-_FILE_BYTES: Final = 1024
+_PAGES_AT: Final = 0x000FFC00
+_PAGES_BYTES: Final = 1024
+_FILE_BYTES: Final = 2048
 
 
 @dataclass(frozen=True)
@@ -77,36 +77,21 @@ def choose(board: str, elf: str = "") -> Choice:
 
 
 def resolved(options: SilOptions) -> SilOptions:
-    """Options that name their board and its ELF.
-
-    Returns
-    -------
-    SilOptions
-        The same, with ``native`` or ``due``.
-
-    Raises
-    ------
-    DueError
-        As `choose`.
-    """
+    """Options that name their board, ``native`` or ``due``, and its ELF; raises as `choose` does."""
     choice = choose(options.board, options.elf)
     return replace(options, board=choice.name, elf=choice.elf)
 
 
 class NativeBoard:
-    """The flight code compiled for this machine.
-
-    Parameters
-    ----------
-    flash_file : str
-        File that keeps its flash pages; empty to forget them.
+    """The flight code compiled for this machine; its flash pages are kept in `flash_file`, or forgotten if it
+    is empty. Every start has a boot id of its own, from `boot_seed`.
     """
 
     stops: tuple[type[Exception], ...] = ()
     """What the board may raise while time passes."""
 
-    def __init__(self, flash_file: str) -> None:
-        self.sim = _native.NativeBoard(flash_file)
+    def __init__(self, flash_file: str, boot_seed: int = 1) -> None:
+        self.sim = _native.NativeBoard(flash_file, boot_seed=boot_seed)
 
     @property
     def bytes_lost(self) -> int:
@@ -126,6 +111,8 @@ class EmulatedDue:
         The flight code.
     flash_file : str
         File that keeps its parameter pages; empty to forget them.
+    boot_seed : int
+        Seed of the chip's random number generator, of which a boot id is made at every start.
 
     Raises
     ------
@@ -135,7 +122,7 @@ class EmulatedDue:
         When the flash file has another length.
     """
 
-    def __init__(self, elf: str, flash_file: str) -> None:
+    def __init__(self, elf: str, flash_file: str, boot_seed: int = 1) -> None:
         from heli_sim.due._due import Stop
         from heli_sim.due.firmware import new_board
         from heli_sim.due.image import read_image
@@ -143,6 +130,7 @@ class EmulatedDue:
         self.stops: tuple[type[Exception], ...] = (Stop,)
         """What the board may raise while time passes."""
         self.sim: DueBoard = new_board(read_image(elf))
+        self.sim.due.seed_random(boot_seed)
         self._file = Path(flash_file) if flash_file else None
         if self._file is not None and self._file.exists():
             kept = self._file.read_bytes()
@@ -172,24 +160,10 @@ class EmulatedDue:
 SimBoard = NativeBoard | EmulatedDue
 
 
-def make_board(options: SilOptions) -> SimBoard:
-    """Make the board of a simulation.
-
-    Parameters
-    ----------
-    options : SilOptions
-        Resolved, see `resolved`.
-
-    Returns
-    -------
-    SimBoard
-        Powered off.
-
-    Raises
-    ------
-    SimError
-        When the ELF or the flash file cannot be used.
+def make_board(options: SilOptions, boot_seed: int = 1) -> SimBoard:
+    """Make the board of a simulation by `resolved` options, powered off; a SimError when the ELF or the flash
+    file cannot be used. `boot_seed` (0 to 2^64 - 1) tells this power supply's boots from those of others.
     """
     if options.board == DUE:
-        return EmulatedDue(options.elf, options.flash_file)
-    return NativeBoard(options.flash_file)
+        return EmulatedDue(options.elf, options.flash_file, boot_seed)
+    return NativeBoard(options.flash_file, boot_seed)

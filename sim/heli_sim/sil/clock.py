@@ -21,50 +21,22 @@ class Clock(Protocol):
     """Whether bytes from the host let time go on, so that waiting for them is worth while."""
 
     def due(self, now_s: float, tick: int) -> int:
-        """Milliseconds to simulate now; 0 to wait.
-
-        Parameters
-        ----------
-        now_s : float
-            Any monotonic clock, s.
-        tick : int
-            Milliseconds simulated so far.
+        """Milliseconds to simulate at `now_s` of any monotonic clock, after `tick` simulated so far; 0 to
+        wait.
         """
         ...
 
     def wait_s(self, now_s: float, tick: int) -> float:
-        """Seconds until `due` is worth asking again.
-
-        Parameters
-        ----------
-        now_s : float
-            Any monotonic clock, s.
-        tick : int
-            Milliseconds simulated so far.
-        """
+        """Seconds until `due` is worth asking again, from `now_s` and `tick` as it takes them."""
         ...
 
     def heard(self, now_s: float, tick: int) -> None:
-        """Note that bytes came from the host.
-
-        Parameters
-        ----------
-        now_s : float
-            Any monotonic clock, s.
-        tick : int
-            Milliseconds simulated so far.
-        """
+        """Note that bytes came from the host at `now_s`, after `tick` milliseconds simulated."""
         ...
 
 
 class TimedClock(Clock):
-    """Real time, or a multiple of it, on an absolute schedule: what one slice is late, the next is not.
-
-    Parameters
-    ----------
-    speed : float
-        Simulated seconds a second.
-    """
+    """Real time, or `speed` times it, on an absolute schedule: what one slice is late, the next is not."""
 
     follows_host = False
 
@@ -141,16 +113,7 @@ class LockstepClock(Clock):
 
 
 def make_clock(speed: float | None) -> Clock:
-    """Clock for an option.
-
-    Parameters
-    ----------
-    speed : float or None
-        Simulated seconds a second; None is as fast as the host keeps up.
-
-    Returns
-    -------
-    Clock
-        A fresh pace; its schedule starts when it is first asked.
+    """A fresh pace of `speed` simulated seconds a second, or as fast as the host keeps up if None; its
+    schedule starts when it is first asked.
     """
     return LockstepClock() if speed is None else TimedClock(speed)

@@ -33,12 +33,8 @@ class Endpoint(Protocol):
         ...
 
     def send(self, data: bytes) -> None:
-        """Give bytes to the host; what does not fit is kept for later, or lost when the port is closed.
-
-        Parameters
-        ----------
-        data : bytes
-            Bytes for the host; may be empty to try again with what was kept.
+        """Give `data` to the host; what does not fit is kept for later, or lost when the port is closed.
+        Empty data tries again with what was kept.
         """
         ...
 

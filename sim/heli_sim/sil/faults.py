@@ -2,48 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from heli_sim.errors import OptionError
-
-_NEVER: Final = 1 << 62
-
-
-@dataclass(frozen=True)
-class Span:
-    """A stretch of simulated time.
-
-    Parameters
-    ----------
-    start_s : float
-        Beginning, seconds since the simulation started.
-    duration_s : float
-        Length, s.
-    """
-
-    start_s: float
-    duration_s: float
-
-    def __post_init__(self) -> None:
-        finite = math.isfinite(self.start_s) and math.isfinite(self.duration_s)
-        if not finite or self.start_s < 0.0 or self.duration_s <= 0.0:
-            raise OptionError(
-                f"'{self.start_s}:{self.duration_s}' is no stretch of time", "write start:length in seconds"
-            )
-
-    def edges(self) -> tuple[int, int]:
-        """First tick of the stretch, and first tick after it.
-
-        Returns
-        -------
-        tuple of int
-            Ticks, ms since the simulation started.
-        """
-        return round(1e3 * self.start_s), round(1e3 * (self.start_s + self.duration_s))
+from heli_sim.sil.spans import NEVER, Span, next_edge
 
 
 @dataclass(frozen=True)
@@ -82,50 +46,18 @@ class FaultPlan:
                 raise OptionError(f"{name}={value} is no probability", "give a number from 0 to 1")
 
     def next_edge(self, tick: int) -> int:
-        """First tick after `tick` at which a stall or an unplugging begins or ends.
-
-        Parameters
-        ----------
-        tick : int
-            Present tick.
-
-        Returns
-        -------
-        int
-            That tick; far away when there is none.
+        """First tick after `tick` at which a stall or an unplugging begins or ends; far away when there is
+        none.
         """
-        edges = (edge for span in (*self.stalls, *self.unplugs) for edge in span.edges())
-        return min((edge for edge in edges if edge > tick), default=_NEVER)
+        return next_edge((*self.stalls, *self.unplugs), tick)
 
     def stalled(self, tick: int) -> bool:
-        """Whether the host is stalled.
-
-        Parameters
-        ----------
-        tick : int
-            Present tick.
-
-        Returns
-        -------
-        bool
-            True inside one of `stalls`.
-        """
-        return _inside(self.stalls, tick)
+        """Whether the host is stalled at a `tick`, inside one of `stalls`."""
+        return any(span.holds(tick) for span in self.stalls)
 
     def unplugged(self, tick: int) -> bool:
-        """Whether the cable is out.
-
-        Parameters
-        ----------
-        tick : int
-            Present tick.
-
-        Returns
-        -------
-        bool
-            True inside one of `unplugs`.
-        """
-        return _inside(self.unplugs, tick)
+        """Whether the cable is out at a `tick`, inside one of `unplugs`."""
+        return any(span.holds(tick) for span in self.unplugs)
 
 
 @dataclass
@@ -151,14 +83,8 @@ class FaultCounters:
 
 
 class FaultyStream:
-    """One direction of a link with random faults.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the simulation.
-    direction : int
-        0 towards the board, 1 towards the host: the two see different faults.
+    """One direction of a link, 0 towards the board, 1 towards the host, with random faults of the `seed`,
+    different ones by `direction`.
     """
 
     def __init__(self, plan: FaultPlan, seed: int, direction: int) -> None:
@@ -169,18 +95,7 @@ class FaultyStream:
         self._clean = plan.flip == plan.drop == plan.double == 0.0
 
     def pass_through(self, data: bytes) -> bytes:
-        """Let bytes through, with the faults that are due.
-
-        Parameters
-        ----------
-        data : bytes
-            Bytes that enter.
-
-        Returns
-        -------
-        bytes
-            Bytes that come out.
-        """
+        """Let bytes, `data`, through, with the faults that are due."""
         self.counters.bytes_seen += len(data)
         if self._clean or not data:
             return data
@@ -212,7 +127,7 @@ class _Gaps:
 
     def _gap(self) -> int:
         if self._probability == 0.0:
-            return _NEVER
+            return NEVER
         return int(self._random.geometric(self._probability)) - 1
 
     def within(self, trials: int) -> list[int]:
@@ -223,7 +138,3 @@ class _Gaps:
             self._next += 1 + self._gap()
         self._next -= trials
         return hits
-
-
-def _inside(spans: tuple[Span, ...], tick: int) -> bool:
-    return any(first <= tick < last for first, last in (span.edges() for span in spans))

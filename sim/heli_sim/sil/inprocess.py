@@ -56,18 +56,13 @@ class InProcessTransport:
         self._start_s = time.monotonic() - (world.time_s / self._speed if self._speed else 0.0)
 
     def read(self, timeout_s: float) -> bytes:
-        """Let simulated time pass until bytes arrive.
+        """Let simulated time pass until bytes arrive; empty after `timeout_s`.
 
         Parameters
         ----------
         timeout_s : float
             Most simulated time to pass, s. At least a millisecond passes; up to slice_ms of the options pass
             even when bytes arrive earlier.
-
-        Returns
-        -------
-        bytes
-            What arrived; empty after `timeout_s`.
 
         Raises
         ------
@@ -87,39 +82,18 @@ class InProcessTransport:
         return received
 
     def write(self, data: bytes) -> None:
-        """Hand bytes to the line; they start to travel at the next `read`.
-
-        Parameters
-        ----------
-        data : bytes
-            Bytes for the board.
-
-        Raises
-        ------
-        LinkLost
-            When the transport is closed, or the plan of faults has the cable out.
+        """Hand `data` to the line; it starts to travel at the next `read`. LinkLost when the transport is
+        closed, or the plan of faults has the cable out.
         """
         self._check()
         self._written += data
 
     def now_s(self) -> float:
-        """Simulated time.
-
-        Returns
-        -------
-        float
-            Seconds since the simulation started.
-        """
+        """Seconds of simulated time since the simulation started."""
         return self.world.time_s
 
     def wall_ns(self) -> int:
-        """Date and time of the simulation.
-
-        Returns
-        -------
-        int
-            Nanoseconds since 1970, a fixed epoch plus simulated time.
-        """
+        """Date and time of the simulation in nanoseconds since 1970, a fixed epoch plus simulated time."""
         return EPOCH_ns + self.world.tick * 1_000_000
 
     def close(self) -> None:
@@ -127,17 +101,8 @@ class InProcessTransport:
         self._closed = True
 
     def reopen(self) -> InProcessTransport:
-        """Open the port of the same board again.
-
-        Returns
-        -------
-        InProcessTransport
-            Another transport; this one stays closed.
-
-        Raises
-        ------
-        PortError
-            When the plan of faults has the cable out; 0.1 s of simulated time passes.
+        """Open the port of the same board again by another transport; this one stays closed. A PortError when
+        the plan of faults has the cable out; 0.1 s of simulated time passes.
         """
         return InProcessTransport(self.world, self.url, self.label, self.note)
 

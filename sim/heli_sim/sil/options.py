@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 from urllib.parse import parse_qsl, urlsplit
 
 from heli_sim.errors import OptionError
-from heli_sim.sil.faults import FaultPlan, Span
+from heli_sim.sil.faults import FaultPlan
+from heli_sim.sil.rig_faults import RigFaults
+from heli_sim.sil.spans import During, Span
 
 _KEYS: Final = (
     *("board", "elf", "rig", "seed", "speed", "slice_ms", "flash", "reset_on_open"),
     *("process", "model", "effect", "effects"),
     *("flip", "drop", "double", "stall", "unplug"),
+    *("encoder_out", "stop_switch", "supply_out"),
 )
 
 NATIVE: Final = "native"
@@ -71,6 +75,7 @@ class SilOptions:
     elf: str = ""
     reset_on_open: bool | None = None
     faults: FaultPlan = field(default_factory=FaultPlan)
+    rig_faults: RigFaults = field(default_factory=RigFaults)
     model: str = ""
     effects: tuple[str, ...] = ()
     effect_files: tuple[str, ...] = ()
@@ -90,18 +95,16 @@ class SilOptions:
 
 
 def parse_url(url: str) -> SilOptions:
-    """Read the options of an address such as ``sil://?rig=makki2024&seed=1&speed=max&flip=1e-4&stall=5:0.5``.
+    """Read the options of an address such as ``sil://?rig=makki2024&seed=1&speed=max&flip=1e-4&stall=5:0.5``;
+    what it does not name has its default.
 
     Parameters
     ----------
     url : str
         The address. ``stall`` and ``unplug`` take start:length in seconds, several with commas between them;
-        ``effect`` takes effects, ``effects`` files of effects, several with semicolons between them.
-
-    Returns
-    -------
-    SilOptions
-        The options; what the address does not name has its default.
+        ``stop_switch`` and ``supply_out`` too, and ``encoder_out`` behind an axis, as in ``pitch:15``; these
+        last where the length is left out. ``effect`` takes effects, ``effects`` files of them, several with
+        semicolons between them.
 
     Raises
     ------
@@ -121,22 +124,8 @@ def parse_url(url: str) -> SilOptions:
 
 
 def parse_options(values: dict[str, str]) -> SilOptions:
-    """Read options from texts.
-
-    Parameters
-    ----------
-    values : dict of str
-        Texts by key, spelled as in a `sil://` address.
-
-    Returns
-    -------
-    SilOptions
-        The options; what is not named has its default.
-
-    Raises
-    ------
-    OptionError
-        When a key is unknown or a value cannot be read.
+    """Read options from `values`, texts by key as in a ``sil://`` address; what is not named has its default.
+    An OptionError when a key is unknown or a value cannot be read.
     """
     unknown = sorted(set(values) - set(_KEYS))
     if unknown:
@@ -164,6 +153,11 @@ def parse_options(values: dict[str, str]) -> SilOptions:
             stalls=_spans("stall", values.get("stall", "")),
             unplugs=_spans("unplug", values.get("unplug", "")),
         ),
+        rig_faults=RigFaults(
+            encoders_out=parse_encoders_out(values.get("encoder_out", "").split(",")),
+            stop_switch=parse_times("stop_switch", values.get("stop_switch", "").split(",")),
+            supply_out=parse_times("supply_out", values.get("supply_out", "").split(",")),
+        ),
     )
 
 
@@ -187,3 +181,56 @@ def _spans(key: str, text: str) -> tuple[Span, ...]:
         start, _, duration = part.partition(":")
         spans.append(Span(_number(key, start), _number(key, duration)))
     return tuple(spans)
+
+
+def parse_times(key: str, texts: Sequence[str]) -> tuple[During, ...]:
+    """Read stretches of time that may have no end.
+
+    Parameters
+    ----------
+    key : str
+        What they are for, for the error.
+    texts : sequence of str
+        ``start`` or ``start:length`` in seconds; empty ones are left out.
+
+    Returns
+    -------
+    tuple of During
+        The stretches.
+
+    Raises
+    ------
+    OptionError
+        When one cannot be read.
+    """
+    found = []
+    for text in filter(None, texts):
+        start, _, duration = text.partition(":")
+        found.append(During(_number(key, start), _number(key, duration) if duration else math.inf))
+    return tuple(found)
+
+
+def parse_encoders_out(texts: Sequence[str]) -> tuple[tuple[str, During], ...]:
+    """Read which encoders are unplugged, and when.
+
+    Parameters
+    ----------
+    texts : sequence of str
+        ``axis``, ``axis:start`` or ``axis:start:length``, in seconds; empty ones are left out.
+
+    Returns
+    -------
+    tuple of (str, During)
+        As `RigFaults` takes them.
+
+    Raises
+    ------
+    OptionError
+        When one cannot be read.
+    """
+    found = []
+    for text in filter(None, texts):
+        axis, _, times = text.partition(":")
+        (during,) = parse_times("encoder_out", [times or "0"])
+        found.append((axis, during))
+    return tuple(found)

@@ -11,23 +11,10 @@ from heli_sim.sil.options import SilOptions
 
 
 def plant_of(options: SilOptions) -> Plant:
-    """Put rig, model and effects together.
+    """Put rig, model and effects together to a plant, its chance drawn from the seed of the options; a
+    RigError, EffectError or PlantError when one is unknown, unreadable or has a value that it may not have.
 
     The rig's file may name the model whose numbers it holds, and effects; options come before both.
-
-    Returns
-    -------
-    Plant
-        The plant, its chance drawn from the seed of the options.
-
-    Raises
-    ------
-    RigError
-        When the rig cannot be read.
-    EffectError
-        When an effect is unknown or has a value that it may not have.
-    PlantError
-        When there is no such model.
     """
     rig = load_rig(options.rig)
     asked = parse_effects(options.effects, options.effect_files)

@@ -6,6 +6,8 @@ connection. DTR is low until the host raises it, and falls when the host goes.
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from typing import Any, cast
 
 import serial
@@ -17,12 +19,8 @@ from heli_sim.sil.tcp import TcpEndpoint
 
 
 class Lines:
-    """The serial port as pyserial's server sees it: settings that the 16U2 is told, and lines.
-
-    Parameters
-    ----------
-    changes : list of LineChange
-        Every change of DTR is appended here.
+    """The serial port as pyserial's server sees it: settings that the 16U2 is told, and lines; every change
+    of DTR is appended to `changes`.
     """
 
     def __init__(self, changes: list[LineChange]) -> None:
@@ -64,6 +62,8 @@ class Rfc2217Endpoint(TcpEndpoint):
         Address to listen on; ``127.0.0.1`` keeps it on this machine.
     port : int
         Port to listen on; 0 takes any free one.
+    now_s : callable returning float
+        Monotonic clock of the machine [s].
 
     Raises
     ------
@@ -73,10 +73,12 @@ class Rfc2217Endpoint(TcpEndpoint):
 
     scheme = "rfc2217"
 
-    def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
+    def __init__(
+        self, host: str = "127.0.0.1", port: int = 0, now_s: Callable[[], float] = time.monotonic
+    ) -> None:
         self._lines: Lines | None = None
         self._manager: rfc2217.PortManager | None = None
-        super().__init__(host, port)
+        super().__init__(host, port, now_s)
 
     @override
     @property
@@ -97,13 +99,7 @@ class Rfc2217Endpoint(TcpEndpoint):
         super().send(escaped)
 
     def write(self, data: bytes) -> None:
-        """Send what the protocol has to say, which is not for the board's escaping.
-
-        Parameters
-        ----------
-        data : bytes
-            As it goes over the connection.
-        """
+        """Send `data` that the protocol has to say as it is, not for the board's escaping."""
         super().send(data)
 
     @override

@@ -9,35 +9,32 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import secrets
 import select
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qsl
+from urllib.parse import parse_qsl, urlsplit
 
 from heli_sim.errors import OptionError, SimError
 from heli_sim.sil.clock import Clock, make_clock
 from heli_sim.sil.endpoint import Endpoint
 from heli_sim.sil.options import DUE, SilOptions, parse_options
 from heli_sim.sil.pty import PtyEndpoint
+from heli_sim.sil.rehearsal import Rehearsal
 from heli_sim.sil.rfc2217 import Rfc2217Endpoint
 from heli_sim.sil.tcp import TcpEndpoint
 from heli_sim.sil.world import SilWorld
 
 
 class SilServer:
-    """Moves bytes between a port and a world, and lets the world's time pass.
-
-    Parameters
-    ----------
-    clock : Clock
-        How fast simulated time may pass.
-    now_s : callable
-        Monotonic clock of the machine, s.
+    """Moves bytes between a port and a world, and lets the world's time pass by a `clock` and the machine's
+    monotonic one, `now_s`.
     """
 
     def __init__(
@@ -57,12 +54,8 @@ class SilServer:
         self._received = b""
 
     def turn(self) -> float:
-        """Move the bytes that are there and simulate what is due; never waits.
-
-        Returns
-        -------
-        float
-            Seconds until the next turn is worth while; 0 for at once.
+        """Move the bytes that are there and simulate what is due, without waiting; return the seconds until
+        the next turn is worth while, 0 for at once.
         """
         endpoint, world, now_s = self._endpoint, self._world, self._now_s()
         self._follow_cable()
@@ -85,12 +78,8 @@ class SilServer:
         return self._clock.wait_s(now_s, world.tick)
 
     def watched(self) -> list[int]:
-        """File descriptors whose bytes are worth waking up for.
-
-        Returns
-        -------
-        list of int
-            The port, where the clock follows the host; else none.
+        """File descriptors whose bytes are worth waking up for: the port, where the clock follows the host;
+        else none.
         """
         fd = self._endpoint.fileno()
         return [fd] if self._clock.follows_host and fd >= 0 else []
@@ -105,7 +94,13 @@ class SilServer:
                 self._received = b""
 
 
-def serve(endpoint: Endpoint, world: SilWorld, clock: Clock, stop_fd: int | None = None) -> None:
+def serve(
+    endpoint: Endpoint,
+    world: SilWorld,
+    clock: Clock,
+    stop_fd: int | None = None,
+    rehearsal: Rehearsal | None = None,
+) -> None:
     """Serve a world until told to stop.
 
     Parameters
@@ -114,15 +109,20 @@ def serve(endpoint: Endpoint, world: SilWorld, clock: Clock, stop_fd: int | None
         How fast simulated time may pass.
     stop_fd : int or None
         File descriptor; serving ends as soon as something can be read from it, or it is at its end.
+    rehearsal : Rehearsal or None
+        Where a person says what goes wrong on the rig.
     """
     server = SilServer(endpoint, world, clock)
     stops = [] if stop_fd is None else [stop_fd]
     while True:
         wait_s = server.turn()
         # Looking for the stop costs little beside a turn, so it is done even when there is no time to wait.
-        ready, _, _ = select.select(stops + server.watched(), [], [], wait_s)
+        words = rehearsal.watched() if rehearsal is not None else []
+        ready, _, _ = select.select(stops + server.watched() + words, [], [], wait_s)
         if stop_fd in ready:
             return
+        if rehearsal is not None:
+            rehearsal.listen(ready)
 
 
 def run_server(
@@ -132,9 +132,12 @@ def run_server(
     tcp: str | None = None,
     rfc2217: str | None = None,
     stop_fd: int | None = None,
+    words_fd: int | None = None,
+    answer: Callable[[str], None] = print,
     on_ready: Callable[[str], None] = lambda url: None,
 ) -> dict[str, int]:
-    """Build a world and serve it until `stop_fd`, SIGINT, SIGTERM, SIGHUP or an error ends it.
+    """Build a world and serve it until `stop_fd`, SIGINT, SIGTERM, SIGHUP or an error ends it; return the
+    counters of the link, as `SilWorld.counters` gives them, and the ticks simulated.
 
     Parameters
     ----------
@@ -146,13 +149,12 @@ def run_server(
         The same, with the control lines and the rate in the connection, as RFC 2217 has them.
     stop_fd : int or None
         File descriptor; serving ends as soon as something can be read from it, or it is at its end.
+    words_fd : int or None
+        File descriptor of a terminal or pipe at which a person says what goes wrong on the rig.
+    answer : callable
+        Called with a line for each of those.
     on_ready : callable
         Called with the port's address when a host can open it.
-
-    Returns
-    -------
-    dict of int
-        Counters of the link, as `SilWorld.counters` gives them, and the ticks simulated.
 
     Raises
     ------
@@ -163,7 +165,8 @@ def run_server(
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.default_int_handler)
-    world = SilWorld(options)
+    world = SilWorld(options, boot_seed=secrets.randbits(64))
+    rehearsal = Rehearsal(world, words_fd, answer) if words_fd is not None else None
     endpoint: Endpoint
     if rfc2217 is not None:
         endpoint = Rfc2217Endpoint(*_address(rfc2217))
@@ -173,12 +176,29 @@ def run_server(
         endpoint = PtyEndpoint(pty)
     try:
         on_ready(endpoint.url)
-        serve(endpoint, world, make_clock(options.speed), stop_fd)
+        serve(endpoint, world, make_clock(options.speed), stop_fd, rehearsal)
     except KeyboardInterrupt:
         pass
     finally:
         endpoint.close()
     return {**world.counters(), "ticks": world.tick}
+
+
+def is_local(url: str) -> bool:
+    """Whether only this machine can reach a port.
+
+    Parameters
+    ----------
+    url : str
+        As an endpoint gives it.
+    """
+    host = urlsplit(url).hostname
+    if host is None or host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def _address(text: str) -> tuple[str, int]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import time
+from collections.abc import Callable
 from typing import Final
 
 from typing_extensions import override
@@ -17,8 +19,14 @@ _CHUNK: Final = 65536
 _SEND_BUFFER: Final = 16384
 
 
+SILENT_S: Final = 3.0
+"""A host that has sent nothing for so long gives way to one that waits; a session sends every 0.2 s."""
+PATIENCE_S: Final = 1.0
+"""How long the next host waits before it is told who holds the board."""
+
+
 class TcpEndpoint(Endpoint):
-    """The board's side of a TCP connection; one host at a time, the next one waits.
+    """The board's side of a TCP connection; one host at a time, the next one waits and is told for whom.
 
     A connection carries no DTR: its beginning stands for a rise of the line, its end for a fall.
 
@@ -28,6 +36,8 @@ class TcpEndpoint(Endpoint):
         Address to listen on; ``127.0.0.1`` keeps it on this machine.
     port : int
         Port to listen on; 0 takes any free one.
+    now_s : callable returning float
+        Monotonic clock of the machine [s].
 
     Raises
     ------
@@ -38,8 +48,16 @@ class TcpEndpoint(Endpoint):
     scheme = "socket"
     """Of the addresses that pyserial knows."""
 
-    def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
+    def __init__(
+        self, host: str = "127.0.0.1", port: int = 0, now_s: Callable[[], float] = time.monotonic
+    ) -> None:
         self._address = (host, port)
+        self._now_s = now_s
+        self._holder = ""
+        self._heard_s = 0.0
+        self._next: socket.socket | None = None
+        self._next_since_s = 0.0
+        self._next_told = False
         self._listener: socket.socket | None = None
         self._peer: socket.socket | None = None
         self._changes: list[LineChange] = []
@@ -55,8 +73,7 @@ class TcpEndpoint(Endpoint):
 
     @override
     def receive(self) -> bytes:
-        if self._peer is None:
-            self._accept()
+        self._attend_to_next()
         if self._peer is None:
             return b""
         try:
@@ -65,7 +82,9 @@ class TcpEndpoint(Endpoint):
             return b""
         except OSError:
             data = b""
-        if not data:
+        if data:
+            self._heard_s = self._now_s()
+        else:
             self._hang_up()
         return data
 
@@ -96,6 +115,9 @@ class TcpEndpoint(Endpoint):
     @override
     def unplug(self) -> None:
         self._hang_up()
+        if self._next is not None:
+            self._next.close()
+            self._next = None
         if self._listener is not None:
             self._listener.close()
             self._listener = None
@@ -119,6 +141,28 @@ class TcpEndpoint(Endpoint):
     def close(self) -> None:
         self.unplug()
 
+    def _attend_to_next(self) -> None:
+        """Take up the next host once the board is free; until then tell it for whom it waits."""
+        if self._next is None:
+            self._accept()
+        if self._next is None:
+            return
+        now_s = self._now_s()
+        if self._peer is not None and now_s - self._heard_s >= SILENT_S:
+            self._hang_up()
+        if self._peer is None:
+            self._peer, self._next = self._next, None
+            self._holder = _name(self._peer)
+            self._heard_s = now_s
+            self._rise()
+        elif now_s - self._next_since_s >= PATIENCE_S and not self._next_told:
+            self._next_told = True
+            # A zero ends what might be taken for the beginning of the board's first frame.
+            with contextlib.suppress(OSError):
+                self._next.send(f"\r\nthis board is held by {self._holder}\r\n\0".encode())
+        else:
+            self._drop_gone()
+
     def _accept(self) -> None:
         if self._listener is None:
             return
@@ -127,8 +171,21 @@ class TcpEndpoint(Endpoint):
             peer.setblocking(False)
             peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             peer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
-            self._peer = peer
-            self._rise()
+            self._next, self._next_since_s, self._next_told = peer, self._now_s(), False
+
+    def _drop_gone(self) -> None:
+        """Forget a waiting host that has closed its connection: another one may wait behind it."""
+        if self._next is None:
+            return
+        try:
+            gone = self._next.recv(1, socket.MSG_PEEK) == b""
+        except BlockingIOError:
+            return
+        except OSError:
+            gone = True
+        if gone:
+            self._next.close()
+            self._next = None
 
     def _hang_up(self) -> None:
         peer, self._peer, self._kept = self._peer, None, b""
@@ -141,3 +198,11 @@ class TcpEndpoint(Endpoint):
 
     def _fall(self) -> None:
         self._changes.append(LineChange(False))
+
+
+def _name(peer: socket.socket) -> str:
+    try:
+        host, port = peer.getpeername()[:2]
+    except OSError:
+        return "a host that has gone"
+    return f"{host}:{port}"

@@ -64,17 +64,13 @@ class ProcessTransport(SerialTransport):
 
 
 def open_transport(url: str) -> InProcessTransport | ProcessTransport:
-    """Start a simulated board and open its port; the entry point ``heli_host.transports``, name ``sil``.
+    """Start a simulated board and open its port; the entry point ``heli_host.transports``, name ``sil``. The
+    board is just powered up, with the arm at rest on the table.
 
     Parameters
     ----------
     url : str
         ``sil://?rig=makki2024&seed=1&speed=max``; see `heli_sim.sil.options.parse_url`.
-
-    Returns
-    -------
-    InProcessTransport or ProcessTransport
-        Transport to a board just powered up, with the arm at rest on the table.
 
     Raises
     ------

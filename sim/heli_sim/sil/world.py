@@ -30,6 +30,9 @@ class SilWorld:
     ----------
     plant : Plant or None
         Plant to fly instead of the one that the options ask for.
+    boot_seed : int or None
+        Seed of the boot ids. None takes the options' seed, so that a simulation repeats; who serves a board
+        to other processes gives a random one, as two power-ups of a real board have nothing in common.
 
     Raises
     ------
@@ -43,14 +46,18 @@ class SilWorld:
         When there is no firmware for the emulated Due, or only for another version of the link.
     """
 
-    def __init__(self, options: SilOptions, plant: Plant | None = None) -> None:
+    def __init__(
+        self, options: SilOptions, plant: Plant | None = None, *, boot_seed: int | None = None
+    ) -> None:
         self.options = options = resolved(options)
+        self.rig_faults = options.rig_faults
+        """What goes wrong on the rig; may be replaced while time stands, for what comes then."""
         self.plant = plant if plant is not None else plant_of(options)
         self.rig: Rig = self.plant.rig
         random = np.random.default_rng(options.seed)
         per_rad = self.rig["encoder_counts"].value / (2.0 * np.pi)
         counts_per_rad = [per_rad, per_rad, per_rad * self.rig["encoder_travel_ratio"].value]
-        self.board = make_board(options)
+        self.board = make_board(options, options.seed if boot_seed is None else boot_seed)
         """The board; its ``sim`` is what the world drives."""
         self.native = _native.World(
             self.plant.native_step(),
@@ -94,7 +101,7 @@ class SilWorld:
         self.native.state = [float(value) for value in state]
 
     def advance(self, ticks: int, rx: bytes = b"", *, until_output: bool = False, least: int = 1) -> bytes:
-        """Let time pass.
+        """Let time pass and return the bytes that reached the host.
 
         Parameters
         ----------
@@ -106,11 +113,6 @@ class SilWorld:
             Return as soon as bytes reached the host.
         least : int
             With `until_output`: milliseconds that pass in any case.
-
-        Returns
-        -------
-        bytes
-            Bytes that reached the host.
 
         Raises
         ------
@@ -131,7 +133,9 @@ class SilWorld:
             if write:
                 self._held = b""
             most = min(ticks, least) if until_output and received else ticks
-            stretch = self._arm_support.update(self.native, min(most, faults.next_edge(tick) - tick))
+            self.rig_faults.apply(tick, self.native, self.board.sim)
+            edge = min(faults.next_edge(tick), self.rig_faults.next_edge(tick))
+            stretch = self._arm_support.update(self.native, min(most, edge - tick))
             passed, data = self._pass(stretch, write, until_output, max(1, least))
             received += data
             ticks -= passed
@@ -142,15 +146,13 @@ class SilWorld:
         """Pulse the board's reset line: motors off at once, the flight code starts 205 ms later."""
         self.board.sim.reset()
 
-    def control_lines(self, *, dtr: bool, baud: int) -> None:
-        """Do what the 16U2 does when the host changes DTR.
+    def cycle_power(self) -> None:
+        """Cut the board's supply and bring it back: all but its flash is forgotten; the line stays."""
+        self.board.sim.power_cycle()
 
-        Parameters
-        ----------
-        dtr : bool
-            The line now. A rising one resets the board.
-        baud : int
-            Rate of the port. At 1200 baud any change erases the flash; the board then waits for a program.
+    def control_lines(self, *, dtr: bool, baud: int) -> None:
+        """Do what the 16U2 does when the host changes DTR to `dtr`: a rising line resets the board; at a
+        `baud` of 1200 any change erases the flash, and the board then waits for a program.
         """
         if baud == ERASING_BAUD:
             self.board.sim.erase()
@@ -158,12 +160,8 @@ class SilWorld:
             self.reset_board()
 
     def counters(self) -> dict[str, int]:
-        """Bytes carried, lost and spoiled so far.
-
-        Returns
-        -------
-        dict of int
-            The line's own counters, and flipped_bits, dropped_bytes and doubled_bytes of both directions.
+        """Bytes carried, lost and spoiled so far: the line's own counters, and flipped_bits, dropped_bytes
+        and doubled_bytes of both directions.
         """
         both = (self.to_board.counters, self.to_host.counters)
         line = self.native.line_counters()

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from heli_host.cli.verb import Verb
+from heli_host.errors import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -49,7 +50,6 @@ def show(
 
     Example: `heli-host rig show makki2024 friction`
     """
-    from rich.markup import escape
     from rich.table import Table
 
     from heli_sim.rig import RIG_QUANTITIES, load_rig
@@ -63,7 +63,7 @@ def show(
     for name, number in shown.items():
         if pattern in name:
             text = f"{meanings[name]}; {number.source}"
-            table.add_row(name, f"{number.value:g}", _half_width(number), number.unit, escape(text))
+            table.add_row(name, f"{number.value:g}", _half_width(number), number.unit, _plain(text))
     for effect, numbers in shown.effects.items():
         for name, number in numbers.items():
             if pattern in f"{effect}.{name}":
@@ -72,13 +72,19 @@ def show(
                     f"{number.value:g}",
                     _half_width(number),
                     number.unit,
-                    escape(f"effect; {number.source}"),
+                    _plain(f"effect; {number.source}"),
                 )
     if not table.row_count:
         raise typer.BadParameter(f"no number's name contains '{pattern}'")
     console = _console()
-    console.print(f"{escape(shown.name)}: {escape(shown.description)}")
+    console.print(f"{_plain(shown.name)}: {_plain(shown.description)}")
     console.print(table)
+
+
+def _plain(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(printable(text))
 
 
 @app.command("check")

@@ -3,22 +3,11 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from typing import Annotated
 
 import typer
-from heli_host.cli.simulated import (
-    DEFAULT_RIG,
-    BoardOption,
-    EffectFilesOption,
-    EffectOption,
-    ElfOption,
-    ModelOption,
-    RigOption,
-    SeedOption,
-    SpeedOption,
-    parse_speed,
-    which_board,
-)
+from heli_host.cli import simulated
 from heli_host.cli.verb import Verb
 
 
@@ -39,8 +28,8 @@ def sil(
             help="Serve TCP with control lines and rate; hosts connect to rfc2217://HOST:PORT.",
         ),
     ] = None,
-    board: BoardOption = None,
-    elf: ElfOption = None,
+    board: simulated.BoardOption = None,
+    elf: simulated.ElfOption = None,
     reset_on_open: Annotated[
         bool | None,
         typer.Option(
@@ -49,34 +38,68 @@ def sil(
             show_default=False,
         ),
     ] = None,
-    rig: RigOption = None,
-    model: ModelOption = None,
-    effect: EffectOption = None,
-    effects: EffectFilesOption = None,
-    speed: SpeedOption = "1",
-    seed: SeedOption = 1,
+    rig: simulated.RigOption = None,
+    model: simulated.ModelOption = None,
+    effect: simulated.EffectOption = None,
+    effects: simulated.EffectFilesOption = None,
+    encoder_out: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--encoder-out",
+            metavar="AXIS:START[:LENGTH]",
+            help="Unplug an encoder so many simulated seconds after the start; may be repeated.",
+        ),
+    ] = None,
+    stop_switch: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--stop-switch",
+            metavar="START[:LENGTH]",
+            help="Press the stop switch at a time, in simulated seconds; may be repeated.",
+        ),
+    ] = None,
+    supply_out: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--supply-out",
+            metavar="START[:LENGTH]",
+            help="Switch the motors' supply off at a time, in simulated seconds; may be repeated.",
+        ),
+    ] = None,
+    speed: simulated.SpeedOption = "1",
+    seed: simulated.SeedOption = 1,
 ) -> None:
     """Simulate a board and its helicopter behind a serial port, until Ctrl-C.
+
+    In a terminal, type what goes wrong on the rig: `stop`, `release`, `pull pitch`, `plug pitch`,
+    `supply off`, `supply on`; `help` lists them.
 
     Example: `heli-host sil --pty ./due`, and in another terminal: `heli-host fly hover --port ./due`
     """
     if (pty, tcp, rfc2217).count(None) != 2:
         raise typer.BadParameter("give one of --pty PATH, --tcp HOST:PORT and --rfc2217 HOST:PORT")
     from heli_sim.sil.boards import choose
-    from heli_sim.sil.options import SilOptions
-    from heli_sim.sil.server import run_server
+    from heli_sim.sil.options import SilOptions, parse_encoders_out, parse_times
+    from heli_sim.sil.rehearsal import HELP
+    from heli_sim.sil.rig_faults import RigFaults
+    from heli_sim.sil.server import is_local, run_server
 
-    choice = choose(which_board(board, elf), str(elf) if elf is not None else "")
+    choice = choose(simulated.which_board(board, elf), str(elf) if elf is not None else "")
     options = SilOptions(
-        rig=rig or DEFAULT_RIG,
+        rig=rig or simulated.DEFAULT_RIG,
         seed=seed,
-        speed=parse_speed(speed),
+        speed=simulated.parse_speed(speed),
         board=choice.name,
         elf=choice.elf,
         reset_on_open=reset_on_open,
         model=model or "",
         effects=tuple(effect or ()),
         effect_files=tuple(map(str, effects or ())),
+        rig_faults=RigFaults(
+            encoders_out=parse_encoders_out(encoder_out or ()),
+            stop_switch=parse_times("--stop-switch", stop_switch or ()),
+            supply_out=parse_times("--supply-out", supply_out or ()),
+        ),
     )
 
     def say(url: str) -> None:
@@ -84,8 +107,26 @@ def sil(
         what = "simulated board" if not choice.elf else choice.text
         flown = " with ".join(filter(None, (options.rig, ", ".join(options.effects))))
         print(f"{what} on {url}, rig {flown}, {pace}; Ctrl-C ends it", flush=True)
+        if words_fd is not None:
+            print(f"to rehearse, type: {HELP}", flush=True)
+        if not is_local(url):
+            print(
+                "warning: everybody on the network can fly this board, nothing asks who they are; "
+                "127.0.0.1 keeps it on this machine",
+                file=sys.stderr,
+                flush=True,
+            )
 
-    counters = run_server(options, pty=pty, tcp=tcp, rfc2217=rfc2217, on_ready=say)
+    words_fd = sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else None
+    counters = run_server(
+        options,
+        pty=pty,
+        tcp=tcp,
+        rfc2217=rfc2217,
+        words_fd=words_fd,
+        answer=partial(print, flush=True),
+        on_ready=say,
+    )
     # Whoever started this may have gone, and its pipe with it.
     if not sys.stdout.closed:
         print(

@@ -20,10 +20,15 @@ void piod_handler(void) {
   counts[2] += kSteps[phase];
 }
 
-static void decoder(uint32_t block) {
-  REG(block + 0x04) = 5u | 1u << 8 | 1u << 10;
+// An edge of the master clock takes the trigger, which would cost the first step; returns what was counted
+// until the decoder's steps became the clock.
+static uint32_t decoder(uint32_t block) {
   REG(block + 0xC4) = 1u << 8 | 1u << 9 | 1u << 12 | 1u << 19 | 15u << 20;
+  REG(block + 0x04) = 0u;
   REG(block + 0x00) = 5u;
+  (void)REG(block + 0x10);
+  REG(block + 0x04) = 5u | 1u << 8 | 1u << 10;
+  return REG(block + 0x10);
 }
 
 static void pwm(void) {
@@ -63,8 +68,7 @@ int main(void) {
   full_speed();
   REG(kPmc + 0x10) = 1u << 8 | 0xFu << 11 | 1u << 27;
   REG(kPmc + 0x100) = 1u << 1 | 1u << 4;
-  decoder(kTc0);
-  decoder(kTc2);
+  const uint32_t zero[2] = {decoder(kTc0), decoder(kTc2)};
   pwm();
   phase = REG(kPioD + 0x3C) & 3u;
   REG(kPioD + 0x40) = 3u;
@@ -77,8 +81,8 @@ int main(void) {
   REG(kPioA + 0x10) = 3u << 14;
   REG(kPioD + 0x10) = 1u << 3;
   for (;;) {
-    counts[0] = (int32_t)REG(kTc0 + 0x10);
-    counts[1] = (int32_t)REG(kTc2 + 0x10);
+    counts[0] = (int32_t)(REG(kTc0 + 0x10) - zero[0]);
+    counts[1] = (int32_t)(REG(kTc2 + 0x10) - zero[1]);
     for (uint32_t i = 0; i < 4; ++i) REG(kPwm + 0x208 + 32 * (4 + i)) = 2100u - duty[i];
     REG(kPwm + 0x28) = 1u;
     REG(kPioB + (on ? 0x30 : 0x34)) = 1u << 26;

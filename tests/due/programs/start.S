@@ -17,11 +17,20 @@
     .word pendsv_handler
     .word systick_handler
     .word irq0_handler, irq1_handler, irq2_handler, irq3_handler
-    .rept 10
+    .rept 4
     .word unexpected
     .endr
+    .word uart_handler
+    .rept 4
+    .word unexpected
+    .endr
+    .word pioc_handler
     .word piod_handler
-    .rept 30
+    .rept 22
+    .word unexpected
+    .endr
+    .word adc_handler
+    .rept 7
     .word unexpected
     .endr
 
@@ -42,7 +51,10 @@
     default irq1_handler
     default irq2_handler
     default irq3_handler
+    default uart_handler
+    default pioc_handler
     default piod_handler
+    default adc_handler
 
     .global reset
     .thumb_func

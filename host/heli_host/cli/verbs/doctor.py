@@ -47,12 +47,8 @@ def doctor() -> None:
 
 
 def examine() -> Iterator[Finding]:
-    """Look at everything, one finding at a time; what other packages need is theirs to check.
-
-    Yields
-    ------
-    Finding
-        In the order in which things depend on each other.
+    """Look at everything, one finding at a time, in the order in which things depend on each other; what
+    other packages need is theirs to check.
     """
     yield check_python()
     yield check_packages()
@@ -67,13 +63,7 @@ def examine() -> Iterator[Finding]:
 
 
 def check_python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
-    """Check the interpreter's version.
-
-    Parameters
-    ----------
-    version : tuple of int
-        Major, minor, micro.
-    """
+    """Check the interpreter's `version`: major, minor, micro."""
     text = f"Python {'.'.join(map(str, version))}"
     if version >= (3, 11):
         return Finding(Verdict.GOOD, text)
@@ -81,17 +71,8 @@ def check_python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
 
 
 def check_packages(is_installed: Callable[[str], bool] | None = None) -> Finding:
-    """Check that every package this one depends on is installed.
-
-    Parameters
-    ----------
-    is_installed : callable, optional
-        Takes a distribution's name and says whether it is there.
-
-    Returns
-    -------
-    Finding
-        Bad when one is missing.
+    """Check that every package this one depends on is installed, as `is_installed` says of a distribution's
+    name.
     """
     is_installed = is_installed or _is_installed
     required = importlib.metadata.requires("heli-host") or []
@@ -111,13 +92,7 @@ def _is_installed(name: str) -> bool:
 
 
 def check_boards(ports: list[PortInfo]) -> Iterator[Finding]:
-    """Say which boards are plugged in.
-
-    Yields
-    ------
-    Finding
-        One a board; a note when there is none.
-    """
+    """Say which boards are plugged in, one finding a board; a note when there is none."""
     boards = [port for port in ports if is_due(port)]
     for port in boards:
         yield Finding(Verdict.GOOD, f"board: Arduino Due, programming port, on {port.device}")
@@ -133,12 +108,8 @@ def check_boards(ports: list[PortInfo]) -> Iterator[Finding]:
 
 
 def check_permissions(ports: list[PortInfo]) -> Iterator[Finding]:
-    """Check that this user may open the serial ports.
-
-    Yields
-    ------
-    Finding
-        Bad for a Due that may not be opened, a note for any other port.
+    """Check that this user may open the serial ports: bad for a Due that may not be opened, a note for any
+    other port.
     """
     for port in ports:
         if not port.device.startswith("/") or os.access(port.device, os.R_OK | os.W_OK):

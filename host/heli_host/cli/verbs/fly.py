@@ -7,23 +7,9 @@ from typing import Annotated
 
 import typer
 
+from heli_host.cli import simulated
 from heli_host.cli.gains import GainsOption, ParamsFileOption, check_gains, chosen_parameters
 from heli_host.cli.options import ClearFaultOption, PortOption, flight_folder
-from heli_host.cli.simulated import (
-    BoardOption,
-    EffectFilesOption,
-    EffectOption,
-    ElfOption,
-    ModelOption,
-    RigOption,
-    SeedOption,
-    SilOption,
-    SpeedOption,
-    parse_speed,
-    refuse_without_sil,
-    rig_name,
-    sil_address,
-)
 from heli_host.cli.verb import Verb
 
 
@@ -32,15 +18,15 @@ def fly(
         list[str], typer.Argument(metavar="PLAN...", help="Built-in plans (hover, sine, ...) or TOML files.")
     ],
     port: PortOption = None,
-    sil: SilOption = False,
-    board: BoardOption = None,
-    elf: ElfOption = None,
-    rig: RigOption = None,
-    model: ModelOption = None,
-    effect: EffectOption = None,
-    effects: EffectFilesOption = None,
-    speed: SpeedOption = "1",
-    seed: SeedOption = 1,
+    sil: simulated.SilOption = False,
+    board: simulated.BoardOption = None,
+    elf: simulated.ElfOption = None,
+    rig: simulated.RigOption = None,
+    model: simulated.ModelOption = None,
+    effect: simulated.EffectOption = None,
+    effects: simulated.EffectFilesOption = None,
+    speed: simulated.SpeedOption = "1",
+    seed: simulated.SeedOption = 1,
     clear_fault: ClearFaultOption = False,
     gains: GainsOption = None,
     params: ParamsFileOption = None,
@@ -61,17 +47,19 @@ def fly(
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress import LiveLine
     from heli_host.cli.report import summary_lines
-    from heli_host.errors import FlightAborted
+    from heli_host.errors import FlightAborted, printable
+    from heli_host.fly.interrupts import was_interrupted
     from heli_host.fly.plan import load_plan
     from heli_host.fly.runner import Progress
     from heli_host.fly.runner import fly as fly_plans
     from heli_host.link.transport import transport_label, transport_note
+    from heli_host.log.disk import check_new
     from heli_host.published_gains import load_gains
 
-    parse_speed(speed)
+    simulated.parse_speed(speed)
     if not sil:
-        refuse_without_sil(board=board, elf=elf, model=model, effect=effect, effects=effects)
-    address = sil_address(
+        simulated.refuse_without_sil(board=board, elf=elf, model=model, effect=effect, effects=effects)
+    address = simulated.sil_address(
         rig=rig,
         speed=speed,
         seed=seed,
@@ -85,6 +73,8 @@ def fly(
     parameters = chosen_parameters(params, gains)
     loaded = [load_plan(plan) for plan in plans]
     check_result_places(json, figure=figure)
+    if log is not None:
+        check_new(log)
     with open_board(port, address if sil else None) as heli:
         if clear_fault:
             clear_latched_fault(heli)
@@ -98,7 +88,8 @@ def fly(
         text, transport = board_text(heli), heli.session.transport
         if note := transport_note(transport):
             print(note)
-        print(f"{text}\nflying: {', then '.join(plan.title for plan in loaded)}", flush=True)
+        print(text)
+        print(printable(f"flying: {', then '.join(plan.title for plan in loaded)}"), flush=True)
         with LiveLine() as live:
 
             def show(progress: Progress) -> None:
@@ -117,14 +108,14 @@ def fly(
                 json_path=json,
                 figure_path=figure,
                 on_progress=show,
-                rig_name=rig_name(rig, simulated=sil),
+                rig_name=simulated.rig_name(rig, simulated=sil),
                 board_name=transport_label(transport).partition(",")[0].removesuffix(" board"),
             )
     for line in summary_lines(summary):
         print(line)
     print(f"board: {text}")
     print(f"files: {', '.join(str(path) for path in (log, json, figure) if path is not None)}")
-    if summary.outcome.startswith("aborted: Ctrl-C"):
+    if was_interrupted(summary.outcome):
         raise KeyboardInterrupt
     if not summary.completed:
         raise FlightAborted(summary.outcome)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from heli_host.cli.verb import Verb
+from heli_host.errors import printable
 
 if TYPE_CHECKING:
     from heli_host.flight import Flight
@@ -40,13 +41,14 @@ def info(
     if events:
         print("events:")
         for event in flight.events:
-            print(f"  {event.t_s:10.3f} s  {event.name}: {event.text}")
+            print(printable(f"  {event.t_s:10.3f} s  {event.name}: {event.text}"))
     if parameters:
         print("parameters:")
         for name, value in flight.parameters.items():
-            print(f"  {name} = {value:g}")
+            print(printable(f"  {name} = {value:g}"))
     if plan:
-        print(flight.plan.rstrip() or "no plan")
+        for line in (flight.plan.rstrip() or "no plan").splitlines():
+            print(printable(line.replace("\t", "    ")))
 
 
 def _print_log(log: Log) -> None:
@@ -56,17 +58,17 @@ def _print_log(log: Log) -> None:
     for line in summary_lines(summarise(log)):
         print(line)
     for name, value in sorted(log.metadata.get("session", {}).items()):
-        print(f"{name}: {value}")
+        print(printable(f"{name}: {value}"))
 
 
 def _print_table(flight: Flight, path: Path) -> None:
     rate_Hz = 1.0 / flight.step_s if flight.step_s else 0.0
-    print(f"{path}: {len(flight)} rows, {flight.duration_s:.3f} s at {rate_Hz:.0f} Hz")
-    print(f"columns: {', '.join(flight.columns())}")
+    print(printable(f"{path}: {len(flight)} rows, {flight.duration_s:.3f} s at {rate_Hz:.6g} Hz"))
+    print(printable(f"columns: {', '.join(flight.columns())}"))
     if len(flight.gaps):
         print(f"{len(flight.gaps)} gaps in time, the first after {flight.t_s[flight.gaps[0]]:.3f} s")
     for name, value in flight.meta.items():
-        print(f"{name}: {value}")
+        print(printable(f"{name}: {value}"))
 
 
 VERB = Verb(info, "Logs")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from heli_host.cli.options import PortOption, flight_folder
+from heli_host.cli.options import ForOption, PortOption, flight_folder
 from heli_host.cli.simulated import RigOption, SilOption, SpeedOption, rig_name, sil_address
 from heli_host.cli.verb import Verb
 
@@ -20,9 +20,7 @@ def log(
         Path | None,
         typer.Option("--out", "-o", metavar="FILE", help="Log to write; else flights/<time>/flight.mcap."),
     ] = None,
-    for_s: Annotated[
-        float | None, typer.Option("--for-s", metavar="S", min=0.001, help="How long; else until Ctrl-C.")
-    ] = None,
+    for_s: ForOption = None,
     port: PortOption = None,
     sil: SilOption = False,
     rig: RigOption = None,
@@ -36,9 +34,12 @@ def log(
     from heli_host.cli.progress import LiveLine
     from heli_host.cli.report import summary_lines
     from heli_host.fly.recorder import Recorder
+    from heli_host.log.disk import check_new
     from heli_host.log.reader import read_log
     from heli_host.log.summary import summarise
 
+    if out is not None:
+        check_new(out)
     with open_board(port, sil_address(rig=rig, speed=speed) if sil else None) as heli:
         path = out if out is not None else flight_folder() / "flight.mcap"
         recorder = Recorder(heli, path, rig_name=rig_name(rig, simulated=sil))

@@ -40,29 +40,18 @@ def motors(
     Example: `heli-host motors --front-V 1.0 --for-s 2`
     """
     from heli_host.cli.board import clear_latched_fault, open_board
+    from heli_host.setpoints import check_voltages
 
     with open_board(port, sil_address(rig=rig, speed=speed) if sil else None) as heli:
         if clear_fault:
             clear_latched_fault(heli)
-        _check(heli, front_V, back_V)
+        check_voltages(front_V, back_V, heli.params)
         heli.arm()
         try:
             _drive(heli, front_V, back_V, for_s)
         finally:
             heli.stop()
         print(f"front {front_V:g} V, back {back_V:g} V for {for_s:g} s; drivers off again")
-
-
-def _check(heli: Heli, front_V: float, back_V: float) -> None:
-    """Refuse a voltage before anything is enabled."""
-    from heli_host.errors import SetpointError
-
-    least_V, most_V = heli.params["motor_min_V"], heli.params["motor_max_V"]
-    if not (least_V <= front_V <= most_V and least_V <= back_V <= most_V):
-        raise SetpointError(
-            f"voltages {front_V:g} and {back_V:g} V are outside the board's limits",
-            f"give {least_V:g} to {most_V:g} V, or set motor_min_V and motor_max_V",
-        )
 
 
 def _drive(heli: Heli, front_V: float, back_V: float, for_s: float) -> None:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from heli_host.cli.options import PortOption
 from heli_host.cli.simulated import MAX_SPEED, SilOption, sil_address
 from heli_host.cli.verb import Verb
+
+if TYPE_CHECKING:
+    from heli_host.heli import Heli
 
 app = typer.Typer(
     help="Read and set the board's parameters.\n\nExample: `heli-host params set hover_V 1.5 --save`",
@@ -36,9 +40,7 @@ def list_parameters(
     from rich.markup import escape
     from rich.table import Table
 
-    from heli_host.cli.board import open_board
-
-    with open_board(port, sil_address(speed=MAX_SPEED) if sil else None) as heli:
+    with _board(port, sil) as heli:
         values = heli.params.dump()
         table = Table(box=None, pad_edge=False)
         for heading in ("name", "", "value", "unit", "range", *(("meaning",) if long else ())):
@@ -61,11 +63,10 @@ def get(name: NameArgument, port: PortOption = None, sil: SilOption = False) -> 
 
     Example: `heli-host params get hover_V`
     """
-    from heli_host.cli.board import open_board
     from heli_host.parameters import spec_of
 
     spec_of(name)
-    with open_board(port, sil_address(speed=MAX_SPEED) if sil else None) as heli:
+    with _board(port, sil) as heli:
         print(f"{heli.params[name]:g}")
 
 
@@ -81,11 +82,10 @@ def set_parameter(
 
     Example: `heli-host params set hover_V 1.5 --save`
     """
-    from heli_host.cli.board import open_board
     from heli_host.parameters import checked
 
     spec = checked(name, value)
-    with open_board(port, sil_address(speed=MAX_SPEED) if sil else None) as heli:
+    with _board(port, sil) as heli:
         before = heli.params[name]
         in_force = heli.params.set(name, value)
         unit = f" {spec.unit}" if spec.unit else ""
@@ -98,9 +98,7 @@ def save_parameters(port: PortOption = None, sil: SilOption = False) -> None:
 
     Example: `heli-host params save`
     """
-    from heli_host.cli.board import open_board
-
-    with open_board(port, sil_address(speed=MAX_SPEED) if sil else None) as heli:
+    with _board(port, sil) as heli:
         print(f"parameters saved, generation {heli.params.save()}")
 
 
@@ -114,10 +112,10 @@ def dump(
 
     Example: `heli-host params dump rig7.toml`
     """
-    from heli_host.cli.board import board_versions, open_board
+    from heli_host.cli.board import board_versions
     from heli_host.parameter_file import parameters_text
 
-    with open_board(port, sil_address(speed=MAX_SPEED) if sil else None) as heli:
+    with _board(port, sil) as heli:
         values = heli.params.dump()
         comment = board_versions(heli.info)
     file.write_text(parameters_text(values, comment), encoding="utf-8")
@@ -135,18 +133,23 @@ def restore(
 
     Example: `heli-host params restore rig7.toml --save`
     """
-    from heli_host.cli.board import open_board
     from heli_host.parameter_file import read_parameters
     from heli_host.parameters import checked
 
     values = read_parameters(file)
     for name, value in values.items():
         checked(name, value)
-    with open_board(port, sil_address(speed=MAX_SPEED) if sil else None) as heli:
+    with _board(port, sil) as heli:
         changed = heli.params.restore(values)
         for name, value in changed.items():
             print(f"{name} -> {value:g}")
         print(f"{len(changed)} of {len(values)} changed{_saved(heli.params.save() if save else None)}")
+
+
+def _board(port: str | None, sil: bool) -> AbstractContextManager[Heli]:
+    from heli_host.cli.board import open_board
+
+    return open_board(port, sil_address(speed=MAX_SPEED) if sil else None)
 
 
 def _saved(generation: int | None) -> str:

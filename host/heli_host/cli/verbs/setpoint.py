@@ -15,6 +15,7 @@ from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
     from heli_host.declaration import Axes
+    from heli_host.fly.recorder import Recorder
     from heli_host.heli import Heli
 
 STEP_S = 0.1
@@ -54,22 +55,28 @@ def setpoint(
         raise typer.BadParameter("give --travel-deg or --pitch-deg: flying to a travel needs the pitch")
     from heli_host.cli.board import clear_latched_fault, open_board
     from heli_host.declaration import Axes
+    from heli_host.errors import LogWriteError
     from heli_host.fly.recorder import Recorder
+    from heli_host.log.disk import check_new
     from heli_host.open_loop import ALL_AXES
     from heli_host.setpoints import check_setpoint
 
+    if log is not None:
+        check_new(log)
     axes = Axes.ELEVATION | Axes.PITCH if "pitch" in targets_deg else ALL_AXES
     with contextlib.ExitStack() as stack:
         heli = stack.enter_context(open_board(port, sil_address(rig=rig, speed=speed) if sil else None))
         check_setpoint(targets_deg, heli.params)
         if clear_fault:
             clear_latched_fault(heli)
+        recorder = None
         if log is not None:
-            stack.enter_context(Recorder(heli, log, rig_name=rig_name(rig, simulated=sil)))
+            recorder = Recorder(heli, log, rig_name=rig_name(rig, simulated=sil))
+            stack.enter_context(recorder)
         try:
             _start(heli, axes, take_off)
-            _hold(heli, targets_deg, for_s)
-        except KeyboardInterrupt:
+            _hold(heli, targets_deg, for_s, recorder)
+        except (KeyboardInterrupt, LogWriteError):
             if heli.motors_may_run:
                 heli.land()
             raise
@@ -101,7 +108,7 @@ def _start(heli: Heli, axes: Axes, take_off: bool) -> None:
         heli.control(axes)
 
 
-def _hold(heli: Heli, targets_deg: Mapping[str, float], for_s: float) -> None:
+def _hold(heli: Heli, targets_deg: Mapping[str, float], for_s: float, recorder: Recorder | None) -> None:
     from heli_host.cli.progress import LiveLine
     from heli_host.declaration import State
     from heli_host.errors import FlightAborted, fault_text
@@ -111,6 +118,8 @@ def _hold(heli: Heli, targets_deg: Mapping[str, float], for_s: float) -> None:
     with LiveLine() as live:
         while (passed_s := heli.latest.t_s - start_s) < for_s:
             heli.wait(min(STEP_S, for_s - passed_s))
+            if recorder is not None:
+                recorder.check()
             sample = heli.latest
             if sample.state in (State.FAULT, State.IDLE):
                 raise FlightAborted(f"the motors were switched off: {fault_text(sample.fault)}")

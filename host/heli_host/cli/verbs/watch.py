@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from heli_host.cli.options import PortOption
+from heli_host.cli.options import ForOption, PortOption
 from heli_host.cli.simulated import RigOption, SilOption, SpeedOption, sil_address
 from heli_host.cli.verb import Verb
 
@@ -22,9 +20,7 @@ LINE_EVERY_S = 1.0
 
 
 def watch(
-    for_s: Annotated[
-        float | None, typer.Option("--for-s", metavar="S", min=0.001, help="How long; else until Ctrl-C.")
-    ] = None,
+    for_s: ForOption = None,
     port: PortOption = None,
     sil: SilOption = False,
     rig: RigOption = None,
@@ -70,12 +66,8 @@ def _look(heli: Heli, for_s: float | None) -> None:
 
 
 def line(heli: Heli) -> str:
-    """Say in one line what a board measures and does.
-
-    Returns
-    -------
-    str
-        For each axis counts, degrees and illegal transitions; then voltages, state and fault.
+    """Say in one line what a board measures and does: for each axis counts, degrees and illegal transitions;
+    then voltages, state and fault.
     """
     from math import tau
 

@@ -25,17 +25,13 @@ from heli_sim.rig import load_rig
 
 
 def catalogue(extra: Sequence[str | Path] = ()) -> dict[str, EffectKind]:
-    """All effects by their ids.
+    """All effects by their ids: those that come with the package first, by `EffectKind.rank`; then the
+    users', in the order given.
 
     Parameters
     ----------
     extra : sequence of str or Path
         Users' files, each a Python module with `EffectKind` objects at its top level.
-
-    Returns
-    -------
-    dict of EffectKind
-        Those that come with the package first, by `EffectKind.rank`; then the users', in the order given.
 
     Raises
     ------

@@ -163,27 +163,12 @@ class EffectKind:
         return {self.full(one.what): one.grid for one in self.numbers if one.grid is not None}
 
     def full(self, what: str) -> str:
-        """Full name of a number.
-
-        Parameters
-        ----------
-        what : str
-            Its name without the effect's.
-
-        Returns
-        -------
-        str
-            Such as ``thrust_step_front_share``.
-        """
+        """Full name of a number, such as ``thrust_step_front_share``, whose last part is `what`."""
         return f"{self.prefix}_{what}"
 
     def suits(self, model: Model) -> bool:
-        """Whether a model has what the effect changes.
-
-        Returns
-        -------
-        bool
-            False when the model lacks a number that the effect needs, or the term that it takes away.
+        """Whether a model has what the effect changes: the numbers that the effect needs, or the term that it
+        takes away.
         """
         if self.models and model.name not in self.models:
             return False
@@ -219,17 +204,8 @@ class EffectKind:
         )
 
     def grid_values(self, seconds: float) -> dict[str, tuple[float, ...]]:
-        """Values to start from on a flight, for each parameter of `grid`.
-
-        Parameters
-        ----------
-        seconds : float
-            Length of the flight.
-
-        Returns
-        -------
-        dict
-            Values of each parameter of `grid`, those outside the range of its prior left out.
+        """Values to start from on a flight of `seconds`, for each parameter of `grid`, those outside the
+        range of its prior left out.
         """
         return {
             name: self._in_range(name, one(seconds) if callable(one) else one)
@@ -237,7 +213,8 @@ class EffectKind:
         }
 
     def describe(self, values: Mapping[str, float], stds: Mapping[str, float] | None = None) -> str:
-        """Describe the effect with its numbers in one sentence.
+        """Describe the effect with its numbers in one sentence without its full stop; angles in degrees,
+        shares in per cent.
 
         Parameters
         ----------
@@ -245,11 +222,6 @@ class EffectKind:
             Values by full name; `neutral` for those not given.
         stds : Mapping[str, float], optional
             Standard errors by full name.
-
-        Returns
-        -------
-        str
-            One sentence without its full stop; angles in degrees, shares in per cent.
         """
         known = {**self.neutral, **values}
         texts = {
@@ -279,7 +251,8 @@ class EffectKind:
 
 
 def format_estimate(value: float, std: float | None, unit: str) -> str:
-    """Format an estimate with its standard error, as people read it.
+    """Format an estimate with its standard error as people read it, such as ``0.12 +- 0.01 s``: two digits of
+    the error, three of a number without one.
 
     Parameters
     ----------
@@ -289,11 +262,6 @@ def format_estimate(value: float, std: float | None, unit: str) -> str:
         Its standard error.
     unit : str
         Unit of both; rad become degrees, shares per cent.
-
-    Returns
-    -------
-    str
-        Such as ``0.12 +- 0.01 s``; two digits of the error, three of a number without one.
     """
     factor, name = _SPELLED.get(unit, (1.0, f" {unit}"))
     value *= factor

@@ -14,7 +14,8 @@ from heli_sim.rig import Number, Rig
 
 
 def parse_effects(texts: Sequence[str], extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]:
-    """Read effects such as ``rotor_lag=0.1``, ``thrust_step.front=0.1@25``, ``axis_tilt=x_rad:0.02,y_rad:0``.
+    """Read effects such as ``rotor_lag=0.1``, ``thrust_step.front=0.1@25``, ``axis_tilt=x_rad:0.02,y_rad:0``,
+    in the order given.
 
     Parameters
     ----------
@@ -24,11 +25,6 @@ def parse_effects(texts: Sequence[str], extra: Sequence[str | Path] = ()) -> tup
         any of them. The rest is typical. Units are those of the numbers.
     extra : sequence of str or Path
         Users' files with more effects.
-
-    Returns
-    -------
-    tuple of Effect
-        The effects, in the order given.
 
     Raises
     ------
@@ -75,7 +71,7 @@ def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]
 def effect_numbers(
     kind: EffectKind, values: Mapping[str, float], tolerances: Mapping[str, float], source: str
 ) -> dict[str, Number]:
-    """Numbers of an effect as a rig holds them.
+    """Numbers of an effect by short name, as a rig holds them in ``rig.effects``.
 
     Parameters
     ----------
@@ -85,11 +81,6 @@ def effect_numbers(
         Half widths of the 95 % intervals by full name; 0 for those not given.
     source : str
         Where they come from.
-
-    Returns
-    -------
-    dict of Number
-        By short name, to be put into ``rig.effects``.
     """
     known = {**kind.neutral, **values}
     return {

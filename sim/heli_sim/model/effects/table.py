@@ -16,34 +16,12 @@ _HEAD: Final = "| effect | in words | equation | numbers: unit, range, typical |
 
 
 def table() -> str:
-    """Write the table.
-
-    Returns
-    -------
-    str
-        Markdown, one row an effect.
-    """
+    """Write the table in Markdown, one row an effect."""
     return "\n".join([_HEAD, *(_row(kind) for kind in catalogue().values())])
 
 
 def with_table(text: str) -> str:
-    """Put the table in its place.
-
-    Parameters
-    ----------
-    text : str
-        The document.
-
-    Returns
-    -------
-    str
-        The document with today's table between its marks.
-
-    Raises
-    ------
-    ValueError
-        When a mark is missing.
-    """
+    """Put today's table between its marks in a document's `text`; a ValueError when one is missing."""
     before, _, rest = text.partition(BEGIN)
     _, mark, after = rest.partition(END)
     if not mark:
@@ -70,13 +48,7 @@ def _bound(value: float, sign: str) -> str:
 
 
 def main(path: str = "docs/effects.md") -> None:
-    """Write the table into the document.
-
-    Parameters
-    ----------
-    path : str
-        The document.
-    """
+    """Write the table into the document at `path`."""
     document = Path(path)
     document.write_text(with_table(document.read_text(encoding="utf-8")), encoding="utf-8")
 

@@ -23,18 +23,7 @@ class ThrustStep(Effect):
 
 
 def moments_s(seconds: float) -> tuple[float, ...]:
-    """Moments at which something may happen: every second of a flight.
-
-    Parameters
-    ----------
-    seconds : float
-        Length of the flight.
-
-    Returns
-    -------
-    tuple of float
-        Moments, s.
-    """
+    """Moments [s] at which something may happen: every second of a flight of `seconds`."""
     return tuple(float(second) for second in range(1, max(2, int(seconds))))
 
 

@@ -1,0 +1,65 @@
+// Whether the arm does what it is driven to do: following errors, and drives without motion.
+//
+// A plug that falls off an encoder makes no illegal transition, and a rotor without thrust none
+// either: the counts just stop. What tells it is that they should not have.
+#pragma once
+
+#include <cstdint>
+
+#include "board.hpp"
+#include "control/fixed.hpp"
+#include "control/mixer.hpp"
+#include "flight/limits.hpp"
+#include "params/params.hpp"
+
+namespace heli::flight {
+
+// From the parameters, in the idle loop.
+struct TrackingLimits {
+  Quantity error_max_rad[kAxisCount];
+  // Of the drive: volts of lift for elevation (both rotors) and pitch (front minus back), and the
+  // pitch angle, in rad, for travel.
+  Quantity drive_max[kAxisCount];
+  std::uint32_t motion_ticks[kAxisCount] = {};
+  std::uint32_t following_ticks = 0;
+  control::DeadZone dead_zone;
+  Quantity table_rad;  // below this elevation the table may carry the arm
+  Quantity hover_V;    // lift that carries it; up to there nothing need move on the table
+};
+
+TrackingLimits tracking_limits_of(const params::Params& params);
+
+// What the checks look at, once a tick.
+struct Tracked {
+  std::int32_t count[kAxisCount] = {};
+  Quantity angle_rad[kAxisCount];
+  Quantity setpoint_rad[kAxisCount];  // that the control law followed
+  Quantity front_V;                   // motor volts that acted
+  Quantity back_V;
+  std::uint8_t closed = 0;  // link::axes bits: axes held to a setpoint
+  std::uint8_t driven = 0;  // and axes that must move when driven
+};
+
+class Tracking {
+ public:
+  // Forgets all: motors were off.
+  void restart() { started_ = false; }
+
+  // The first axis that does not do what it should; elevation and pitch come before travel, because
+  // they decide whether the arm can still land.
+  Verdict check(const Tracked& seen, const TrackingLimits& limits);
+
+ private:
+  struct Axis {
+    std::int32_t count = 0;  // where it was when it last moved
+    Quantity average;        // of the drive, over the last half second
+    Quantity drive;          // that average when it last moved
+    std::uint32_t driven_ticks = 0;
+    std::uint32_t error_ticks = 0;
+  };
+
+  Axis axes_[kAxisCount];
+  bool started_ = false;
+};
+
+}  // namespace heli::flight

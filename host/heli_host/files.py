@@ -1,0 +1,91 @@
+"""Files that somebody gives us, read within bounds.
+
+No pipe that never ends, no file larger than memory, no TOML that exhausts the parser.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import stat
+import tomllib
+from pathlib import Path
+from typing import Any
+
+TOML_BYTES = 1 << 20
+"""A plan with a thousand segments has 100 kB."""
+
+_MOST_WHOLE = 2**63
+_TOO_MANY_DIGITS = "it has a whole number of more than 64 bits"
+# The parser's time grows with the square of a dotted key's parts: 200,000 of them took it over five minutes.
+_LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){50}""")
+
+
+def read_file(path: Path, most_bytes: int) -> bytes:
+    """Read a whole file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    most_bytes : int
+        Refuse more.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read, has more bytes, or is no file: a pipe could keep us waiting for ever, and a
+        device never end. ``strerror`` says which.
+    """
+    # Without O_NONBLOCK, opening a pipe waits for its writer.
+    opened = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    with os.fdopen(opened, "rb") as file:
+        status = os.fstat(file.fileno())
+        if stat.S_ISDIR(status.st_mode):
+            raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if not stat.S_ISREG(status.st_mode):
+            raise OSError(errno.EINVAL, "it is a pipe or a device, not a file")
+        data = file.read(most_bytes + 1) if status.st_size <= most_bytes else b""
+        if max(status.st_size, len(data)) > most_bytes:
+            raise OSError(errno.EFBIG, f"it has more than {most_bytes >> 20} MiB")
+    return data
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Parse TOML whose numbers are such as a float can hold.
+
+    Parameters
+    ----------
+    text : str
+        The document.
+
+    Raises
+    ------
+    ValueError
+        If it is no TOML, nested too deeply, or has a whole number of more than 64 bits, which TOML does not
+        allow; the text says which, in one line.
+    """
+    if _LONG_KEY.search(text):
+        raise ValueError("it is nested too deeply")
+    try:
+        content = tomllib.loads(text)
+        _check_numbers(content)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    except tomllib.TOMLDecodeError:
+        raise
+    except ValueError:
+        raise ValueError(_TOO_MANY_DIGITS) from None
+    return content
+
+
+def _check_numbers(value: object) -> None:
+    if isinstance(value, dict):
+        for one in value.values():
+            _check_numbers(one)
+    elif isinstance(value, list):
+        for one in value:
+            _check_numbers(one)
+    elif isinstance(value, int) and not -_MOST_WHOLE <= value < _MOST_WHOLE:
+        raise ValueError(_TOO_MANY_DIGITS)

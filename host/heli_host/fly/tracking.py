@@ -1,0 +1,175 @@
+"""Whether a flight followed its setpoints: the difference between `completed` and `not_tracked`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heli_host.declaration import AXES, Channel, State
+from heli_host.fly.keys import Number, Table
+from heli_host.link.channels import ENCODERS, numbers, physical
+from heli_host.link.clock import TICK_S
+from heli_host.link.telemetry import Ticks
+
+NOT_TRACKED: Final = "not_tracked"
+"""How the outcome of a flight begins that went to its end and was not where it should have been."""
+
+_BOUND: Final = Number(0.1, 3600.0)
+_LONGEST: Final = Number(0.1, 3600.0)
+_SETPOINTS: Final = tuple(Channel[f"{axis.upper()}_SETPOINT"] for axis in AXES)
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How far an axis may be from the setpoint that the control law used, and for how long.
+
+    The defaults lie above what every shipped rig with gains of its own does in every built-in plan and keep:
+    0.3, 1.5 and 9 degrees for 2 s.
+
+    Parameters
+    ----------
+    elevation_deg, pitch_deg, travel_deg : float
+        Largest following error, degrees.
+    for_s : float
+        How long it may be larger, s.
+    """
+
+    elevation_deg: float = 3.0
+    pitch_deg: float = 15.0
+    travel_deg: float = 15.0
+    for_s: float = 2.0
+
+    @staticmethod
+    def read(values: Mapping[str, Any], where: str) -> Tolerance:
+        """Read the table ``[tolerance]`` of a plan.
+
+        Parameters
+        ----------
+        values : Mapping of str
+            The table; what is missing has its default.
+        where : str
+            Place, for messages.
+
+        Returns
+        -------
+        Tolerance
+            As written.
+
+        Raises
+        ------
+        PlanError
+            If a key is unknown or a value none that can be.
+        """
+        usual = Tolerance()
+        bounds = {f"{axis}_deg": _BOUND for axis in AXES} | {"for_s": _LONGEST}
+        table = Table(values, where, bounds)
+        return Tolerance(
+            **{key: table.number(key, spec, getattr(usual, key)) for key, spec in bounds.items()}
+        )
+
+    @staticmethod
+    def widest(tolerances: Sequence[Tolerance]) -> Tolerance:
+        """Return what all of several plans allow.
+
+        Parameters
+        ----------
+        tolerances : sequence of Tolerance
+            Of plans flown in one flight, at least one.
+
+        Returns
+        -------
+        Tolerance
+            The largest of each number.
+        """
+        return Tolerance(
+            *(max(getattr(one, key) for one in tolerances) for key in Tolerance.__dataclass_fields__)
+        )
+
+
+@dataclass
+class TrackingMonitor:
+    """Watches following errors while ticks come in.
+
+    Parameters
+    ----------
+    rad_per_count : ndarray (axes,)
+        Angle of a count of each encoder.
+    axes : tuple of str
+        Axes that are closed.
+
+    Attributes
+    ----------
+    longest_s : ndarray (axes,)
+        Longest time for which an axis was beyond its bound without a break.
+    worst_deg : ndarray (axes,)
+        Largest following error in such a time, degrees.
+    """
+
+    tolerance: Tolerance
+    rad_per_count: NDArray[np.float64]
+    axes: tuple[str, ...]
+    longest_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(AXES)))
+    worst_deg: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(AXES)))
+
+    def __post_init__(self) -> None:
+        self._since_tick = np.full(len(AXES), -1, np.int64)
+        self._peak_deg = np.zeros(len(AXES))
+        self._bound_deg = np.array([getattr(self.tolerance, f"{axis}_deg") for axis in AXES])
+
+    def take(self, ticks: Ticks, first_tick: int) -> None:
+        """Look at samples.
+
+        Parameters
+        ----------
+        ticks : Ticks
+            The next samples.
+        first_tick : int
+            Device tick from which on they count.
+        """
+        if not len(ticks):
+            return
+        tick = ticks.tick.astype(np.int64)
+        flown = (numbers(ticks.raw, Channel.STATE) == State.CLOSED_LOOP) & (tick >= first_tick)
+        angle_rad = ticks.raw[:, ENCODERS] * self.rad_per_count
+        setpoint_rad = np.stack([physical(ticks.raw, channel) for channel in _SETPOINTS], axis=1)
+        error_deg = np.degrees(np.abs(angle_rad - setpoint_rad))
+        beyond = flown[:, None] & (error_deg > self._bound_deg)
+        if not beyond.any():
+            self._since_tick[:] = -1
+            return
+        for index, axis in enumerate(AXES):
+            if axis in self.axes:
+                self._follow(index, tick, error_deg[:, index], beyond[:, index])
+
+    def _follow(
+        self, index: int, tick: NDArray[np.int64], error_deg: NDArray[np.float64], beyond: NDArray[np.bool_]
+    ) -> None:
+        # Of each stretch of equal answers, its first row.
+        edges = np.flatnonzero(np.diff(beyond)) + 1
+        for first, after in zip((0, *edges), (*edges, len(tick)), strict=True):
+            if not beyond[first]:
+                self._since_tick[index] = -1
+                continue
+            if self._since_tick[index] < 0:
+                self._since_tick[index], self._peak_deg[index] = tick[first], 0.0
+            self._peak_deg[index] = max(self._peak_deg[index], float(error_deg[first:after].max()))
+            lasted_s = float(tick[after - 1] - self._since_tick[index] + 1) * TICK_S
+            if lasted_s > self.longest_s[index]:
+                self.longest_s[index], self.worst_deg[index] = lasted_s, self._peak_deg[index]
+
+    def verdict(self) -> str:
+        """Return what was not tracked, in one line; empty when all was."""
+        for index, axis in enumerate(AXES):
+            if self.longest_s[index] > self.tolerance.for_s:
+                worst_deg, lasted_s = self.worst_deg[index], self.longest_s[index]
+                allowed = f"{self._bound_deg[index]:g} for {self.tolerance.for_s:g} s"
+                return (
+                    f"{NOT_TRACKED}: {axis} was up to {worst_deg:.1f} degrees from its setpoint for "
+                    f"{lasted_s:.1f} s (allowed: {allowed}); tune the gains for this rig, or widen "
+                    "[tolerance] of the plan"
+                )
+        return ""

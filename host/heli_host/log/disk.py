@@ -1,0 +1,452 @@
+"""A log's file on a disk that may be full, slow, or gone for seconds.
+
+`DirectFile` writes where it is called: for simulations in lockstep, where time stands still meanwhile, and
+for work without a board. `BackgroundFile` has a thread that writes, so that a disk which blocks delays
+neither the reading of the board nor its setpoints.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import os
+import shutil
+import stat
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+from heli_host.errors import LogWriteError
+
+MOST_BYTES_PER_S = 120_000
+"""A second of ticks that do not compress at all, with their index; a usual one is 15 to 20 kB."""
+QUEUED_BYTES = 32 * 1024 * 1024
+"""What may wait for the disk: half an hour of a usual flight, 4 minutes of ticks that do not compress."""
+RESERVED_BYTES = 4 * 1024 * 1024
+"""Free space at which a flight ends: its landing, and summary and figure after it, still find room."""
+
+_LEAST_FLIGHT_S = 60.0
+_SYNC_S = 1.0
+_STALL_S = 0.5
+_CLOSE_TIMEOUT_S = 60.0
+_LOOK_S = 0.1
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_sync = getattr(os, "fdatasync", os.fsync)
+
+
+class LogFile(Protocol):
+    """Where a log's bytes go."""
+
+    @property
+    def failed(self) -> LogWriteError | None:
+        """Why nothing more is written; what was written before ends with a whole record."""
+        ...
+
+    @property
+    def nearly_full(self) -> LogWriteError | None:
+        """Set when the disk has no more than `RESERVED_BYTES` left; writing goes on."""
+        ...
+
+    @property
+    def has_room(self) -> bool:
+        """Whether more may be appended without waiting for the disk."""
+        ...
+
+    def append(self, data: bytes) -> None:
+        """Write whole records behind what was appended before.
+
+        Parameters
+        ----------
+        data : bytes
+            The records.
+
+        Raises
+        ------
+        LogWriteError
+            If the disk is full or gone; a file with a thread raises it at a later call.
+        """
+        ...
+
+    def take_stalls_s(self) -> list[float]:
+        """Return how long the disk blocked, for each time that was not told yet [s]."""
+        ...
+
+    def drain(self) -> None:
+        """Wait until the disk has taken everything.
+
+        Raises
+        ------
+        LogWriteError
+            If it is full or gone, or takes nothing for a minute.
+        """
+        ...
+
+    def close(self) -> None:
+        """Write what is left and close the file.
+
+        Raises
+        ------
+        LogWriteError
+            If the disk is full or gone, or takes nothing for a minute.
+        """
+        ...
+
+
+class DirectFile:
+    """A log's file, written by whoever appends.
+
+    Parameters
+    ----------
+    path : Path
+        File to write; its folder is made.
+
+    Raises
+    ------
+    LogWriteError
+        If the file is there already, or cannot be created.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.failed: LogWriteError | None = None
+        self.nearly_full: LogWriteError | None = None
+        self._path = path
+        self._file = _create(path)
+        self._bytes_written = 0
+
+    @property
+    def has_room(self) -> bool:
+        """Always: whoever appends waits."""
+        return True
+
+    def append(self, data: bytes) -> None:
+        """Write whole records; after a failure the file ends behind the last whole one.
+
+        Parameters
+        ----------
+        data : bytes
+            The records.
+
+        Raises
+        ------
+        LogWriteError
+            If the disk is full or gone.
+        """
+        if self.failed is not None:
+            raise self.failed
+        view = memoryview(data)
+        try:
+            while view:
+                view = view[self._file.write(view) or 0 :]
+        except OSError as error:
+            raise self._fail(error) from error
+        self._bytes_written += len(data)
+        left = free_bytes(self._path.parent)
+        if left is not None and left < RESERVED_BYTES and self.nearly_full is None:
+            self.nearly_full = LogWriteError(
+                f"the disk of the log {self._path} is almost full, {_megabytes(left)} are left",
+                "free some disk space",
+            )
+
+    def sync(self) -> None:
+        """Have the disk keep what was written.
+
+        Raises
+        ------
+        LogWriteError
+            If the disk is full or gone.
+        """
+        try:
+            _sync(self._file.fileno())
+        except OSError as error:
+            # Devices and pipes have nothing to keep.
+            if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EROFS):
+                raise self._fail(error) from error
+
+    def take_stalls_s(self) -> list[float]:
+        """Return nothing: nobody's time passed but the caller's."""
+        return []
+
+    def drain(self) -> None:
+        """Do nothing: nothing waits."""
+
+    def close(self) -> None:
+        """Close the file."""
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+    def _fail(self, error: OSError) -> LogWriteError:
+        self.failed = LogWriteError(
+            f"cannot write the log {self._path}: {error.strerror or error}",
+            "free some disk space; the log is readable up to here"
+            if error.errno in _FULL
+            else "the log is readable up to here",
+        )
+        with contextlib.suppress(OSError):
+            self._file.truncate(self._bytes_written)
+        return self.failed
+
+
+class BackgroundFile:
+    """A log's file, written by a thread of its own and kept by the disk about every second.
+
+    Parameters
+    ----------
+    path : Path
+        File to write; its folder is made.
+    queued_bytes : int
+        How much may wait for the disk before `has_room` says no.
+    now_s : callable returning float
+        Monotonic time [s], by which stalls are measured.
+
+    Raises
+    ------
+    LogWriteError
+        If the file is there already, or cannot be created.
+    """
+
+    def __init__(
+        self, path: Path, queued_bytes: int = QUEUED_BYTES, now_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._file = DirectFile(path)
+        self._path = path
+        self._now_s = now_s
+        self._most_bytes = queued_bytes
+        self._changed = threading.Condition()
+        self._queue: deque[bytes] = deque()
+        self._queued_bytes = 0
+        self._stalls_s: list[float] = []
+        self._closing = False
+        self._given_up: LogWriteError | None = None
+        self._thread = threading.Thread(target=self._run, name="heli-host log", daemon=True)
+        self._thread.start()
+
+    @property
+    def failed(self) -> LogWriteError | None:
+        """Why nothing more is written."""
+        return self._given_up or self._file.failed
+
+    @property
+    def nearly_full(self) -> LogWriteError | None:
+        """Set when the disk has little left."""
+        return self._file.nearly_full
+
+    @property
+    def has_room(self) -> bool:
+        """Whether less waits for the disk than may."""
+        return self._queued_bytes < self._most_bytes
+
+    def append(self, data: bytes) -> None:
+        """Leave whole records to the thread; never waits for the disk.
+
+        Parameters
+        ----------
+        data : bytes
+            The records.
+
+        Raises
+        ------
+        LogWriteError
+            If an earlier write failed.
+        """
+        if self.failed is not None:
+            raise self.failed
+        with self._changed:
+            self._queue.append(data)
+            self._queued_bytes += len(data)
+            self._changed.notify_all()
+
+    def take_stalls_s(self) -> list[float]:
+        """Return how long the disk blocked, for each time that was not told yet [s]."""
+        with self._changed:
+            stalls_s, self._stalls_s = self._stalls_s, []
+        return stalls_s
+
+    def close(self) -> None:
+        """Wait until the disk has everything, and close the file.
+
+        Raises
+        ------
+        LogWriteError
+            If the disk is full or gone, or takes nothing for a minute.
+        """
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        self._wait_while(self._thread.is_alive)
+
+    def drain(self) -> None:
+        """Wait until the disk has taken everything.
+
+        Raises
+        ------
+        LogWriteError
+            If it is full or gone, or takes nothing for a minute.
+        """
+        self._wait_while(lambda: self._queued_bytes > 0)
+
+    def _wait_while(self, busy: Callable[[], bool]) -> None:
+        left_bytes, since_s = self._queued_bytes, self._now_s()
+        while busy() and self.failed is None:
+            with self._changed:
+                self._changed.wait(_LOOK_S)
+            if self._queued_bytes != left_bytes:
+                left_bytes, since_s = self._queued_bytes, self._now_s()
+            elif self._now_s() - since_s > _CLOSE_TIMEOUT_S:
+                self._given_up = LogWriteError(
+                    f"the disk of the log {self._path} has taken nothing for {_CLOSE_TIMEOUT_S:g} s",
+                    "see what holds it; the log is readable up to there",
+                )
+        if self.failed is not None:
+            raise self.failed
+
+    def _run(self) -> None:
+        """Write what comes until the file is closed or fails; nothing here may end the thread in silence."""
+        try:
+            sync_folder(self._path.parent)
+            synced_s = self._now_s()
+            while (data := self._next()) is not None:
+                before_s = self._now_s()
+                self._file.append(data)
+                if self._now_s() - synced_s >= _SYNC_S:
+                    self._file.sync()
+                    synced_s = self._now_s()
+                blocked_s = self._now_s() - before_s
+                with self._changed:
+                    self._queued_bytes -= len(data)
+                    if blocked_s >= _STALL_S:
+                        self._stalls_s.append(blocked_s)
+                    self._changed.notify_all()
+            self._file.sync()
+        except LogWriteError:
+            pass
+        except Exception as error:  # noqa: BLE001 - a thread that dies must say so, whatever killed it
+            self._given_up = LogWriteError(
+                f"cannot write the log {self._path}: {type(error).__name__}: {error}", "report it"
+            )
+        finally:
+            self._file.close()
+            with self._changed:
+                self._queue.clear()
+                self._queued_bytes = 0
+                self._changed.notify_all()
+
+    def _next(self) -> bytes | None:
+        with self._changed:
+            while not self._queue:
+                if self._closing:
+                    return None
+                self._changed.wait()
+            return self._queue.popleft()
+
+
+def check_new(path: Path) -> None:
+    """Refuse to write over a log.
+
+    Parameters
+    ----------
+    path : Path
+        Log to be created.
+
+    Raises
+    ------
+    LogWriteError
+        If there is one. Another name of our choosing would leave the old flight under the name that was asked
+        for, to be taken for the new one.
+    """
+    if path.exists() and not _is_device(path):
+        raise LogWriteError(
+            f"{path} is there already, and no log is written over", "give another name, or move it away"
+        )
+
+
+def check_free_space(path: Path, duration_s: float) -> None:
+    """Refuse to begin a flight that the disk may not hold.
+
+    Parameters
+    ----------
+    path : Path
+        Log to be created.
+    duration_s : float
+        How long the flight lasts; 0 if nobody knows [s].
+
+    Raises
+    ------
+    LogWriteError
+        If less is free than its ticks can need.
+    """
+    needed = RESERVED_BYTES + max(_LEAST_FLIGHT_S, duration_s) * MOST_BYTES_PER_S
+    left = free_bytes(path.parent)
+    if left is not None and left < needed:
+        raise LogWriteError(
+            f"the disk of the log {path} has {_megabytes(left)} left, the flight can need "
+            f"{_megabytes(needed)}",
+            "free some disk space, or choose another place with --log",
+        )
+
+
+def free_bytes(folder: Path) -> int | None:
+    """Return how much a user may still write into a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder; one that is still to be made counts as the next one above it.
+
+    Returns
+    -------
+    int or None
+        None where the system does not say.
+    """
+    for place in (folder, *folder.absolute().parents):
+        with contextlib.suppress(FileNotFoundError):
+            try:
+                return shutil.disk_usage(place).free
+            except FileNotFoundError:
+                raise
+            except OSError:
+                return None
+    return None
+
+
+def sync_folder(folder: Path) -> None:
+    """Have the disk keep the name of a file just created; without that, a power cut may take the whole file.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the file.
+    """
+    # Windows opens no folders, and keeps names by itself.
+    with contextlib.suppress(OSError):
+        opened = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(opened)
+        finally:
+            os.close(opened)
+
+
+def _create(path: Path) -> io.FileIO:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        check_new(path)
+        return io.FileIO(path, "w" if _is_device(path) else "x")
+    except OSError as error:
+        raise LogWriteError(
+            f"cannot write the log {path}: {error.strerror or error}", "choose another place with --log"
+        ) from error
+
+
+def _is_device(path: Path) -> bool:
+    """Whether it is such as ``/dev/null``, which holds nothing that could be lost."""
+    try:
+        return stat.S_ISCHR(path.stat().st_mode)
+    except OSError:
+        return False
+
+
+def _megabytes(count: float) -> str:
+    return f"{count / 1e6:.1f} MB"

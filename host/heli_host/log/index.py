@@ -1,0 +1,132 @@
+"""The index at the end of an MCAP file: where the records are, and a second copy of schemas and channels."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, ChunkIndex, Footer, MetadataIndex, Schema, Statistics
+from mcap.writer import MCAP0_MAGIC
+
+RECORD_HEADER = struct.Struct("<BQ")
+DATA_END_BYTES = RECORD_HEADER.size + 4
+PARSE_ERRORS = (McapError, ValueError, struct.error)
+"""What the mcap library raises over a record that is not what it should be."""
+
+_FOOTER_BYTES = RECORD_HEADER.size + 20
+_MAGIC = bytes(MCAP0_MAGIC)
+_KINDS = {
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.STATISTICS: Statistics,
+    Opcode.CHUNK_INDEX: ChunkIndex,
+    Opcode.METADATA_INDEX: MetadataIndex,
+}
+
+
+@dataclass(frozen=True)
+class Index:
+    """An index whose CRC fits.
+
+    Parameters
+    ----------
+    data_end : int
+        Where the record stands that ends the data.
+    offsets : tuple of int
+        Where chunks and metadata records stand, and `data_end`; rising.
+    schemas, channels : tuple
+        All of the file's.
+    message_counts : dict of int to int
+        Messages by channel id.
+    """
+
+    data_end: int
+    offsets: tuple[int, ...]
+    schemas: tuple[Schema, ...]
+    channels: tuple[Channel, ...]
+    message_counts: dict[int, int]
+
+
+def read_index(data: memoryview) -> Index | None:
+    """Read the index of a file.
+
+    Parameters
+    ----------
+    data : memoryview
+        The whole file.
+
+    Returns
+    -------
+    Index or None
+        None where there is none, it is damaged, or it carries no CRC.
+    """
+    footer_start = len(data) - len(_MAGIC) - _FOOTER_BYTES
+    if footer_start < 0 or data[-len(_MAGIC) :] != _MAGIC:
+        return None
+    if RECORD_HEADER.unpack_from(data, footer_start) != (Opcode.FOOTER, _FOOTER_BYTES - RECORD_HEADER.size):
+        return None
+    footer = parse(Footer, data[footer_start + RECORD_HEADER.size :][:20])
+    start = footer.summary_start
+    # The CRC is of everything from the summary's start to its own field.
+    checked = data[start : footer_start + _FOOTER_BYTES - 4]
+    if not len(_MAGIC) <= start <= footer_start or footer.summary_crc != zlib.crc32(checked):
+        return None
+    found: dict[type, list[Any]] = {kind: [] for kind in _KINDS.values()}
+    try:
+        for opcode, body in _records(data[start:footer_start]):
+            kind = _KINDS.get(Opcode(opcode))
+            if kind is not None:
+                found[kind].append(parse(kind, body))
+    except PARSE_ERRORS:
+        return None
+    data_end = start - DATA_END_BYTES
+    offsets = {one.chunk_start_offset for one in found[ChunkIndex]}
+    offsets |= {one.offset for one in found[MetadataIndex]} | {data_end}
+    return Index(
+        data_end=data_end,
+        offsets=tuple(sorted(offsets)),
+        schemas=tuple(found[Schema]),
+        channels=tuple(found[Channel]),
+        message_counts={k: v for one in found[Statistics] for k, v in one.channel_message_counts.items()},
+    )
+
+
+def parse(kind: Any, body: memoryview) -> Any:
+    """Parse a record with the mcap library.
+
+    Parameters
+    ----------
+    kind : type
+        Class of the record.
+    body : memoryview
+        Its content; all of it has to be used up.
+
+    Raises
+    ------
+    ValueError, McapError or struct.error
+        If it is not such a record.
+    """
+    stream = ReadDataStream(io.BytesIO(body))
+    record = kind.read(stream)
+    # The library reads what is there: a string that should be longer than the record just ends early.
+    if stream.count != len(body):
+        raise ValueError("the record is not as long as it says")
+    return record
+
+
+def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+    position = 0
+    while position < len(data):
+        opcode, length = RECORD_HEADER.unpack_from(data, position)
+        position += RECORD_HEADER.size
+        if length > len(data) - position:
+            raise ValueError("a record reaches beyond the index")
+        yield opcode, data[position : position + length]
+        position += length

@@ -1,0 +1,406 @@
+"""Walks a log record by record, and finds its way again behind damage.
+
+A record counts only when it is there to its last byte and fits its CRC. Where the walk no longer stands on a
+record, the index at the end tells where the next one is; without an index, the next chunk is searched for.
+Whatever is left out is told in the notes.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zstandard
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, DataEnd, Header, Metadata, Schema
+from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
+
+from heli_host.declaration import CHANNELS
+from heli_host.errors import LogError
+from heli_host.flight import OWN_COLUMNS
+from heli_host.log.index import PARSE_ERRORS, RECORD_HEADER, Index, parse, read_index
+from heli_host.log.integrity import HEAD, RECORD_CRC, head_values, metadata_crc
+from heli_host.log.schema import (
+    CDR_LITTLE_ENDIAN,
+    EVENT_TOPIC,
+    LINK_TOPIC,
+    TICK_LAYOUT,
+    TICK_SCHEMA_NAME,
+    TICK_TOPIC,
+    MessageLayout,
+    parse_layout,
+    tick_record,
+)
+
+_MAGIC = bytes(MCAP0_MAGIC)
+_MESSAGE_HEADER = struct.Struct("<HIQQ")
+_MESSAGE_INDEX = struct.Struct("<HI")
+_INDEX_ENTRY_BYTES = 16
+_MAX_CHUNK_BYTES = 1 << 26
+_MAX_MESSAGE_BYTES = 1 << 16
+_MAX_MESSAGES = 1_000_000
+_MAX_TIME_S = 1e10
+_PRIVATE_OPCODES = 0x80
+_IN_DATA = (Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.METADATA, Opcode.DATA_END)
+_LANDMARK = re.compile(rb"\x06.{36}\x04\x00{3}zstd|\x0f\x04\x00{7}", re.DOTALL)
+"""How a compressed chunk begins, and the record that ends the data."""
+_DAMAGE = (*PARSE_ERRORS, zstandard.ZstdError, zlib.error, KeyError, RecursionError)
+_ANGLES = tuple(spec.column for spec in CHANNELS if spec.axis is not None)
+_NEEDED_FIELDS = (
+    "t_s",
+    "tick",
+    *_ANGLES,
+    *(spec.field for spec in CHANNELS if spec.column in OWN_COLUMNS),
+)
+"""Fields that every version writes: a flight has columns of its own for them."""
+
+
+MOST_BYTES = 1 << 30
+"""Most that a log may hold, packed and unpacked: about four hours."""
+
+
+@dataclass
+class Scan:
+    """A log while it is being walked, and what was found.
+
+    Parameters
+    ----------
+    path : Path
+        Where it was read from, for messages.
+    data : memoryview
+        The whole file.
+    layout : MessageLayout or None
+        Of the ticks; None until their channel was found.
+    ticks : list of structured ndarray
+        In the order of the file.
+    events, link : list of dict
+        Messages of the rare topics.
+    metadata : dict of dict
+        Named records; of two values the later one.
+    notes : list of str
+        What is wrong with the file.
+    closed : bool
+        Whether the record was found with which a closed log ends its data.
+    """
+
+    path: Path
+    data: memoryview
+    layout: MessageLayout | None = None
+    ticks: list[NDArray[Any]] = field(default_factory=list)
+    events: list[dict[str, Any]] = field(default_factory=list)
+    link: list[dict[str, Any]] = field(default_factory=list)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    closed: bool = False
+    _index: Index | None = None
+    _schemas: dict[int, Schema] = field(default_factory=dict)
+    _channels: dict[int, Channel] = field(default_factory=dict)
+    _tick_channel: int = -1
+    _record: np.dtype[Any] | None = None
+    _records: list[Metadata] = field(default_factory=list)
+    _has_crcs: bool = False
+    _unpacked_bytes: int = 0
+    _head_fits: bool = False
+    _damaged_chunks: int = 0
+    _lost: list[tuple[int, int]] = field(default_factory=list)
+    _in_head: bool = True
+
+    def run(self) -> None:
+        """Walk the whole file.
+
+        Raises
+        ------
+        LogError
+            If it holds ticks that are not ours, or damage leaves open how its ticks are to be read.
+        """
+        self._index = read_index(self.data)
+        for schema in self._index.schemas if self._index else ():
+            self._schemas[schema.id] = schema
+        for channel in self._index.channels if self._index else ():
+            self._add_channel(channel)
+        position = len(_MAGIC)
+        while position < len(self.data) and not self.closed:
+            try:
+                position = self._step(position)
+            except _OutOfStep:
+                found = self._next_record(position)
+                if found is None:
+                    self._note_break(position)
+                    break
+                self._lost.append((position, found))
+                position = found
+        if not self.closed and position == len(self.data):
+            self._note_break(position)
+        self._judge_head()
+        self._judge_metadata()
+        self._note_damage()
+
+    def _step(self, position: int) -> int:
+        """Visit the record at ``position``; return where the next one stands."""
+        if len(self.data) - position < RECORD_HEADER.size:
+            raise _OutOfStep
+        opcode, length = RECORD_HEADER.unpack_from(self.data, position)
+        start: int = position + RECORD_HEADER.size
+        if length > len(self.data) - start:
+            raise _OutOfStep
+        body = self.data[start : start + length]
+        if opcode == Opcode.CHUNK:
+            chunk = _whole(Chunk, body)
+            try:
+                self._read_chunk(chunk)
+            except _DAMAGE:
+                self._damaged_chunks += 1
+        elif opcode == Opcode.METADATA:
+            self._add_metadata(_whole(Metadata, body), position)
+        elif opcode == Opcode.MESSAGE_INDEX:
+            if length < _MESSAGE_INDEX.size or _entries_bytes(body) != length - _MESSAGE_INDEX.size:
+                raise _OutOfStep
+        elif opcode == Opcode.DATA_END:
+            self._end(_whole(DataEnd, body), position)
+        elif opcode in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL) and self._in_head:
+            self._visit_head(opcode, body)
+        elif opcode == Opcode.ATTACHMENT or opcode >= _PRIVATE_OPCODES:
+            self.notes.append(f"the record at byte {position} is of a kind unknown to heli-host")
+        else:
+            raise _OutOfStep
+        self._in_head = self._in_head and opcode in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL)
+        return start + int(length)
+
+    def _visit_head(self, opcode: int, body: memoryview) -> None:
+        if opcode == Opcode.HEADER:
+            _whole(Header, body)
+        elif self._index is not None and self._index.channels:
+            return
+        elif opcode == Opcode.SCHEMA:
+            schema = _whole(Schema, body)
+            self._schemas[schema.id] = schema
+        else:
+            self._add_channel(_whole(Channel, body))
+
+    def _add_channel(self, channel: Channel) -> None:
+        self._channels[channel.id] = channel
+        if channel.topic != TICK_TOPIC or channel.id == self._tick_channel:
+            return
+        schema = self._schemas.get(channel.schema_id)
+        if schema is None or schema.name != TICK_SCHEMA_NAME or schema.encoding != "ros2msg":
+            raise LogError(
+                f"{self.path}: {TICK_TOPIC} is not written by heli-host", "give a log written by heli-host"
+            )
+        layout = parse_layout(schema.data.decode("utf-8", errors="replace"))
+        missing = [name for name in _NEEDED_FIELDS if name not in (layout.dtype.names or ())]
+        if missing:
+            raise LogError(
+                f"{self.path} has no field {missing[0]} in its ticks",
+                "read it with the version that wrote it",
+            )
+        self.layout, self._tick_channel = layout, channel.id
+        self._record = tick_record(layout)
+
+    def _add_metadata(self, record: Metadata, position: int) -> None:
+        self._records.append(record)
+        self._has_crcs = self._has_crcs or RECORD_CRC in record.metadata
+        if record.name == HEAD and _vouched(record):
+            head = head_values(bytes(self.data[:position]))
+            self._head_fits = head.items() <= record.metadata.items()
+
+    def _judge_head(self) -> None:
+        """Refuse ticks of which it is not sure what their numbers mean."""
+        if self._head_fits or (self._records and not self._has_crcs):
+            return
+        self.notes.append("the first bytes, which say how the numbers are to be read, are damaged")
+        from_index = self._index is not None and self._index.channels
+        usual = self.layout == TICK_LAYOUT and sorted(self._topics()) == [EVENT_TOPIC, LINK_TOPIC, TICK_TOPIC]
+        if self.layout is not None and not from_index and not usual:
+            raise LogError(
+                f"{self.path} is damaged where it says how its numbers are to be read", "copy it again"
+            )
+
+    def _topics(self) -> list[str]:
+        return [channel.topic for channel in self._channels.values()]
+
+    def _end(self, record: DataEnd, position: int) -> None:
+        if self._index is not None and position != self._index.data_end:
+            raise _OutOfStep
+        self.closed = True
+        carries = record.data_section_crc != 0 or self._has_crcs
+        fits = carries and record.data_section_crc == zlib.crc32(self.data[:position])
+        if carries and not fits:
+            self.notes.append("the CRC of the whole file does not fit: it is not as it was written")
+        if self._index is None:
+            whole = "; all data before it is whole" if fits else ""
+            self.notes.append(f"the index at its end is damaged or missing{whole}")
+
+    def _next_record(self, position: int) -> int | None:
+        """Where the walk can go on behind ``position``."""
+        if self._index is not None:
+            return next((offset for offset in self._index.offsets if offset > position), None)
+        if len(self.data) - position >= RECORD_HEADER.size:
+            behind = position + RECORD_HEADER.size + RECORD_HEADER.unpack_from(self.data, position)[1]
+            if self._may_stand_at(behind):
+                return int(behind)
+        landmark = _LANDMARK.search(self.data, position + 1)
+        return landmark.start() if landmark is not None else None
+
+    def _may_stand_at(self, position: int) -> bool:
+        """Whether a record of the data may begin there."""
+        if position > len(self.data) - RECORD_HEADER.size:
+            return False
+        opcode, length = RECORD_HEADER.unpack_from(self.data, position)
+        return opcode in _IN_DATA and length <= len(self.data) - position - RECORD_HEADER.size
+
+    def _note_break(self, position: int) -> None:
+        rest = len(self.data) - position
+        if self.data[-len(_MAGIC) :] == _MAGIC and rest:
+            self.notes.append(f"its last {rest} bytes are damaged and were left out")
+        else:
+            self.notes.append(
+                f"the log was not closed (it ends {rest} bytes into a record): "
+                f"{sum(map(len, self.ticks))} ticks were readable"
+            )
+
+    def _judge_metadata(self) -> None:
+        """Merge the records that fit their CRC; those of a log without any are taken as they are."""
+        if not self._has_crcs:
+            self.notes.append(
+                "written before logs carried a CRC of their metadata: damage to its parameters would not show"
+            )
+        damaged: list[str] = []
+        for record in self._records:
+            if self._has_crcs and not _vouched(record):
+                damaged.append(record.name)
+            elif record.name != HEAD:
+                values = {key: value for key, value in record.metadata.items() if key != RECORD_CRC}
+                self.metadata.setdefault(record.name, {}).update(values)
+        if damaged:
+            names = ", ".join(repr(name[:40]) for name in damaged)
+            self.notes.append(f"metadata is damaged and was left out: {names}")
+
+    def _note_damage(self) -> None:
+        if self._damaged_chunks:
+            self.notes.append(f"{self._damaged_chunks} chunks are damaged and were left out")
+        for start, stop in self._lost:
+            self.notes.append(f"bytes {start} to {stop} are damaged and were left out")
+        written = self._index.message_counts.get(self._tick_channel) if self._index else None
+        read = sum(map(len, self.ticks))
+        if written is not None and written != read:
+            self.notes.append(f"{written} ticks were written, {read} are readable")
+
+    def _read_chunk(self, chunk: Chunk) -> None:
+        if chunk.uncompressed_size > _MAX_CHUNK_BYTES:
+            raise ValueError("the chunk claims more than any writer puts into one")
+        self._unpacked_bytes += chunk.uncompressed_size
+        if self._unpacked_bytes > MOST_BYTES:
+            raise LogError(f"{self.path} unpacks to more than {MOST_BYTES >> 20} MiB", "cut it into pieces")
+        if chunk.compression == "zstd":
+            # The frame's own word is what would be allocated.
+            if zstandard.get_frame_parameters(chunk.data).content_size != chunk.uncompressed_size:
+                raise ValueError("the chunk is not as large as it says")
+            body = zstandard.ZstdDecompressor().decompress(
+                chunk.data, max_output_size=chunk.uncompressed_size
+            )
+        elif chunk.compression == "":
+            body = chunk.data
+        elif chunk.compression == "lz4":
+            raise LogError(f"{self.path} is compressed by lz4", "convert it to zstd")
+        else:
+            raise ValueError("an unknown compression")
+        # MCAP leaves the field 0 where there is no CRC; heli-host always writes one.
+        carries = chunk.uncompressed_crc or self._has_crcs
+        if len(body) != chunk.uncompressed_size or (carries and zlib.crc32(body) != chunk.uncompressed_crc):
+            raise ValueError("the chunk's CRC does not fit")
+        ticks: list[NDArray[Any]] = []
+        messages: list[memoryview] = []
+        for item in self._messages(body):
+            if isinstance(item, np.ndarray):
+                ticks.append(item)
+                continue
+            opcode, record = item
+            if opcode == Opcode.MESSAGE:
+                messages.append(record)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._visit_head(opcode, record)
+        for message in messages:
+            self._add_json(message)
+        self.ticks += ticks
+
+    def _messages(self, body: bytes) -> Iterator[NDArray[Any] | tuple[int, memoryview]]:
+        """Yield runs of ticks as arrays and every other record with its opcode."""
+        view = memoryview(body)
+        position = 0
+        while position < len(body):
+            run = self._tick_run(body, position)
+            if run is not None:
+                yield run["payload"]
+                position += run.nbytes
+                continue
+            opcode, length = RECORD_HEADER.unpack_from(body, position)
+            start = position + RECORD_HEADER.size
+            if length > len(body) - start:
+                raise ValueError("a record reaches beyond its chunk")
+            yield opcode, view[start : start + length]
+            position = start + length
+
+    def _tick_run(self, body: bytes, position: int) -> NDArray[Any] | None:
+        """Map the ticks that follow each other from ``position`` on; None when there is none."""
+        record = self._record
+        if record is None:
+            return None
+        most = (len(body) - position) // record.itemsize
+        if most == 0:
+            return None
+        rows = np.frombuffer(body, record, count=most, offset=position)
+        ours = (
+            (rows["opcode"] == int(Opcode.MESSAGE))
+            & (rows["length"] == record.itemsize - RECORD_HEADER.size)
+            & (rows["channel"] == self._tick_channel)
+            & (rows["cdr"] == int.from_bytes(CDR_LITTLE_ENDIAN, "little"))
+        )
+        count = most if ours.all() else int(np.argmin(ours))
+        return rows[:count] if count else None
+
+    def _add_json(self, record: memoryview) -> None:
+        channel_id, *_ = _MESSAGE_HEADER.unpack_from(record)
+        topic = self._channels[channel_id].topic if channel_id in self._channels else ""
+        if topic not in (EVENT_TOPIC, LINK_TOPIC):
+            return
+        if len(record) > _MAX_MESSAGE_BYTES or len(self.link) + len(self.events) >= _MAX_MESSAGES:
+            raise ValueError("more messages than any flight has")
+        message = json.loads(bytes(record[_MESSAGE_HEADER.size :]))
+        if not isinstance(message, dict) or not _is_time(message.get("t_s")):
+            raise ValueError("a message without a time")
+        if topic == LINK_TOPIC:
+            self.link.append(message)
+        elif isinstance(message.get("name"), str) and isinstance(message.get("message"), str):
+            self.events.append(message)
+
+
+class _OutOfStep(Exception):
+    """There is no record where one should stand."""
+
+
+def _whole(kind: Any, body: memoryview) -> Any:
+    try:
+        return parse(kind, body)
+    except PARSE_ERRORS as error:
+        raise _OutOfStep from error
+
+
+def _is_time(value: object) -> bool:
+    return isinstance(value, int | float) and abs(value) < _MAX_TIME_S
+
+
+def _entries_bytes(body: memoryview) -> int:
+    entries_bytes = int(_MESSAGE_INDEX.unpack_from(body)[1])
+    return -1 if entries_bytes % _INDEX_ENTRY_BYTES else entries_bytes
+
+
+def _vouched(record: Metadata) -> bool:
+    return record.metadata.get(RECORD_CRC) == metadata_crc(record.name, record.metadata)

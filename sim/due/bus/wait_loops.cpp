@@ -1,0 +1,41 @@
+#include "bus/wait_loops.hpp"
+
+#include <algorithm>
+
+#include "cpu/cpu.hpp"
+
+namespace heli_due {
+
+namespace {
+
+// Longer ways round do work, and are no wait.
+constexpr std::uint64_t kMostInstructions = 64;
+// Whoever waits may keep the watchdog quiet meanwhile.
+constexpr std::uint32_t kWatchdogRestart = 0x400E1A50;
+
+}  // namespace
+
+WaitLoops::Loop& WaitLoops::at_level_of(const Cpu& cpu) {
+  return loops_[std::min(cpu.nesting(), loops_.size() - 1)];
+}
+
+bool WaitLoops::stands_in(const Cpu& cpu, const Loop& loop) {
+  return loop.found() && loop.entry == cpu.entry_of_level() &&
+         cpu.instructions_of_level() - loop.instructions <= kMostInstructions;
+}
+
+void WaitLoops::read(const Cpu& cpu, std::uint32_t address, std::uint32_t value) {
+  Loop& loop = at_level_of(cpu);
+  const std::uint32_t pc = cpu.pc();
+  const std::uint64_t instructions = cpu.instructions_of_level();
+  const bool again =
+      loop.pc == pc && loop.address == address && loop.value == value && stands_in(cpu, loop);
+  if (!again) loop = {pc, address, value, cpu.entry_of_level(), 0, cpu.cycles()};
+  loop.instructions = instructions;
+}
+
+void WaitLoops::write(const Cpu& cpu, std::uint32_t address) {
+  if (address != kWatchdogRestart) at_level_of(cpu).pc = kNone;
+}
+
+}  // namespace heli_due

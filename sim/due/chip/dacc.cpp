@@ -1,0 +1,154 @@
+#include "chip/dacc.hpp"
+
+namespace heli_due {
+
+namespace {
+
+using access::kBoth;
+using access::kProtected;
+using access::kRead;
+using access::kUnmodelled;
+using access::kWrite;
+
+constexpr Register kRegisters[] = {
+    {0x00, "DACC_CR", kWrite},
+    {0x04, "DACC_MR", kBoth | kProtected},
+    {0x10, "DACC_CHER", kWrite | kProtected},
+    {0x14, "DACC_CHDR", kWrite | kProtected},
+    {0x18, "DACC_CHSR", kRead},
+    {0x20, "DACC_CDR", kWrite},
+    {0x24, "DACC_IER", kWrite},
+    {0x28, "DACC_IDR", kWrite},
+    {0x2C, "DACC_IMR", kRead},
+    {0x30, "DACC_ISR", kRead},
+    {0x94, "DACC_ACR", kBoth | kProtected},
+    {0xE4, "DACC_WPMR", kBoth},
+    {0xE8, "DACC_WPSR", kRead | kUnmodelled},
+    {0x108, "DACC_TPR", kBoth | kUnmodelled},
+    {0x10C, "DACC_TCR", kBoth | kUnmodelled},
+    {0x118, "DACC_TNPR", kBoth | kUnmodelled},
+    {0x11C, "DACC_TNCR", kBoth | kUnmodelled},
+    {0x120, "DACC_PTCR", kWrite | kUnmodelled},
+    {0x124, "DACC_PTSR", kRead | kUnmodelled},
+};
+
+constexpr std::uint32_t kProtectKey = 0x444143;  // "DAC"
+constexpr std::uint32_t kTriggered = 1U << 0;
+constexpr std::uint32_t kWord = 1U << 4;
+constexpr std::uint32_t kTag = 1U << 20;
+constexpr std::uint32_t kTxRdy = 1U << 0;
+constexpr std::uint32_t kEoc = 1U << 1;
+constexpr std::size_t kQueue = 4;
+// A conversion takes 25 periods of MCK / 2.
+constexpr std::uint64_t kCycles = 50;
+// Outputs go from a sixth to five sixths of the reference, 0.55 to 2.75 V on a Due.
+constexpr double kReference_V = 3.3;
+
+}  // namespace
+
+Dacc::Dacc(System& system)
+    : Peripheral(system, "DACC", 0x400C8000, 0x4000, id::kDacc, kRegisters),
+      id_(system.scheduler.add(this)) {}
+
+void Dacc::reset() {
+  waiting_.clear();
+  code_ = {};
+  mode_ = channels_ = interrupts_ = analog_ = protect_ = 0;
+  complete_ = false;
+  system_.scheduler.set(id_, kNever);
+  update();
+}
+
+double Dacc::output_V(int channel) const {
+  const auto index = static_cast<std::size_t>(channel);
+  if (((channels_ >> index) & 1U) == 0) return 0.0;
+  return kReference_V * (1.0 + 4.0 * code_.at(index) / 4095.0) / 6.0;
+}
+
+std::uint32_t Dacc::flags() const {
+  const bool room = channels_ != 0 && waiting_.size() < kQueue;
+  return (room ? kTxRdy : 0) | (complete_ ? kEoc : 0);
+}
+
+void Dacc::queue(std::uint32_t half_word) {
+  const std::size_t channel = ((mode_ & kTag) != 0 ? half_word >> 12 : mode_ >> 16) & 1U;
+  if (((channels_ >> channel) & 1U) == 0) {
+    return misuse(0x20, "value for channel " + std::to_string(channel) + ", which is off");
+  }
+  if (waiting_.size() == kQueue) return misuse(0x20, "write while DACC_ISR.TXRDY is 0");
+  waiting_.push_back({channel, half_word & 0xFFFU});
+  if (waiting_.size() == 1) system_.scheduler.set(id_, system_.now() + kCycles);
+}
+
+void Dacc::event(std::uint64_t) {
+  if (waiting_.empty()) return;
+  code_[waiting_.front().channel] = waiting_.front().code;
+  waiting_.pop_front();
+  complete_ = true;
+  if (!waiting_.empty()) system_.scheduler.set(id_, system_.now() + kCycles);
+  update();
+}
+
+std::uint32_t Dacc::read(std::uint32_t offset) {
+  switch (offset) {
+    case 0x04:
+      return mode_;
+    case 0x18:
+      return channels_;
+    case 0x2C:
+      return interrupts_;
+    case 0x30: {
+      const std::uint32_t value = flags();
+      complete_ = false;
+      update();
+      return value;
+    }
+    case 0x94:
+      return analog_;
+    case 0xE4:
+      return protect_;
+    default:
+      return 0;
+  }
+}
+
+void Dacc::write(std::uint32_t offset, std::uint32_t value) {
+  switch (offset) {
+    case 0x00:
+      if ((value & 1U) != 0) return reset();
+      return;
+    case 0x04:
+      if ((value & kTriggered) != 0) not_modelled(offset, "triggers are not modelled");
+      mode_ = value & 0x3F33FF7FU;
+      return;
+    case 0x10:
+      channels_ |= value & 3U;
+      break;
+    case 0x14:
+      channels_ &= ~value;
+      break;
+    case 0x20:
+      queue(value & 0xFFFFU);
+      if ((mode_ & kWord) != 0) queue(value >> 16);
+      break;
+    case 0x24:
+      if ((value & 0xCU) != 0) not_modelled(offset, "the PDC is not modelled");
+      interrupts_ |= value & 3U;
+      break;
+    case 0x28:
+      interrupts_ &= ~value;
+      break;
+    case 0x94:
+      analog_ = value & 0x30FU;
+      return;
+    case 0xE4:
+      if (value >> 8 != kProtectKey) return misuse(offset, "write without the key 0x444143");
+      protect_ = value & 1U;
+      return;
+    default:
+      return;
+  }
+  update();
+}
+
+}  // namespace heli_due

@@ -1,0 +1,48 @@
+// Digital-to-analog converter (section 44): two channels behind a queue of four values.
+#pragma once
+
+#include <array>
+#include <deque>
+
+#include "chip/peripheral.hpp"
+
+namespace heli_due {
+
+class Dacc final : public Peripheral {
+ public:
+  static constexpr int kChannels = 2;
+
+  explicit Dacc(System& system);
+
+  // The voltage at an output of the Due; 0 while its channel is off.
+  double output_V(int channel) const;
+  void reset() override;
+  void event(std::uint64_t now) override;
+
+ protected:
+  std::uint32_t read(std::uint32_t offset) override;
+  void write(std::uint32_t offset, std::uint32_t value) override;
+  bool write_protected() const override { return (protect_ & 1U) != 0; }
+
+ private:
+  void queue(std::uint32_t half_word);
+  std::uint32_t flags() const;
+  void update() { system_.set_irq(id::kDacc, (flags() & interrupts_) != 0); }
+
+  struct Value {
+    std::size_t channel;
+    std::uint32_t code;
+  };
+
+  Scheduler::Id id_;
+  std::deque<Value> waiting_;  // the first one is under conversion
+  std::array<std::uint32_t, kChannels> code_{};
+  std::uint32_t mode_ = 0;
+  std::uint32_t channels_ = 0;
+  std::uint32_t interrupts_ = 0;
+  std::uint32_t analog_ = 0;
+  std::uint32_t protect_ = 0;
+  bool complete_ = false;  // EOC
+};
+
+}  // namespace heli_due

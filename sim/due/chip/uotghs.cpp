@@ -1,0 +1,153 @@
+#include "chip/uotghs.hpp"
+
+namespace heli_due {
+
+namespace {
+
+using access::kBoth;
+using access::kRead;
+using access::kUnmodelled;
+using access::kWrite;
+
+constexpr std::uint8_t kReadNot = kRead | kUnmodelled;
+constexpr std::uint8_t kWriteNot = kWrite | kUnmodelled;
+constexpr std::uint8_t kBothNot = kBoth | kUnmodelled;
+
+// One register for each of ten endpoints or pipes.
+#define HELI_TEN(offset, name, access)                                          \
+  {(offset) + 0x00, name "0", access}, {(offset) + 0x04, name "1", access},     \
+      {(offset) + 0x08, name "2", access}, {(offset) + 0x0C, name "3", access}, \
+      {(offset) + 0x10, name "4", access}, {(offset) + 0x14, name "5", access}, \
+      {(offset) + 0x18, name "6", access}, {(offset) + 0x1C, name "7", access}, \
+      {(offset) + 0x20, name "8", access}, {                                    \
+    (offset) + 0x24, name "9", access                                           \
+  }
+// The four registers of a DMA channel.
+#define HELI_DMA(offset, side, channel)                                  \
+  {(offset) + 0x0, "UOTGHS_" side "DMANXTDSC" channel, kBothNot},        \
+      {(offset) + 0x4, "UOTGHS_" side "DMAADDRESS" channel, kBothNot},   \
+      {(offset) + 0x8, "UOTGHS_" side "DMACONTROL" channel, kBothNot}, { \
+    (offset) + 0xC, "UOTGHS_" side "DMASTATUS" channel, kBothNot         \
+  }
+
+constexpr Register kRegisters[] = {
+    {0x000, "UOTGHS_DEVCTRL", kBoth},
+    {0x004, "UOTGHS_DEVISR", kRead},
+    {0x008, "UOTGHS_DEVICR", kWrite},
+    {0x00C, "UOTGHS_DEVIFR", kWriteNot},
+    {0x010, "UOTGHS_DEVIMR", kRead},
+    {0x014, "UOTGHS_DEVIDR", kWrite},
+    {0x018, "UOTGHS_DEVIER", kWrite},
+    {0x01C, "UOTGHS_DEVEPT", kBoth},
+    {0x020, "UOTGHS_DEVFNUM", kRead},
+    HELI_TEN(0x100, "UOTGHS_DEVEPTCFG", kBothNot),
+    HELI_TEN(0x130, "UOTGHS_DEVEPTISR", kReadNot),
+    HELI_TEN(0x160, "UOTGHS_DEVEPTICR", kWriteNot),
+    HELI_TEN(0x190, "UOTGHS_DEVEPTIFR", kWriteNot),
+    HELI_TEN(0x1C0, "UOTGHS_DEVEPTIMR", kReadNot),
+    HELI_TEN(0x1F0, "UOTGHS_DEVEPTIER", kWriteNot),
+    HELI_TEN(0x220, "UOTGHS_DEVEPTIDR", kWriteNot),
+    HELI_DMA(0x310, "DEV", "1"),
+    HELI_DMA(0x320, "DEV", "2"),
+    HELI_DMA(0x330, "DEV", "3"),
+    HELI_DMA(0x340, "DEV", "4"),
+    HELI_DMA(0x350, "DEV", "5"),
+    HELI_DMA(0x360, "DEV", "6"),
+    HELI_DMA(0x370, "DEV", "7"),
+    {0x400, "UOTGHS_HSTCTRL", kBothNot},
+    {0x404, "UOTGHS_HSTISR", kReadNot},
+    {0x408, "UOTGHS_HSTICR", kWriteNot},
+    {0x40C, "UOTGHS_HSTIFR", kWriteNot},
+    {0x410, "UOTGHS_HSTIMR", kReadNot},
+    {0x414, "UOTGHS_HSTIDR", kWriteNot},
+    {0x418, "UOTGHS_HSTIER", kWriteNot},
+    {0x41C, "UOTGHS_HSTPIP", kBothNot},
+    {0x420, "UOTGHS_HSTFNUM", kBothNot},
+    {0x424, "UOTGHS_HSTADDR1", kBothNot},
+    {0x428, "UOTGHS_HSTADDR2", kBothNot},
+    {0x42C, "UOTGHS_HSTADDR3", kBothNot},
+    HELI_TEN(0x500, "UOTGHS_HSTPIPCFG", kBothNot),
+    HELI_TEN(0x530, "UOTGHS_HSTPIPISR", kReadNot),
+    HELI_TEN(0x560, "UOTGHS_HSTPIPICR", kWriteNot),
+    HELI_TEN(0x590, "UOTGHS_HSTPIPIFR", kWriteNot),
+    HELI_TEN(0x5C0, "UOTGHS_HSTPIPIMR", kReadNot),
+    HELI_TEN(0x5F0, "UOTGHS_HSTPIPIER", kWriteNot),
+    HELI_TEN(0x620, "UOTGHS_HSTPIPIDR", kWriteNot),
+    HELI_TEN(0x650, "UOTGHS_HSTPIPINRQ", kBothNot),
+    HELI_TEN(0x680, "UOTGHS_HSTPIPERR", kBothNot),
+    HELI_DMA(0x710, "HST", "1"),
+    HELI_DMA(0x720, "HST", "2"),
+    HELI_DMA(0x730, "HST", "3"),
+    HELI_DMA(0x740, "HST", "4"),
+    HELI_DMA(0x750, "HST", "5"),
+    HELI_DMA(0x760, "HST", "6"),
+    HELI_DMA(0x770, "HST", "7"),
+    {0x800, "UOTGHS_CTRL", kBoth},
+    {0x804, "UOTGHS_SR", kRead},
+    {0x808, "UOTGHS_SCR", kWrite},
+    {0x80C, "UOTGHS_SFR", kWriteNot},
+    {0x82C, "UOTGHS_FSM", kRead},
+};
+#undef HELI_TEN
+#undef HELI_DMA
+
+constexpr std::uint32_t kControlReset = 0x03004000;  // device mode, UOTGID decides, clock frozen
+constexpr std::uint32_t kUsbe = 1U << 15;
+constexpr std::uint32_t kDetached = 1U << 8;
+constexpr std::uint32_t kIdIsDevice = 1U << 10;
+constexpr std::uint32_t kClkUsable = 1U << 14;
+constexpr std::uint32_t kIdleState = 9;
+
+}  // namespace
+
+Uotghs::Uotghs(System& system)
+    : Peripheral(system, "UOTGHS", 0x400AC000, 0x4000, id::kUotghs, kRegisters) {}
+
+void Uotghs::reset() {
+  control_ = kControlReset;
+  device_ = kDetached;
+  interrupts_ = endpoints_ = 0;
+}
+
+std::uint32_t Uotghs::read(std::uint32_t offset) {
+  switch (offset) {
+    case 0x000:
+      return device_;
+    case 0x010:
+      return interrupts_;
+    case 0x01C:
+      return endpoints_;
+    case 0x800:
+      return control_;
+    case 0x804:
+      return kIdIsDevice | ((control_ & kUsbe) != 0 && system_.upll_locked ? kClkUsable : 0);
+    case 0x82C:
+      return kIdleState;
+    default:
+      return 0;
+  }
+}
+
+void Uotghs::write(std::uint32_t offset, std::uint32_t value) {
+  switch (offset) {
+    case 0x000:
+      device_ = value;
+      return;
+    case 0x014:
+      interrupts_ &= ~value;
+      return;
+    case 0x018:
+      interrupts_ |= value;
+      return;
+    case 0x01C:
+      endpoints_ = value;
+      return;
+    case 0x800:
+      control_ = value;
+      return;
+    default:
+      return;
+  }
+}
+
+}  // namespace heli_due

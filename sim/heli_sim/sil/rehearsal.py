@@ -1,0 +1,131 @@
+"""Faults of the rig at a person's word, while a simulated board is served."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+from heli_host.declaration import AXES
+
+from heli_sim.sil.rig_faults import RigFaults
+from heli_sim.sil.spans import During
+from heli_sim.sil.world import SilWorld
+
+_TICK_s: Final = 1e-3
+_MOST_BYTES: Final = 4096
+_AXES: Final = "|".join(AXES)
+HELP: Final = f"stop, release, pull {_AXES}, plug {_AXES}, supply off, supply on, help"
+"""The lines that are understood."""
+
+
+class Rehearsal:
+    """Does to a world what a person types, a line a fault; it lasts until another line ends it.
+
+    Parameters
+    ----------
+    world : SilWorld
+        The rig that is meant.
+    fd : int
+        Where the lines come from: a terminal, or a pipe.
+    say : callable taking str
+        Gets one line of answer for each.
+    """
+
+    def __init__(self, world: SilWorld, fd: int, say: Callable[[str], None]) -> None:
+        self._world = world
+        self._fd = fd
+        self._say = say
+        self._unfinished = b""
+        self._ended = False
+
+    def watched(self) -> list[int]:
+        """File descriptors to wait for: where the lines come from, as long as they may be read."""
+        return [] if self._ended or self._in_background() else [self._fd]
+
+    def listen(self, ready: list[int]) -> None:
+        """Obey the lines that are there.
+
+        Parameters
+        ----------
+        ready : list of int
+            File descriptors that can be read without waiting; none of ours does nothing.
+        """
+        if self._fd not in ready:
+            return
+        try:
+            data = os.read(self._fd, _MOST_BYTES)
+        except OSError:
+            # A terminal that was closed.
+            data = b""
+        self._ended = not data
+        *lines, unfinished = (self._unfinished + data).split(b"\n")
+        self._unfinished = unfinished[:_MOST_BYTES]
+        for line in lines:
+            if words := line.decode("ascii", "replace").split():
+                self._say(f"{self._world.time_s:.1f} s: {self.obey(words)}")
+
+    def obey(self, words: list[str]) -> str:
+        """Do what a line says, from the next tick on.
+
+        Parameters
+        ----------
+        words : list of str
+            The line's words, as `HELP` lists them.
+
+        Returns
+        -------
+        str
+            What is so now, or what could have been said.
+        """
+        faults = self._world.rig_faults
+        match words:
+            case ["stop"]:
+                faults = replace(faults, stop_switch=(*faults.stop_switch, self._from_now()))
+                text = "the stop switch is pressed"
+            case ["release"]:
+                faults = replace(faults, stop_switch=self._until_now(faults.stop_switch))
+                text = "the stop switch is released"
+            case ["pull", axis] if axis in AXES:
+                faults = replace(faults, encoders_out=(*faults.encoders_out, (axis, self._from_now())))
+                text = f"the {axis} encoder is unplugged"
+            case ["plug", axis] if axis in AXES:
+                faults = replace(faults, encoders_out=self._plugged(faults, axis))
+                text = f"the {axis} encoder is plugged in: it counts from where it stopped"
+            case ["supply", "off"]:
+                faults = replace(faults, supply_out=(*faults.supply_out, self._from_now()))
+                text = "the motors have no supply"
+            case ["supply", "on"]:
+                faults = replace(faults, supply_out=self._until_now(faults.supply_out))
+                text = "the motors have their supply"
+            case ["help"]:
+                text = HELP
+            case _:
+                text = f"this cannot be rehearsed; say {HELP}"
+        self._world.rig_faults = faults
+        return text
+
+    def _from_now(self) -> During:
+        return During(self._world.time_s)
+
+    def _until_now(self, spans: tuple[During, ...]) -> tuple[During, ...]:
+        tick = self._world.tick
+        # One that begins with this very tick has not been noticed yet, and has no length.
+        return tuple(
+            replace(during, duration_s=self._world.time_s - during.start_s) if during.holds(tick) else during
+            for during in spans
+            if during.edges()[0] != tick
+        )
+
+    def _plugged(self, faults: RigFaults, axis: str) -> tuple[tuple[str, During], ...]:
+        mine = tuple(during for name, during in faults.encoders_out if name == axis)
+        others = tuple(pair for pair in faults.encoders_out if pair[0] != axis)
+        return (*others, *((axis, during) for during in self._until_now(mine)))
+
+    def _in_background(self) -> bool:
+        """Whether a read would stop this process: started with ``&``, it leaves the terminal to the shell."""
+        try:
+            return os.tcgetpgrp(self._fd) != os.getpgrp()
+        except OSError:
+            return False

@@ -1,0 +1,83 @@
+"""What goes wrong on the rig: an encoder's plug that falls off, the stop switch, a supply that is off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from heli_host.declaration import AXES
+
+from heli_sim import _native
+from heli_sim.errors import OptionError
+from heli_sim.sil.spans import During, next_edge
+
+
+class _SimBoard(Protocol):
+    def set_stop(self, pressed: bool) -> None: ...
+
+
+@dataclass(frozen=True)
+class RigFaults:
+    """What goes wrong on the rig, and when.
+
+    Parameters
+    ----------
+    encoders_out : tuple of (str, During)
+        Axes whose encoder is unplugged: nothing counts, and what moves meanwhile is lost.
+    stop_switch : tuple of During
+        The hardware stop input is active.
+    supply_out : tuple of During
+        The motors have no supply: the board drives, and nothing turns.
+
+    Raises
+    ------
+    OptionError
+        When there is no such axis.
+    """
+
+    encoders_out: tuple[tuple[str, During], ...] = ()
+    stop_switch: tuple[During, ...] = ()
+    supply_out: tuple[During, ...] = ()
+
+    def __post_init__(self) -> None:
+        for axis, _ in self.encoders_out:
+            if axis not in AXES:
+                raise OptionError(f"no encoder is called '{axis}'", f"axes are: {', '.join(AXES)}")
+
+    def next_edge(self, tick: int) -> int:
+        """First tick after `tick` at which something begins or ends.
+
+        Parameters
+        ----------
+        tick : int
+            Present tick.
+
+        Returns
+        -------
+        int
+            That tick; far away when there is none.
+        """
+        spans = (*(during for _, during in self.encoders_out), *self.stop_switch, *self.supply_out)
+        return next_edge(spans, tick)
+
+    def apply(self, tick: int, native: _native.World, board: _SimBoard) -> None:
+        """Put the rig into the state of a tick.
+
+        Parameters
+        ----------
+        tick : int
+            Present tick.
+        native : _native.World
+            The world whose encoders and supply are meant.
+        board : SimBoard
+            Where the stop switch is wired to.
+        """
+        if self.encoders_out:
+            native.encoders_out = [
+                any(name == axis and during.holds(tick) for name, during in self.encoders_out)
+                for axis in AXES
+            ]
+        if self.stop_switch:
+            board.set_stop(any(during.holds(tick) for during in self.stop_switch))
+        if self.supply_out:
+            native.supply_on = not any(during.holds(tick) for during in self.supply_out)

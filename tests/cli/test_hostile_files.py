@@ -1,0 +1,235 @@
+"""Files that somebody sent: one line each, bounded time and memory, and nothing raw to the terminal."""
+
+from __future__ import annotations
+
+import gzip
+import os
+from pathlib import Path
+
+import pytest
+import zstandard
+from heli_host.errors import FlightDataError, LogError, PlanError, printable
+from heli_host.files import parse_toml, read_file
+from heli_host.fly.plan import Plan
+from heli_host.log import scan, table
+from heli_host.log.flight_file import read_flight
+from heli_host.log.reader import read_log
+from heli_host.log.summary import summarise
+from mcap.data_stream import RecordBuilder
+from mcap.records import Chunk
+
+from tests.cli.terminal import Terminal, refusal
+from tests.log.made import make_samples, open_writer
+
+ASKED, FILE = 2, 5
+NAMES = "t_s,front_V,back_V,elevation_rad,pitch_rad,travel_rad\n"
+ROWS = "".join(f"{k * 1e-3:.3f},1,1,0,0,0\n" for k in range(100))
+HOLD = 'title = "x"\n[[segment]]\nkind = "hold"\nduration_s = '
+ESCAPES = "\x1b]0;owned\x07\x1b[2J\x9b31m\u202e"
+
+
+def raw(text: str) -> set[str]:
+    """Return the characters that do something to a terminal."""
+    return {one for one in text if not one.isprintable()} - {"\n"}
+
+
+def test_text_for_a_terminal_has_no_control_characters() -> None:
+    assert printable("Grüße, 5° – ok") == "Grüße, 5° – ok"
+    assert printable("\x1b[31m\x9b\u202e\udc80\r") == "\\x1b[31m\\x9b\\u202e\\udc80\\r"
+    assert len(printable("a" * 10**6)) < 2100
+
+
+@pytest.mark.medium
+def test_what_a_log_says_reaches_the_terminal_as_text(terminal: Terminal, tmp_path: Path) -> None:
+    writer = open_writer(tmp_path / "a.mcap")
+    writer.write_ticks(*make_samples(200))
+    writer.write_event(5100, f"name{ESCAPES}", f"text{ESCAPES}")
+    writer.write_metadata("session", {f"key{ESCAPES}": f"value{ESCAPES}"})
+    writer.write_metadata("plan", {f"plan{ESCAPES}": f"# a plan\n{ESCAPES}"})
+    writer.write_metadata("parameters", {f"param{ESCAPES}": "1.0"})
+    writer.close({"result": {"outcome": f"outcome{ESCAPES}"}})
+    shown = terminal("info", "a.mcap", "--events", "--params", "--plan")
+    assert shown.code == 0 and not raw(shown.out) and "\\x1b]0;owned\\x07" in shown.out
+    notes = f"# event.x: 0.01 {ESCAPES}\n# rig: {ESCAPES}\n"
+    (tmp_path / "a.csv").write_text(
+        notes + NAMES.replace("\n", f",c{ESCAPES}\n") + ROWS.replace("\n", ",1\n")
+    )
+    shown = terminal("info", "a.csv", "--events")
+    assert shown.code == 0 and not raw(shown.out) and "\\x1b]0;owned\\x07" in shown.out
+
+
+@pytest.mark.medium
+def test_what_a_plan_says_reaches_the_terminal_as_text(terminal: Terminal, tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text(f'title = "\\u001b[2J"\n["\\u001b[31m"]\n{HOLD}1\n')
+    line = refusal(terminal("fly", "a.toml", "--sil", "--speed", "max"), code=ASKED)
+    assert not raw(line)
+    (tmp_path / "b.toml").write_text('title = "\\u001b[2Jx"\n' + HOLD.partition("\n")[2] + "1\n")
+    shown = terminal("fly", "b.toml", "--sil", "--speed", "max", "--log", "b.mcap")
+    assert shown.code == 0 and not raw(shown.out) and "flying: \\x1b[2Jx" in shown.out
+
+
+@pytest.mark.parametrize(
+    ("number", "says"),
+    [
+        ("9" * 400, "more than 64 bits"),
+        ("9" * 5000, "more than 64 bits"),
+        ("-" + "9" * 400, "more than 64 bits"),
+        ("1e999", "inf; give a finite number"),
+        ("nan", "nan; give a finite number"),
+        ("1e300", r"1e\+300; give more than 0 to 3600"),
+        ("[" * 100_000 + "]" * 100_000, "nested too deeply"),
+        ("{a=" * 20_000 + "1" + "}" * 20_000, "nested too deeply"),
+    ],
+)
+def test_a_plan_of_absurd_numbers_is_one_line(number: str, says: str) -> None:
+    with pytest.raises(PlanError, match=says) as raised:
+        Plan.parse(f"{HOLD}{number}\n", "plan.toml")
+    assert "\n" not in str(raised.value) and len(str(raised.value)) < 500
+
+
+def test_a_key_of_very_many_parts_takes_no_time() -> None:
+    for key in (".".join("a" * 200_000), ' . "b"' * 200_000, "a" * 1_000_000):
+        with pytest.raises(ValueError, match=r"nested too deeply|[Ee]xpected|Invalid"):
+            parse_toml(f"x.{key} = 1" if key[0] == "a" and "." in key else f"{key} =")
+    assert parse_toml('[a.b."c.d"]\nversion = "1.2.3.4"\nx = [1.5, 2.5, -3.5]\n')
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="skipped: no pipes with names on this system")
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    for name in ("a.mcap", "a.csv", "a.csv.gz"):
+        os.mkfifo(tmp_path / name)
+        with pytest.raises((FlightDataError, LogError), match="a pipe or a device"):
+            read_flight(tmp_path / name)
+    with pytest.raises(OSError, match="a pipe or a device"):
+        read_file(Path("/dev/zero"), 100)
+
+
+def test_a_file_of_a_terabyte_is_not_read(tmp_path: Path) -> None:
+    for name in ("a.mcap", "a.csv", "a.csv.gz"):
+        with (tmp_path / name).open("wb") as file:
+            file.truncate(1 << 40)
+        with pytest.raises((FlightDataError, LogError), match=r"more than .* MiB"):
+            read_flight(tmp_path / name)
+
+
+def test_a_table_that_unpacks_to_more_than_any_flight_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(table, "MOST_BYTES", 1 << 20)
+    path = tmp_path / "a.csv.gz"
+    with gzip.open(path, "wb") as file:
+        file.write((NAMES + ROWS).encode() + b"\n" * (1 << 21))
+    assert path.stat().st_size < 1 << 14
+    with pytest.raises(FlightDataError, match="unpacks to more than 1 MiB"):
+        read_flight(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("," * 100_000 + "\n", "more than 1000 columns"),
+        (NAMES + "," * 100_000 + "\n", "has 100001 columns, the header 6"),
+        (NAMES + "\n" * 1001 + ROWS, "more than 1000 lines"),
+        (NAMES + ROWS + "1e300,1,1,0,0,0\n", "t_s jumps by 1e"),
+        (NAMES + ROWS.replace("0.050,", "1e300,"), "t_s does not rise"),
+        (NAMES + f"0,{'9' * 400},1,0,0,0\n" * 50, "front_V is inf"),
+        (
+            NAMES + "".join(f"{k * 1e-3},1,1,0,0,{(-1) ** k * 1e308}\n" for k in range(50)),
+            "looks like degrees",
+        ),
+    ],
+)
+def test_a_table_of_absurd_numbers_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, says: str
+) -> None:
+    monkeypatch.setattr(table, "MOST_LINES", 1000)
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(FlightDataError, match=says) as raised:
+        read_flight(tmp_path / "a.csv")
+    assert "\n" not in str(raised.value)
+
+
+def test_a_state_of_no_number_is_a_note(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(f"# state.²: y\n# parameter.travel_counts_per_rev: nan\n{NAMES}{ROWS}")
+    assert read_flight(tmp_path / "a.csv").meta["state.²"] == "y"
+
+
+def _with_chunk(path: Path, chunk: Chunk) -> None:
+    """Write a log of 200 ticks with another chunk behind it, as a stranger's program could."""
+    writer = open_writer(path)
+    writer.write_ticks(*make_samples(200))
+    writer.flush()
+    builder = RecordBuilder()
+    chunk.write(builder)
+    writer._file.append(bytes(builder.end()))  # type: ignore[no-untyped-call]
+    writer._file.close()
+
+
+def _chunk(body: bytes, claimed_bytes: int, *, with_size: bool = True) -> Chunk:
+    packed = zstandard.ZstdCompressor(write_content_size=with_size).compress(body)
+    return Chunk("zstd", packed, 0, 0, 0, claimed_bytes)
+
+
+@pytest.mark.parametrize("claimed_bytes", [1 << 22, 100, 1 << 62])
+def test_a_chunk_that_is_larger_than_it_says_is_not_unpacked(tmp_path: Path, claimed_bytes: int) -> None:
+    _with_chunk(tmp_path / "a.mcap", _chunk(bytes(1 << 21), claimed_bytes))
+    log = read_log(tmp_path / "a.mcap")
+    assert len(log.ticks) == 200 and any("1 chunks are damaged" in note for note in log.notes)
+
+
+def test_a_frame_that_claims_a_terabyte_is_not_given_it(tmp_path: Path) -> None:
+    # A zstd frame of one empty block, whose header says how much to allocate.
+    frame = bytes.fromhex("28b52ffde0") + (1 << 40).to_bytes(8, "little") + b"\x01\x00\x00"
+    _with_chunk(tmp_path / "a.mcap", Chunk("zstd", frame, 0, 0, 0, 100))
+    assert len(read_log(tmp_path / "a.mcap").ticks) == 200
+
+
+def test_a_log_that_unpacks_to_more_than_any_flight_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scan, "MOST_BYTES", 1 << 20)
+    _with_chunk(tmp_path / "a.mcap", _chunk(bytes(1 << 21), 1 << 21))
+    with pytest.raises(LogError, match="unpacks to more than 1 MiB"):
+        read_log(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b'{"t_s": 0, "name": "a", "message": ' + b"[" * 30_000 + b"]" * 30_000 + b"}",
+        b'{"t_s": ' + b"9" * 400 + b', "name": "a", "message": "b"}',
+        b'{"t_s": 1e300, "name": "a", "message": "b"}',
+        b'{"t_s": NaN, "name": "a", "message": "b"}',
+        b'{"t_s": 0, "name": "a", "message": "' + b"b" * 100_000 + b'"}',
+    ],
+)
+def test_an_event_that_no_flight_has_costs_its_chunk_and_is_told(tmp_path: Path, body: bytes) -> None:
+    from heli_host.log.records import EVENT_CHANNEL, JsonMessage
+
+    writer = open_writer(tmp_path / "a.mcap")
+    writer.write_ticks(*make_samples(200))
+    writer.flush()
+    writer._pending.append(JsonMessage(EVENT_CHANNEL, 0, body))
+    writer.close()
+    log = read_log(tmp_path / "a.mcap")
+    assert len(log.ticks) == 200 and log.events == () and any("damaged" in note for note in log.notes)
+    summarise(log)
+
+
+def test_counters_that_are_no_numbers_are_left_out(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path / "a.mcap")
+    writer.write_ticks(*make_samples(200))
+    writer.write_link(5000, {"retries": 3.0, "frames_ok": 1e300})
+    writer.close({"counters": {"frames_bad": "²", "reconnects": "9" * 5000, "x": "--", "y": "-7"}})
+    link = summarise(read_log(tmp_path / "a.mcap")).link
+    assert link == {"frames_ok": 0, "frames_bad": 0, "retries": 3, "reconnects": 0, "y": -7}
+
+
+def test_encoders_without_a_size_leave_the_angles_that_were_logged(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path / "a.mcap")
+    writer.write_ticks(*make_samples(200))
+    writer.write_metadata("parameters", {"travel_counts_per_rev": "nan", "pitch_counts_per_rev": "inf"})
+    writer.close()
+    log = read_log(tmp_path / "a.mcap")
+    assert not {"travel_counts_per_rev", "pitch_counts_per_rev"} & log.parameters.keys()
+    assert read_flight(tmp_path / "a.mcap").travel_rad[100] == pytest.approx(log.ticks["travel_rad"][100])

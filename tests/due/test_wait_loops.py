@@ -1,0 +1,152 @@
+"""Lenient mode ends a program that waits for what never comes, and says for what."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from heli_sim.due import new_due, read_image
+from heli_sim.due._due import Due, Stop
+
+from tests.due.conftest import Build
+from tests.due.test_strict import booted, program
+
+pytestmark = pytest.mark.emulated
+
+SPI0_SR, PMC_SR, UART_SR, PIOA_PDSR, RTT_VR = 0x4000_8010, 0x400E_0668, 0x400E_0814, 0x400E_0E3C, 0x400E_1A38
+WDT_CR = 0x400E_1A50
+# ldr r0, =register, before a loop that begins at its load
+LOAD_ADDRESS = 0x4807
+TST_BEQ = (0x6801, 0x4A07, 0x4211, 0xD0FB)  # ldr r1, [r0]; ldr r2, =mask; tst r1, r2; beq
+ENDLESS = 0xE7FE
+
+
+def waiting(register: int, mask: int, *, strict: bool = False) -> Due:
+    code = program(LOAD_ADDRESS, *TST_BEQ, ENDLESS, literals=(register, mask))
+    return booted(code, strict=strict)
+
+
+def test_the_register_the_bit_and_the_place_are_told_after_half_a_second() -> None:
+    due = waiting(SPI0_SR, 1 << 9)
+    due.run_us(499_000)
+    with pytest.raises(Stop) as stopped:
+        due.run_us(50_000)
+    assert str(stopped.value) == (
+        "wait: for 0.5 s a loop has read 0x40008010 SPI0+0x10, which stays 0x00000000: the program waits for "
+        "its bit 9; at pc 0x00080102 in motor::push()+0x2"
+    )
+    assert due.now_us == pytest.approx(510_000, abs=11_000)
+
+
+def test_a_modelled_register_that_nothing_will_change_is_told_by_its_name() -> None:
+    with pytest.raises(Stop, match=r"read PMC PMC_SR \(0x400e0668\), .*waits for one of its bits 1, 6;"):
+        waiting(PMC_SR, 1 << 6 | 1 << 1).run_us(600_000)
+
+
+def test_a_register_that_must_be_two_things_at_once_is_told_without_a_bit() -> None:
+    # bics r2, r1 leaves what is missing; back unless that is nothing
+    code = program(LOAD_ADDRESS, 0x6801, 0x4A07, 0x438A, 0xD1FB, ENDLESS, literals=(PMC_SR, 1 << 6 | 1 << 1))
+    with pytest.raises(Stop, match="the program waits for no single bit of it"):
+        booted(code, strict=False).run_us(600_000)
+
+
+@pytest.mark.parametrize(
+    ("register", "mask"),
+    [
+        (UART_SR, 1),  # a byte may come
+        (PIOA_PDSR, 1 << 3),  # a pin may change
+    ],
+)
+def test_waiting_for_the_world_outside_is_no_hang(register: int, mask: int) -> None:
+    due = waiting(register, mask)
+    due.set_pin("PA3", "low")
+    due.write_word(0x400E_0610, 1 << 8 | 1 << 11)
+    due.run_us(1_200_000)
+
+
+def test_waiting_for_the_uarts_own_flags_is_a_hang() -> None:
+    # The transmitter was never switched on.
+    due = waiting(UART_SR, 1 << 1)
+    due.write_word(0x400E_0610, 1 << 8)
+    with pytest.raises(Stop, match=r"UART_SR .*its bit 1;"):
+        due.run_us(600_000)
+
+
+def test_a_register_that_changes_is_no_hang() -> None:
+    waiting(RTT_VR, 1 << 31).run_us(1_200_000)
+
+
+@pytest.mark.parametrize("rest", [(ENDLESS,), (0xBF30, 0xE7FD)])
+def test_a_program_that_is_past_its_loop_is_left_alone(rest: tuple[int, ...]) -> None:
+    # ldr r1, [r0], then nothing but a branch to itself, or sleep without an alarm
+    due = booted(program(LOAD_ADDRESS, 0x6801, *rest, literals=(SPI0_SR,)), strict=False)
+    for _ in range(12):
+        due.run_us(100_000)
+    assert due.now_us == pytest.approx(1_200_000, abs=10)
+
+
+def test_a_loop_that_does_something_is_no_hang() -> None:
+    # ldr r1, [r0]; str r1, [r0]; b: a register is read and written
+    code = program(LOAD_ADDRESS, 0x6801, 0x6001, 0xE7FC, literals=(SPI0_SR,))
+    booted(code, strict=False).run_us(1_200_000)
+
+
+def test_keeping_the_watchdog_quiet_is_not_doing_something() -> None:
+    # ldr r3, =WDT_CR; ldr r4, =key; then ldr r1, [r0]; str r4, [r3]; tst r1, r2; beq
+    words = (0x4A08, 0x4B08, 0x4C09, 0x6801, 0x601C, 0x4211, 0xD0FB, ENDLESS)
+    code = program(LOAD_ADDRESS, *words, literals=(SPI0_SR, 4, WDT_CR, 0xA500_0001))
+    with pytest.raises(Stop, match="its bit 2;"):
+        booted(code, strict=False).run_us(600_000)
+
+
+def test_strict_mode_waits_as_long_as_it_is_run() -> None:
+    waiting(PMC_SR, 1 << 6, strict=True).run_us(1_200_000)
+
+
+@pytest.fixture(scope="module")
+def stuck(build: Build) -> dict[str, Path]:
+    return {option: build("stuck.c", option) for option in ("-O0", "-Os", "-O2")}
+
+
+def test_looking_ahead_leaves_everything_as_it_was(stuck: dict[str, Path]) -> None:
+    image = read_image(stuck["-Os"])
+    stopped, other = new_due(image, strict=False), new_due(image, strict=False)
+    other.set_check("wait", False)
+    for due in (stopped, other):
+        due.power_on()
+    with pytest.raises(Stop):
+        stopped.run_us(700_000)
+    while other.cycles < stopped.cycles:
+        other.run_us(100) if other.cycles + 1000 < stopped.cycles else other.step()
+    for due in (stopped, other):
+        assert due.read_word(image.address("tries")) > 10_000
+    for step in range(200):
+        state = [
+            (due.cycles, *(due.reg(i) for i in range(16)), due.xpsr, due.peek(0x2007_0000, 0x18000))
+            for due in (stopped, other)
+        ]
+        assert state[0] == state[1], f"after {step} steps"
+        for due in (stopped, other):
+            due.step()
+
+
+@pytest.mark.parametrize("option", ["-O0", "-Os", "-O2"])
+def test_a_compiled_wait_is_found_under_a_running_systick(stuck: dict[str, Path], option: str) -> None:
+    due = new_due(read_image(stuck[option]), strict=False)
+    due.power_on()
+    with pytest.raises(Stop, match=r"read 0x40008010 SPI0\+0x10, .*its bit 1; at pc .* in "):
+        due.run_us(700_000)
+
+
+def test_the_command_line_says_it_and_ends_with_4(stuck: dict[str, Path]) -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "heli_sim.due", str(stuck["-Os"]), "--lenient", "--seconds", "2"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert result.returncode == 4, result.stderr
+    assert "SPI0+0x10, which stays 0x00000000: the program waits for its bit 1" in result.stderr

@@ -1,0 +1,165 @@
+"""The firmware and time: ticks missed and late, wake-ups, the watchdog, clocks, the first microseconds."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.firmware.desk import ENABLE_PINS, TICK_INTERRUPT, Board
+from tests.firmware.hangs import POLL, TICK, TRAVEL, FASTEST_Hz, SLOWEST_Hz
+from tests.firmware.measures import boot_to_first_frame_ms
+from tests.firmware.test_safety import MOST_MS, store
+
+pytestmark = pytest.mark.emulated
+
+pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
+
+TICK_TIMER_CONTROL = 0x40084000
+CLOCK_DISABLE = 1 << 1
+QUIET_TICK_US = 60
+CYCLES_PER_US = 84.0
+
+
+def tick_end(board: Board) -> float:
+    """Let time pass until a tick has been served; when it was due [us], to about a microsecond."""
+    served = board.due.exception_stats(TICK_INTERRUPT)[0]
+    while board.due.exception_stats(TICK_INTERRUPT)[0] == served:
+        board.due.run_us(1.0)
+    return float(board.due.now_us)
+
+
+def entered_us(board: Board) -> float:
+    """When the newest tick's interrupt was entered [us]."""
+    since = board.due.cycles - board.due.last_entry_cycle(TICK_INTERRUPT)
+    return float(board.due.now_us - since / CYCLES_PER_US)
+
+
+def test_a_tick_takes_as_long_as_it_does(board: Board) -> None:
+    heli = board.connect()
+    heli.wait(0.1)
+    status = heli.session.status()
+    assert status.overruns == 0
+    assert 20 <= status.tick_max_us <= QUIET_TICK_US
+
+
+@pytest.mark.parametrize("stalled_ms", [1.5, 2.1, 2.5, 2.9, 4.3, 7.8])
+def test_ticks_that_nobody_served_make_the_next_one_late_by_their_number(
+    board: Board, stalled_ms: float
+) -> None:
+    heli = board.connect()
+    heli.wait(0.02)
+    ended_us = tick_end(board)
+    board.due.hold_processor(True)
+    board.due.run_us(1e3 * stalled_ms)
+    board.due.hold_processor(False)
+    assert board.due.now_us - ended_us < 1e3 * stalled_ms + 1.0
+    heli.wait(0.05)
+    status = heli.session.status()
+    assert status.overruns == (1 if stalled_ms >= 2.0 else 0)
+    # One tick may come when it is due; all the time from then on is late.
+    late_us = 1e3 * (stalled_ms - 1.0)
+    assert late_us <= status.tick_max_us <= late_us + 2 * QUIET_TICK_US
+
+
+def test_a_tick_that_takes_longer_than_its_millisecond_is_one_late_tick(board: Board) -> None:
+    heli = board.connect()
+    heli.wait(0.02)
+    tick_end(board)
+    served, entered = board.due.exception_stats(TICK_INTERRUPT)[0], entered_us(board)
+    board.due.add_breakpoint(board.image.symbols[TICK] & ~1)
+    board.due.run_us(1500.0)
+    assert board.due.halt == "breakpoint"
+    board.due.remove_breakpoint(board.image.symbols[TICK] & ~1)
+    board.due.resume()
+    board.due.hold_processor(True)
+    board.due.run_us(1400.0)
+    board.due.hold_processor(False)
+    heli.wait(0.05)
+    status = heli.session.status()
+    assert status.overruns == 1
+    assert 1400 <= status.tick_max_us <= 1400 + QUIET_TICK_US
+    # The one after it comes late too, but it comes.
+    tick_end(board)
+    ticks = board.due.exception_stats(TICK_INTERRUPT)[0] - served
+    assert ticks == round(1e-3 * (entered_us(board) - entered))
+
+
+def test_an_edge_between_two_looks_at_the_clock_makes_no_tick_late(board: Board) -> None:
+    heli = board.connect()
+    heli.wait(0.02)
+    tick_end(board)
+    ticked_us = entered_us(board)
+    # From the tick's first instruction on, a cycle later in each.
+    for k in range(200):
+        board.due.schedule_step(TRAVEL, (1, -1)[k % 2], ticked_us + 1e3 * (k + 1) + k / CYCLES_PER_US)
+    heli.wait(0.25)
+    assert heli.session.status().overruns == 0
+
+
+def test_a_tick_at_any_moment_of_the_idle_loop_is_followed_by_its_work_at_once(board: Board) -> None:
+    board.advance(20)
+    due = board.due
+    due.add_breakpoint(board.image.symbols[POLL] & ~1)
+
+    def turns_within(us: float) -> bool:
+        due.run_us(us)
+        turned = due.halt == "breakpoint"
+        due.resume()
+        return turned
+
+    assert turns_within(1500.0)
+    asleep, steps = due.sleep_cycles, 0
+    while due.sleep_cycles == asleep:
+        due.step()
+        steps += 1
+    # Behind the idle loop's work, up to its sleep.
+    for instructions in range(steps - 60, steps + 1):
+        assert turns_within(1500.0)
+        ticked_us = entered_us(board)
+        for _ in range(instructions):
+            due.step()
+        due.hold_processor(True)
+        due.run_until_us(ticked_us + 1001.0)
+        due.hold_processor(False)
+        assert turns_within(150.0), f"a tick came after {instructions} of {steps} instructions"
+
+
+def test_the_watchdog_is_restarted_every_16_ticks_and_no_oftener(board: Board) -> None:
+    board.advance(20)
+    restarts = board.due.watchdog_restarts
+    board.advance(1600)
+    assert abs(board.due.watchdog_restarts - restarts - 100) <= 1
+
+
+def test_an_idle_loop_that_other_interrupts_wake_does_not_hide_a_tick_that_died(board: Board) -> None:
+    board.connect().arm()
+    resets = board.due.resets
+    store(board, TICK_TIMER_CONTROL, CLOCK_DISABLE)
+    for k in range(300):
+        board.due.schedule_step(TRAVEL, (1, -1)[k % 2], board.due.now_us + 1.0 + 1e3 * k)
+    assert board.milliseconds_until_off(most_ms=MOST_MS) <= MOST_MS
+    board.wait_for_reset(resets)
+
+
+@pytest.mark.parametrize("slow_Hz", [SLOWEST_Hz, FASTEST_Hz])
+def test_the_clock_starts_over_the_tolerance_of_what_times_it(board: Board, slow_Hz: int) -> None:
+    board.due.set_slow_clock(slow_Hz)
+    assert boot_to_first_frame_ms(board) <= 50.0
+    assert board.due.mck_Hz == 84_000_000
+
+
+def test_enables_are_driven_low_within_microseconds_of_a_reset(board: Board) -> None:
+    board.advance(20)
+    # Without the pull-downs that the wiring asks for, the chip's own pull-ups switch the bridges on.
+    for pin in ENABLE_PINS:
+        board.due.set_pin(pin, "open")
+    board.cut_power()
+    board.restore_power()
+    board.due.set_nrst(True)
+    board.due.run_us(100.0)
+    assert board.on()
+    board.due.set_nrst(False)
+    assert board.milliseconds_until_off(step_us=1.0, most_ms=1.0) <= 0.15
+    for _ in range(20):
+        assert board.off()
+        board.due.run_us(1000.0)

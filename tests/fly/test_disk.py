@@ -1,0 +1,162 @@
+"""The disk is not in the control path: whatever it does, the board knows where to fly, and lands in order."""
+
+from __future__ import annotations
+
+import errno
+import io
+import re
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+from heli_host.declaration import State
+from heli_host.errors import LogWriteError
+from heli_host.fly.recorder import Recorder
+from heli_host.fly.runner import fly
+from heli_host.heli import Heli, connect
+from heli_host.log import disk
+from heli_host.log.disk import BackgroundFile
+from heli_host.log.reader import read_log
+
+from tests.fly.test_runner import SHORT, flown, short
+
+pytestmark = pytest.mark.medium
+
+pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not built")
+
+BLOCKS_S = {4.0: 0.7, 6.0: 2.5, 10.0: 6.0}
+"""Device time at which the disk blocks, and for how long: past the board's hold and its landing [s]."""
+GIVE_UP_S = 3.0
+
+
+def test_a_disk_that_blocks_for_seconds_is_not_noticed_by_the_board(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    process = pytest.importorskip("heli_sim.sil.process", reason="skipped: no simulation")
+    due = dict(BLOCKS_S)
+    plan = short(SHORT.replace('kind = "hold"\nduration_s = 2', 'kind = "hold"\nduration_s = 10'))
+    with process.SilProcess(speed=10.0) as sil, connect(sil.url) as heli:
+
+        def device_s() -> float:
+            newest = heli.session.latest
+            return newest[0] * 1e-3 if newest is not None else 0.0
+
+        begin_s = device_s()
+
+        class BlockingDisk(io.FileIO):
+            def write(self, data: object) -> int:
+                now_s = device_s()
+                for at_s in [at_s for at_s in due if now_s - begin_s >= at_s][:1]:
+                    until_s, give_up_s = now_s + due.pop(at_s), time.monotonic() + GIVE_UP_S
+                    # Whoever reads the board must not be who waits here: its time would not go on.
+                    while device_s() < until_s and time.monotonic() < give_up_s:
+                        time.sleep(0.002)
+                return super().write(data)  # type: ignore[arg-type]
+
+        monkeypatch.setattr("heli_host.log.disk.io.FileIO", BlockingDisk)
+        monkeypatch.setattr("heli_host.log.writer.BackgroundFile", partial(BackgroundFile, now_s=device_s))
+        summary = fly(heli, plan, log_path=tmp_path / "a.mcap")
+        assert heli.state is State.IDLE
+    assert not due and summary.completed, summary.outcome
+    log = read_log(tmp_path / "a.mcap")
+    assert log.complete and summary.ticks_lost == log.ticks_lost == 0
+    assert State.HOLD not in log.ticks["state"]
+    assert not [event for event in log.events if event["name"] == "setpoint_stale"]
+    told_s = [float(s) for s in re.findall(r"the disk blocked for ([\d.]+) s", "\n".join(summary.notes))]
+    # The disk may be slow for a moment of its own on a loaded machine.
+    for block_s in BLOCKS_S.values():
+        assert any(block_s <= s < block_s + 1.0 for s in told_s), told_s
+
+
+def test_over_a_port_a_full_disk_lands_the_rig_and_is_the_first_thing_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    process = pytest.importorskip("heli_sim.sil.process", reason="skipped: no simulation")
+
+    class FullDisk(io.FileIO):
+        def write(self, data: object) -> int:
+            if self.tell() > 120_000:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return super().write(data)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("heli_host.log.disk.io.FileIO", FullDisk)
+    with process.SilProcess(speed=10.0) as sil, connect(sil.url) as heli:
+        summary = fly(heli, short(), log_path=tmp_path / "a.mcap")
+        assert heli.state is State.IDLE
+    assert summary.outcome.startswith("aborted: cannot write the log"), summary.outcome
+    assert "No space left on device" in summary.outcome
+    log = read_log(tmp_path / "a.mcap")
+    assert len(log.ticks) >= 1000 and State.HOLD not in log.ticks["state"]
+
+
+def test_a_disk_that_gets_full_lands_while_the_log_can_still_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def left(_: Path) -> int:
+        path = tmp_path / "a.mcap"
+        return 3_000_000 if path.exists() and path.stat().st_size > 120_000 else 10**9
+
+    monkeypatch.setattr(disk, "free_bytes", left)
+    summary, log, state = flown(tmp_path / "a.mcap")
+    assert summary.outcome.startswith("aborted: the disk of the log") and "3.0 MB are left" in summary.outcome
+    assert state is State.IDLE and log.complete and log.ticks["state"][-1] == State.IDLE
+    assert any("touchdown" in event["message"] for event in log.events)
+
+
+def test_without_space_for_the_flight_nothing_is_armed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(disk, "free_bytes", lambda _: 5_000_000)
+    with connect("sil://?seed=3") as heli:
+        with pytest.raises(LogWriteError, match=r"has 5\.0 MB left"):
+            fly(heli, short(), log_path=tmp_path / "a.mcap")
+        assert heli.state is State.IDLE
+    assert not (tmp_path / "a.mcap").exists()
+
+
+def test_a_log_that_is_there_is_refused_before_anything_is_armed(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"an older flight")
+    with connect("sil://?seed=3") as heli:
+        with pytest.raises(LogWriteError, match="no log is written over"):
+            fly(heli, short(), log_path=tmp_path / "a.mcap")
+        assert heli.state is State.IDLE
+    assert (tmp_path / "a.mcap").read_bytes() == b"an older flight"
+
+
+def test_a_disk_that_takes_not_even_the_beginning_is_what_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    process = pytest.importorskip("heli_sim.sil.process", reason="skipped: no simulation")
+
+    class FullDisk(io.FileIO):
+        def write(self, _: object) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("heli_host.log.disk.io.FileIO", FullDisk)
+    with process.SilProcess(speed=10.0) as sil, connect(sil.url) as heli:
+        try:
+            outcome = fly(heli, short(), log_path=tmp_path / "a.mcap").outcome
+        except LogWriteError as error:
+            outcome = f"aborted: {error}"
+        assert heli.state is State.IDLE and heli.latest.elevation_deg < -24.0
+    assert outcome.startswith("aborted: cannot write the log")
+
+
+def test_a_recording_by_hand_raises_at_its_end_what_stopped_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class FullDisk(io.FileIO):
+        def write(self, data: object) -> int:
+            if self.tell() > 20_000:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return super().write(data)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("heli_host.log.disk.io.FileIO", FullDisk)
+
+    def record(heli: Heli) -> None:
+        with Recorder(heli, tmp_path / "a.mcap"):
+            heli.wait(5.0)
+
+    with connect("sil://?seed=3") as heli, pytest.raises(LogWriteError, match="No space left"):
+        record(heli)

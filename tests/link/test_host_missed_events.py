@@ -1,0 +1,112 @@
+"""What an event would have told, telemetry tells when the event was lost, once and in its place."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from heli_host.declaration import Channel, Event, EventMessage, Fault, State, Trigger
+from heli_host.link.events import LinkEvent, event_text
+from heli_host.link.missed_events import MissedEvents
+from heli_host.link.session import Session
+from heli_host.link.telemetry import CHANNEL_COUNT, Ticks
+
+from tests.link.fake_board import FakeBoard, FakeLine
+
+
+def ticks(first: int, *rows: tuple[State, Trigger] | tuple[State, Trigger, Fault]) -> Ticks:
+    raw = np.zeros((len(rows), CHANNEL_COUNT), np.int32)
+    for row, (state, trigger, *fault) in zip(raw, rows, strict=True):
+        row[Channel.STATE], row[Channel.TRIGGER], row[Channel.FAULT] = state, trigger, sum(fault)
+    return Ticks(np.arange(first, first + len(rows)).astype(np.uint32), raw)
+
+
+FLYING = (State.CLOSED_LOOP, Trigger.CLOSE_LOOP)
+HOLDING = (State.HOLD, Trigger.STALE_HOLD)
+LANDING = (State.LANDING, Trigger.STALE_LAND)
+LANDED = (State.IDLE, Trigger.STALE_LAND)
+TRIPPED = (State.FAULT, Trigger.TRIP, Fault.PITCH_LIMIT)
+
+
+def told(tick: int, state: State, cause: Trigger) -> EventMessage:
+    return EventMessage(tick, Event.STATE, state, cause, 0.0)
+
+
+def watching(*flown: tuple[State, Trigger]) -> MissedEvents:
+    missed = MissedEvents()
+    assert missed.take_ticks(ticks(100, *flown)) == []
+    return missed
+
+
+def test_the_first_samples_tell_of_no_change() -> None:
+    assert watching(LANDING, LANDING).take_ticks(ticks(102, LANDING)) == []
+
+
+def test_a_change_whose_event_was_lost_is_told_with_its_trigger_and_tick() -> None:
+    missed = watching(FLYING)
+    found = missed.take_ticks(ticks(101, FLYING, HOLDING, HOLDING, LANDING))
+    assert found == [
+        told(102, State.HOLD, Trigger.STALE_HOLD),
+        told(104, State.LANDING, Trigger.STALE_LAND),
+    ]
+    assert missed.take_ticks(ticks(105, LANDING, LANDING)) == []
+
+
+def test_a_change_that_an_event_told_is_not_told_again() -> None:
+    missed = watching(FLYING)
+    missed.take_event(told(102, State.HOLD, Trigger.STALE_HOLD))
+    assert missed.take_ticks(ticks(101, FLYING, HOLDING, LANDING)) == [
+        told(103, State.LANDING, Trigger.STALE_LAND)
+    ]
+
+
+def test_an_event_within_a_gap_of_the_telemetry_counts_and_one_from_before_it_does_not() -> None:
+    for tick, missing in ((101, 0), (900, 0), (1000, 0), (100, 1), (1001, 1)):
+        missed = watching(FLYING)
+        missed.take_event(told(tick, State.HOLD, Trigger.STALE_HOLD))
+        assert len(missed.take_ticks(ticks(1000, HOLDING))) == missing, tick
+
+
+def test_a_landing_that_nobody_saw_is_told_by_what_led_to_it() -> None:
+    missed = watching(FLYING)
+    assert missed.take_ticks(ticks(9000, LANDED)) == [told(9000, State.IDLE, Trigger.STALE_LAND)]
+
+
+def test_a_hold_that_nobody_saw_is_told_although_the_state_is_the_same() -> None:
+    back = (State.CLOSED_LOOP, Trigger.SETPOINT_FRESH)
+    assert watching(FLYING).take_ticks(ticks(900, back)) == [
+        told(900, State.CLOSED_LOOP, Trigger.SETPOINT_FRESH)
+    ]
+
+
+def test_ticks_may_pass_2_to_the_32() -> None:
+    missed = MissedEvents()
+    missed.take_ticks(ticks(2**32 - 10, FLYING))
+    missed.take_event(told(3, State.HOLD, Trigger.STALE_HOLD))
+    assert missed.take_ticks(ticks(5, HOLDING)) == []
+
+
+def test_a_fault_is_told_by_its_code() -> None:
+    missed = watching(FLYING)
+    missed.take_event(told(101, State.FAULT, Trigger.TRIP))
+    [fault] = missed.take_ticks(ticks(101, TRIPPED, TRIPPED))
+    assert (fault.kind, fault.detail, fault.tick) == (Event.FAULT, Fault.PITCH_LIMIT, 101)
+    assert math.isnan(fault.value)
+    assert "pitch_limit" in event_text(fault) and "nan" not in event_text(fault)
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_session_tells_a_lost_event_once_and_says_that_telemetry_told_it(lost: bool) -> None:
+    board = FakeBoard()
+    session = Session(FakeLine(board))
+    seen: list[LinkEvent] = []
+    session.subscribe_events(seen.append)
+    session.connect()
+    session.wait(0.5)
+    board.change_state(State.HOLD, tell=not lost)
+    session.wait(0.5)
+    [event] = [event for event in seen if event.kind == "state"]
+    assert event.text.startswith("state hold, because of ")
+    assert ("lost" in event.text) == lost

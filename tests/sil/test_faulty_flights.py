@@ -1,0 +1,27 @@
+"""Whatever happens to a flight: no wrong tick, every loss counted, the true reason told, motors off."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+
+from tests.running.long import samples
+from tests.sil.faulty_flights import BLOWS, case, flown, reason, wrong
+
+pytestmark = pytest.mark.slow
+
+FLIGHTS = 150
+
+
+def test_every_faulty_flight_is_told_as_it_was() -> None:
+    reasons: Counter[str] = Counter()
+    complaints = []
+    for number in range(samples(FLIGHTS, len(BLOWS))):
+        flight = flown(case(number))
+        reasons[reason(flight)] += 1
+        complaints += [f"{flight.case}: {complaint}" for complaint in wrong(flight)]
+    assert not complaints, "\n".join(complaints)
+    # The set is worth something only while it has flights of all these ends in it.
+    assert {"completed", "because of stale_land", "fault hardware_stop", "fault pitch_limit"} <= set(reasons)
+    assert len(reasons) >= 8
