@@ -12,7 +12,6 @@ import numpy as np
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.effects.kind import EffectKind
 
-from heli_lab.diagnose.linearisation import Linearisation, MapEvaluator, Trajectory
 from heli_lab.diagnose.spline_term import (
     KNOTS,
     SplineTerm,
@@ -23,6 +22,7 @@ from heli_lab.diagnose.spline_term import (
     spline_term,
 )
 from heli_lab.identify.functions import Floats
+from heli_lab.innovations import Linear, MapEvaluator, Trajectory
 
 _MIN_SPAN: Final = 1e-6
 """Range of a quantity, in its SI unit, below which it is constant and no curve over it is tried."""
@@ -54,6 +54,16 @@ class Candidate:
     grid: Mapping[str, float] = field(default_factory=dict)
 
     @property
+    def neutral(self) -> dict[str, float]:
+        """Values of its sizes at which it does next to nothing, within the priors' bounds, by full name."""
+        sizes = self.linear_parameters or tuple(self.effect.priors)[:1]
+        found = {}
+        for name in sizes:
+            prior = self.effect.priors[name]
+            found[name] = float(np.clip(0.0, prior.low + 1e-6 * prior.std, prior.high))
+        return found
+
+    @property
     def is_spline(self) -> bool:
         """Whether it is a spline term, not an effect of the catalogue."""
         return isinstance(self.effect, SplineTerm)
@@ -73,14 +83,14 @@ class Candidate:
 
 
 class Regressors:
-    """Makes the regressors of candidates about a fit."""
+    """Makes the regressors of candidates along a course."""
 
-    def __init__(self, linearisation: Linearisation) -> None:
-        self.linearisation = linearisation
-        self.model = linearisation.fit.problem.model
+    def __init__(self, linear: Linear) -> None:
+        self.linear = linear
+        self.model = linear.model
         self._functions: dict[str, _ExtendedModel] = {}
         self._channels: dict[str, tuple[Floats, Floats]] = {}
-        self._quantities: dict[str, Floats] = {}
+        self._quantities: dict[str, dict[str, Floats]] = {}
         self._rates: MapEvaluator | None = None
 
     def spline_signals(self, candidate: Candidate) -> tuple[Floats, Floats | None]:
@@ -89,7 +99,7 @@ class Regressors:
         Returns
         -------
         rates : ndarray (n, states, g)
-            As `Linearisation.response` takes them.
+            For each state, as the filter takes them.
         measured_rad : ndarray (n, 3, g) or None
             Direct change of the measured angles, None where there is none.
         """
@@ -98,13 +108,15 @@ class Regressors:
         if effect.channel not in self._channels:
             values = {**effect.values, **dict.fromkeys(candidate.linear_parameters, 1.0)}
             self._channels[effect.channel] = _ExtendedModel(self.model, effect, ()).run(
-                self.linearisation.trajectory, values
+                self.linear.trajectory, values
             )
         rates, measured = self._channels[effect.channel]
-        if not self._quantities:
-            self._quantities = quantity_values(self.model, self.linearisation.trajectory)
+        where = "nodes" if effect.channel.startswith("measurement") else "middle"
+        if where not in self._quantities:
+            at = self.linear.nodes if where == "nodes" else self.linear.trajectory
+            self._quantities[where] = quantity_values(self.model, at)
         low, step = effect.values[f"{effect.name}_low"], effect.values[f"{effect.name}_step"]
-        weights = bspline_basis(self._quantities[effect.on], low, step)[:, None, :]
+        weights = bspline_basis(self._quantities[where][effect.on], low, step)[:, None, :]
         return rates * weights, measured * weights if np.any(measured) else None
 
     def signals(self, candidate: Candidate) -> tuple[Floats, Floats | None]:
@@ -113,7 +125,7 @@ class Regressors:
         Returns
         -------
         rates : ndarray (n, states, g)
-            As `Linearisation.response` takes them.
+            For each state, as the filter takes them.
         measured_rad : ndarray (n, 3, g) or None
             Direct change of the measured angles, None where there is none.
         """
@@ -123,11 +135,15 @@ class Regressors:
             self._functions[candidate.id] = _ExtendedModel(
                 self.model, candidate.effect, candidate.linear_parameters
             )
-        trajectory = self.linearisation.trajectory
+        trajectory = self.linear.trajectory
         if candidate.effect.delay:
             return self._delayed(candidate), None
-        rates, measured = self._functions[candidate.id].run(trajectory, candidate.effect.values)
-        return rates, measured if np.any(measured) else None
+        function = self._functions[candidate.id]
+        rates, measured = function.run(trajectory, candidate.effect.values)
+        if not np.any(measured):
+            return rates, None
+        # Encoders are read at the beginning of a step.
+        return rates, function.run(self.linear.nodes, candidate.effect.values)[1]
 
     def _delayed(self, candidate: Candidate) -> Floats:
         """What delayed voltages change: the model itself is the same."""
@@ -136,8 +152,8 @@ class Regressors:
             x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
             t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
             function = ca.Function("rates", [x, u, t, p], [ca.densify(model.dynamics(x, u, p, t))])
-            self._rates = MapEvaluator(function, self.linearisation.rows)
-        trajectory, record = self.linearisation.trajectory, self.linearisation.record
+            self._rates = MapEvaluator(function, self.linear.rows)
+        trajectory, record = self.linear.trajectory, self.linear.course.record
         delay_s = candidate.effect.values[candidate.effect.delay]
         middle_s = record.t_s - record.t_s[0] + 0.5 * record.step_s
         kernel = np.ones(max(1, round(trajectory.step_s / record.step_s)))
@@ -244,14 +260,14 @@ def effect_candidates(kind: EffectKind, seconds: float) -> list[Candidate]:
     return candidates
 
 
-def spline_candidates(linearisations: Sequence[Linearisation], number: int = 0) -> list[Candidate]:
+def spline_candidates(linears: Sequence[Linear], number: int = 0) -> list[Candidate]:
     """Spline terms of every channel on every quantity, over the range that the flights cover; `number`
     distinguishes those of one model.
     """
-    model = linearisations[0].fit.problem.model
+    model = linears[0].model
     together: dict[str, list[Floats]] = {}
-    for linearisation in linearisations:
-        for name, values in quantity_values(model, linearisation.trajectory).items():
+    for linear in linears:
+        for name, values in quantity_values(model, linear.trajectory).items():
             together.setdefault(name, []).append(values)
     candidates = []
     for channel, on in channel_quantity_pairs():

@@ -1,8 +1,8 @@
-"""Screening: scores of every candidate about one fit, the catalogue on its grids and the spline terms."""
+"""Screening: score tests of every candidate about one estimate, the catalogue on its grids and spline terms."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -11,13 +11,11 @@ from heli_sim.model.effects.kind import EffectKind
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.candidate import Candidate, Regressors, effect_candidates, spline_candidates
-from heli_lab.diagnose.disturbance_torque import DisturbanceTorque, estimate_disturbance
-from heli_lab.diagnose.score_test import ScoreResult, ScoreTest
-from heli_lab.identify import Fit
 from heli_lab.identify.functions import Floats
+from heli_lab.innovations import Estimate
 
-_BATCH: Final = 48
-"""Regressors that are scored together; the result does not depend on it, memory and time do."""
+_BATCH: Final = 64
+"""Regressors that are filtered together; the result does not depend on it, memory and time do."""
 _PEAKS: Final = 4
 """Frequencies that are tried on each axis: the highest peaks of the missing torque's spectrum. Fewer: a
 periodic torque beside larger disturbances is lost. More: time."""
@@ -35,63 +33,117 @@ _DIFFERENCE_STD: Final = 0.5
 
 @dataclass(frozen=True)
 class Scored:
-    """A candidate at the best of the `tried` points of its grid, with its score."""
+    """A candidate at the best of the `tried` points of its grid.
+
+    Parameters
+    ----------
+    log_likelihood_gain : float
+        Gain that the score test promises, nats, all other parameters refitted and the weather as it is.
+    coefficients : ndarray (g,)
+        Of its regressors.
+    """
 
     candidate: Candidate
-    result: ScoreResult
+    log_likelihood_gain: float
+    coefficients: Floats
     tried: int
 
 
 class Screening:
-    """Scores candidates around a fit."""
+    """Scores candidates about an `estimate`."""
 
-    def __init__(self, fit: Fit) -> None:
-        self.score_test = ScoreTest(fit)
-        self.regressors = tuple(Regressors(linearisation) for linearisation in self.score_test.linearisations)
-        self.torques: tuple[DisturbanceTorque, ...] = tuple(
-            estimate_disturbance(t) for t in self.score_test.linearisations
-        )
-        self.seconds = max(float(t.trajectory.t_s[-1]) for t in self.score_test.linearisations)
+    def __init__(self, estimate: Estimate) -> None:
+        self.estimate = estimate
+        filtered, weather = estimate.filtered, estimate.weather
+        self.regressors = tuple(Regressors(linear) for linear in filtered.linears)
+        self.seconds = max(float(one.trajectory.t_s[-1]) for one in filtered.linears)
+        innovations, _ = filtered.innovations(weather)
+        unknowns = estimate.unknowns
+        self._size = innovations.shape[1]
+        self._nuisance = innovations[:, 1:]
+        self._covariance = np.linalg.inv(self._nuisance.T @ self._nuisance + np.diag(unknowns.std**-2.0))
+        offset = unknowns.std**-2.0 * (estimate.theta - unknowns.mean)
+        move = self._covariance @ (self._nuisance.T @ innovations[:, 0] - offset)
+        self._error = innovations[:, 0] - self._nuisance @ move
 
-    def effects(
-        self, kinds: Iterable[EffectKind], on_each: Callable[[str], None] | None = None
-    ) -> list[Scored]:
-        """Score effects of the catalogue, each at the best point of its grid, the highest score first;
-        `on_each` is called with the id of each effect when it begins.
-        """
+    def effects(self, kinds: Iterable[EffectKind]) -> list[Scored]:
+        """Score effects of the catalogue, each at the best point of its grid, the highest score first."""
+        places = {kind.id: (kind, self._places(kind)) for kind in kinds}
+        flat = [candidate for _, candidates in places.values() for candidate in candidates]
+        scores = iter(self.score(flat))
         found = []
-        for kind in kinds:
-            if on_each is not None:
-                on_each(kind.id)
-            best = self._effect(kind)
+        for kind, candidates in places.values():
+            best = self._best(kind, candidates, [next(scores) for _ in candidates])
             if best is not None:
                 found.append(best)
-        return sorted(found, key=lambda one: -one.result.log_likelihood_gain)
+        return sorted(found, key=lambda one: -one.log_likelihood_gain)
 
     def splines(self, number: int = 0) -> list[Scored]:
         """Score every spline term, the highest score first; `number` distinguishes those of one model."""
-        candidates = spline_candidates(self.score_test.linearisations, number)
-        results = self._score(candidates)
-        found = [Scored(candidate, result, 1) for candidate, result in zip(candidates, results, strict=True)]
-        return sorted(found, key=lambda one: -one.result.log_likelihood_gain)
+        candidates = spline_candidates(self.estimate.filtered.linears, number)
+        found = [
+            Scored(candidate, gain, coefficients, 1)
+            for candidate, (gain, coefficients) in zip(candidates, self.score(candidates), strict=True)
+        ]
+        return sorted(found, key=lambda one: -one.log_likelihood_gain)
 
-    def _effect(self, kind: EffectKind) -> Scored | None:
-        candidates = self._places(kind)
-        results = self._score(candidates)
+    def score(self, candidates: Sequence[Candidate]) -> list[tuple[float, Floats]]:
+        """Gain [nats] and coefficients of each candidate by itself."""
+        results: list[tuple[float, Floats]] = []
+        group: list[Candidate] = []
+        width = 0
+        for candidate in [*candidates, None]:
+            size = 0 if candidate is None else max(1, len(candidate.linear_parameters))
+            if group and (candidate is None or width + size > _BATCH):
+                results += self._score_group(group)
+                group, width = [], 0
+            if candidate is not None:
+                group.append(candidate)
+                width += size
+        return results
+
+    def score_signals(
+        self, signals: Sequence[tuple[Floats, Floats | None]], sizes: Sequence[int], priors: Sequence[Floats]
+    ) -> list[tuple[float, Floats]]:
+        """The same for regressors that are given: for each flight the change of the rates, (n, states, s), and of the
+        measured angles, (n, 3, s), all candidates side by side.
+        """
+        filtered = self.estimate.filtered
+        only = filtered.regressors(self.estimate.weather, signals)
+        rest = only - self._nuisance @ (self._covariance @ (self._nuisance.T @ only))
+        found = []
+        low = 0
+        for size, std in zip(sizes, priors, strict=True):
+            own, raw = rest[:, low : low + size], only[:, low : low + size]
+            low += size
+            # The nuisance parameters' priors count as measurements of their own.
+            information = raw.T @ own + np.diag(std**-2.0)
+            information = 0.5 * (information + information.T)
+            score = own.T @ self._error
+            coefficients = np.linalg.pinv(information, hermitian=True) @ score
+            found.append((float(0.5 * score @ coefficients), coefficients))
+        return found
+
+    def _score_group(self, candidates: Sequence[Candidate]) -> list[tuple[float, Floats]]:
+        sizes = [max(1, len(candidate.linear_parameters)) for candidate in candidates]
+        signals = [signals_of(maker, candidates) for maker in self.regressors]
+        return self.score_signals(signals, sizes, [coefficient_std(candidate) for candidate in candidates])
+
+    def _best(
+        self, kind: EffectKind, candidates: Sequence[Candidate], scores: Sequence[tuple[float, Floats]]
+    ) -> Scored | None:
         tried = len(candidates)
         allowed = [
-            (result.log_likelihood_gain, number)
-            for number, (candidate, result) in enumerate(zip(candidates, results, strict=True))
-            if _possible(candidate, result)
+            (gain, number)
+            for number, (candidate, (gain, coefficients)) in enumerate(zip(candidates, scores, strict=True))
+            if _possible(candidate, coefficients)
         ]
         if not allowed:
             return None
-        best = max(allowed)[1]
-        candidate, result = candidates[best], results[best]
-        if candidate.grid and len(candidates) > 1 and result.log_likelihood_gain > 0.0:
-            candidate, result, more = self._refined(kind, candidates, best, candidate, result)
-            tried += more
-        return Scored(candidate, result, tried)
+        best = Scored(candidates[max(allowed)[1]], *scores[max(allowed)[1]], tried)
+        if best.candidate.grid and len(candidates) > 1 and best.log_likelihood_gain > _WORTH_REFINING:
+            best = self._refined(kind, candidates, best)
+        return best
 
     def _places(self, kind: EffectKind) -> list[Candidate]:
         frequency = next((q.name for q in kind.parameters if q.unit == "Hz" and q.name in kind.grid), None)
@@ -117,95 +169,68 @@ class Screening:
             ]
         return candidates
 
-    def _refined(
-        self,
-        kind: EffectKind,
-        candidates: Sequence[Candidate],
-        best: int,
-        candidate: Candidate,
-        result: ScoreResult,
-    ) -> tuple[Candidate, ScoreResult, int]:
+    def _refined(self, kind: EffectKind, candidates: Sequence[Candidate], best: Scored) -> Scored:
         """Halve the grid's distance about its best point, in parameters of three values and more."""
-        tried = 0
-        for name in candidate.grid:
+        for name in best.candidate.grid:
             values = sorted({one.grid[name] for one in candidates})
-            if len(values) < 3:
-                continue
             prior = kind.priors.get(name)
-            if prior is None:
+            if len(values) < 3 or prior is None:
                 continue
             gaps = np.diff(values)
-            place = int(np.argmin(np.abs(np.array(values) - candidate.grid[name])))
+            place = int(np.argmin(np.abs(np.array(values) - best.candidate.grid[name])))
             step = float(gaps[min(place, len(gaps) - 1)])
             if name.endswith("Hz"):
                 step = 0.25 / self.seconds
             for _ in range(_BISECTIONS):
                 step *= 0.5
-                near = []
-                for value in (candidate.grid[name] - step, candidate.grid[name] + step):
-                    if prior.low <= value <= prior.high:
-                        grid = {**candidate.grid, name: value}
-                        values_now = {**candidate.effect.values, name: value}
-                        near.append(
-                            Candidate(candidate.id, kind.make(values_now), candidate.linear_parameters, grid)
-                        )
-                tried += len(near)
-                for other, score in zip(near, self._score(near), strict=True):
-                    if score.log_likelihood_gain > result.log_likelihood_gain and _possible(other, score):
-                        candidate, result = other, score
-        return candidate, result, tried
+                candidate = best.candidate
+                near = [
+                    Candidate(
+                        candidate.id,
+                        kind.make({**candidate.effect.values, name: value}),
+                        candidate.linear_parameters,
+                        {**candidate.grid, name: value},
+                    )
+                    for value in (candidate.grid[name] - step, candidate.grid[name] + step)
+                    if prior.low <= value <= prior.high
+                ]
+                best = replace(best, tried=best.tried + len(near))
+                for other, (gain, coefficients) in zip(near, self.score(near), strict=True):
+                    if gain > best.log_likelihood_gain and _possible(other, coefficients):
+                        best = Scored(other, gain, coefficients, best.tried)
+        return best
 
     def _peaks(self, axis: str) -> tuple[float, ...]:
-        """Frequencies of the highest peaks of the missing torque's spectrum about an axis."""
+        """Frequencies of the highest peaks of the torque's spectrum about an axis that weather stands for."""
         index = AXES.index(axis)
-        torque = self.torques[0]
-        value = torque.value_Nm[:, index]
-        step_s = float(np.median(np.diff(torque.t_s)))
+        filtered = self.estimate.filtered
+        t_s, torque_Nm, _ = filtered.smoothed_torques(self.estimate.weather, np.zeros(len(self.estimate.theta)))[0]
+        value = torque_Nm[:, index]
+        step_s = float(np.median(np.diff(t_s)))
         frequency_Hz = np.fft.rfftfreq(4 * len(value), step_s)
         power = np.abs(np.fft.rfft((value - value.mean()) * np.hanning(len(value)), 4 * len(value)))
+        # White noise through the weather's memory falls with frequency: a peak is measured against that.
+        power *= np.hypot(1.0, 2 * np.pi * frequency_Hz * self.estimate.weather.memory_s[index])
         power[(frequency_Hz < _MIN_Hz) | (frequency_Hz > _MAX_Hz)] = 0.0
         top = [i for i in range(1, len(power) - 1) if power[i] >= power[i - 1] and power[i] > power[i + 1]]
         top.sort(key=lambda i: -power[i])
         return tuple(float(frequency_Hz[i]) for i in top[:_PEAKS]) or (0.5,)
 
-    def _score(self, candidates: Sequence[Candidate]) -> list[ScoreResult]:
-        results: list[ScoreResult] = []
-        group: list[Candidate] = []
-        width = 0
-        for candidate in [*candidates, None]:
-            size = 0 if candidate is None else max(1, len(candidate.linear_parameters))
-            if group and (candidate is None or width + size > _BATCH):
-                results += self._score_group(group)
-                group, width = [], 0
-            if candidate is not None:
-                group.append(candidate)
-                width += size
-        return results
 
-    def _score_group(self, candidates: Sequence[Candidate]) -> list[ScoreResult]:
-        every = responses(self.regressors, candidates)
-        sizes = [max(1, len(candidate.linear_parameters)) for candidate in candidates]
-        return self.score_test.score_each(
-            every, sizes, [coefficient_std(candidate) for candidate in candidates]
-        )
+_WORTH_REFINING: Final = 3.0
+"""Score, nats, from which on the grid about it is refined: half of what an effect needs to be refitted."""
 
 
-def responses(makers: Sequence[Regressors], candidates: Sequence[Candidate]) -> list[Floats]:
-    """First-order responses of the predicted angles to candidates, side by side, shape (n, 3, s) for each
-    flight, as `Linearisation.response` gives them.
-    """
-    every: list[Floats] = []
-    for maker in makers:
-        pairs = [maker.signals(candidate) for candidate in candidates]
-        signals = np.concatenate([rates for rates, _ in pairs], axis=2)
-        measured = None
-        if any(one is not None for _, one in pairs):
-            shape = len(signals), 3
-            measured = np.concatenate(
-                [np.zeros((*shape, r.shape[2])) if one is None else one for r, one in pairs], axis=2
-            )
-        every.append(maker.linearisation.response(signals, measured))
-    return every
+def signals_of(maker: Regressors, candidates: Sequence[Candidate]) -> tuple[Floats, Floats | None]:
+    """Changes of rates and measured angles by candidates in one flight, side by side."""
+    pairs = [maker.signals(candidate) for candidate in candidates]
+    rates = np.concatenate([one for one, _ in pairs], axis=2)
+    if all(one is None for _, one in pairs):
+        return rates, None
+    shape = len(rates), 3
+    return rates, np.concatenate(
+        [np.zeros((*shape, r.shape[2])) if one is None else one for r, one in pairs], axis=2
+    )
 
 
 def coefficient_std(candidate: Candidate) -> Floats:
@@ -236,10 +261,10 @@ def _scaled(kind: EffectKind, candidate: Candidate, share: float) -> Mapping[str
     }
 
 
-def _possible(candidate: Candidate, result: ScoreResult) -> bool:
+def _possible(candidate: Candidate, coefficients: Floats) -> bool:
     """Whether the coefficients that a score estimates have signs that their priors allow."""
-    for name, change in zip(candidate.linear_parameters, result.coefficients, strict=False):
+    for name, change in zip(candidate.linear_parameters, coefficients, strict=False):
         prior = candidate.effect.priors[name]
         if prior.low >= 0.0 and change + candidate.effect.values[name] <= 0.0:
             return False
-    return bool(candidate.linear_parameters) or float(result.coefficients[0]) > 0.0
+    return bool(candidate.linear_parameters) or float(coefficients[0]) > 0.0

@@ -19,8 +19,8 @@ from heli_sim.model.parts import AXES
 from heli_sim.model.parts import thrust_N as static_thrust_N
 from heli_sim.rig.quantity import Prior, Quantity
 
-from heli_lab.diagnose.linearisation import MapEvaluator, Trajectory
 from heli_lab.identify.functions import Floats
+from heli_lab.innovations import MapEvaluator, Trajectory
 
 KNOTS: Final = 8
 """Basis functions of a curve. By judgement: fewer follow no kink or bump, more pay a higher penalty."""

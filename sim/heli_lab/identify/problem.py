@@ -179,6 +179,21 @@ class Problem:
         other._grids = {}
         return other
 
+    def with_free(self, free: Sequence[FreeParameter]) -> Problem:
+        """Pose a problem of other free parameters for predictions alone: its kernel has no derivatives by them.
+        The parameters that a flight has of its own come after those that all flights share.
+        """
+        other = copy.copy(self)
+        names = [quantity.name for quantity in self.model.parameters]
+        other.free = tuple(free)
+        other.columns = tuple(
+            np.array([i for i, one in enumerate(free) if one.record in (None, index)], int)
+            for index in range(len(self.records))
+        )
+        other._place = np.array([names.index(one.quantity) for one in free], int)
+        other._grids = {}
+        return other
+
     def parameters(self, theta: Floats, index: int = 0) -> Floats:
         """Complete the free parameters `theta`, shape (f,), to all those of the model, shape (p,), for record
         `index`.

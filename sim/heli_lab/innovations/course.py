@@ -1,0 +1,118 @@
+"""The course of a flight: states at even times as a filter follows them, about which models are linearised.
+
+Encoders show the angles to a thousandth of a radian, so the course hardly depends on the model: at first each
+axis is followed as if pushed by chance alone, then by the rig's own equations. A state before and one after a
+step's measurement are kept. Neither looks ahead: what depends on a smoothed course knows the innovations that
+it is to explain, and a scale of an encoder would always be found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from heli_lab.identify import Record
+from heli_lab.identify.functions import Floats, Integers
+from heli_lab.innovations import _kalman
+
+STEP_s: Final = 0.01
+"""Longest step of the course. By the midpoint rule it costs (w h)^2 / 24 of an acceleration: 0.04 % where an
+axis swings with 10 rad/s. Longer: thrust that changes within a step is blurred. Shorter: time."""
+
+# Each axis pushed by chance alone, for the first smoothing: far more than rigs of this kind accelerate.
+_ACCELERATION_STD_rad_s2: Final = 5.0
+_ACCELERATION_MEMORY_s: Final = 0.15
+_RATE_STD_rad_s: Final = 1.0
+_ANGLE_STD_rad: Final = 0.1
+
+
+@dataclass(frozen=True)
+class Course:
+    """States of a flight at even times.
+
+    Parameters
+    ----------
+    record : Record
+        The flight.
+    every : int
+        Rows of the flight in a step.
+    measured_rad : ndarray (n, 3)
+        Angles at the beginning of each step, mean of the samples within half a step.
+    variance_rad2 : ndarray (n, 3)
+        Variance of their quantisation errors.
+    predicted, filtered : ndarray (n, 6)
+        Angles and rates at the beginning of each step, before and after its measurement is taken into account.
+    windows : tuple of slice
+        Steps of each part in free flight.
+    """
+
+    record: Record
+    every: int
+    measured_rad: Floats
+    variance_rad2: Floats
+    predicted: Floats
+    filtered: Floats
+    windows: tuple[slice, ...]
+
+    @property
+    def step_s(self) -> float:
+        """Length of a step."""
+        return self.record.step_s * self.every
+
+    @property
+    def rows(self) -> Integers:
+        """Steps in free flight, one window after the other."""
+        return np.concatenate([np.arange(one.start, one.stop) for one in self.windows]).astype(np.int64)
+
+    def followed(self, predicted: Floats, filtered: Floats) -> Course:
+        """Keep everything but the states, as a better filter follows them, shape (n, 6) each."""
+        return replace(self, predicted=predicted, filtered=filtered)
+
+
+def follow(record: Record, step_s: float = STEP_s) -> Course:
+    """Follow the angles of a flight without a model, in steps of `step_s` at most, or of the log's own."""
+    every = max(1, int(step_s / record.step_s + 1e-6))
+    count = len(record.t_s) // every
+    half = every // 2
+    sums = np.vstack((np.zeros(3), np.cumsum(record.angles_rad, axis=0)))
+    nodes = np.arange(count) * every
+    low, high = np.maximum(nodes - half, 0), np.minimum(nodes + half + 1, len(record.t_s))
+    width = np.minimum(nodes - low, high - 1 - nodes)
+    low, high = nodes - width, nodes + width + 1
+    measured = (sums[high] - sums[low]) / (high - low)[:, None]
+    variance = np.broadcast_to(record.sigma_rad**2, measured.shape)
+    _, state = _kinematic(measured, variance, record.step_s * every)
+    samples = (high - low)[:, None].astype(float)
+    crossings = np.abs(state[:, 3:]) * record.step_s * every / record.count_rad
+    # Samples of an angle that crosses a count in a step share it out; those of one at rest repeat it.
+    variance = variance / (1.0 + (samples - 1.0) * np.minimum(crossings, 1.0))
+    windows = tuple(
+        slice(-(-start // every), stop // every)
+        for start, stop in record.segments
+        if stop // every - -(-start // every) > 1
+    )
+    return Course(record, every, measured, variance, *_kinematic(measured, variance, record.step_s * every), windows)
+
+
+def _kinematic(measured_rad: Floats, variance_rad2: Floats, step_s: float) -> tuple[Floats, Floats]:
+    count = len(measured_rad)
+    transition = np.eye(6)
+    transition[:3, 3:] = step_s * np.eye(3)
+    push = np.vstack((0.5 * step_s**2 * np.eye(3), step_s * np.eye(3)))
+    measurement = np.hstack((np.eye(3), np.zeros((3, 3))))
+    relative = measured_rad - measured_rad[0]
+    before, after = _kalman.track(
+        np.broadcast_to(transition, (count, 6, 6)).copy(),
+        np.broadcast_to(push, (count, 6, 3)).copy(),
+        np.broadcast_to(measurement, (count, 3, 6)).copy(),
+        np.ascontiguousarray(variance_rad2),
+        np.full(3, np.exp(-step_s / _ACCELERATION_MEMORY_s)),
+        np.full(3, _ACCELERATION_STD_rad_s2**2),
+        np.array([_ANGLE_STD_rad**2] * 3 + [_RATE_STD_rad_s**2] * 3),
+        np.zeros((count, 6, 1)),
+        relative[:, :, None].copy(),
+    )
+    start = np.hstack((measured_rad[0], np.zeros(3)))
+    return before[:, :6] + start, after[:, :6] + start

@@ -1,0 +1,97 @@
+"""What is estimated of a model: free parameters with their priors, shared by all flights or one a flight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from heli_sim.model.base import Model
+from heli_sim.model.parts import AXES
+from heli_sim.rig import Prior, Rig
+
+from heli_lab.identify import Record
+from heli_lab.identify.free import PER_FLIGHT, FreeParameter, free_parameters
+from heli_lab.identify.functions import Floats
+
+TORQUE_STD_Nm: Final = dict(zip((f"torque_{axis}" for axis in AXES), (0.02, 0.01, 0.01), strict=True))
+"""Prior standard deviation of the constant torque about each axis that every flight has of its own: what an
+unlevel table, a cable or a draught leave. By judgement, of the order of the weather. Smaller: a rig whose
+balance moves from flight to flight bends its other numbers. Larger: elevation's hides in the masses."""
+
+
+class Unknowns:
+    """Free parameters of a `model` on a `rig` in some flights.
+
+    Parameters
+    ----------
+    model : Model
+        The model, with its effects.
+    rig : Rig
+        Values and priors of its numbers.
+    records : sequence of Record
+        The flights.
+    fixed : Mapping[str, float], optional
+        Values of parameters that are not estimated.
+
+    Attributes
+    ----------
+    free : tuple of FreeParameter
+        Those that all flights share first, then each flight's own.
+    quantities : tuple of str
+        Names in the model of those that a flight depends on.
+    columns : tuple of ndarray
+        For each flight, which free parameters it depends on, in the order of `quantities`.
+    """
+
+    def __init__(
+        self, model: Model, rig: Rig, records: Sequence[Record], fixed: Mapping[str, float] | None = None
+    ) -> None:
+        self.model, self.rig = model, rig
+        constants = {name: Prior(0.0, std) for name, std in TORQUE_STD_Nm.items()}
+        wanted = [one for one in free_parameters(model, rig, None, {}) if one.quantity not in constants]
+        own = [one for one in wanted if one.quantity in PER_FLIGHT]
+        shared = [one for one in wanted if one.quantity not in PER_FLIGHT and one.quantity not in (fixed or {})]
+        own += [FreeParameter(name, "N m", prior, name) for name, prior in constants.items()]
+        several = len(records) > 1
+        local = [
+            replace(one, record=index, name=f"{one.name}[{record.label}]" if several else one.name)
+            for index, record in enumerate(records)
+            for one in own
+        ]
+        self.free: tuple[FreeParameter, ...] = (*shared, *local)
+        self.quantities = tuple(one.quantity for one in (*shared, *own))
+        self.columns = tuple(
+            np.array([i for i, one in enumerate(self.free) if one.record in (None, index)], int)
+            for index in range(len(records))
+        )
+        names = [quantity.name for quantity in model.parameters]
+        self._base: Floats = model.parameter_values(rig)
+        for name, value in (fixed or {}).items():
+            self._base[names.index(name)] = value
+        self._place = np.array([names.index(one.quantity) for one in self.free], int)
+        self.mean: Floats = np.array([one.prior.mean for one in self.free])
+        self.std: Floats = np.array([one.prior.std for one in self.free])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return tuple(one.name for one in self.free)
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Lowest and highest values, each of shape (f,)."""
+        return np.array([one.prior.low for one in self.free]), np.array([one.prior.high for one in self.free])
+
+    @property
+    def start(self) -> Floats:
+        """Values of rig and effects, within the bounds; shape (f,)."""
+        result: Floats = np.clip(self._base[self._place], *self.bounds)
+        return result
+
+    def parameters(self, theta: Floats, index: int) -> Floats:
+        """Complete free parameters `theta`, shape (f,), to all those of the model, shape (p,), for a flight."""
+        full = self._base.copy()
+        full[self._place[self.columns[index]]] = theta[self.columns[index]]
+        return full

@@ -1,0 +1,197 @@
+"""Weather: the torques by chance that every rig meets, as states of the filter, and its estimation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from heli_lab.identify.functions import Floats
+
+DRIFT_MEMORY_s: Final = 15.0
+"""Correlation time of the slow drift. Set, because a flight of a minute does not tell it: a quarter of one.
+Longer: the constant torque of each flight says the same. Shorter: gusts say the same."""
+
+# Where the search for the weather starts, and its bounds: far outside of what flights show.
+_START_GUST_Nm: Final = (1e-2, 3e-3, 6e-3)
+_START_DRIFT_Nm: Final = (1e-3, 5e-4, 5e-4)
+_START_MEMORY_s: Final = 0.5
+_START_QUANTISATION: Final = 0.6
+_LEAST_Nm, _MOST_Nm = 2e-5, 1.0
+_LEAST_s, _MOST_s = 0.03, 5.0
+_LEAST_QUANTISATION, _MOST_QUANTISATION = 0.02, 4.0
+
+_DIFFERENCE: Final = 0.03
+"""Change of a logarithm by which the likelihood is differentiated: 3 % of each number."""
+_LONGEST_MOVE: Final = 1.2
+"""Most that a logarithm moves at once."""
+_FLAT: Final = 0.5
+"""Least curvature, nats for a change by the factor e, that a step trusts: below it the number hardly matters."""
+_MOVES: Final = 25
+_CONVERGED_NATS: Final = 0.02
+
+
+@dataclass(frozen=True)
+class Weather:
+    """Gauss-Markov torques about elevation, pitch and travel, and how well the encoders tell angles.
+
+    Parameters
+    ----------
+    gust_Nm : ndarray (3,)
+        Standard deviation of the gusts about each axis.
+    memory_s : ndarray (3,)
+        Time over which the autocorrelation of each axis' gusts falls to 1/e.
+    drift_Nm : ndarray (3,)
+        Standard deviation of the slow drift about each axis, of memory `DRIFT_MEMORY_s`.
+    quantisation : ndarray (3,)
+        Variance of each axis' quantisation error over that of independent, even errors.
+    curvature : ndarray (3, 4, 4) or None
+        Of the log-likelihood at the estimate, for the logarithms of each axis' four numbers.
+    """
+
+    gust_Nm: Floats
+    memory_s: Floats
+    drift_Nm: Floats
+    quantisation: Floats
+    curvature: Floats | None = None
+
+    @classmethod
+    def start(cls) -> Weather:
+        """Weather to start a search from."""
+        return cls(
+            np.array(_START_GUST_Nm),
+            np.full(3, _START_MEMORY_s),
+            np.array(_START_DRIFT_Nm),
+            np.full(3, _START_QUANTISATION),
+        )
+
+    @classmethod
+    def from_point(cls, point: Floats) -> Weather:
+        """Make it of the logarithms of all numbers, shape (3, 4), an axis a row."""
+        gust, memory, drift, quantisation = np.exp(point).T
+        return cls(gust, memory, drift, quantisation)
+
+    @property
+    def point(self) -> Floats:
+        """Logarithms of all numbers, within the bounds of the search, shape (3, 4), an axis a row."""
+        every = np.log(np.stack((self.gust_Nm, self.memory_s, self.drift_Nm, self.quantisation), axis=1))
+        result: Floats = np.clip(every, *_BOUNDS)
+        return result
+
+    def memory(self, step_s: float) -> Floats:
+        """Share of each torque that is left after a step, gusts first, shape (6,)."""
+        result: Floats = np.exp(-step_s / np.concatenate((self.memory_s, np.full(3, DRIFT_MEMORY_s))))
+        return result
+
+    @property
+    def variance_N2m2(self) -> Floats:
+        """Stationary variance of each torque, gusts first, shape (6,)."""
+        result: Floats = np.concatenate((self.gust_Nm, self.drift_Nm)) ** 2
+        return result
+
+
+_BOUNDS: Final = (
+    np.log([_LEAST_Nm, _LEAST_s, _LEAST_Nm, _LEAST_QUANTISATION]),
+    np.log([_MOST_Nm, _MOST_s, _MOST_Nm, _MOST_QUANTISATION]),
+)
+
+
+def maximise(value: Callable[[Weather], Floats], start: Weather) -> Weather:
+    """Maximise a likelihood over the weather by Newton's method.
+
+    Weather about one axis hardly touches the innovations of another, so that all three axes are
+    differentiated at once: a step costs four evaluations, not twelve, and the sum decides whether it counts.
+
+    Parameters
+    ----------
+    value : callable
+        Log-likelihood of each axis' innovations under a weather, nats, shape (3,).
+    start : Weather
+        Where to begin; its curvature is used where it has one.
+    """
+
+    def at(point: Floats) -> Floats:
+        return value(Weather.from_point(np.clip(point, *_BOUNDS)))
+
+    point, curvature = start.point, start.curvature
+    now = at(point)
+    if curvature is None:
+        curvature = _curvature(at, point, now)
+    fresh = start.curvature is None
+    for _ in range(_MOVES):
+        gradient = _gradient(at, point, now)
+        # At a bound only what leads inside counts.
+        gradient[(point <= _BOUNDS[0] + 1e-9) & (gradient < 0.0)] = 0.0
+        gradient[(point >= _BOUNDS[1] - 1e-9) & (gradient > 0.0)] = 0.0
+        held = gradient == 0.0
+        move = np.zeros((3, 4))
+        for axis in range(3):
+            free = ~held[axis]
+            if free.any():
+                move[axis, free] = _newton(gradient[axis, free], curvature[axis][np.ix_(free, free)])
+        promised = 0.5 * float((gradient * move).sum())
+        if promised < _CONVERGED_NATS:
+            break
+        share = 1.0
+        while share > 0.02:
+            after = at(point + share * move)
+            if after.sum() > now.sum() + 0.1 * share * promised:
+                break
+            share *= 0.4
+        else:
+            if fresh:
+                break
+            curvature, fresh = _curvature(at, point, now), True
+            continue
+        gained = float(after.sum() - now.sum())
+        point, now = np.clip(point + share * move, *_BOUNDS), after
+        if gained < _CONVERGED_NATS:
+            break
+        if share < 1.0 or np.abs(move).max() > 0.5:
+            curvature, fresh = _curvature(at, point, now), True
+        else:
+            fresh = False
+    return replace(Weather.from_point(point), curvature=curvature)
+
+
+def _gradient(at: Callable[[Floats], Floats], point: Floats, now: Floats) -> Floats:
+    gradient = np.empty((3, 4))
+    for i in range(4):
+        step = np.where(point[:, i] > _BOUNDS[1][i] - _DIFFERENCE, -_DIFFERENCE, _DIFFERENCE)
+        moved = point.copy()
+        moved[:, i] += step
+        gradient[:, i] = (at(moved) - now) / step
+    return gradient
+
+
+def _curvature(at: Callable[[Floats], Floats], point: Floats, now: Floats) -> Floats:
+    """Second derivatives of each axis' own likelihood by its own logarithms, negative, (3, 4, 4)."""
+    low, high = _BOUNDS[0] + 3 * _DIFFERENCE, _BOUNDS[1] - 3 * _DIFFERENCE
+    point = np.clip(point, low, high)
+    now = at(point)
+    h = 3 * _DIFFERENCE
+    one = np.empty((4, 3))
+    result = np.empty((3, 4, 4))
+    for i in range(4):
+        up, down = point.copy(), point.copy()
+        up[:, i] += h
+        down[:, i] -= h
+        one[i], back = at(up), at(down)
+        result[:, i, i] = -(one[i] - 2 * now + back) / h**2
+    for i in range(4):
+        for j in range(i):
+            both = point.copy()
+            both[:, [i, j]] += h
+            mixed = -(at(both) - one[i] - one[j] + now) / h**2
+            # A forward difference of second order carries the third derivatives; diagonals are exact to them.
+            result[:, i, j] = result[:, j, i] = mixed
+    return result
+
+
+def _newton(gradient: Floats, curvature: Floats) -> Floats:
+    values, vectors = np.linalg.eigh(curvature)
+    move: Floats = vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(values), _FLAT))
+    longest = float(np.abs(move).max())
+    return move * min(1.0, _LONGEST_MOVE / max(longest, 1e-12))

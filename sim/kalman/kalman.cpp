@@ -1,0 +1,330 @@
+#include "kalman.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace heli_lab {
+namespace {
+
+constexpr std::size_t kAxes = 3;
+
+// What the backward pass of the smoother needs of a step.
+struct Kept {
+  std::vector<double> mean;        // predicted, [order]
+  std::vector<double> covariance;  // predicted, [order][order]
+  std::vector<double> gain;        // [3][order], of one axis after the other
+  std::vector<double> innovation;  // [3], not normalised
+  std::vector<double> variance;    // [3]; 0 where nothing was measured
+};
+
+class Filter {
+ public:
+  explicit Filter(const LinearSystem& system)
+      : system_(system),
+        order_(system.states + system.torques),
+        mean_(order_ * system.columns, 0.0),
+        next_(system.states * system.columns),
+        covariance_(order_ * order_, 0.0),
+        product_(system.states * order_),
+        gain_(order_) {
+    for (std::size_t i = 0; i < system.states; ++i) {
+      covariance_[i * order_ + i] = system.initial_variance[i];
+    }
+    for (std::size_t i = 0; i < system.torques; ++i) {
+      const std::size_t place = system.states + i;
+      covariance_[place * order_ + place] = system.torque_variance[i];
+    }
+  }
+
+  // One axis after the other: measurement errors of the axes are independent.
+  void update(std::size_t step, double* innovations, double* log_variances, Kept* kept) {
+    const std::size_t states = system_.states;
+    const std::size_t columns = system_.columns;
+    for (std::size_t axis = 0; axis < kAxes; ++axis) {
+      double* out = innovations + axis * columns;
+      const double error = system_.measurement_variance[step * kAxes + axis];
+      if (kept != nullptr) {
+        kept->variance[axis] = 0.0;
+      }
+      if (!(error > 0.0)) {
+        std::fill(out, out + columns, 0.0);
+        continue;
+      }
+      const double* row = system_.measurement + (step * kAxes + axis) * states;
+      for (std::size_t i = 0; i < order_; ++i) {
+        double sum = 0.0;
+        for (std::size_t j = 0; j < states; ++j) {
+          sum += row[j] * covariance_[j * order_ + i];
+        }
+        gain_[i] = sum;
+      }
+      double variance = error;
+      for (std::size_t j = 0; j < states; ++j) {
+        variance += row[j] * gain_[j];
+      }
+      const double scale = 1.0 / std::sqrt(variance);
+      const double* seen = system_.measured + (step * kAxes + axis) * columns;
+      std::copy(seen, seen + columns, out);
+      for (std::size_t j = 0; j < states; ++j) {
+        const double weight = row[j];
+        if (weight == 0.0) {
+          continue;
+        }
+        const double* from = mean_.data() + j * columns;
+        for (std::size_t c = 0; c < columns; ++c) {
+          out[c] -= weight * from[c];
+        }
+      }
+      if (kept != nullptr) {
+        kept->innovation[axis] = out[0];
+        kept->variance[axis] = variance;
+        for (std::size_t i = 0; i < order_; ++i) {
+          kept->gain[axis * order_ + i] = gain_[i] / variance;
+        }
+      }
+      for (std::size_t c = 0; c < columns; ++c) {
+        out[c] *= scale;
+      }
+      for (std::size_t i = 0; i < order_; ++i) {
+        const double weight = gain_[i] * scale;
+        double* to = mean_.data() + i * columns;
+        for (std::size_t c = 0; c < columns; ++c) {
+          to[c] += weight * out[c];
+        }
+        double* line = covariance_.data() + i * order_;
+        for (std::size_t j = 0; j < order_; ++j) {
+          line[j] -= weight * scale * gain_[j];
+        }
+      }
+      log_variances[axis] += std::log(variance);
+    }
+  }
+
+  void predict(std::size_t step) {
+    const std::size_t states = system_.states;
+    const std::size_t torques = system_.torques;
+    const std::size_t columns = system_.columns;
+    const double* phi = system_.transition + step * states * states;
+    const double* input = system_.torque_input + step * states * torques;
+    const double* drive = system_.drive + step * states * columns;
+    std::copy(drive, drive + states * columns, next_.begin());
+    std::fill(product_.begin(), product_.end(), 0.0);
+    for (std::size_t i = 0; i < states; ++i) {
+      double* to = next_.data() + i * columns;
+      double* line = product_.data() + i * order_;
+      for (std::size_t j = 0; j < order_; ++j) {
+        const double weight = j < states ? phi[i * states + j] : input[i * torques + j - states];
+        if (weight == 0.0) {
+          continue;
+        }
+        const double* from = mean_.data() + j * columns;
+        for (std::size_t c = 0; c < columns; ++c) {
+          to[c] += weight * from[c];
+        }
+        const double* other = covariance_.data() + j * order_;
+        for (std::size_t k = 0; k < order_; ++k) {
+          line[k] += weight * other[k];
+        }
+      }
+    }
+    std::copy(next_.begin(), next_.end(), mean_.begin());
+    for (std::size_t i = 0; i < torques; ++i) {
+      double* to = mean_.data() + (states + i) * columns;
+      for (std::size_t c = 0; c < columns; ++c) {
+        to[c] *= system_.memory[i];
+      }
+    }
+    for (std::size_t i = 0; i < states; ++i) {
+      const double* line = product_.data() + i * order_;
+      for (std::size_t k = 0; k <= i; ++k) {
+        double sum = 0.0;
+        for (std::size_t j = 0; j < states; ++j) {
+          sum += line[j] * phi[k * states + j];
+        }
+        for (std::size_t j = 0; j < torques; ++j) {
+          sum += line[states + j] * input[k * torques + j];
+        }
+        covariance_[i * order_ + k] = sum;
+        covariance_[k * order_ + i] = sum;
+      }
+      for (std::size_t j = 0; j < torques; ++j) {
+        const double sum = line[states + j] * system_.memory[j];
+        covariance_[i * order_ + states + j] = sum;
+        covariance_[(states + j) * order_ + i] = sum;
+      }
+    }
+    for (std::size_t i = 0; i < torques; ++i) {
+      for (std::size_t j = 0; j < torques; ++j) {
+        covariance_[(states + i) * order_ + states + j] *= system_.memory[i] * system_.memory[j];
+      }
+      const double lost = 1.0 - system_.memory[i] * system_.memory[i];
+      covariance_[(states + i) * order_ + states + i] += lost * system_.torque_variance[i];
+    }
+  }
+
+  void keep(Kept& kept) const {
+    first_column(kept.mean.data());
+    kept.covariance = covariance_;
+  }
+
+  void first_column(double* out) const {
+    for (std::size_t i = 0; i < order_; ++i) {
+      out[i] = mean_[i * system_.columns];
+    }
+  }
+
+ private:
+  const LinearSystem& system_;
+  std::size_t order_;
+  std::vector<double> mean_;
+  std::vector<double> next_;
+  std::vector<double> covariance_;
+  std::vector<double> product_;
+  std::vector<double> gain_;
+};
+
+}  // namespace
+
+void filter(const LinearSystem& system, double* innovations, double* log_variances) {
+  Filter filter(system);
+  std::fill(log_variances, log_variances + kAxes, 0.0);
+  for (std::size_t step = 0; step < system.steps; ++step) {
+    filter.update(step, innovations + step * kAxes * system.columns, log_variances, nullptr);
+    if (step + 1 < system.steps) {
+      filter.predict(step);
+    }
+  }
+}
+
+void track(const LinearSystem& system, double* predicted, double* filtered) {
+  Filter filter(system);
+  const std::size_t order = system.states + system.torques;
+  std::vector<double> unused(kAxes * system.columns);
+  double log_variances[kAxes] = {};
+  for (std::size_t step = 0; step < system.steps; ++step) {
+    filter.first_column(predicted + step * order);
+    filter.update(step, unused.data(), log_variances, nullptr);
+    filter.first_column(filtered + step * order);
+    if (step + 1 < system.steps) {
+      filter.predict(step);
+    }
+  }
+}
+
+// Modified Bryson-Frazier: adjoint vector and matrix run backwards, nothing is inverted, so that torques of
+// variance 0 and exact states are no special case. Bierman, Automatica 9 (1973) 503.
+void smooth(const LinearSystem& system, double* mean, double* variance) {
+  const std::size_t states = system.states;
+  const std::size_t order = states + system.torques;
+  Filter filter(system);
+  std::vector<Kept> kept(system.steps);
+  std::vector<double> unused(kAxes * system.columns);
+  double log_variances[kAxes] = {};
+  for (std::size_t step = 0; step < system.steps; ++step) {
+    Kept& now = kept[step];
+    now.mean.resize(order);
+    now.gain.resize(kAxes * order);
+    now.innovation.resize(kAxes);
+    now.variance.resize(kAxes);
+    filter.keep(now);
+    filter.update(step, unused.data(), log_variances, &now);
+    if (step + 1 < system.steps) {
+      filter.predict(step);
+    }
+  }
+  std::vector<double> adjoint(order, 0.0);
+  std::vector<double> matrix(order * order, 0.0);
+  std::vector<double> product(order * order);
+  std::vector<double> line(order);
+  for (std::size_t step = system.steps; step-- > 0;) {
+    if (step + 1 < system.steps) {
+      // Back through the prediction: F' adjoint, F' matrix F with F = [transition torque_input; 0 memory].
+      const double* phi = system.transition + step * states * states;
+      const double* input = system.torque_input + step * states * system.torques;
+      const auto entry = [&](std::size_t i, std::size_t j) {
+        if (i < states) {
+          return j < states ? phi[i * states + j] : input[i * system.torques + j - states];
+        }
+        return i == j ? system.memory[i - states] : 0.0;
+      };
+      for (std::size_t j = 0; j < order; ++j) {
+        double sum = 0.0;
+        for (std::size_t i = 0; i < order; ++i) {
+          sum += entry(i, j) * adjoint[i];
+        }
+        line[j] = sum;
+      }
+      adjoint = line;
+      for (std::size_t i = 0; i < order; ++i) {
+        for (std::size_t j = 0; j < order; ++j) {
+          double sum = 0.0;
+          for (std::size_t k = 0; k < order; ++k) {
+            sum += matrix[i * order + k] * entry(k, j);
+          }
+          product[i * order + j] = sum;
+        }
+      }
+      for (std::size_t i = 0; i < order; ++i) {
+        for (std::size_t j = 0; j < order; ++j) {
+          double sum = 0.0;
+          for (std::size_t k = 0; k < order; ++k) {
+            sum += entry(k, i) * product[k * order + j];
+          }
+          matrix[i * order + j] = sum;
+        }
+      }
+    }
+    const Kept& now = kept[step];
+    for (std::size_t axis = kAxes; axis-- > 0;) {
+      if (!(now.variance[axis] > 0.0)) {
+        continue;
+      }
+      const double* row = system.measurement + (step * kAxes + axis) * states;
+      const double* gain = now.gain.data() + axis * order;
+      double along = 0.0;
+      for (std::size_t i = 0; i < order; ++i) {
+        along += gain[i] * adjoint[i];
+        double sum = 0.0;
+        for (std::size_t j = 0; j < order; ++j) {
+          sum += matrix[i * order + j] * gain[j];
+        }
+        line[i] = sum;
+      }
+      double quadratic = 0.0;
+      for (std::size_t i = 0; i < order; ++i) {
+        quadratic += gain[i] * line[i];
+      }
+      const double inverse = 1.0 / now.variance[axis];
+      for (std::size_t i = 0; i < states; ++i) {
+        adjoint[i] -= row[i] * (along + now.innovation[axis] * inverse);
+      }
+      for (std::size_t i = 0; i < order; ++i) {
+        const double own = i < states ? row[i] : 0.0;
+        for (std::size_t j = 0; j < order; ++j) {
+          const double other = j < states ? row[j] : 0.0;
+          matrix[i * order + j] +=
+              own * other * (inverse + quadratic) - own * line[j] - line[i] * other;
+        }
+      }
+    }
+    for (std::size_t i = 0; i < order; ++i) {
+      double sum = now.mean[i];
+      for (std::size_t j = 0; j < order; ++j) {
+        sum -= now.covariance[i * order + j] * adjoint[j];
+        double inner = 0.0;
+        for (std::size_t k = 0; k < order; ++k) {
+          inner += matrix[j * order + k] * now.covariance[i * order + k];
+        }
+        line[j] = inner;
+      }
+      double reduction = 0.0;
+      for (std::size_t j = 0; j < order; ++j) {
+        reduction += now.covariance[i * order + j] * line[j];
+      }
+      mean[step * order + i] = sum;
+      variance[step * order + i] = std::max(now.covariance[i * order + i] - reduction, 0.0);
+    }
+  }
+}
+
+}  // namespace heli_lab
