@@ -25,11 +25,12 @@ from matplotlib.mathtext import MathTextParser
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "effects.md"
 COMMON = [
-    *("rotor_lag", "input_delay", "thrust_quadratic", "thrust_asymmetry", "thrust_fade"),
-    *("thrust_step.front", "thrust_step.back", "supply_sag", "inflow_damping", "ground_effect"),
-    "rotor_reaction_torque",
+    *("rotor_lag", "rotor_speed_lag", "rotor_lag_with_delay", "input_delay"),
+    *("thrust_quadratic", "thrust_asymmetry", "thrust_fade", "thrust_step.front", "thrust_step.back"),
+    *("supply_sag", "supply_fade", "inflow_damping", "ground_effect", "rotor_reaction_torque"),
     *(f"coulomb_friction.{axis}" for axis in AXES),
-    *("travel_drag_quadratic", "cable_spring.elevation", "cable_spring.travel", "axis_tilt"),
+    *(f"{axis}_drag_quadratic" for axis in AXES),
+    *("cable_spring.elevation", "cable_spring.travel", "axis_tilt"),
     "counterweight_shift",
     *(
         f"{effect}.{axis}"
@@ -38,7 +39,7 @@ COMMON = [
     ),
 ]
 
-MEASURED = ["edgewise_flow", "gyroscopic_torque"]
+MEASURED = ["edgewise_flow", "gyroscopic_torque", "flywheel"]
 """Effects that measured flights of real rigs showed beyond the common ones."""
 
 

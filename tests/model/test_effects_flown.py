@@ -9,10 +9,10 @@ from tests.model.flown import find
 
 pytestmark = pytest.mark.slow
 
-SHARE = ("rotor_lag", "thrust_step.front", "ground_effect", "coulomb_friction.elevation", "backlash.pitch")
+SHARE = ("rotor_lag", "rotor_speed_lag", "thrust_step.front", "ground_effect", "backlash.pitch")
 
 
-@pytest.mark.parametrize("id", [*SHARE, "periodic_torque.travel"])
+@pytest.mark.parametrize("id", [*SHARE, "coulomb_friction.elevation", "periodic_torque.travel"])
 def test_a_flown_effect_is_found_within_three_standard_errors(id: str) -> None:
     found = find(catalogue()[id])
     assert max(abs(off) for off in found.off.values()) < 3.0

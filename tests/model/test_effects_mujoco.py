@@ -24,6 +24,8 @@ Vector = npt.NDArray[np.float64]
 TICKS = 5000
 RIG = load_rig("makki2024").replace(**WIDE)
 Control = Callable[[Any, Any, Vector], Vector]
+Course = Callable[[int, float], Vector]
+T_s = 0.1
 
 
 def voltages_V() -> Vector:
@@ -45,18 +47,24 @@ def ours(effect: str) -> Vector:
 
 
 def theirs(
-    change: Callable[[Any], None] | None = None, control: Control | None = None, at_tick: int = 0
+    change: Callable[[Any], None] | None = None,
+    control: Control | None = None,
+    at_tick: int = 0,
+    course: Course | None = None,
 ) -> Vector:
-    """Fly MuJoCo's rig with its description changed, or with thrusts that depend on its motion."""
+    """Fly MuJoCo's rig with its description changed, with thrusts that depend on its motion, or with a course
+    of the thrusts: at so many seconds after a tick.
+    """
     model = mujoco_rig(RIG)
     data = mujoco.MjData(model)
     address = [model.joint(name).qposadr[0] for name in JOINTS]
     data.qpos[address], data.qvel[address] = start()[:3], start()[3:]
     static_N = RIG["thrust_gain"].value * (voltages_V() - RIG["dead_zone"].value)
-    now_N = static_N[0]
+    tick = 0
 
     # MuJoCo calls this in each of the four stages of a step.
     def push(model: Any, data: Any) -> None:
+        now_N = static_N[tick] if course is None else course(tick, data.time - 1e-3 * tick)
         data.ctrl[:] = now_N if control is None else control(model, data, now_N)
 
     angles = np.empty((TICKS, 3))
@@ -65,12 +73,25 @@ def theirs(
         for tick in range(TICKS):
             if tick == at_tick and change is not None:
                 change(model)
-            now_N = static_N[tick]
             mujoco.mj_step(model, data)
             angles[tick] = data.qpos[address]
     finally:
         mujoco.set_mjcb_control(None)
     return angles
+
+
+def lagged(asked: Vector) -> Course:
+    """What follows each row of `asked`, from nothing, with a lag of T_s: exactly, also between the ticks."""
+    left = np.exp(-1e-3 / T_s)
+    reached = np.zeros((len(asked) + 1, 2))
+    for tick, row in enumerate(asked):
+        reached[tick + 1] = row + (reached[tick] - row) * left
+
+    def course(tick: int, later_s: float) -> Vector:
+        now: Vector = asked[tick] + (reached[tick] - asked[tick]) * np.exp(-later_s / T_s)
+        return now
+
+    return course
 
 
 def climb_m_s(model: Any, data: Any) -> Vector:
@@ -95,6 +116,32 @@ def test_without_effects_both_fly_alike() -> None:
 
 def test_asymmetry_is_one_rotor_stronger_and_one_weaker() -> None:
     agree("thrust_asymmetry=0.04", theirs(control=lambda model, data, F: F * [1.04, 0.96]))
+
+
+def test_a_speed_that_lags_gives_its_square_as_thrust() -> None:
+    speed_V, gain = lagged(voltages_V()), RIG["thrust_gain"].value
+    agree("rotor_speed_lag=0.1", theirs(course=lambda tick, s: gain * speed_V(tick, s) ** 2 / 4.0))
+    above_V, dead_V = lagged(voltages_V()), RIG["dead_zone"].value
+    agree(
+        "rotor_speed_lag=s:0.1,begins:1",
+        theirs(course=lambda tick, s: gain * np.maximum(above_V(tick, s) - dead_V, 0.0) ** 2),
+    )
+
+
+def test_a_lag_with_dead_time_is_the_lag_of_what_was_asked_for_a_while_ago() -> None:
+    asked_V = np.vstack((np.zeros((20, 2)), voltages_V()))[:TICKS]
+    asked_N = RIG["thrust_gain"].value * np.maximum(asked_V - RIG["dead_zone"].value, 0.0)
+    agree("rotor_lag_with_delay=lag_s:0.1,delay_s:0.02", theirs(course=lagged(asked_N)))
+
+
+def test_a_supply_that_fades_lowers_voltages_and_not_the_dead_zone() -> None:
+    def course(tick: int, later_s: float) -> Vector:
+        left_V = voltages[tick] * (1 - 0.01 * (1e-3 * tick + later_s))
+        thrust_N: Vector = RIG["thrust_gain"].value * (left_V - RIG["dead_zone"].value)
+        return thrust_N
+
+    voltages = voltages_V()
+    agree("supply_fade=0.01", theirs(course=course))
 
 
 def test_inflow_is_thrust_lost_to_the_speed_of_the_rotors_site_along_its_own_axis() -> None:
@@ -160,6 +207,39 @@ def test_gyroscopic_torque_is_that_of_a_spinning_wheel_on_the_short_arm() -> Non
         return thrust_N
 
     agree("gyroscopic_torque=0.05", theirs(control=control))
+
+
+@pytest.mark.parametrize("spin_up", [0.0, 1.0])
+def test_a_flywheel_is_a_wheel_whose_speed_lags(spin_up: float) -> None:
+    volts_V = voltages_V()
+    speed_V = lagged(volts_V)
+    sums_V = np.zeros(2)
+
+    def course(tick: int, later_s: float) -> Vector:
+        sums_V[:] = volts_V[tick].sum(), speed_V(tick, later_s).sum()
+        thrust_N: Vector = RIG["thrust_gain"].value * (volts_V[tick] - RIG["dead_zone"].value)
+        return thrust_N
+
+    def control(model: Any, data: Any, thrust_N: Vector) -> Vector:
+        velocity = np.empty(6)
+        body = model.body("body").id
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 0)
+        up = data.xmat[body].reshape(3, 3)[:, 2]
+        faster_Nm = spin_up * 0.02 * (sums_V[0] - sums_V[1]) / T_s
+        data.xfrc_applied[body, 3:] = -np.cross(velocity[:3], 0.02 * sums_V[1] * up) - faster_Nm * up
+        return thrust_N
+
+    agree(f"flywheel=Nms_per_V:0.02,spin_up:{spin_up}", theirs(control=control, course=course))
+
+
+@pytest.mark.parametrize("axis", JOINTS)
+def test_drag_is_a_torque_that_goes_with_the_square_of_a_joints_speed(axis: str) -> None:
+    def control(model: Any, data: Any, thrust_N: Vector) -> Vector:
+        place = model.joint(axis).dofadr[0]
+        data.qfrc_applied[place] = -0.2 * data.qvel[place] * abs(data.qvel[place])
+        return thrust_N
+
+    agree(f"{axis}_drag_quadratic=0.2", theirs(control=control))
 
 
 @pytest.mark.parametrize("axis", ["elevation", "travel"])

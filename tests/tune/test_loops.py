@@ -156,6 +156,35 @@ def test_effects_are_sorted_by_what_they_are_for_a_loop() -> None:
     assert known_of(()).spread == Spread()
 
 
+def test_a_lag_with_dead_time_is_for_a_loop_a_lag_and_a_delay() -> None:
+    known = known_of(parse_effects(["rotor_lag_with_delay=lag_s:0.1,delay_s:0.02"]))
+    assert known == Known(0.1, 0.02)
+
+
+def test_thrust_that_is_the_square_of_a_lagging_speed_has_the_slope_of_its_hover() -> None:
+    rig = load_rig("makki2024")
+    known = known_of(parse_effects(["rotor_speed_lag=0.12"]))
+    straight, square = linear_plant(rig, 0.12), linear_plant(rig, 0.12, known=known)
+    assert known.lag_s == 0.12 and known.left_out == ()
+    thrust_V = 0.5 * straight.hover_V
+    at_hover_V = 2.0 * np.sqrt(thrust_V)  # k V^2 / 4 V carries the arm as k thrust_V did
+    assert 0.5 * square.hover_V + rig["dead_zone"].value == pytest.approx(at_hover_V)
+    slope = 0.5 * at_hover_V
+    for gain in ("elevation_gain", "pitch_gain"):
+        assert getattr(square, gain) == pytest.approx(slope * getattr(straight, gain))
+    assert -1.0 / square.elevation_A[2, 2] == pytest.approx(0.12)
+    slower = linear_plant(rig, 0.15, known=known)
+    assert -1.0 / slower.tilt_A[4, 4] == pytest.approx(0.15)
+
+
+def test_an_effect_that_is_linear_about_hover_is_in_the_plant() -> None:
+    rig, known = load_rig("makki2024"), known_of(parse_effects(["inflow_damping=0.2"]))
+    damped, plain = linear_plant(rig, 0.1, known=known), linear_plant(rig, 0.1)
+    # Both rotors' share of 0.2 s/m of the hover's thrust, at L_a, over the inertia.
+    more = damped.elevation_A[1, 1] - plain.elevation_A[1, 1]
+    assert more == pytest.approx(-0.2 * rig["L_a"].value * plain.hover_V * plain.elevation_gain)
+
+
 def test_what_holds_a_tilt_holds_it(lagging: LinearPlant) -> None:
     hold = -lagging.tilt_A[2, 0] / lagging.pitch_gain
     closed = loops.tilt_closed(lagging, Pid(0.0, 0.0, 0.0, 16.0), Pid(0.0, 0.0, 0.0, 3.0), hold)

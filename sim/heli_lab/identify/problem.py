@@ -138,6 +138,7 @@ class Problem:
         self.kernel = kernel(model, tuple(one.quantity for one in (*shared, *local)))
         self._one_way = "reverse_thrust" not in names or not self.base[names.index("reverse_thrust")]
         self._one_way &= "reverse_thrust" not in self.names
+        self._one_way &= not any(effect.pushes_below_dead_zone for effect in model.effects)
         self._dead_zone = names.index("dead_zone")
         self._grids: dict[tuple[int, bool], tuple[object, Grid]] = {}
 
@@ -328,7 +329,8 @@ class Problem:
         delay : (str, float) or None
             Name and value in s of the parameter that delays the voltages.
         dead_zone_V : float or None
-            Voltage below which there is no thrust; None where rotors push backwards too.
+            Voltage below which there is no thrust; None where rotors push backwards too, or within the dead
+            zone.
         """
         delay = None if self._delay is None else (self.model.delay, float(parameters[self._delay]))
         return delay, float(parameters[self._dead_zone]) if self._one_way else None

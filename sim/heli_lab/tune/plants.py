@@ -15,7 +15,7 @@ from heli_sim.errors import PlantError
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Model
 from heli_sim.model.effect import Effect
-from heli_sim.model.effects import RotorLag
+from heli_sim.model.effects import RotorLag, RotorSpeedLag
 from heli_sim.model.linear import derivatives, trim
 from heli_sim.rig import Rig
 
@@ -31,6 +31,7 @@ _NOT_LINEAR: Final = (
     "encoder_eccentricity",
     "periodic_torque",
     "random_torque",
+    "supply_fade",
     "thrust_fade",
     "thrust_step",
     "zero_offset",
@@ -75,7 +76,8 @@ class Known:
     delay_s : float
         Delay of the voltages.
     linear : tuple of Effect
-        Effects that change the linear plant otherwise.
+        Effects that change the linear plant otherwise; one that lags the rotors by a law of its own is among
+        them, and takes the plants' lags.
     left_out : tuple of str
         Names of those that no linear plant has: dry friction, backlash, what happens during a flight.
     """
@@ -99,10 +101,14 @@ def known_of(effects: Sequence[Effect]) -> Known:
     linear: list[Effect] = []
     left_out: list[str] = []
     for effect in effects:
-        if isinstance(effect, RotorLag):
-            lag_s = effect.values["rotor_lag_s"]
-        elif effect.delay:
+        if effect.delay:
             delay_s += effect.values[effect.delay]
+        if isinstance(effect, RotorLag | RotorSpeedLag):
+            lag_s = (lag_s or 0.0) + effect.lag_s
+        if isinstance(effect, RotorSpeedLag):
+            linear.append(effect)
+        elif effect.delay or isinstance(effect, RotorLag):
+            continue
         elif effect.states or effect.name.startswith(_NOT_LINEAR):
             left_out.append(effect.name)
         else:
@@ -121,9 +127,9 @@ class LinearPlant:
     delay_s : float
         Delay of the voltages. In the matrices it is more lag; in a frequency response it is a delay.
     elevation_A, elevation_B : ndarray (3, 3), (3,)
-        States elevation, its rate, thrust of both rotors; input the collective, V.
+        States elevation, its rate, thrust of both rotors, or what makes it; input the collective, V.
     tilt_A, tilt_B : ndarray (5, 5), (5,)
-        States pitch, travel, their rates, difference of the thrusts; input the differential, V.
+        States pitch, travel, their rates, difference of the thrusts, likewise; input the differential, V.
     hover_V : float
         Sum of both voltages above the dead zone.
     """
@@ -215,7 +221,9 @@ def linear_plant(
 
 @functools.lru_cache(maxsize=32)
 def _equations(model: type[Model], lag_s: float, linear: tuple[Effect, ...]) -> Model:
-    return model((RotorLag(lag_s), *linear))
+    rotors = next((effect for effect in linear if isinstance(effect, RotorSpeedLag)), None)
+    lag = RotorLag(lag_s) if rotors is None else rotors.with_lag(lag_s)
+    return model((lag, *(effect for effect in linear if effect is not rotors)))
 
 
 def spread_plants(

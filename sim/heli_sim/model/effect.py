@@ -43,23 +43,27 @@ class Operands:
 class Stage(IntEnum):
     """Where an effect acts in the chain; a model sorts by it, and within one the order must not matter."""
 
-    CURVE = 0
+    SUPPLY = 0
+    """The supply without load."""
+    SPEED = 1
+    """Speed of motor and propeller, from which the thrust follows."""
+    CURVE = 2
     """The static curve of thrust against voltage."""
-    GAIN = 1
+    GAIN = 3
     """A factor on a rotor's thrust."""
-    LAG = 2
-    """Speed of motor and propeller, which cannot jump."""
-    INFLOW = 3
+    LAG = 4
+    """Thrust, which follows a speed that cannot jump."""
+    INFLOW = 5
     """The air that the propeller meets."""
-    GROUND = 4
+    GROUND = 6
     """The air that the propeller leaves behind."""
-    TORQUE = 5
+    TORQUE = 7
     """Torques about the axes."""
-    PLAY = 6
+    PLAY = 8
     """Between an axis and its encoder's shaft."""
-    SHAFT = 7
+    SHAFT = 9
     """On the encoder's shaft."""
-    ZERO = 8
+    ZERO = 10
     """Where the encoder's zero is."""
 
 
@@ -102,6 +106,10 @@ class Effect:
     noise_inputs: int = 0
     measured_as: Mapping[str, str] = field(default_factory=dict)
     multimodal: tuple[str, ...] = ()
+
+    # Equal effects have equal hashes, so that what is made for a set of effects can be cached.
+    def __hash__(self) -> int:
+        return hash((self.name, frozenset(self.values.items())))
 
     @property
     def prefix(self) -> str:
@@ -154,6 +162,11 @@ class Effect:
             Torque about each axis over the acceleration that it gives that axis, shape (3, 1).
         """
         return ca.SX.zeros(3)
+
+    @property
+    def pushes_below_dead_zone(self) -> bool:
+        """Whether rotors may push at voltages within the rig's dead zone."""
+        return False
 
     @property
     def has_friction(self) -> bool:

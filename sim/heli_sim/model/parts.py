@@ -16,6 +16,7 @@ __all__ = [
     "rotor_height_m",
     "since",
     "thrust_N",
+    "upright_torque_Nm",
 ]
 _ABRUPT_s: Final = 0.01
 
@@ -78,6 +79,14 @@ def rotor_height_m(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -
     middle = parameter["L_a"] * s - parameter["L_theta"] * c
     beside = parameter["L_h"] * ca.sin(state["pitch_rad"]) * c
     return ca.vertcat(middle + beside, middle - beside)
+
+
+def upright_torque_Nm(state: Mapping[str, ca.SX], torque_Nm: ca.SX) -> ca.SX:
+    """Torque about the three axes, shape (3, 1), of a torque `torque_Nm` [N m] about the short arm's upright,
+    by the angles in `state`.
+    """
+    pitch, elevation = state["pitch_rad"], state["elevation_rad"]
+    return torque_Nm * ca.vertcat(-ca.sin(pitch), 0, ca.cos(pitch) * ca.cos(elevation))
 
 
 def since(time_s: ca.SX, moment_s: ca.SX) -> ca.SX:

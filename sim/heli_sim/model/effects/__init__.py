@@ -6,11 +6,13 @@ from heli_sim.model.effects.catalogue import catalogue
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.effects.parse import effect_numbers, effects_of, parse_effects
 from heli_sim.model.effects.rotor_lag import RotorLag
+from heli_sim.model.effects.rotor_speed_lag import RotorSpeedLag
 
 __all__ = [
     "EffectKind",
     "Parameter",
     "RotorLag",
+    "RotorSpeedLag",
     "catalogue",
     "effect_numbers",
     "effects_of",

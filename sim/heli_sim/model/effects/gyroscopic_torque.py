@@ -21,18 +21,23 @@ class GyroscopicTorque(Effect):
 
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:
-        # n x omega H, as the three axes feel it.
-        state = at.state
-        momentum_Nms = self.own(at, "m_s") * (at.thrust_N[0] + at.thrust_N[1])
-        c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
-        c_pitch, s_pitch = ca.cos(state["pitch_rad"]), ca.sin(state["pitch_rad"])
-        elevation, pitch = state["elevation_rate_rad_s"], state["pitch_rate_rad_s"]
-        travel = state["travel_rate_rad_s"]
-        return momentum_Nms * ca.vertcat(
-            c_pitch * (pitch - s * travel),
-            -c_pitch * elevation - c * s_pitch * travel,
-            s * c_pitch * elevation + c * s_pitch * pitch,
-        )
+        return wheel_torque_Nm(at, self.own(at, "m_s") * (at.thrust_N[0] + at.thrust_N[1]))
+
+
+def wheel_torque_Nm(at: Operands, momentum_Nms: ca.SX) -> ca.SX:
+    """Torque about the three axes, shape (3, 1), of a wheel on the short arm that is turned with it:
+    n x omega H, for an angular momentum H = `momentum_Nms` [N m s] along the short arm's upright n.
+    """
+    state = at.state
+    c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
+    c_pitch, s_pitch = ca.cos(state["pitch_rad"]), ca.sin(state["pitch_rad"])
+    elevation, pitch = state["elevation_rate_rad_s"], state["pitch_rate_rad_s"]
+    travel = state["travel_rate_rad_s"]
+    return momentum_Nms * ca.vertcat(
+        c_pitch * (pitch - s * travel),
+        -c_pitch * elevation - c * s_pitch * travel,
+        s * c_pitch * elevation + c * s_pitch * pitch,
+    )
 
 
 KIND: Final = EffectKind(

@@ -105,6 +105,9 @@ class EffectKind:
         Whether it takes away a term that the model has, instead of adding one that it lacks.
     override : Mapping[str, float]
         With `baseline`: numbers of the rig and the value that each has with the term gone.
+    contains : Mapping[str, Mapping[str, str]]
+        Effects that this one is with the rest of its parameters at their neutral values (nested models): by
+        id, for each of their parameters that of this one; both named without the effects' names.
     rank : int
         Place in the catalogue, lowest first; equal ranks by the name of the file.
     """
@@ -125,6 +128,7 @@ class EffectKind:
     models: tuple[str, ...] = ()
     baseline: bool = False
     override: Mapping[str, float] = field(default_factory=dict)
+    contains: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     rank: int = 500
 
     @property
@@ -173,6 +177,30 @@ class EffectKind:
         if self.models and model.name not in self.models:
             return False
         return {*self.needs, *self.override} <= {quantity.name for quantity in model.parameters}
+
+    def goes_with(self, other: EffectKind) -> bool:
+        """Whether one model may have this and the `other` effect: not both where one of them contains the
+        other, or where both delay the voltages.
+        """
+        nested = other.id in self.contains or self.id in other.contains
+        return other.id != self.id and not nested and not (self.delay and other.delay)
+
+    def from_contained(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Values by full name at which this effect is the effects that it contains.
+
+        Parameters
+        ----------
+        values : Mapping[str, float]
+            Values of theirs by full name; `neutral` for those not given, and what belongs to no contained
+            effect is left out.
+        """
+        found = dict(self.neutral)
+        for contained, names in self.contains.items():
+            for theirs, own in names.items():
+                full = f"{contained.replace('.', '_')}_{theirs}"
+                if full in values:
+                    found[self.full(own)] = values[full]
+        return found
 
     def make(self, values: Mapping[str, float] | None = None) -> Effect:
         """Make the effect.

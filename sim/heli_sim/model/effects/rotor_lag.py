@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import ClassVar, Final
 
 import casadi as ca
 from typing_extensions import override
@@ -12,8 +12,9 @@ from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.rig.quantity import Prior, Quantity
 
-# Runge-Kutta steps of 10 ms, as identification takes them, are stable down to 3.6 ms.
-_LEAST_s: Final = 0.004
+LEAST_LAG_s: Final = 0.004
+"""Shortest lag that is integrated, s: Runge-Kutta steps of 10 ms, as identification takes them, are stable
+down to 3.6 ms."""
 
 
 class RotorLag(Effect):
@@ -46,14 +47,22 @@ class RotorLag(Effect):
             fields = {name: getattr(made, name) for name in Effect.__dataclass_fields__}
         super().__init__(**fields)  # type: ignore[arg-type]
 
+    time_constant: ClassVar[str] = "s"
+    """Which of its parameters is the time constant, without the prefix."""
+
+    @property
+    def lag_s(self) -> float:
+        """Time constant, s."""
+        return self.values[f"{self.prefix}_{self.time_constant}"]
+
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        share = ca.fmin(self.own(at, "s") / _LEAST_s, 1.0)
+        share = ca.fmin(self.own(at, self.time_constant) / LEAST_LAG_s, 1.0)
         return share * self._reached_N(at) + (1 - share) * thrust_N
 
     @override
     def state_rates(self, at: Operands) -> ca.SX:
-        return (at.thrust_N - self._reached_N(at)) / ca.fmax(self.own(at, "s"), _LEAST_s)
+        return (at.thrust_N - self._reached_N(at)) / ca.fmax(self.own(at, self.time_constant), LEAST_LAG_s)
 
     def _reached_N(self, at: Operands) -> ca.SX:
         return ca.vertcat(self.own(at, "front_N"), self.own(at, "back_N"))

@@ -9,6 +9,7 @@ from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.parts import upright_torque_Nm
 from heli_sim.rig.quantity import Prior
 
 
@@ -22,8 +23,7 @@ class RotorReactionTorque(Effect):
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:
         torque = self.own(at, "front_m") * at.thrust_N[0] + self.own(at, "back_m") * at.thrust_N[1]
-        pitch, elevation = at.state["pitch_rad"], at.state["elevation_rad"]
-        return torque * ca.vertcat(-ca.sin(pitch), 0, ca.cos(pitch) * ca.cos(elevation))
+        return upright_torque_Nm(at.state, torque)
 
 
 KIND: Final = EffectKind(

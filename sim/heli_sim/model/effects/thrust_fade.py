@@ -1,4 +1,4 @@
-"""Thrust falls during the flight: motors get warm, a battery runs down."""
+"""Thrust falls during the flight: motors and drivers get warm."""
 
 from __future__ import annotations
 
@@ -17,15 +17,22 @@ class ThrustFade(Effect):
 
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        bent = self.own(at, "bend_per_s") * at.time_s
-        straight = ca.fabs(bent) < 1e-3  # there the quotient below is 0 / 0
-        safe = ca.if_else(straight, 1.0, bent)
-        course = ca.if_else(straight, 1 - bent / 2 + bent**2 / 6, (1 - ca.exp(-safe)) / safe)
-        return thrust_N * (1 - self.own(at, "per_s") * at.time_s * course)
+        return thrust_N * share_left(at.time_s, self.own(at, "per_s"), self.own(at, "bend_per_s"))
 
 
-def _bends_per_s(seconds: float) -> tuple[float, ...]:
-    """Straight, and levelling off after twice, once and a third of the flight."""
+def share_left(time_s: ca.SX, per_s: ca.SX, bend_per_s: ca.SX) -> ca.SX:
+    """What is left at `time_s` [s] of something that loses a share `per_s` [1/s] of itself at first, and
+    levels off at the rate `bend_per_s` [1/s]: in a straight line at 0.
+    """
+    bent = bend_per_s * time_s
+    straight = ca.fabs(bent) < 1e-3  # there the quotient below is 0 / 0
+    safe = ca.if_else(straight, 1.0, bent)
+    course = ca.if_else(straight, 1 - bent / 2 + bent**2 / 6, (1 - ca.exp(-safe)) / safe)
+    return 1 - per_s * time_s * course
+
+
+def bends_per_s(seconds: float) -> tuple[float, ...]:
+    """Straight, and levelling off after twice, once and a third of a flight of `seconds`, 1/s."""
     return (0.0, 0.5 / seconds, 1.0 / seconds, 3.0 / seconds)
 
 
@@ -44,7 +51,7 @@ KIND: Final = EffectKind(
             "rate kappa at which the loss levels off; kappa = r is an exponential fall to nothing",
             0.0,
             Prior(0.0, 0.03, low=-0.02, high=1.0),
-            grid=_bends_per_s,
+            grid=bends_per_s,
         ),
     ),
     rank=50,

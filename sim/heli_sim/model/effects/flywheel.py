@@ -1,0 +1,66 @@
+"""Rotors are flywheels: their angular momentum goes with their speed, which follows the voltage late."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import casadi as ca
+from typing_extensions import override
+
+from heli_sim.model.effect import Effect, Operands, Stage
+from heli_sim.model.effects.gyroscopic_torque import wheel_torque_Nm
+from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.parts import upright_torque_Nm
+from heli_sim.rig.quantity import Prior, Quantity
+
+
+class Flywheel(Effect):
+    """Angular momentum of the rotors along the short arm's upright, in proportion to the sum of their speeds.
+
+    `gyroscopic_torque` has it go with the thrust. Thrust ends at the dead zone and goes with the square of
+    the speed, so momentum varies less than that. A speed is given by the voltage that holds it. The torque
+    that speeds the rotors up turns the rig the other way, by what is told of it with `spin_up`.
+    """
+
+    @override
+    def torque_Nm(self, at: Operands) -> ca.SX:
+        size, change = self.own(at, "Nms_per_V"), self.state_rates(at)
+        reaction = upright_torque_Nm(at.state, -self.own(at, "spin_up") * size * change)
+        return wheel_torque_Nm(at, size * self.own(at, "both_V")) + reaction
+
+    @override
+    def state_rates(self, at: Operands) -> ca.SX:
+        return (at.volts_V[0] + at.volts_V[1] - self.own(at, "both_V")) / self.own(at, "s")
+
+
+KIND: Final = EffectKind(
+    id="flywheel",
+    effect=Flywheel,
+    sentence=(
+        "the rotors spin the same way, with an angular momentum of {Nms_per_V} for each volt, "
+        "which follows the voltage with a lag of {s}"
+    ),
+    equation=(
+        r"T \dot w = V_f + V_b - w, \quad H = h w, \quad \tau = H (\cos\phi\, (\dot\phi - "
+        r"\dot\psi \sin\theta),\, -\dot\theta \cos\phi - \dot\psi \cos\theta \sin\phi,\, "
+        r"\dot\theta \sin\theta \cos\phi + \dot\phi \cos\theta \sin\phi) "
+        r"- s \dot H (-\sin\phi,\, 0,\, \cos\phi \cos\theta)"
+    ),
+    acts_on="torque.pitch",
+    stage=Stage.TORQUE,
+    numbers=(
+        Parameter(
+            "Nms_per_V",
+            "N m s/V",
+            "angular momentum h for each volt, up positive",
+            0.01,
+            Prior(0.0, 0.015, -0.3, 0.3),
+            size=True,
+        ),
+        Parameter("s", "s", "time constant T of the speed", 0.1, Prior(0.1, 0.06, low=0.01, high=0.6)),
+        Parameter("spin_up", "1", "share s of the torque of spinning up that turns the rig back", 0.0),
+    ),
+    states=(Quantity("both_V", "V", "sum of the rotors' speeds as the voltages that hold them"),),
+    rank=230,
+    source="rigid-body mechanics, and a motor's first-order lag",
+)

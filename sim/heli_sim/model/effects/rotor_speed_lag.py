@@ -1,0 +1,91 @@
+"""Motor and propeller change their speed late, and the thrust is the square of the speed that they have."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import casadi as ca
+from typing_extensions import override
+
+from heli_sim.model.effect import Effect, Operands, Stage
+from heli_sim.model.effects.kind import EffectKind, Parameter
+from heli_sim.model.effects.rotor_lag import LEAST_LAG_s
+from heli_sim.rig.quantity import Prior, Quantity
+
+
+class RotorSpeedLag(Effect):
+    """First-order lag of each rotor's speed behind its voltage, and thrust as the square of the speed, in the
+    place of the model's straight line.
+
+    A speed is given by the voltage that holds it. The square begins at no speed, as a propeller's does, or
+    where the straight line begins. Either is so scaled that at the voltage `pivot_V` it is the straight line
+    of a rig whose dead zone is half of that; from no speed on it is its tangent there. The rig's own thrust
+    gain scales both. Factors on the thrust, and what bends its curve, act on what the speed gives.
+
+    A lag T below 4 ms cannot be integrated in steps of 10 ms. There the thrust is the mean of one that lags
+    4 ms and of the straight line, so weighted that at T = 0 the effect does nothing.
+    """
+
+    @property
+    def lag_s(self) -> float:
+        """Time constant, s."""
+        return self.values[f"{self.prefix}_s"]
+
+    def with_lag(self, lag_s: float) -> RotorSpeedLag:
+        """Make the same effect with another time constant `lag_s`, s."""
+        return replace(self, values={**self.values, f"{self.prefix}_s": lag_s})
+
+    @override
+    def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
+        share = ca.fmin(self.own(at, "s") / LEAST_LAG_s, 1.0)
+        return share * self._squared_N(at) + (1 - share) * thrust_N
+
+    @override
+    def state_rates(self, at: Operands) -> ca.SX:
+        return (at.volts_V - self._speed_V(at)) / ca.fmax(self.own(at, "s"), LEAST_LAG_s)
+
+    @property
+    @override
+    def pushes_below_dead_zone(self) -> bool:
+        return True
+
+    def _squared_N(self, at: Operands) -> ca.SX:
+        p, speed_V, begins = at.parameter, self._speed_V(at), self.own(at, "begins")
+        forward_V = ca.fmax(speed_V - begins * p["dead_zone"], 0.0)
+        backward_V = ca.fmax(-speed_V - begins * p["dead_zone"], 0.0)
+        scale_V = 0.5 * self.own(at, "pivot_V") * (2 - begins) ** 2
+        return p["thrust_gain"] * (forward_V**2 - p["reverse_thrust"] * backward_V**2) / scale_V
+
+    def _speed_V(self, at: Operands) -> ca.SX:
+        return ca.vertcat(self.own(at, "front_V"), self.own(at, "back_V"))
+
+
+KIND: Final = EffectKind(
+    id="rotor_speed_lag",
+    effect=RotorSpeedLag,
+    sentence="the rotors' speed lags their voltage by {s}, and their thrust is the square of the speed",
+    equation=(
+        r"T \dot w_i = V_i - w_i, \quad "
+        r"F_i = k \frac{(w_i - z V_0)^2}{(2 - z)^2 U / 2}"
+    ),
+    acts_on="thrust",
+    stage=Stage.SPEED,
+    numbers=(
+        Parameter("s", "s", "time constant T", 0.1, Prior(0.08, 0.06, low=0.0, high=0.6), size=True),
+        Parameter(
+            "begins",
+            "1",
+            "z: 0 where thrust begins with the speed, 1 where it begins at the dead zone",
+            0.0,
+            grid=(0.0, 1.0),
+        ),
+        Parameter("pivot_V", "V", "voltage U at which it is the straight line, where V_0 = U / 2", 2.0),
+    ),
+    states=(
+        Quantity("front_V", "V", "speed of the front rotor, as the voltage that holds it"),
+        Quantity("back_V", "V", "speed of the back rotor, as the voltage that holds it"),
+    ),
+    rank=12,
+    source="propeller theory: thrust is the square of the speed; a motor's speed lags its voltage",
+)
