@@ -1,8 +1,8 @@
 """Terms of the baseline that the rig does not have.
 
 A parameter whose prior is wide, such as a friction, is estimated as zero (`absent_terms`). One whose prior is
-narrow, such as the length of a pendulum, cannot be: there the model is refitted without the term before any
-effect is tried in its place (`without_absent_terms`).
+narrow, such as the length of a pendulum, cannot be: there the model is refitted without the term beside the
+effects that may be tried in its place (`closely_stated_terms`).
 """
 
 from __future__ import annotations
@@ -18,13 +18,16 @@ from heli_sim.rig import Prior, Rig
 
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.candidate import Candidate
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis, errors
-from heli_lab.errors import IdentifyError
-from heli_lab.identify import Fit, Problem, solve
+from heli_lab.diagnose.model_comparison import Comparison
+from heli_lab.diagnose.screening import Screening
+from heli_lab.identify import Fit
 
 _WHOLE: Final = Prior(1.0, 0.03, 0.0, 1.0)
 """Of the share of a term that is absent: all of it or nothing. A wider prior would let a share of the term
 stand in for a parameter that is merely off."""
+_ANY_SHARE: Final = Prior(0.0, 1.0, 0.0, 1.0)
+_LEAST_SHARE, _MOST_SHARE = 0.5, 1.6
+"""Share of a term that the score test must want gone: about all of it, as far as a straight line tells."""
 _START_SHARE: Final = 0.99
 """Just inside the bound of that prior."""
 
@@ -110,43 +113,30 @@ def closely_stated(kind: EffectKind, rig: Rig) -> bool:
     )
 
 
-def without_absent_terms(
-    comparison: Comparison, baseline: Hypothesis, kinds: Iterable[EffectKind]
-) -> Hypothesis:
-    """The model without the one closely stated term without which it predicts far better, or the baseline."""
-    before = baseline.train.normalised
-    if before < thresholds.ABSENT_MIN_ERROR:
-        return baseline
-    best: tuple[float, EffectKind, Fit] | None = None
-    for kind in kinds:
-        if not (kind.baseline and kind.suits(comparison.model) and closely_stated(kind, comparison.rig)):
+def closely_stated_terms(
+    comparison: Comparison, kinds: Iterable[EffectKind], screening: Screening
+) -> list[tuple[Candidate, dict[str, float], float]]:
+    """Closely stated terms that the score test would take away about whole.
+
+    Returns
+    -------
+    list of (Candidate, dict, float)
+        The term gone, the values to refit from, and the gain that the score test promises, nats.
+    """
+    asked = [
+        kind
+        for kind in kinds
+        if kind.baseline and kind.suits(comparison.model) and closely_stated(kind, comparison.rig)
+    ]
+    shares = [
+        Candidate(kind.id, replace(kind.make(), priors={kind.size[0]: _ANY_SHARE}), kind.size) for kind in asked
+    ]
+    found = []
+    for kind, (gain, coefficients, _) in zip(asked, screening.score(shares), strict=True):
+        if gain < thresholds.ABSENT_MIN or not _LEAST_SHARE < coefficients[0] < _MOST_SHARE:
             continue
-        names = [one.quantity for one in baseline.fit.problem.free if one.quantity not in kind.override]
-        problem = Problem(
-            comparison.model,
-            comparison.rig,
-            comparison.train,
-            free=tuple(dict.fromkeys(names)),
-            window_s=comparison.window_s,
-            step_s=baseline.fit.problem.step_s,
-            values=kind.override,
-        )
-        try:
-            fit = solve(problem, fine=False)
-        except IdentifyError:
-            continue
-        after = errors(fit).normalised
-        if after - 1.0 < thresholds.ABSENT_MAX_SHARE * (before - 1.0) and (best is None or after < best[0]):
-            best = after, kind, fit
-    if best is None:
-        return baseline
-    _, kind, fit = best
-    (name,) = kind.size
-    effect = replace(kind.make({name: 1.0}), priors={name: _WHOLE})
-    start = {
-        **fit.values,
-        **{number: comparison.rig[number].value for number in kind.override},
-        name: _START_SHARE,
-    }
-    less = comparison.refit([Candidate(kind.id, effect, (name,))], start)
-    return less if comparison.evidence(less, baseline).iid > 0.0 else baseline
+        (name,) = kind.size
+        candidate = Candidate(kind.id, replace(kind.make({name: 1.0}), priors={name: _WHOLE}), (name,))
+        start = {number: comparison.rig[number].value for number in kind.override}
+        found.append((candidate, {**start, name: _START_SHARE}, gain))
+    return found

@@ -8,8 +8,8 @@ from heli_sim.model.effects import EffectKind
 
 from heli_lab.diagnose.screening import Scored
 from heli_lab.diagnose.thresholds import DETECTION_STD_ERRORS
-from heli_lab.identify import Fit
 from heli_lab.identify.uncertainty import uninformed_parameters
+from heli_lab.innovations import Estimate
 
 
 def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectKind]) -> tuple[str, ...]:
@@ -20,11 +20,12 @@ def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectK
         # Without linear parameters there is one regressor, the effect at the size tried.
         name = kind.size[0]
         unit = 1.0 if one.candidate.linear_parameters else one.candidate.effect.values[name]
-        if one.result.std[0] * abs(unit) * DETECTION_STD_ERRORS > abs(kind.typical[name]):
+        if one.std[0] * abs(unit) * DETECTION_STD_ERRORS > abs(kind.typical[name]):
             undetectable.append(kind.id)
     return tuple(sorted(undetectable))
 
 
-def unidentifiable_parameters(fit: Fit) -> tuple[str, ...]:
+def unidentifiable_parameters(estimate: Estimate) -> tuple[str, ...]:
     """Find the parameters of the rig whose posterior is as wide as their prior, by name."""
-    return tuple(uninformed_parameters(fit.problem.names, fit.covariance, fit.problem.prior_std))
+    unknowns = estimate.unknowns
+    return tuple(uninformed_parameters(unknowns.names, estimate.covariance, unknowns.std))

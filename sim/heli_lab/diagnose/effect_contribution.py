@@ -5,13 +5,12 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from heli_lab.diagnose.linearisation import Linearisation, MapEvaluator
-from heli_lab.identify import Fit
 from heli_lab.identify.functions import Floats
+from heli_lab.innovations import Estimate, MapEvaluator
 
 
-def accelerations(fit: Fit, name: str, index: int = 0) -> tuple[Floats, Floats]:
-    """Acceleration that one of a fit's effects makes along the free run of a flight.
+def accelerations(estimate: Estimate, name: str, index: int = 0) -> tuple[Floats, Floats]:
+    """Acceleration that one of an estimate's effects makes along the course of a flight.
 
     Parameters
     ----------
@@ -28,7 +27,8 @@ def accelerations(fit: Fit, name: str, index: int = 0) -> tuple[Floats, Floats]:
         Acceleration of elevation, pitch and travel with the effect less that without it; zero for a delay and
         for an effect on what is measured.
     """
-    model, linearisation = fit.problem.model, Linearisation(fit, index)
+    linear = estimate.filtered.linears[index]
+    model = linear.model
     less = type(model)(tuple(effect for effect in model.effects if effect.name != name))
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
@@ -38,5 +38,5 @@ def accelerations(fit: Fit, name: str, index: int = 0) -> tuple[Floats, Floats]:
     p_less = ca.vertcat(*(p[names.index(q.name)] for q in less.parameters))
     change = model.dynamics(x, u, p, t)[3:6] - less.dynamics(x_less, u, p_less, t)[3:6]
     function = ca.Function("change", [x, u, t, p], [ca.densify(change)])
-    (result,) = MapEvaluator(function, linearisation.rows)(linearisation.trajectory)
-    return linearisation.trajectory.t_s, np.ascontiguousarray(result[:, :, 0])
+    (result,) = MapEvaluator(function, linear.rows)(linear.trajectory)
+    return linear.trajectory.t_s, np.ascontiguousarray(result[:, :, 0])

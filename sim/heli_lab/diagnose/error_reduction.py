@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose.model_comparison import Hypothesis
+from heli_lab.diagnose.prediction import Prediction
 from heli_lab.identify import Fit, trace
 from heli_lab.identify.functions import Floats
 
@@ -38,7 +38,7 @@ class ErrorReduction:
         return self.after_deg / self.before_deg
 
 
-def error_reduction(before: Hypothesis, after: Hypothesis, seed: int = 0) -> dict[str, ErrorReduction]:
+def error_reduction(before: Prediction, after: Prediction, seed: int = 0) -> dict[str, ErrorReduction]:
     """Measure the free-run error on the validation flights, or without any on those fitted; `seed` is the
     bootstrap's.
     """
@@ -57,7 +57,7 @@ def error_reduction(before: Hypothesis, after: Hypothesis, seed: int = 0) -> dic
     }
 
 
-def _squares(hypothesis: Hypothesis) -> tuple[Floats, Floats]:
+def _squares(hypothesis: Prediction) -> tuple[Floats, Floats]:
     """Sum of squared errors in rad^2 and number of samples of each window."""
     fit: Fit = hypothesis.held_out_fit or hypothesis.fit
     squares, rows = [], []

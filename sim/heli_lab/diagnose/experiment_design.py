@@ -165,17 +165,14 @@ def discriminating_experiment(
     comparison: Comparison,
     kinds: Mapping[str, EffectKind],
     enough: float,
-    in_time: Callable[[], bool],
 ) -> ExperimentDesign:
-    """Choose the plan of the largest expected log-likelihood ratio between two hypotheses; where there was no
-    time to simulate any, the one that excites the two effects best by what they act on.
+    """Choose the plan of the largest expected log-likelihood ratio between two hypotheses; where none can be
+    flown, the one that excites the two effects best by what they act on.
 
     Parameters
     ----------
     enough : float
         Log-likelihood ratio from which on two hypotheses count as told apart, nats.
-    in_time : callable
-        Whether there is time for another simulation.
     """
     apart = (
         f"These flights do not tell {pair.names[0]} from {pair.names[1]}: their log-likelihoods differ by "
@@ -184,7 +181,7 @@ def discriminating_experiment(
     parts = [segment_for(kinds[id_]) for id_ in pair.names if id_ in kinds]
     found: dict[str, float] = {}
     for key in dict.fromkeys((*parts, *_ALSO_TRIED)):
-        if not in_time() or max(found.values(), default=0.0) > _PLENTY * enough:
+        if max(found.values(), default=0.0) > _PLENTY * enough:
             break
         expected_apart = expected_log_likelihood_ratio(pair.first, pair.second, comparison, _plan([key]))
         if expected_apart is not None:
@@ -192,11 +189,7 @@ def discriminating_experiment(
     if not found:
         return compose_experiment(apart, parts)
     best = max(found, key=lambda key: found[key])
-    other = (
-        expected_log_likelihood_ratio(pair.second, pair.first, comparison, _plan([best]))
-        if in_time()
-        else None
-    )
+    other = expected_log_likelihood_ratio(pair.second, pair.first, comparison, _plan([best]))
     expected = f"{found[best]:.0f} if it is {pair.names[0]}"
     if other is not None:
         expected += f" and {other:.0f} if it is {pair.names[1]}"
@@ -224,13 +217,13 @@ def informative_experiment(
     """
     asked = [kinds[id_] for id_ in undetectable]
     flight = compose_experiment(reason, {segment_for(kind) for kind in asked})
-    record = simulate_experiment(baseline.fit, flight.plan)
+    record = simulate_experiment(baseline.estimate, flight.plan)
     if record is None:
         return flight
-    problem = baseline.fit.problem
+    unknowns = baseline.estimate.unknowns
     try:
-        new = Comparison(problem.model, problem.rig, [record], ()).refit([], baseline.fit.values)
-        still = undetectable_effects(Screening(new.fit).effects(asked), kinds)
+        new = Comparison(unknowns.model, unknowns.rig, [record], ()).refit([], baseline.values)
+        still = undetectable_effects(Screening(new.estimate).effects(asked), kinds)
     except SimError:
         return flight
     but = f", not {', '.join(still)}" if still else ""

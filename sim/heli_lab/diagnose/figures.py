@@ -11,15 +11,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose.disturbance_torque import DisturbanceTorque, estimate_disturbance
-from heli_lab.diagnose.linearisation import Linearisation
-from heli_lab.diagnose.model_comparison import Hypothesis
+from heli_lab.diagnose.prediction import Prediction
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.search_record import Round
 from heli_lab.diagnose.spline_curve import SplineCurve
 from heli_lab.diagnose.spline_term import readable_id
 from heli_lab.identify import Fit, Trace, trace
 from heli_lab.identify.functions import Floats
+from heli_lab.innovations import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,11 +30,11 @@ _MOST_POINTS: Final = 5000
 _EQUATION_POINTS: Final = 12.0
 
 
-def _judged(hypothesis: Hypothesis) -> Fit:
-    return hypothesis.held_out_fit or hypothesis.fit
+def _judged(prediction: Prediction) -> Fit:
+    return prediction.held_out_fit or prediction.fit
 
 
-def figure_of_flight(before: Hypothesis, after: Hypothesis, index: int = 0) -> Figure:
+def figure_of_flight(before: Prediction, after: Prediction, index: int = 0) -> Figure:
     """Draw measured and simulated angles and their errors before and after, on flight `index`, held out where
     there is one.
     """
@@ -67,7 +66,7 @@ def figure_of_flight(before: Hypothesis, after: Hypothesis, index: int = 0) -> F
     return figure
 
 
-def figure_of_windows(before: Hypothesis, after: Hypothesis, index: int = 0) -> Figure:
+def figure_of_windows(before: Prediction, after: Prediction, index: int = 0) -> Figure:
     """Draw the window of the baseline's largest error on each axis of flight `index`, a panel each."""
     from matplotlib.figure import Figure
 
@@ -98,17 +97,16 @@ def figure_of_torque(diagnosis: Diagnosis) -> Figure:
     """
     from matplotlib.figure import Figure
 
-    before = estimate_disturbance(Linearisation(diagnosis.search.baseline.fit))
-    after = estimate_disturbance(Linearisation(diagnosis.extended.fit))
+    before, after = (_torque(one.estimate) for one in (diagnosis.search.baseline, diagnosis.extended))
     figure = Figure(figsize=(11, 6.5))
     panels = figure.subplots(3, 2, width_ratios=[2.4, 1])
     figure.subplots_adjust(0.07, 0.08, 0.98, 0.91, wspace=0.12, hspace=0.35)
     for axis in range(3):
-        for torque, color, label in ((before, _BEFORE, "before"), (after, _AFTER, "after")):
-            value_mNm = 1e3 * torque.value_Nm[:, axis]
+        for (t_s, torque_Nm), color, label in ((before, _BEFORE, "before"), (after, _AFTER, "after")):
+            value_mNm = 1e3 * torque_Nm[:, axis]
             text = f"{label}: rms {_rms(value_mNm):.3g} mN m"
-            panels[axis, 0].plot(torque.t_s, value_mNm, color=color, lw=0.7, label=text)
-            panels[axis, 1].loglog(*_spectrum(torque, axis), color=color, lw=0.9)
+            panels[axis, 0].plot(t_s, value_mNm, color=color, lw=0.7, label=text)
+            panels[axis, 1].loglog(*_spectrum(t_s, value_mNm), color=color, lw=0.9)
         panels[axis, 0].set_ylabel(f"{AXES[axis]} [mN m]")
         _above(panels[axis, 0])
         for panel in panels[axis]:
@@ -121,7 +119,7 @@ def figure_of_torque(diagnosis: Diagnosis) -> Figure:
 
 
 def figure_of_ranking(rounds: tuple[Round, ...]) -> Figure:
-    """Draw the candidates of each round by their scores, one panel a round; full bars are held-out scores of
+    """Draw the candidates of each round by their scores, one panel a round; full bars are gains of
     candidates that were refitted.
     """
     from matplotlib.figure import Figure
@@ -139,20 +137,20 @@ def figure_of_ranking(rounds: tuple[Round, ...]) -> Figure:
 def _rank(one: Round, number: int, panel: Axes) -> None:
     refits = {refit.candidate.id: refit for refit in one.refits}
     every = sorted(
-        (*one.screened[:7], *one.splines[:3]), key=lambda scored: scored.result.log_likelihood_gain
+        (*one.screened[:7], *one.splines[:3]), key=lambda scored: scored.log_likelihood_gain
     )
     names = [readable_id(scored.candidate.id) for scored in every]
     place = np.arange(len(every))
-    gains = [max(scored.result.log_likelihood_gain, 0.1) for scored in every]
-    panel.barh(place, gains, color="#dddddd", label="screened, flight fitted")
+    gains = [max(scored.log_likelihood_gain, 0.1) for scored in every]
+    panel.barh(place, gains, color="#dddddd", label="score test")
     for row, scored in enumerate(every):
         refit = refits.get(scored.candidate.id)
         if refit is not None:
             color = _AFTER if scored.candidate.id == one.taken else "#8fb3d1"
-            panel.barh(row, max(refit.evidence.held_out, 0.1), height=0.4, color=color)
-            text = f"  {refit.evidence.held_out:.0f} held out"
+            panel.barh(row, max(refit.gain, 0.1), height=0.4, color=color)
+            text = f"  {refit.gain:.0f} refitted"
             panel.text(
-                max(scored.result.log_likelihood_gain, refit.evidence.held_out, 1.0),
+                max(scored.log_likelihood_gain, refit.gain, 1.0),
                 row,
                 text,
                 va="center",
@@ -163,7 +161,7 @@ def _rank(one: Round, number: int, panel: Axes) -> None:
     panel.set_yticks(place, names, fontsize=8)
     taken = f"taken: {readable_id(one.taken)}" if one.taken else "nothing taken"
     panel.set_title(f"round {number}: {taken}", fontsize=10, loc="left")
-    panel.set_xlabel("log likelihood ratio; grey: screened, blue: refitted, held out", fontsize=8)
+    panel.set_xlabel("log likelihood ratio; grey: score test, blue: refitted", fontsize=8)
 
 
 def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
@@ -180,7 +178,7 @@ def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
     panels = figure.subplots(3, 1, sharex=True)
     figure.subplots_adjust(0.08, 0.09, 0.98, 0.9, hspace=0.3)
     for number, found in enumerate(diagnosis.verdict.causes):
-        t_s, change = accelerations(diagnosis.extended.fit, found.candidate.id)
+        t_s, change = accelerations(diagnosis.extended.estimate, found.candidate.id)
         for axis, panel in enumerate(panels):
             degrees = np.rad2deg(change[:, axis])
             size = f"rms {_rms(degrees):.3g} deg/s$^2$" if degrees.any() else "none of its own"
@@ -262,9 +260,14 @@ def _broken(one: Trace, axis: int) -> tuple[Floats, Floats]:
     return np.concatenate(t_s), np.concatenate(values)
 
 
-def _spectrum(torque: DisturbanceTorque, axis: int) -> tuple[Floats, Floats]:
-    value = 1e3 * torque.value_Nm[:, axis]
-    step_s = float(np.median(np.diff(torque.t_s)))
+def _torque(estimate: Estimate) -> tuple[Floats, Floats]:
+    """Times and torques by chance about the three axes of the first flight fitted."""
+    t_s, torque_Nm, _ = estimate.filtered.smoothed_torques(estimate.weather, np.zeros(len(estimate.theta)))[0]
+    return t_s, torque_Nm
+
+
+def _spectrum(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:
+    step_s = float(np.median(np.diff(t_s)))
     size = min(len(value), 1 << 10)
     parts = [value[i : i + size] for i in range(0, len(value) - size + 1, size // 2)]
     window = np.hanning(size)

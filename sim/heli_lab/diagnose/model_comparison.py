@@ -18,6 +18,9 @@ from heli_lab.innovations import BLOCK_s, Course, Estimate, ModelFunctions, Unkn
 _FOLLOWED: Final = 2
 """Times that the course is followed anew by the baseline's own filter: after the second it moves by less than
 a hundredth of the quantisation (simulated and field flights, 2026-11)."""
+_OTHER_WEATHER_NATS: Final = 20.0
+"""Gain over the hypothesis before from which on the weather is looked for afresh. By judgement: a cause of six
+standard deviations. Higher: what a cause leaves is measured against the weather that stood for it."""
 _WORSE_NATS: Final = 0.1
 """Log-likelihood by which a larger model may stay behind one that it contains, by rounding."""
 
@@ -143,8 +146,14 @@ class Comparison:
             [known.get(one.name, value) for one, value in zip(unknowns.free, unknowns.start, strict=True)]
         )
         theta = np.clip(theta, *unknowns.bounds)
-        weather = near.estimate.weather if near else None
-        return estimate(unknowns, self.courses, functions, theta, weather)
+        if near is None:
+            return estimate(unknowns, self.courses, functions, theta)
+        found = estimate(unknowns, self.courses, functions, theta, near.estimate.weather)
+        if found.log_likelihood > near.log_likelihood + _OTHER_WEATHER_NATS:
+            # What was missing had passed for weather: the likelihood may have another maximum now.
+            again = estimate(unknowns, self.courses, functions, found.theta)
+            return max(found, again, key=lambda one: one.log_likelihood)
+        return found
 
     def held_out_log_likelihood(self, hypothesis: Hypothesis) -> float:
         """Log-likelihood of the flights held out, nats: what all flights share is as estimated, each

@@ -164,7 +164,7 @@ def _free_run(estimate: Estimate, records: Sequence[Record], own: bool) -> Fit:
         problem=problem.with_free(unknowns.free),
         theta=theta,
         covariance=estimate.covariance,
-        information=np.linalg.inv(estimate.covariance) - np.diag(unknowns.std**-2.0),
+        information=np.asarray(np.linalg.inv(estimate.covariance) - np.diag(unknowns.std**-2.0), float),
         at_bound=at_bound,
     )
 

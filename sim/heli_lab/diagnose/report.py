@@ -29,7 +29,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
     """
     numbers = to_json(diagnosis)
     folder = folder_with(numbers, folder)
-    before, after = diagnosis.search.baseline, diagnosis.extended
+    before, after = diagnosis.before, diagnosis.after
     size = figures.figure_of_size(diagnosis)
     judged = "a flight that no fit saw" if after.held_out_fit else "the flight that was fitted"
     label = diagnosis.verdict.label
@@ -101,7 +101,7 @@ def _gained(diagnosis: Diagnosis) -> str:
         return ""
     axis, best = min(diagnosis.gains.items(), key=lambda one: one[1].ratio)
     low, high = best.interval95
-    where = "on flights that no fit saw" if diagnosis.extended.held_out_fit else "on the flights fitted"
+    where = "on flights that no fit saw" if diagnosis.after.held_out_fit else "on the flights fitted"
     return (
         f" With it the 2 s free run is off by {best.after_deg:.2g} deg in {axis} instead of "
         f"{best.before_deg:.2g} {where}: {best.ratio:.2f} times as much ({low:.2f} to {high:.2f})."
@@ -174,14 +174,13 @@ def _residual(residual: dict[str, Any]) -> str:
 
 def _remains(diagnosis: Diagnosis, numbers: dict[str, Any], folder: Path) -> str:
     missing = numbers["unexplained"]
-    remaining = diagnosis.residual_analysis
     curves = diagnosis.curves
     text = ""
     if missing is not None:
         depends = "".join(f"<li>{escaped(one)}</li>" for one in missing["correlates_with"])
         text = (
-            f"<p>{missing['share_of_variance']:.1%} of the variance of the error about "
-            f"{escaped(missing['axis'])} is explained by no effect. It goes with, the strongest first:</p>"
+            f"<p>No effect explains what foretells the motion about {escaped(missing['axis'])}: "
+            f"log-likelihood ratio {missing['log_likelihood_gain']:.0f} nats. The strongest first:</p>"
             f"<ul>{depends}</ul>"
         )
     if curves:
@@ -194,11 +193,21 @@ def _remains(diagnosis: Diagnosis, numbers: dict[str, Any], folder: Path) -> str
                 figures.figure_of_curves(curves), folder / "curves.png", "curve in the place of the cause"
             )
         )
-    after = "Beyond what was found" + (" and that curve" if curves else "")
-    return text + (
-        f"<p>{after}, the most significant missing torque is about {remaining.axis}: "
-        f"{1e3 * remaining.sigma_Nm:.2g} mN m, {remaining.sigma_over_std:.2g} times the "
-        "standard error of its estimate.</p>"
+    rows = [
+        [axis, f"{1e3 * one['gust_Nm']:.2g}", f"{one['memory_s']:.2g}", f"{1e3 * one['drift_Nm']:.2g}",
+         f"{one['log_likelihood_ratio']:.0f}"]
+        for axis, one in numbers["weather"].items()
+    ]
+    heads = ["axis", "gusts [mN m]", "that last [s]", "drift [mN m]", "log-likelihood ratio over none"]
+    innovations = numbers["residual"]["innovations"]
+    worst = max(abs(value) for values in innovations["autocorrelation"].values() for value in values)
+    return (
+        text
+        + "<p>Weather, torques by chance that no model foretells:</p>"
+        + table(heads, rows)
+        + '<p class="note">Innovations, what each measurement shows that those before it did not foretell, are '
+        f"correlated by {worst:.2f} at most over {innovations['lags_s'][0]:.2g} to "
+        f"{innovations['lags_s'][-1]:.2g} s; white noise would stay below {innovations['bound']:.2f}.</p>"
     )
 
 
@@ -211,7 +220,6 @@ def _ranking(ranking: Sequence[dict[str, Any]]) -> str:
             f"{one['round']}: {one['candidate']}{' (taken)' if one['taken'] else ''}",
             cell(one["score"]),
             cell(one["train"]),
-            cell(one["held_out"]),
             cell(one["penalty"]),
         ]
         for one in ranking
@@ -221,7 +229,7 @@ def _ranking(ranking: Sequence[dict[str, Any]]) -> str:
         "Log-likelihood ratios, nats. The penalty (BIC) is for parameters and for the number of candidates."
     )
     return (
-        table(["round: candidate", "screened", "refitted", "held out", "penalty"], rows)
+        table(["round: candidate", "screened", "refitted", "penalty"], rows)
         + f'<p class="note">{note}</p>'
     )
 

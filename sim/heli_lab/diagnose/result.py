@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from heli_sim.model.parts import AXES
 from heli_sim.model.effects import EffectKind, effect_numbers
 from heli_sim.rig import Number, Rig
 
@@ -17,6 +19,7 @@ from heli_lab.diagnose.absent_terms import AbsentTerm
 from heli_lab.diagnose.error_reduction import ErrorReduction
 from heli_lab.diagnose.experiment_design import ExperimentDesign
 from heli_lab.diagnose.model_comparison import Hypothesis
+from heli_lab.diagnose.prediction import Prediction
 from heli_lab.diagnose.residual_analysis import ResidualAnalysis
 from heli_lab.diagnose.search_record import Cause, Search
 from heli_lab.diagnose.spline_curve import SplineCurve, spline_curve_of
@@ -39,6 +42,8 @@ class Diagnosis:
         What the final model still lacks.
     extended : Hypothesis
         The model with the causes of the catalogue alone, as the extended rig flies it.
+    before, after : Prediction
+        Free runs of the refitted baseline and of the extended model.
     gains : Mapping[str, ErrorReduction]
         Free-run errors before and after, by axis.
     spline_gains : Mapping[str, ErrorReduction]
@@ -61,6 +66,8 @@ class Diagnosis:
     verdict: Verdict
     residual_analysis: ResidualAnalysis
     extended: Hypothesis
+    before: Prediction
+    after: Prediction
     gains: Mapping[str, ErrorReduction]
     spline_gains: Mapping[str, ErrorReduction]
     absent: tuple[AbsentTerm, ...]
@@ -73,7 +80,7 @@ class Diagnosis:
 
     def values(self, found: Cause) -> dict[str, tuple[float, float, str]]:
         """Parameters of a cause by full name: value, standard error and unit."""
-        kind, fit = self.kinds[found.candidate.id], self.extended.fit
+        kind, fit = self.kinds[found.candidate.id], self.after.fit
         std = stds(fit)
         return {
             q.name: (
@@ -101,48 +108,44 @@ class Diagnosis:
     def curves(self) -> list[SplineCurve]:
         """The spline terms in the place of causes outside the catalogue, the strongest first."""
         effects = (one.candidate.effect for one in self.verdict.off_list)
-        return [spline_curve_of(one, self.search.final.fit) for one in effects if isinstance(one, SplineTerm)]
+        return [spline_curve_of(one, self.search.final.estimate) for one in effects if isinstance(one, SplineTerm)]
 
     @property
     def random_torque(self) -> dict[str, tuple[float, float, str]]:
         """Parameters of the random torque, value, standard error and unit; empty when there is none."""
         if not self.verdict.gust:
             return {}
-        remaining = self.residual_analysis
-        fits = (self.search.baseline.fit, self.search.baseline.held_out_fit)
-        seconds = sum(record.used_s for fit in fits if fit is not None for record in fit.problem.records)
-        independent = max(seconds / (2.0 * remaining.correlation_time_s), 2.0)
-        prefix = f"random_torque_{remaining.axis}"
-        relative = 1.0 / np.sqrt(2.0 * independent)
+        axis = AXES.index(self.residual_analysis.axis)
+        weather = self.residual_analysis.weather
+        sigma_Nm, memory_s = float(weather.gust_Nm[axis]), float(weather.memory_s[axis])
+        seconds = sum(record.used_s for record in self.before.fit.problem.records)
+        relative = 1.0 / math.sqrt(2.0 * max(seconds / (2.0 * memory_s), 2.0))
+        prefix = f"random_torque_{AXES[axis]}"
         return {
-            f"{prefix}_Nm": (remaining.sigma_Nm, remaining.sigma_Nm * float(relative), "N m"),
-            f"{prefix}_s": (
-                remaining.correlation_time_s,
-                remaining.correlation_time_s * float(2.0 * relative),
-                "s",
-            ),
+            f"{prefix}_Nm": (sigma_Nm, sigma_Nm * relative, "N m"),
+            f"{prefix}_s": (memory_s, 2.0 * memory_s * relative, "s"),
         }
 
     @property
     def cautions(self) -> list[str]:
         """What weakens the result, a line each; empty when nothing does."""
         cautions = [f"left out: {why}" for why in self.skipped]
-        held_out = self.extended.held_out_fit
+        held_out = self.after.held_out_fit
         if held_out is None:
             cautions.append("no flight was held out: nothing here is confirmed; give one to --validate")
-        elif len(self.extended.held_out.rows) < FEW_WINDOWS:
+        elif len(self.after.held_out.rows) < FEW_WINDOWS:
             seconds = sum(record.used_s for record in held_out.problem.records)
             cautions.append(f"only {seconds:.0f} s were held out: too few for the intervals of the ratios")
         if not self.search.complete:
-            cautions.append("the time ran out before everything was tried; give more with --budget")
+            cautions.append("the work allowed ran out before everything was tried; give more with --budget")
         return cautions
 
     def rig(self, name: str) -> Rig:
         """Make the extended rig `name`, of the refitted parameters and the causes with theirs, ready for
         `heli-host sil|fly --rig`.
         """
-        found = Identification(self.extended.fit, (), (), (), ()).rig(name)
-        labels = ", ".join(record.label for record in self.extended.fit.problem.records)
+        found = Identification(self.after.fit, (), (), (), ()).rig(name)
+        labels = ", ".join(record.label for record in self.after.fit.problem.records)
         source = f"found by heli-host diagnose from {labels}"
         effects: dict[str, Mapping[str, Number]] = dict(found.effects)
         for one in self.verdict.causes:
@@ -167,7 +170,7 @@ class Diagnosis:
     @property
     def metric(self) -> str:
         """What the gains measure, with its unit."""
-        return METRIC if self.extended.held_out_fit else METRIC.replace("validation", "fitted")
+        return METRIC if self.after.held_out_fit else METRIC.replace("validation", "fitted")
 
 
 def stds(fit: Fit) -> dict[str, float]:

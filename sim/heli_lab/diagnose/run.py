@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from typing import Final
 
 import numpy as np
 from heli_host.flight import Flight
@@ -13,7 +15,7 @@ from heli_sim.rig import Rig
 
 from heli_lab.diagnose.absent_terms import absent_terms
 from heli_lab.diagnose.detectability import undetectable_effects, unidentifiable_parameters
-from heli_lab.diagnose.error_reduction import error_reduction
+from heli_lab.diagnose.error_reduction import ErrorReduction, error_reduction
 from heli_lab.diagnose.experiment_design import (
     ExperimentDesign,
     Pair,
@@ -22,6 +24,7 @@ from heli_lab.diagnose.experiment_design import (
     informative_experiment,
 )
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.prediction import Prediction, predict
 from heli_lab.diagnose.residual_analysis import residual_analysis
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.search import search
@@ -29,12 +32,12 @@ from heli_lab.diagnose.search_record import Search
 from heli_lab.diagnose.spline_curve import spline_curve_of
 from heli_lab.diagnose.spline_term import SplineTerm
 from heli_lab.diagnose.thresholds import AMBIGUOUS, MANY_UNDETECTABLE, SHORT_s
-from heli_lab.diagnose.verdict import Verdict, ambiguous_with, judge, remains
+from heli_lab.diagnose.verdict import Verdict, ambiguous_with, judge
 from heli_lab.errors import IdentifyError, NotExcited
 from heli_lab.identify import Record, prepare
 
-_MIN_FOR_EXPERIMENTS_s, _MAX_FOR_EXPERIMENTS_s = 5.0, 25.0
-"""Time for simulating experiments: at least one is simulated, however much of the budget is gone."""
+_TEST_SPLINES: Final = 99
+"""Above the number of any spline term of a model, so that their parameters' names differ."""
 
 
 def diagnose(
@@ -48,7 +51,7 @@ def diagnose(
     start_s: float | None = None,
     stop_s: float | None = None,
     seed: int = 0,
-    seconds: float = float("inf"),
+    refits: float = math.inf,
     say: Callable[[str, float], None] | None = None,
 ) -> Diagnosis:
     """Find what a model lacks.
@@ -67,8 +70,9 @@ def diagnose(
         Use only this part of the flights to fit.
     seed : int
         Seed of the bootstrap behind the intervals.
-    seconds : float
-        Time limit, nearly kept; the result says whether everything was tried.
+    refits : float
+        Limit of the work: refits after which no further cause is looked for; the result says whether everything
+        was tried.
     say : callable, optional
         Called with what is being done, and the share of the work that is done, 0 to 1.
 
@@ -91,12 +95,14 @@ def diagnose(
     comparison = Comparison(model, rig, train, held_out, seed=seed)
     known = {effect.name for effect in model.effects}
     tried = {id_: kind for id_, kind in every.items() if _candidate(kind, model, known)}
-    left_s = seconds - (time.perf_counter() - started_s)
-    found = search(comparison, tried, removable=tuple(every.values()), say=tell, seconds=left_s)
+    found = search(comparison, tried, removable=tuple(every.values()), say=tell, refits=refits)
     tell("looking at what remains", 0.9)
-    remaining = residual_analysis(found.screening, found.disturbance if remains(found) else None)
+    screening = found.screening
+    remaining = residual_analysis(screening, screening.splines(_TEST_SPLINES))
     extended = _extended(comparison, found)
-    absent = absent_terms(extended.fit, rig, every)
+    before = predict((), found.baseline.estimate, train, held_out)
+    after = before if extended is found.baseline else predict(extended.candidates, extended.estimate, train, held_out)
+    absent = absent_terms(after.fit, rig, every)
     verdict = judge(found, remaining, bool(absent))
     undetectable = undetectable_effects(found.rounds[-1].screened, every)
     return Diagnosis(
@@ -104,15 +110,26 @@ def diagnose(
         verdict,
         remaining,
         extended,
-        error_reduction(found.baseline, extended, seed),
-        error_reduction(found.baseline, found.final, seed) if verdict.off_list else {},
+        before,
+        after,
+        error_reduction(before, after, seed),
+        _with_splines(comparison, found, before, seed) if verdict.off_list else {},
         absent,
         every,
         undetectable,
-        tuple(unidentifiable_parameters(found.baseline.fit)),
+        tuple(unidentifiable_parameters(found.baseline.estimate)),
         tuple(str(one) for one in (*lost, *lost_held)),
-        _next(comparison, verdict, found, extended, every, undetectable, started_s + seconds),
+        _next(comparison, verdict, found, extended, every, undetectable),
         time.perf_counter() - started_s,
+    )
+
+
+def _with_splines(
+    comparison: Comparison, found: Search, before: Prediction, seed: int
+) -> dict[str, ErrorReduction]:
+    final = found.final
+    return error_reduction(
+        before, predict(final.candidates, final.estimate, comparison.train, comparison.held_out), seed
     )
 
 
@@ -130,22 +147,17 @@ def _next(
     extended: Hypothesis,
     kinds: Mapping[str, EffectKind],
     undetectable: Sequence[str],
-    until_s: float,
 ) -> ExperimentDesign | None:
     """The experiment that would tell more, where these flights left something open."""
     pair = _pair(comparison, verdict, found, extended) if verdict.label == "ambiguous" else None
     if pair is not None:
-        stop_s = max(until_s, time.perf_counter() + _MIN_FOR_EXPERIMENTS_s)
-        stop_s = min(stop_s, time.perf_counter() + _MAX_FOR_EXPERIMENTS_s)
-        return discriminating_experiment(
-            pair, comparison, kinds, AMBIGUOUS, lambda: time.perf_counter() < stop_s
-        )
+        return discriminating_experiment(pair, comparison, kinds, AMBIGUOUS)
     if verdict.label == "unexplained":
         on = {one.candidate.id.rpartition(":")[2] for one in verdict.off_list}
         parts = {part for part in ("travel", "elevation", "time") if any(part in name for name in on)}
         parts |= {"motors"} if any("thrust" in name for name in on) or not on else set()
         curves = [
-            spline_curve_of(effect, found.final.fit)
+            spline_curve_of(effect, found.final.estimate)
             for effect in (one.candidate.effect for one in verdict.off_list)
             if isinstance(effect, SplineTerm)
         ]
@@ -156,7 +168,7 @@ def _next(
         return compose_experiment(
             f"{reason}: these flights have {covered}." if covered else f"{reason}.", parts
         )
-    seconds = sum(record.used_s for record in found.baseline.fit.problem.records)
+    seconds = sum(record.used_s for record in comparison.train)
     if seconds < SHORT_s or len(undetectable) > MANY_UNDETECTABLE:
         which = ", ".join(undetectable) or "small effects"
         return informative_experiment(
@@ -190,7 +202,7 @@ def _pair(comparison: Comparison, verdict: Verdict, found: Search, extended: Hyp
     rest = [candidate for candidate in extended.candidates if candidate.id != one.candidate.id]
     second = refit.hypothesis
     if rest:
-        second = comparison.refit([*rest, refit.candidate], {**extended.fit.values, **second.fit.values})
+        second = comparison.refit([*rest, refit.candidate], second.values, extended)
     return Pair(extended, second, (one.candidate.id, alternative.id), alternative.log_likelihood_ratio)
 
 
@@ -201,7 +213,7 @@ def _extended(comparison: Comparison, found: Search) -> Hypothesis:
         return found.final
     if not named:
         return found.baseline
-    return comparison.refit(named, found.final.fit.values)
+    return comparison.refit(named, None, found.final)
 
 
 def _ready(

@@ -25,10 +25,16 @@ _MAX_GRID: Final = 16
 """Points of one parameter's grid, before the best one's neighbourhood is refined."""
 _BISECTIONS: Final = 6
 """Times that the grid's distance is halved about the best point: to a sixty-fourth."""
+_WORTH_REFINING: Final = 3.0
+"""Score, nats, from which on the grid about it is refined: half of what an effect needs to be refitted."""
 _SIZES: Final = (0.2, 0.6, 1.2)
 """Shares of the typical size at which an effect with states of its own is tried: it is not linear in it."""
 _DIFFERENCE_STD: Final = 0.5
 """Prior standard deviation of the coefficient of a regressor that is the effect at such a size."""
+
+
+Score = tuple[float, Floats, Floats]
+"""Gain of a score test, coefficients and their standard errors."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +45,14 @@ class Scored:
     ----------
     log_likelihood_gain : float
         Gain that the score test promises, nats, all other parameters refitted and the weather as it is.
-    coefficients : ndarray (g,)
-        Of its regressors.
+    coefficients, std : ndarray (g,)
+        Of its regressors, and their standard errors.
     """
 
     candidate: Candidate
     log_likelihood_gain: float
     coefficients: Floats
+    std: Floats
     tried: int
 
 
@@ -82,14 +89,14 @@ class Screening:
         """Score every spline term, the highest score first; `number` distinguishes those of one model."""
         candidates = spline_candidates(self.estimate.filtered.linears, number)
         found = [
-            Scored(candidate, gain, coefficients, 1)
-            for candidate, (gain, coefficients) in zip(candidates, self.score(candidates), strict=True)
+            Scored(candidate, *score, 1)
+            for candidate, score in zip(candidates, self.score(candidates), strict=True)
         ]
         return sorted(found, key=lambda one: -one.log_likelihood_gain)
 
-    def score(self, candidates: Sequence[Candidate]) -> list[tuple[float, Floats]]:
-        """Gain [nats] and coefficients of each candidate by itself."""
-        results: list[tuple[float, Floats]] = []
+    def score(self, candidates: Sequence[Candidate]) -> list[Score]:
+        """Gain [nats], coefficients and their standard errors of each candidate by itself."""
+        results: list[Score] = []
         group: list[Candidate] = []
         width = 0
         for candidate in [*candidates, None]:
@@ -104,7 +111,7 @@ class Screening:
 
     def score_signals(
         self, signals: Sequence[tuple[Floats, Floats | None]], sizes: Sequence[int], priors: Sequence[Floats]
-    ) -> list[tuple[float, Floats]]:
+    ) -> list[Score]:
         """The same for regressors that are given: for each flight the change of the rates, (n, states, s), and of the
         measured angles, (n, 3, s), all candidates side by side.
         """
@@ -120,22 +127,24 @@ class Screening:
             information = raw.T @ own + np.diag(std**-2.0)
             information = 0.5 * (information + information.T)
             score = own.T @ self._error
-            coefficients = np.linalg.pinv(information, hermitian=True) @ score
-            found.append((float(0.5 * score @ coefficients), coefficients))
+            covariance = np.linalg.pinv(information, hermitian=True)
+            coefficients = covariance @ score
+            std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+            found.append((float(0.5 * score @ coefficients), coefficients, std))
         return found
 
-    def _score_group(self, candidates: Sequence[Candidate]) -> list[tuple[float, Floats]]:
+    def _score_group(self, candidates: Sequence[Candidate]) -> list[Score]:
         sizes = [max(1, len(candidate.linear_parameters)) for candidate in candidates]
         signals = [signals_of(maker, candidates) for maker in self.regressors]
         return self.score_signals(signals, sizes, [coefficient_std(candidate) for candidate in candidates])
 
     def _best(
-        self, kind: EffectKind, candidates: Sequence[Candidate], scores: Sequence[tuple[float, Floats]]
+        self, kind: EffectKind, candidates: Sequence[Candidate], scores: Sequence[Score]
     ) -> Scored | None:
         tried = len(candidates)
         allowed = [
             (gain, number)
-            for number, (candidate, (gain, coefficients)) in enumerate(zip(candidates, scores, strict=True))
+            for number, (candidate, (gain, coefficients, _)) in enumerate(zip(candidates, scores, strict=True))
             if _possible(candidate, coefficients)
         ]
         if not allowed:
@@ -195,9 +204,9 @@ class Screening:
                     if prior.low <= value <= prior.high
                 ]
                 best = replace(best, tried=best.tried + len(near))
-                for other, (gain, coefficients) in zip(near, self.score(near), strict=True):
+                for other, (gain, coefficients, std) in zip(near, self.score(near), strict=True):
                     if gain > best.log_likelihood_gain and _possible(other, coefficients):
-                        best = Scored(other, gain, coefficients, best.tried)
+                        best = Scored(other, gain, coefficients, std, best.tried)
         return best
 
     def _peaks(self, axis: str) -> tuple[float, ...]:
@@ -215,10 +224,6 @@ class Screening:
         top = [i for i in range(1, len(power) - 1) if power[i] >= power[i - 1] and power[i] > power[i + 1]]
         top.sort(key=lambda i: -power[i])
         return tuple(float(frequency_Hz[i]) for i in top[:_PEAKS]) or (0.5,)
-
-
-_WORTH_REFINING: Final = 3.0
-"""Score, nats, from which on the grid about it is refined: half of what an effect needs to be refitted."""
 
 
 def signals_of(maker: Regressors, candidates: Sequence[Candidate]) -> tuple[Floats, Floats | None]:

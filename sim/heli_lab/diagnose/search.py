@@ -13,10 +13,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from heli_sim.model.effect import Stage
 from heli_sim.model.effects.kind import EffectKind
 
 from heli_lab.diagnose import thresholds
-from heli_lab.diagnose.absent_terms import without_absent_terms
+from heli_lab.diagnose.absent_terms import closely_stated_terms
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.diagnose.screening import Scored, Screening
@@ -96,14 +97,14 @@ class _Searcher:
             self.say(f"looking for what is missing, round {number + 1}", 0.1 + 0.6 * (1 - 0.6**number))
             screening = Screening(hypothesis.estimate)
             known = [self.kinds[id_] for id_ in hypothesis.ids if id_ in self.kinds]
-            left = [kind for kind in self.kinds.values() if all(kind.goes_with(one) for one in known)]
+            left = [kind for kind in self.kinds.values() if all(_together(kind, one) for one in known)]
             screened = screening.effects(left)
             splines = screening.splines(number)
             full = len(hypothesis.candidates) >= thresholds.MAX_CAUSES or not self.refits_left()
             refits: list[Refit] = []
             taken: Refit | None = None
             if not full:
-                refits, taken = self.choice(hypothesis, screened, splines)
+                refits, taken = self.choice(hypothesis, screening, screened, splines)
             self.rounds.append(
                 Round(tuple(screened), tuple(splines), tuple(refits), taken.candidate.id if taken else "")
             )
@@ -112,7 +113,7 @@ class _Searcher:
             hypothesis = taken.hypothesis
 
     def choice(
-        self, base: Hypothesis, screened: Sequence[Scored], splines: Sequence[Scored]
+        self, base: Hypothesis, screening: Screening, screened: Sequence[Scored], splines: Sequence[Scored]
     ) -> tuple[list[Refit], Refit | None]:
         """Refit the best of a round; the one to take, None where nothing is significant."""
         number = len(self.rounds)
@@ -129,8 +130,11 @@ class _Searcher:
             > self.penalty(one.candidate, one.tried)
             and one.log_likelihood_gain >= thresholds.SHORTLIST_SHARE * best_score
         ][: thresholds.SHORTLIST]
-        # A law that is special to another one is tried beside it however their scores compare.
         refits = [refit(one) for one in likely]
+        for gone, start, score in closely_stated_terms(self.comparison, self.removable, screening):
+            if gone.id not in base.ids and score > thresholds.SHORTLIST_SHARE * best_score:
+                less = self.comparison.refit([*base.candidates, gone], start, base)
+                refits.append(Refit(less, less.log_likelihood - base.log_likelihood, self.penalty(gone), score))
         accepted = [one for one in refits if one.margin > thresholds.MIN_MARGIN and self._plausible(one)]
         best = max(accepted, key=lambda one: one.margin, default=None)
         curve = splines[0] if splines else None
@@ -159,7 +163,7 @@ class _Searcher:
                 if candidate.id not in kind.contains or kind.id in final.ids or not self.refits_left():
                     continue
                 rest = [one for one in final.candidates if one is not candidate]
-                if not all(kind.goes_with(self.kinds[one.id]) for one in rest if one.id in self.kinds):
+                if not all(_together(kind, self.kinds[one.id]) for one in rest if one.id in self.kinds):
                     continue
                 wider = Candidate(kind.id, kind.make(kind.from_contained(final.values)), (), {})
                 refit = self.comparison.refit([*rest, wider], wider.start_values(np.zeros(0)), final)
@@ -230,7 +234,7 @@ class _Searcher:
                 if refit.score < thresholds.ALTERNATIVE_SHARE * best or not self.refits_left():
                     continue
                 kind = self.kinds[id_]
-                if not all(kind.goes_with(self.kinds[one.id]) for one in rest if one.id in self.kinds):
+                if not all(_together(kind, self.kinds[one.id]) for one in rest if one.id in self.kinds):
                     continue
                 other = self.comparison.refit([*rest, refit.candidate], refit.hypothesis.values, less)
             ahead = final.log_likelihood - other.log_likelihood
@@ -240,8 +244,7 @@ class _Searcher:
     def run(self) -> Search:
         self.say("refitting the baseline", 0.02)
         self.baseline = self.comparison.refit([])
-        start = without_absent_terms(self.comparison, self.baseline, self.removable)
-        reached, screening, complete = self.forward(start)
+        reached, screening, complete = self.forward(self.baseline)
         final, found = self.backward(self.exchange(reached))
         if final is not reached:
             screening = Screening(final.estimate)
@@ -263,6 +266,11 @@ def told_from_nothing(
     return not sizes or any(
         abs(values[one] - neutral[one]) > thresholds.NOTHING_STD_ERRORS * std[one] for one in sizes
     )
+
+
+def _together(one: EffectKind, other: EffectKind) -> bool:
+    """Whether one model may have both: not two laws of how the rotors lag."""
+    return one.goes_with(other) and not (one.stage == other.stage == Stage.LAG)
 
 
 def _acts_on(kind: EffectKind, channel: str) -> bool:

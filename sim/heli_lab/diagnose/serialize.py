@@ -9,10 +9,9 @@ from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.error_reduction import ErrorReduction
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
-from heli_lab.diagnose.model_comparison import Errors
-from heli_lab.diagnose.residual_analysis import correlates
+from heli_lab.diagnose.residual_analysis import ResidualAnalysis, correlates
 from heli_lab.diagnose.result import METRIC, Diagnosis
-from heli_lab.diagnose.thresholds import CONFIDENCE_BESIDE_UNKNOWN, CONFIDENCE_GUST, MIN_UNEXPLAINED
+from heli_lab.diagnose.thresholds import CONFIDENCE_BESIDE_UNKNOWN, CONFIDENCE_GUST
 from heli_lab.diagnose.verdict import ambiguous_with, confidence
 from heli_lab.identify import check
 
@@ -28,6 +27,7 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
         "verdict": result.label,
         "causes": causes(result),
         "residual": _residual(result),
+        "weather": weather(result.residual_analysis),
         "gain": {"metric": result.metric, "axis": _gains(result.gains)},
         "unexplained": unexplained(result),
         "next_flight": {"why": asked.why, "plan": asked.plan} if asked else None,
@@ -75,15 +75,13 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
             {
                 "effect": one.candidate.id,
                 "parameters": _parameters(found.values(one)),
-                "confidence": round(confidence(one, found.search, unexplained), 3),
+                "confidence": round(confidence(one, unexplained), 3),
                 "sentence": found.sentence(one),
                 "equation": found.kinds[one.candidate.id].equation,
                 "evidence": {
-                    "log_likelihood_ratio_train": one.evidence.train,
-                    "log_likelihood_ratio_held_out": one.evidence.held_out,
-                    "held_out_5_percent": one.evidence.held_out_low,
+                    "log_likelihood_ratio_train": one.train,
+                    "log_likelihood_ratio_held_out": one.held_out,
                     "penalty": one.penalty,
-                    "variance_reduction": one.evidence.variance_reduction,
                     "alternatives": {other.id: other.log_likelihood_ratio for other in one.alternatives},
                 },
                 "ambiguous_with": ambiguous_with(one),
@@ -102,9 +100,7 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
                 ),
                 "equation": found.kinds[id_].equation,
                 "evidence": {
-                    "sigma_over_std": found.residual_analysis.sigma_over_std,
-                    "log_likelihood_ratio": found.residual_analysis.gain_over_none,
-                    "log_likelihood_ratio_to_all_axes": found.residual_analysis.loss_to_all_axes,
+                    "log_likelihood_ratio": float(found.residual_analysis.gains.max()),
                 },
                 "ambiguous_with": [],
             }
@@ -131,7 +127,7 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
 
 def _residual(found: Diagnosis) -> dict[str, Any]:
     """Normalised errors before and after by axis and of all, and whether they are white."""
-    before, after = found.search.baseline, found.extended
+    before, after = found.before, found.after
     white, correlation = {}, {}
     for role, before_fit, after_fit in (
         ("train", before.fit, after.fit),
@@ -157,24 +153,22 @@ def _residual(found: Diagnosis) -> dict[str, Any]:
         },
         "white": white,
         "correlation": correlation,
+        "innovations": _innovations(found.residual_analysis),
     }
 
 
 def unexplained(found: Diagnosis) -> dict[str, Any] | None:
     """Axis, correlates and share of what no effect explains; None when nothing is."""
-    after = found.extended.train
-    excess = float(1.0 - 1.0 / max(after.normalised**2, 1.0))
+    if found.verdict.label != "unexplained":
+        return None
     if not found.verdict.off_list:
-        if found.verdict.label in ("explained",) or excess < MIN_UNEXPLAINED or found.verdict.gust:
-            return None
-        named = [one.what for one in found.residual_analysis.dependences] or correlates(
-            found.search.screening.splines()
-        )
+        named = [one.what for one in found.residual_analysis.dependences]
+        channel = named[0].split(" on ")[0].rpartition(".")[2]
+        axis = channel if channel in AXES else found.residual_analysis.axis
         return {
-            "axis": found.residual_analysis.axis,
+            "axis": axis,
             "correlates_with": named,
-            "share_of_variance": round(excess, 4),
-            "sigma_Nm": found.residual_analysis.sigma_Nm,
+            "log_likelihood_gain": found.residual_analysis.dependences[0].log_likelihood_gain,
         }
     strongest = found.verdict.off_list[0]
     _, channel, on = strongest.candidate.id.split(":")
@@ -182,22 +176,45 @@ def unexplained(found: Diagnosis) -> dict[str, Any] | None:
     others = [name for name in correlates(first.splines) if name != f"{channel} on {on}"]
     where = channel.rpartition(".")[2]
     axis = where if where in AXES else ("pitch" if where == "difference" else "elevation")
-    base, final = found.search.baseline.train, found.search.final.train
     return {
         "axis": axis,
         "channel": channel,
         "correlates_with": [f"{channel} on {on}", *others],
-        "share_of_variance": round(_share(base, final, axis), 4),
+        "log_likelihood_gain": strongest.train,
         "splines": [one.candidate.id.removeprefix("spline:") for one in found.verdict.off_list],
         "gain_with_splines": _gains(found.spline_gains),
+    }
+
+
+def weather(left: ResidualAnalysis) -> dict[str, dict[str, float]]:
+    """Torques by chance about each axis: size and memory of gusts, size of the drift, evidence."""
+    weather = left.weather
+    return {
+        axis: {
+            "gust_Nm": float(weather.gust_Nm[i]),
+            "memory_s": float(weather.memory_s[i]),
+            "drift_Nm": float(weather.drift_Nm[i]),
+            "log_likelihood_ratio": float(left.gains[i]),
+        }
+        for i, axis in enumerate(AXES)
+    }
+
+
+def _innovations(left: ResidualAnalysis) -> dict[str, Any]:
+    """Autocorrelation of the innovations, its bound for white noise, and what foretells them."""
+    return {
+        "lags_s": list(left.lags_s),
+        "autocorrelation": {axis: left.autocorrelation[:, i].tolist() for i, axis in enumerate(AXES)},
+        "bound": left.bound,
+        "foretold_by": [one.what for one in left.dependences],
     }
 
 
 def _flights(found: Diagnosis) -> list[dict[str, Any]]:
     """Which parts of the flights were used."""
     flights = []
-    held_out = found.search.baseline.held_out_fit
-    for role, fit in (("train", found.search.baseline.fit), ("held_out", held_out)):
+    held_out = found.before.held_out_fit
+    for role, fit in (("train", found.before.fit), ("held_out", held_out)):
         for record in fit.problem.records if fit is not None else ():
             flights.append(
                 {
@@ -223,9 +240,8 @@ def _ranking(found: Diagnosis) -> list[dict[str, Any]]:
                 {
                     "round": number,
                     "candidate": scored.candidate.id,
-                    "score": scored.result.log_likelihood_gain,
-                    "train": refit.evidence.train if refit else None,
-                    "held_out": refit.evidence.held_out if refit else None,
+                    "score": scored.log_likelihood_gain,
+                    "train": refit.gain if refit else None,
                     "penalty": refit.penalty if refit else None,
                     "taken": scored.candidate.id == one.taken,
                 }
@@ -248,8 +264,3 @@ def _gains(measured: Mapping[str, ErrorReduction]) -> dict[str, dict[str, Any]]:
         }
         for axis, one in measured.items()
     }
-
-
-def _share(before: Errors, after: Errors, axis: str) -> float:
-    i = AXES.index(axis)
-    return float(max(0.0, 1.0 - after.variance[i] / before.variance[i]))

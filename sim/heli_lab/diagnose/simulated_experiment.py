@@ -1,4 +1,4 @@
-"""Simulated experiments: a plan flown by the flight code on the simulated board, on the rig as a fit has
+"""Simulated experiments: a plan flown by the flight code on the simulated board, on the rig as an estimate has
 it.
 """
 
@@ -25,31 +25,34 @@ from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
-from heli_lab.identify import Fit, Record, prepare
-from heli_lab.identify.result import Identification
+from heli_lab.identify import Record, prepare
+from heli_lab.innovations import Estimate
 
 _DECIMATION: Final = 2
 """The board logs each millisecond; fits are as good with every second one, in half the time."""
-_FAILED_FIT: Final = 1.1
-"""Normalised error from which on a fit of the true model has failed, so that the comparison means nothing."""
 
 
-def simulate_experiment(fit: Fit, plan: str, seed: int = 0) -> Record | None:
-    """Fly a plan on the rig as a fit has it; the flight is ready for fitting, None when this rig cannot fly
+def simulate_experiment(estimate: Estimate, plan: str, seed: int = 0) -> Record | None:
+    """Fly a plan on the rig as an estimate has it; the flight is ready for fitting, None when this rig cannot fly
     the plan.
 
     Parameters
     ----------
-    fit : Fit
+    estimate : Estimate
         Model, its effects and the rig's parameters.
     plan : str
         The plan, TOML.
     seed : int
         Seed of where the encoders start.
     """
-    rig = Identification(fit, (), (), (), ()).rig("simulated")
-    values = fit.values
-    model = fit.problem.model
+    unknowns = estimate.unknowns
+    model = unknowns.model
+    values = {
+        one.quantity: float(value)
+        for one, value in zip(unknowns.free, estimate.theta, strict=True)
+        if one.record is None
+    }
+    rig = unknowns.rig.replace(**{name: value for name, value in values.items() if name in unknowns.rig})
     effects = tuple(
         replace(effect, values={name: values.get(name, was) for name, was in effect.values.items()})
         for effect in model.effects
@@ -79,8 +82,8 @@ def simulate_experiment(fit: Fit, plan: str, seed: int = 0) -> Record | None:
 def expected_log_likelihood_ratio(
     truth: Hypothesis, alternative: Hypothesis, comparison: Comparison, plan: str, seed: int = 0
 ) -> float | None:
-    """Log-likelihood ratio [nats] of two hypotheses expected of a plan, with one of them true, by the
-    effective number of rows; None when the plan cannot be flown or fitted.
+    """Log-likelihood ratio [nats] of two hypotheses expected of a plan, with one of them true;
+    None when the plan cannot be flown or fitted.
 
     Parameters
     ----------
@@ -92,16 +95,16 @@ def expected_log_likelihood_ratio(
     seed : int
         Seed of where the encoders start.
     """
-    record = simulate_experiment(truth.fit, plan, seed)
+    record = simulate_experiment(truth.estimate, plan, seed)
     if record is None:
         return None
-    new = Comparison(comparison.model, comparison.rig, [record], (), comparison.window_s, comparison.seed)
+    new = Comparison(comparison.model, comparison.rig, [record], (), seed=comparison.seed)
     try:
-        more = new.refit(truth.candidates, truth.fit.values)
-        less = new.refit(alternative.candidates, alternative.fit.values)
+        more = new.refit(truth.candidates, truth.values)
+        less = new.refit(alternative.candidates, alternative.values)
     except SimError:
         return None
-    return None if more.train.normalised > _FAILED_FIT else new.evidence(more, less).train
+    return more.log_likelihood - less.log_likelihood
 
 
 def _thinned(flight: Flight) -> Flight:

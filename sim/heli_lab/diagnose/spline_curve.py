@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from heli_lab.diagnose.spline_term import KNOTS, QUANTITIES, SplineTerm, bspline_basis
-from heli_lab.identify import Fit
 from heli_lab.identify.functions import Floats
+from heli_lab.innovations import Estimate
 
 _DRAWN: Final = 200
 """Points that a curve is drawn with."""
@@ -54,16 +54,16 @@ class SplineCurve:
         )
 
 
-def spline_curve_of(effect: SplineTerm, fit: Fit) -> SplineCurve:
-    """Evaluate a spline term with the coefficients of a fit."""
+def spline_curve_of(effect: SplineTerm, estimate: Estimate) -> SplineCurve:
+    """Evaluate a spline term with the coefficients of an estimate."""
     low, step = effect.values[f"{effect.name}_low"], effect.values[f"{effect.name}_step"]
     place = np.linspace(low, low + step * (KNOTS - 3), _DRAWN)
     weights = bspline_basis(place, low, step)
     # A constant torque, thrust or angle is a parameter of the rig: only what varies is the curve's own.
     weights -= weights.mean(axis=0)
-    names = [one.name for one in fit.problem.free]
+    names = list(estimate.unknowns.names)
     columns = [names.index(f"{effect.name}_{i}") for i in range(KNOTS)]
-    covariance = fit.covariance[np.ix_(columns, columns)]
+    covariance = estimate.covariance[np.ix_(columns, columns)]
     variance = np.einsum("ni,ij,nj->n", weights, covariance, weights)
     unit = next(q.unit for q in effect.parameters if q.name == f"{effect.name}_0")
     on_unit = QUANTITIES[effect.on][1]
@@ -73,7 +73,7 @@ def spline_curve_of(effect: SplineTerm, fit: Fit) -> SplineCurve:
         effect.channel,
         effect.on,
         on_factor * place,
-        factor * (weights @ fit.theta[columns]),
+        factor * (weights @ estimate.theta[columns]),
         factor * np.sqrt(np.maximum(variance, 0.0)),
         place_unit,
         value_unit,

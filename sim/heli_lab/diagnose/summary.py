@@ -12,32 +12,48 @@ _WORTH_A_LINE: Final = 0.9
 """Ratio of errors below which a spline term's gain is told."""
 
 
+_WEATHER_MIN: Final = 6.0
+"""Log-likelihood ratio, nats, from which on the weather about an axis is told."""
+
+
 def summary(result: Diagnosis | InsufficientExcitation) -> str:
     """What was found, in a sentence or two."""
     if isinstance(result, InsufficientExcitation):
         return f"Nothing can be said of what the model lacks: {result.why}."
-    cut = "" if result.search.complete else " The time ran out before everything was tried."
+    cut = "" if result.search.complete else " The work allowed ran out before everything was tried."
     return _found(result) + cut
 
 
 def _found(result: Diagnosis) -> str:
     label = result.label
-    normalised = result.extended.held_out.normalised
-    where = "flights that no fit saw" if result.extended.held_out_fit else "the flights that were fitted"
+    where = "flights that no fit saw" if result.after.held_out_fit else "the flights that were fitted"
     text = "; ".join(one["sentence"] for one in serialize.causes(result))
     text = text[:1].upper() + text[1:]
+    weather = f" What remains is weather: {weather_of(result)}." if label != "unexplained" else ""
     if label == "explained":
         return (
-            f"Nothing is missing that these flights could show: the refitted baseline is off by "
-            f"{normalised:.3g} times the encoders' quantisation on {where}."
+            "Nothing is missing that these flights could show: what the refitted baseline leaves on "
+            f"{where} cannot be foretold.{weather}"
         )
     if label in ("cause_found", "ambiguous"):
-        return f"{text}."
+        return f"{text}.{weather}"
     missing = serialize.unexplained(result) or {}
-    depends = ", ".join(missing.get("correlates_with", ())[:1]) or "nothing that was looked at"
+    depends = missing["correlates_with"][0]
     first = f"{text}. Besides, something" if text else "Something"
-    share = f"{missing['share_of_variance']:.0%} of the error about {missing['axis']}" if missing else "it"
-    return f"{first} is missing that no effect of the catalogue explains: {share} goes with {depends}."
+    return (
+        f"{first} is missing that no effect of the catalogue explains: a curve of {depends} foretells the "
+        f"motion about {missing['axis']} (log-likelihood ratio {missing['log_likelihood_gain']:.0f} nats)."
+    )
+
+
+def weather_of(result: Diagnosis) -> str:
+    """The torques by chance about each axis in words."""
+    parts = [
+        f"gusts of {1e3 * one['gust_Nm']:.2g} mN m about {axis} that last {one['memory_s']:.1g} s"
+        for axis, one in serialize.weather(result.residual_analysis).items()
+        if one["log_likelihood_ratio"] > _WEATHER_MIN
+    ]
+    return ", ".join(parts) or "none that shows"
 
 
 def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:

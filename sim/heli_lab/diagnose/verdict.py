@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.residual_analysis import ResidualAnalysis
 from heli_lab.diagnose.search_record import Cause, Search
@@ -23,7 +25,7 @@ class Verdict:
     off_list : tuple of Cause
         Spline terms, in the place of causes that are not in the catalogue.
     gust : bool
-        Whether a random torque was found.
+        Whether chance pushes about one axis alone: a random torque, not the weather of every rig.
     """
 
     label: str
@@ -38,34 +40,19 @@ def judge(search: Search, remaining: ResidualAnalysis, absent: bool = False) -> 
     """
     causes = tuple(one for one in search.causes if not one.candidate.is_spline)
     off_list = tuple(one for one in search.causes if one.candidate.is_spline)
-    gust = (
-        remains(search)
+    order = np.sort(remaining.gains)
+    gust = bool(
+        order[-1] > thresholds.GUST_MIN
+        and order[-2] < thresholds.GUST_BESIDE
         and not off_list
         and not remaining.dependences
-        and remaining.sigma_over_std > thresholds.GUST_MIN_SIGMA_OVER_STD
-        and remaining.loss_to_all_axes
-        < max(thresholds.GUST_MAX_LOSS, thresholds.GUST_MAX_LOSS_SHARE * remaining.gain_over_none)
     )
-    if off_list:
-        spline, effect = (sum(one.evidence.iid for one in group) for group in (off_list, causes))
-        if not causes or spline > thresholds.OFF_LIST_SHARE * (spline + effect):
-            return Verdict("unexplained", causes, off_list, False)
-    if remains(search) and not gust:
+    if off_list or remaining.dependences:
         return Verdict("unexplained", causes, off_list, False)
     if causes:
         unclear = any(ambiguous_with(one) for one in causes)
-        return Verdict("ambiguous" if unclear else "cause_found", causes, off_list, gust)
-    return Verdict("cause_found" if gust or absent else "explained", (), off_list, gust)
-
-
-def remains(search: Search) -> bool:
-    """Whether the final model leaves more than quantisation."""
-    train, held_out = search.final.train.normalised, search.final.held_out.normalised
-    # The held-out flights alone may be worse by what differs from flight to flight.
-    if min(train, held_out) < thresholds.AT_NOISE_FLOOR:
-        return False
-    before = search.baseline.train.normalised**2 + search.baseline.held_out.normalised**2 - 2.0
-    return train**2 + held_out**2 - 2.0 > thresholds.UNEXPLAINED_SHARE * before
+        return Verdict("ambiguous" if unclear else "cause_found", causes, (), gust)
+    return Verdict("cause_found" if gust or absent else "explained", (), (), gust)
 
 
 def ambiguous_with(found: Cause) -> list[str]:
@@ -77,19 +64,19 @@ def ambiguous_with(found: Cause) -> list[str]:
     ]
 
 
-def confidence(found: Cause, search: Search, unexplained: bool = False) -> float:
-    """How sure the name of a cause is, 0 to 1, of the closest alternative and of what remains `unexplained`,
-    which this cause may imitate.
+def confidence(found: Cause, unexplained: bool = False) -> float:
+    """How sure the name of a cause is, 0 to 1: how far it is ahead of nothing, of its closest alternative, and
+    whether the flights held out confirm it; less where something remains `unexplained` that it may imitate.
     """
     margin = min(
         [
-            found.evidence.total - found.penalty,
+            found.train - found.penalty,
             *(alternative.log_likelihood_ratio for alternative in found.alternatives),
         ]
     )
     sure = 1.0 - 0.5 * math.exp(-max(margin, 0.0) / thresholds.CONFIDENCE_NATS)
-    before = max(search.baseline.held_out.normalised**2 - 1.0, 1e-9)
-    after = max(search.final.held_out.normalised**2 - 1.0, 0.0)
-    open_share = min(1.0, after / before)
+    if found.held_out is not None:
+        # A cause that foretells nothing on flights that had no part in its choice is as likely chance.
+        sure *= 1.0 / (1.0 + math.exp(-(found.held_out - thresholds.HELD_OUT_EVEN) / thresholds.HELD_OUT_NATS))
     beside = thresholds.CONFIDENCE_BESIDE_UNKNOWN if unexplained else 1.0
-    return float(min(thresholds.MAX_CONFIDENCE, sure) * (1.0 - 0.5 * open_share) * beside)
+    return float(min(thresholds.MAX_CONFIDENCE, sure) * beside)

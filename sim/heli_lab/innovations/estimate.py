@@ -32,9 +32,11 @@ BLOCK_s: Final = 0.04
 milliseconds: taken every 10 ms their errors are correlated (0.15 to 0.43 from one to the next on simulated
 flights, 2026-11), and weather of no memory is found; every 40 ms they are white to 0.05. Longer: rotor
 lags and delays blur."""
-_MAX_MOVES: Final = 12
-_MAX_TURNS: Final = 4
-_TURN_NATS: Final = 0.3
+_MAX_MOVES: Final = 15
+_HALVINGS: Final = 5
+_FIRST_TURNS: Final = 2
+_TURN_NATS: Final = 0.1
+"""Gain of one more turn of parameters and weather below which the estimate counts as converged."""
 _CONVERGED_NATS: Final = 0.02
 """Gain that one more move of the parameters may promise before the estimate counts as converged."""
 
@@ -286,30 +288,95 @@ def solve(unknowns: Unknowns, theta: Floats, innovations: Floats, log_variances:
             break
         move[over] = (np.clip(theta + move, low, high) - theta)[over]
         free &= ~over
-    return move, np.linalg.inv(information), float(value)
+    covariance: Floats = np.linalg.inv(information)
+    return move, covariance, float(value)
 
 
-def estimate_weather(filtered: Filtered, unknowns: Unknowns, theta: Floats, start: Weather) -> Weather:
-    """Maximise the likelihood over the weather, parameters and weather in turn."""
-    weather = start
-    last = -np.inf
-    for _ in range(_MAX_TURNS):
+def estimate_weather(
+    filtered: Filtered, error: Sequence[Sequence[tuple[Floats, Floats]]], start: Weather
+) -> Weather:
+    """Maximise the likelihood of an error's innovations over the weather."""
+
+    def value(at: Weather) -> Floats:
+        found, log_variances = filtered.innovations(at, error)
+        squares = (found[:, 0].reshape(-1, 3) ** 2).sum(axis=0)
+        result: Floats = -0.5 * (squares + log_variances)
+        return result
+
+    return maximise(value, start)
+
+
+@dataclass
+class _Point:
+    """Parameters and weather, and the model linearised there."""
+
+    theta: Floats
+    weather: Weather
+    filtered: Filtered
+    move: Floats
+    covariance: Floats
+    value: float
+    promised: float
+
+
+class _Ascent:
+    """Parameters by Gauss-Newton steps and weather by Newton steps in turn, neither ever downhill."""
+
+    def __init__(self, unknowns: Unknowns, courses: Sequence[Course], functions: ModelFunctions) -> None:
+        self.unknowns, self.courses, self.functions = unknowns, courses, functions
+
+    def linearised(self, theta: Floats) -> Filtered:
+        linears = [
+            Linear(course, self.functions, self.unknowns.parameters(theta, index))
+            for index, course in enumerate(self.courses)
+        ]
+        return Filtered(linears, self.unknowns.columns, len(theta))
+
+    def at(self, theta: Floats, weather: Weather, filtered: Filtered) -> _Point:
         innovations, log_variances = filtered.innovations(weather)
-        move, _, _ = solve(unknowns, theta, innovations, log_variances)
-        error = filtered.moved(move)
+        move, covariance, value = solve(self.unknowns, theta, innovations, log_variances)
+        left = innovations[:, 0] - innovations[:, 1:] @ move
+        offset = theta + move - self.unknowns.mean
+        after = -0.5 * (left @ left + offset @ (self.unknowns.std**-2.0 * offset) + log_variances.sum())
+        return _Point(theta, weather, filtered, move, covariance, value, float(after) - value)
 
-        def value(at: Weather, error: list[list[tuple[Floats, Floats]]] = error) -> Floats:
-            found, log_variances = filtered.innovations(at, error=error)
-            squares = (found[:, 0].reshape(-1, 3) ** 2).sum(axis=0)
-            result: Floats = -0.5 * (squares + log_variances)
-            return result
+    def begun(self, theta: Floats, weather: Weather | None) -> _Point:
+        """Where to begin: without weather it is estimated at once, the parameters following to first order."""
+        filtered = self.linearised(theta)
+        point = self.at(theta, weather or Weather.start(), filtered)
+        if weather is None:
+            for _ in range(_FIRST_TURNS):
+                found = estimate_weather(filtered, filtered.moved(point.move), point.weather)
+                point = self.at(theta, found, filtered)
+        return point
 
-        weather = maximise(value, weather)
-        now = float(value(weather).sum())
-        if now - last < _TURN_NATS:
-            break
-        last = now
-    return weather
+    def moved(self, point: _Point) -> _Point | None:
+        """Move the parameters, half as far where that leads down; None where nothing leads up."""
+        share = 1.0
+        for _ in range(_HALVINGS):
+            theta = point.theta + share * point.move
+            after = self.at(theta, point.weather, self.linearised(theta))
+            if after.value > point.value - _CONVERGED_NATS:
+                return after
+            share *= 0.3
+        return None
+
+    def run(self, point: _Point) -> tuple[_Point, bool]:
+        last = -np.inf
+        for _ in range(_MAX_MOVES):
+            if point.promised > _CONVERGED_NATS:
+                after = self.moved(point)
+                if after is None:
+                    return point, False
+                point = after
+            # While parameters still move far the weather follows roughly; then to the end.
+            own = point.filtered.moved(np.zeros(len(point.theta)))
+            weather = estimate_weather(point.filtered, own, point.weather)
+            point = self.at(point.theta, weather, point.filtered)
+            if point.promised < _CONVERGED_NATS and point.value - last < _TURN_NATS:
+                return point, True
+            last = point.value
+        return point, False
 
 
 def estimate(
@@ -318,42 +385,24 @@ def estimate(
     functions: ModelFunctions,
     theta: Floats,
     weather: Weather | None = None,
-    *,
-    fit_weather: bool = True,
 ) -> Estimate:
-    """Estimate parameters, from `theta` on, and weather."""
-    now = weather or Weather.start()
-    best: tuple[float, Floats, Filtered] | None = None
-    move = np.zeros(len(theta))
-    fitted = not fit_weather
-    converged = False
-    for _ in range(_MAX_MOVES):
-        linears = [Linear(course, functions, unknowns.parameters(theta, i)) for i, course in enumerate(courses)]
-        filtered = Filtered(linears, unknowns.columns, len(theta))
-        if not fitted:
-            now = estimate_weather(filtered, unknowns, theta, now)
-        innovations, log_variances = filtered.innovations(now)
-        wanted, covariance, value = solve(unknowns, theta, innovations, log_variances)
-        if best is not None and value < best[0] - _CONVERGED_NATS and fitted:
-            move = 0.5 * move
-            theta = best[1] + move
-            if np.all(np.abs(move) < 0.02 * np.sqrt(np.diag(covariance))):
-                theta, filtered = best[1], best[2]
-                break
-            continue
-        best = value, theta, filtered
-        left = innovations[:, 0] - innovations[:, 1:] @ wanted
-        offset = theta + wanted - unknowns.mean
-        promised = -0.5 * (left @ left + offset @ (unknowns.std**-2.0 * offset) + log_variances.sum()) - value
-        if promised < _CONVERGED_NATS:
-            if fitted or not fit_weather:
-                converged = True
-                break
-        if promised < 1.0:
-            fitted = True
-        move = wanted
-        theta = theta + move
-    assert best is not None
-    innovations, log_variances = best[2].innovations(now)
-    _, covariance, value = solve(unknowns, best[1], innovations, log_variances)
-    return Estimate(unknowns, best[1], covariance, value, now, best[2], converged)
+    """Estimate parameters and weather.
+
+    Parameters
+    ----------
+    unknowns : Unknowns
+        Free parameters of the model in these flights.
+    courses : sequence of Course
+        The flights.
+    functions : ModelFunctions
+        The model's equations, with derivatives by `unknowns.quantities`.
+    theta : ndarray (f,)
+        Parameters to start from.
+    weather : Weather, optional
+        Weather to start from; what comes out is never less likely than this and `theta`.
+    """
+    ascent = _Ascent(unknowns, courses, functions)
+    point, converged = ascent.run(ascent.begun(theta, weather))
+    return Estimate(
+        unknowns, point.theta, point.covariance, point.value, point.weather, point.filtered, converged
+    )

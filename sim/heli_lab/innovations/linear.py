@@ -140,6 +140,7 @@ class Linear:
         delay = (model.delay, float(parameters[names.index(model.delay)])) if model.delay else None
         dead_zone = float(parameters[names.index("dead_zone")])
         one_way = not parameters[names.index("reverse_thrust")] and "reverse_thrust" not in functions.free
+        one_way &= not any(effect.pushes_below_dead_zone for effect in model.effects)
         count = len(course.predicted)
         grid = make_grid(
             course.record,
