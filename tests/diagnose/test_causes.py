@@ -34,20 +34,20 @@ def test_answer_has_the_keys_and_units_that_were_promised_whatever_the_verdict()
 
 def test_seed_settles_the_intervals() -> None:
     found = diagnosed("rotor_lag=0.06")
-    drawn = [error_reduction(found.search.baseline, found.extended, seed)["pitch"] for seed in (1, 1, 2)]
+    drawn = [error_reduction(found.before, found.after, seed)["pitch"] for seed in (1, 1, 2)]
     assert drawn[0] == drawn[1]
     assert drawn[0].interval95 != drawn[2].interval95
     assert drawn[0].ratio == drawn[2].ratio
 
 
-def test_budget_that_runs_out_is_said_where_the_verdict_is() -> None:
+def test_work_that_runs_out_is_said_where_the_verdict_is() -> None:
     fit, held_out = flights("rotor_lag=0.06")
-    found = diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held_out], seconds=0.0)
+    found = diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held_out], refits=0)
     numbers = to_json(found)
     conforms(numbers)
     assert numbers["complete"] is False
     assert numbers["causes"] == []
-    assert "The time ran out before everything was tried" in summary(found)
+    assert "The work allowed ran out before everything was tried" in summary(found)
     assert any("--budget" in caution for caution in numbers["cautions"])
 
 

@@ -129,7 +129,8 @@ def closely_stated_terms(
         if kind.baseline and kind.suits(comparison.model) and closely_stated(kind, comparison.rig)
     ]
     shares = [
-        Candidate(kind.id, replace(kind.make(), priors={kind.size[0]: _ANY_SHARE}), kind.size) for kind in asked
+        Candidate(kind.id, replace(kind.make(), priors={kind.size[0]: _ANY_SHARE}), kind.size)
+        for kind in asked
     ]
     found = []
     for kind, (gain, coefficients, _) in zip(asked, screening.score(shares), strict=True):

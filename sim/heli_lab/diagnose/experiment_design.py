@@ -7,7 +7,7 @@ plan is flown on the simulated rig with one of them true, and the other is fitte
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 

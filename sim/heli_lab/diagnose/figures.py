@@ -136,9 +136,7 @@ def figure_of_ranking(rounds: tuple[Round, ...]) -> Figure:
 
 def _rank(one: Round, number: int, panel: Axes) -> None:
     refits = {refit.candidate.id: refit for refit in one.refits}
-    every = sorted(
-        (*one.screened[:7], *one.splines[:3]), key=lambda scored: scored.log_likelihood_gain
-    )
+    every = sorted((*one.screened[:7], *one.splines[:3]), key=lambda scored: scored.log_likelihood_gain)
     names = [readable_id(scored.candidate.id) for scored in every]
     place = np.arange(len(every))
     gains = [max(scored.log_likelihood_gain, 0.1) for scored in every]

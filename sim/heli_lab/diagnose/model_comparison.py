@@ -13,7 +13,16 @@ from heli_sim.rig import Rig
 
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.identify import Record
-from heli_lab.innovations import BLOCK_s, Course, Estimate, ModelFunctions, Unknowns, Weather, estimate, follow
+from heli_lab.innovations import (
+    BLOCK_s,
+    Course,
+    Estimate,
+    ModelFunctions,
+    Unknowns,
+    Weather,
+    estimate,
+    follow,
+)
 
 _FOLLOWED: Final = 2
 """Times that the course is followed anew by the baseline's own filter: after the second it moves by less than
@@ -77,6 +86,8 @@ class Comparison:
         self.model, self.rig, self.seed = model, rig, seed
         self.train, self.held_out = tuple(train), tuple(held_out)
         self.fits = 0
+        self._best: dict[frozenset[str], Hypothesis] = {}
+        """The likeliest hypothesis of each set of effects that was estimated."""
 
     @cached_property
     def courses(self) -> tuple[Course, ...]:
@@ -124,6 +135,12 @@ class Comparison:
             less likely: else the estimate begins again from there.
         """
         found = self._estimate(candidates, start or {}, near)
+        if near is not None and not set(near.ids) <= {candidate.id for candidate in candidates}:
+            # Fewer effects than before: what these were once with is the better place to begin.
+            known = self._remembered(candidates)
+            if known is not None and known.log_likelihood > found.log_likelihood + _WORSE_NATS:
+                again = self._estimate(candidates, start or {}, known)
+                found = max(found, again, key=lambda one: one.log_likelihood)
         if near is not None and set(near.ids) <= {candidate.id for candidate in candidates}:
             if found.log_likelihood < near.log_likelihood - _WORSE_NATS:
                 neutral: dict[str, float] = {}
@@ -133,7 +150,21 @@ class Comparison:
                 again = self._estimate(candidates, neutral, near)
                 found = max(found, again, key=lambda one: one.log_likelihood)
         self.fits += 1
-        return Hypothesis(tuple(candidates), found)
+        key = frozenset(candidate.id for candidate in candidates)
+        best = self._best.get(key)
+        if (
+            best is None
+            or found.log_likelihood > best.log_likelihood
+            or _grids(best.candidates) != _grids(candidates)
+        ):
+            best = self._best[key] = Hypothesis(tuple(candidates), found)
+        return best
+
+    def _remembered(self, candidates: Sequence[Candidate]) -> Hypothesis | None:
+        """The likeliest of what was estimated before with some of these effects and no other."""
+        ids = {candidate.id for candidate in candidates}
+        known = [one for key, one in self._best.items() if key <= ids]
+        return max(known, key=lambda one: one.log_likelihood, default=None)
 
     def _estimate(
         self, candidates: Sequence[Candidate], start: Mapping[str, float], near: Hypothesis | None
@@ -167,5 +198,15 @@ class Comparison:
         }
         unknowns = Unknowns(own.unknowns.model, self.rig, self.held_out, fixed=shared)
         functions = ModelFunctions(own.unknowns.model, unknowns.quantities)
-        weather = Weather(own.weather.gust_Nm, own.weather.memory_s, own.weather.drift_Nm, own.weather.quantisation)
+        weather = Weather(
+            own.weather.gust_Nm, own.weather.memory_s, own.weather.drift_Nm, own.weather.quantisation
+        )
         return estimate(unknowns, self.held_out_courses, functions, unknowns.start, weather).log_likelihood
+
+
+def _grids(candidates: Sequence[Candidate]) -> list[tuple[str, tuple[tuple[str, float], ...]]]:
+    """What tells two sets of the same effects apart: values that no estimate moves."""
+    return sorted(
+        (one.id, tuple(sorted((n, v) for n, v in one.effect.values.items() if n not in one.effect.priors)))
+        for one in candidates
+    )

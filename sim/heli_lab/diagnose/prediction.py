@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.identify import Fit, Problem, Record, solve
 from heli_lab.identify.functions import Floats
@@ -119,7 +120,11 @@ def predict(
     held_out_fit = _free_run(estimate, held_out, own=False) if held_out else None
     errors_train = errors(fit)
     return Prediction(
-        tuple(candidates), fit, held_out_fit, errors_train, errors(held_out_fit) if held_out_fit else errors_train
+        tuple(candidates),
+        fit,
+        held_out_fit,
+        errors_train,
+        errors(held_out_fit) if held_out_fit else errors_train,
     )
 
 
@@ -157,7 +162,9 @@ def _free_run(estimate: Estimate, records: Sequence[Record], own: bool) -> Fit:
     )
     low, high = unknowns.bounds
     at_bound = tuple(
-        name for name, v, a, b in zip(unknowns.names, estimate.theta, low, high, strict=True) if v <= a or v >= b
+        name
+        for name, v, a, b in zip(unknowns.names, estimate.theta, low, high, strict=True)
+        if v <= a or v >= b
     )
     return replace(
         fit,

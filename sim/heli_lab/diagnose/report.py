@@ -194,8 +194,13 @@ def _remains(diagnosis: Diagnosis, numbers: dict[str, Any], folder: Path) -> str
             )
         )
     rows = [
-        [axis, f"{1e3 * one['gust_Nm']:.2g}", f"{one['memory_s']:.2g}", f"{1e3 * one['drift_Nm']:.2g}",
-         f"{one['log_likelihood_ratio']:.0f}"]
+        [
+            axis,
+            f"{1e3 * one['gust_Nm']:.2g}",
+            f"{one['memory_s']:.2g}",
+            f"{1e3 * one['drift_Nm']:.2g}",
+            f"{one['log_likelihood_ratio']:.0f}",
+        ]
         for axis, one in numbers["weather"].items()
     ]
     heads = ["axis", "gusts [mN m]", "that last [s]", "drift [mN m]", "log-likelihood ratio over none"]
@@ -229,8 +234,7 @@ def _ranking(ranking: Sequence[dict[str, Any]]) -> str:
         "Log-likelihood ratios, nats. The penalty (BIC) is for parameters and for the number of candidates."
     )
     return (
-        table(["round: candidate", "screened", "refitted", "penalty"], rows)
-        + f'<p class="note">{note}</p>'
+        table(["round: candidate", "screened", "refitted", "penalty"], rows) + f'<p class="note">{note}</p>'
     )
 
 

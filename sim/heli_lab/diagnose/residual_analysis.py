@@ -8,6 +8,7 @@ passes is structure that a model could foretell.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -94,6 +95,8 @@ class ResidualAnalysis:
         Those lags.
     bound : float
         Three standard deviations of the autocorrelation of white noise.
+    measurements : int
+        Innovations of all axes.
     dependences : tuple of Dependence
         What foretells the innovations significantly, strongest first; empty where they are white.
     """
@@ -103,7 +106,14 @@ class ResidualAnalysis:
     autocorrelation: Floats
     lags_s: tuple[float, ...]
     bound: float
+    measurements: int
     dependences: tuple[Dependence, ...]
+
+    @property
+    def share_foretold(self) -> float:
+        """Share of the innovations' variance that the strongest dependence foretells."""
+        gain = self.dependences[0].log_likelihood_gain if self.dependences else 0.0
+        return 1.0 - math.exp(-2.0 * gain / self.measurements)
 
     @property
     def axis(self) -> str:
@@ -123,6 +133,7 @@ def residual_analysis(screening: Screening, splines: Sequence[Scored]) -> Residu
         autocorrelation,
         tuple(lag * BLOCK_s for lag in _WHITE_LAGS),
         bound,
+        screening.measurements,
         tuple(significant[:_MAX_CORRELATES]),
     )
 
@@ -191,7 +202,8 @@ def dependences(screening: Screening, splines: Sequence[Scored]) -> list[Depende
         [(np.concatenate(place, axis=2), None) for place in signals], [size for _, size in names], priors
     )
     found += [
-        Dependence(what, gain, size, penalty(size)) for (what, size), (gain, _, _) in zip(names, scores, strict=True)
+        Dependence(what, gain, size, penalty(size))
+        for (what, size), (gain, _, _) in zip(names, scores, strict=True)
     ]
     return sorted(found, key=lambda one: -one.log_likelihood_gain)
 

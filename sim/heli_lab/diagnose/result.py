@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_sim.model.parts import AXES
 from heli_sim.model.effects import EffectKind, effect_numbers
+from heli_sim.model.parts import AXES
 from heli_sim.rig import Number, Rig
 
 from heli_lab.diagnose.absent_terms import AbsentTerm
@@ -108,7 +108,9 @@ class Diagnosis:
     def curves(self) -> list[SplineCurve]:
         """The spline terms in the place of causes outside the catalogue, the strongest first."""
         effects = (one.candidate.effect for one in self.verdict.off_list)
-        return [spline_curve_of(one, self.search.final.estimate) for one in effects if isinstance(one, SplineTerm)]
+        return [
+            spline_curve_of(one, self.search.final.estimate) for one in effects if isinstance(one, SplineTerm)
+        ]
 
     @property
     def random_torque(self) -> dict[str, tuple[float, float, str]]:

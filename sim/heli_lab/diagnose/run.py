@@ -101,7 +101,11 @@ def diagnose(
     remaining = residual_analysis(screening, screening.splines(_TEST_SPLINES))
     extended = _extended(comparison, found)
     before = predict((), found.baseline.estimate, train, held_out)
-    after = before if extended is found.baseline else predict(extended.candidates, extended.estimate, train, held_out)
+    after = (
+        before
+        if extended is found.baseline
+        else predict(extended.candidates, extended.estimate, train, held_out)
+    )
     absent = absent_terms(after.fit, rig, every)
     verdict = judge(found, remaining, bool(absent))
     undetectable = undetectable_effects(found.rounds[-1].screened, every)

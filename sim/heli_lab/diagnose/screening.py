@@ -66,7 +66,7 @@ class Screening:
         self.seconds = max(float(one.trajectory.t_s[-1]) for one in filtered.linears)
         innovations, _ = filtered.innovations(weather)
         unknowns = estimate.unknowns
-        self._size = innovations.shape[1]
+        self.measurements = len(innovations)
         self._nuisance = innovations[:, 1:]
         self._covariance = np.linalg.inv(self._nuisance.T @ self._nuisance + np.diag(unknowns.std**-2.0))
         offset = unknowns.std**-2.0 * (estimate.theta - unknowns.mean)
@@ -144,7 +144,9 @@ class Screening:
         tried = len(candidates)
         allowed = [
             (gain, number)
-            for number, (candidate, (gain, coefficients, _)) in enumerate(zip(candidates, scores, strict=True))
+            for number, (candidate, (gain, coefficients, _)) in enumerate(
+                zip(candidates, scores, strict=True)
+            )
             if _possible(candidate, coefficients)
         ]
         if not allowed:
@@ -213,7 +215,9 @@ class Screening:
         """Frequencies of the highest peaks of the torque's spectrum about an axis that weather stands for."""
         index = AXES.index(axis)
         filtered = self.estimate.filtered
-        t_s, torque_Nm, _ = filtered.smoothed_torques(self.estimate.weather, np.zeros(len(self.estimate.theta)))[0]
+        t_s, torque_Nm, _ = filtered.smoothed_torques(
+            self.estimate.weather, np.zeros(len(self.estimate.theta))
+        )[0]
         value = torque_Nm[:, index]
         step_s = float(np.median(np.diff(t_s)))
         frequency_Hz = np.fft.rfftfreq(4 * len(value), step_s)

@@ -127,14 +127,16 @@ class _Searcher:
             one
             for one in screened
             if thresholds.EXPECTED_REFIT_GAIN * one.log_likelihood_gain
-            > self.penalty(one.candidate, one.tried)
+            > self.penalty(one.candidate, one.tried) + thresholds.MIN_MARGIN
             and one.log_likelihood_gain >= thresholds.SHORTLIST_SHARE * best_score
         ][: thresholds.SHORTLIST]
         refits = [refit(one) for one in likely]
         for gone, start, score in closely_stated_terms(self.comparison, self.removable, screening):
             if gone.id not in base.ids and score > thresholds.SHORTLIST_SHARE * best_score:
                 less = self.comparison.refit([*base.candidates, gone], start, base)
-                refits.append(Refit(less, less.log_likelihood - base.log_likelihood, self.penalty(gone), score))
+                refits.append(
+                    Refit(less, less.log_likelihood - base.log_likelihood, self.penalty(gone), score)
+                )
         accepted = [one for one in refits if one.margin > thresholds.MIN_MARGIN and self._plausible(one)]
         best = max(accepted, key=lambda one: one.margin, default=None)
         curve = splines[0] if splines else None
@@ -143,12 +145,20 @@ class _Searcher:
             # An effect of the list is not displaced before its like was refitted over its grid.
             channel = curve.candidate.id.split(":")[1]
             known = {one.candidate.id for one in likely}
-            like = [one for one in screened if one.candidate.id not in known and _acts_on(self.kinds[one.candidate.id], channel)]
+            like = [
+                one
+                for one in screened
+                if one.candidate.id not in known and _acts_on(self.kinds[one.candidate.id], channel)
+            ]
             spline = refit(curve)
             if spline.margin > needed:
-                more = [refit(one) for one in like[: thresholds.LIKE_REFITTED] if one.log_likelihood_gain > 0.0]
+                more = [
+                    refit(one) for one in like[: thresholds.LIKE_REFITTED] if one.log_likelihood_gain > 0.0
+                ]
                 refits += more
-                accepted += [one for one in more if one.margin > thresholds.MIN_MARGIN and self._plausible(one)]
+                accepted += [
+                    one for one in more if one.margin > thresholds.MIN_MARGIN and self._plausible(one)
+                ]
                 best = max(accepted, key=lambda one: one.margin, default=None)
             refits.append(spline)
             lead = spline.margin - (best.margin if best else 0.0)
@@ -209,9 +219,7 @@ class _Searcher:
         if not self.comparison.held_out or not without:
             return {}
         whole = self.comparison.held_out_log_likelihood(final)
-        return {
-            id_: whole - self.comparison.held_out_log_likelihood(less) for id_, less in without.items()
-        }
+        return {id_: whole - self.comparison.held_out_log_likelihood(less) for id_, less in without.items()}
 
     def alternatives(
         self, final: Hypothesis, candidate: Candidate, less: Hypothesis

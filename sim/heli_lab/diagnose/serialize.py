@@ -168,6 +168,7 @@ def unexplained(found: Diagnosis) -> dict[str, Any] | None:
         return {
             "axis": axis,
             "correlates_with": named,
+            "share_of_variance": round(found.residual_analysis.share_foretold, 4),
             "log_likelihood_gain": found.residual_analysis.dependences[0].log_likelihood_gain,
         }
     strongest = found.verdict.off_list[0]
@@ -180,6 +181,7 @@ def unexplained(found: Diagnosis) -> dict[str, Any] | None:
         "axis": axis,
         "channel": channel,
         "correlates_with": [f"{channel} on {on}", *others],
+        "share_of_variance": round(max(0.0, 1.0 - found.spline_gains[axis].ratio ** 2), 4),
         "log_likelihood_gain": strongest.train,
         "splines": [one.candidate.id.removeprefix("spline:") for one in found.verdict.off_list],
         "gain_with_splines": _gains(found.spline_gains),

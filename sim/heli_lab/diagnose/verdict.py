@@ -77,6 +77,8 @@ def confidence(found: Cause, unexplained: bool = False) -> float:
     sure = 1.0 - 0.5 * math.exp(-max(margin, 0.0) / thresholds.CONFIDENCE_NATS)
     if found.held_out is not None:
         # A cause that foretells nothing on flights that had no part in its choice is as likely chance.
-        sure *= 1.0 / (1.0 + math.exp(-(found.held_out - thresholds.HELD_OUT_EVEN) / thresholds.HELD_OUT_NATS))
+        sure *= 1.0 / (
+            1.0 + math.exp(-(found.held_out - thresholds.HELD_OUT_EVEN) / thresholds.HELD_OUT_NATS)
+        )
     beside = thresholds.CONFIDENCE_BESIDE_UNKNOWN if unexplained else 1.0
     return float(min(thresholds.MAX_CONFIDENCE, sure) * beside)

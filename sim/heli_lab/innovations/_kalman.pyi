@@ -1,5 +1,5 @@
-from numpy.typing import NDArray
 from numpy import float64
+from numpy.typing import NDArray
 
 _Floats = NDArray[float64]
 

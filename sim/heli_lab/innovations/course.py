@@ -93,7 +93,9 @@ def follow(record: Record, step_s: float = STEP_s) -> Course:
         for start, stop in record.segments
         if stop // every - -(-start // every) > 1
     )
-    return Course(record, every, measured, variance, *_kinematic(measured, variance, record.step_s * every), windows)
+    return Course(
+        record, every, measured, variance, *_kinematic(measured, variance, record.step_s * every), windows
+    )
 
 
 def _kinematic(measured_rad: Floats, variance_rad2: Floats, step_s: float) -> tuple[Floats, Floats]:

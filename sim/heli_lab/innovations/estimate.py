@@ -98,7 +98,9 @@ class Filtered:
             transition = phi @ transition
             parts = [phi @ part for part in parts]
             parts.append(one.Gamma[rows + step] @ one.by_torque[rows + step])
-        return _Blocks(rows, transition, np.array(parts), np.ascontiguousarray(one.C[rows]), one.variance_rad2[rows])
+        return _Blocks(
+            rows, transition, np.array(parts), np.ascontiguousarray(one.C[rows]), one.variance_rad2[rows]
+        )
 
     def _over_blocks(self, number: int, driven: Floats, angles: Floats) -> list[tuple[Floats, Floats]]:
         """Signals of a flight in steps of a block, for each window."""
@@ -269,7 +271,9 @@ class Estimate:
     converged: bool
 
 
-def solve(unknowns: Unknowns, theta: Floats, innovations: Floats, log_variances: Floats) -> tuple[Floats, Floats, float]:
+def solve(
+    unknowns: Unknowns, theta: Floats, innovations: Floats, log_variances: Floats
+) -> tuple[Floats, Floats, float]:
     """Move of the parameters that maximises the posterior, their covariance, and its value before, nats."""
     error, sensitivity = innovations[:, 0], innovations[:, 1:]
     precision = unknowns.std**-2.0

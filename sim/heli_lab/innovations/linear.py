@@ -96,7 +96,9 @@ class ModelFunctions:
             np.zeros(self.own_states),
             np.repeat(trajectory.state[:, :6], substeps, axis=0).T,
             np.repeat(trajectory.volts_V, substeps, axis=0).T,
-            (np.repeat(trajectory.t_s, substeps) + h * (np.tile(np.arange(substeps), count) - substeps / 2))[None],
+            (np.repeat(trajectory.t_s, substeps) + h * (np.tile(np.arange(substeps), count) - substeps / 2))[
+                None
+            ],
             np.broadcast_to(parameters[:, None], (len(parameters), count * substeps)),
             np.full((1, count * substeps), h),
         )
@@ -162,7 +164,9 @@ class Linear:
         rows = course.rows
         self.rows = len(rows)
         self.trajectory = Trajectory(t_s[rows], middle[rows], whole.volts_V[rows], h, parameters)
-        rates, a, by_free, by_torque, by_volts, angles, c, angles_by_free = functions.evaluate(self.trajectory)
+        rates, a, by_free, by_torque, by_volts, angles, c, angles_by_free = functions.evaluate(
+            self.trajectory
+        )
         for name, mean, _ in grid.inputs.shaped_by:
             if name in functions.free:
                 by_free[:, :, functions.free.index(name)] += np.einsum("nij,nj->ni", by_volts, mean[rows])

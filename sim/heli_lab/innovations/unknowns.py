@@ -52,7 +52,9 @@ class Unknowns:
         constants = {name: Prior(0.0, std) for name, std in TORQUE_STD_Nm.items()}
         wanted = [one for one in free_parameters(model, rig, None, {}) if one.quantity not in constants]
         own = [one for one in wanted if one.quantity in PER_FLIGHT]
-        shared = [one for one in wanted if one.quantity not in PER_FLIGHT and one.quantity not in (fixed or {})]
+        shared = [
+            one for one in wanted if one.quantity not in PER_FLIGHT and one.quantity not in (fixed or {})
+        ]
         own += [FreeParameter(name, "N m", prior, name) for name, prior in constants.items()]
         several = len(records) > 1
         local = [

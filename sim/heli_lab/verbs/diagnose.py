@@ -31,21 +31,21 @@ def diagnose(
     seed: Annotated[
         int, typer.Option("--seed", metavar="N", min=0, help="Seed of the bootstrap behind the intervals.")
     ] = 0,
-    budget_s: Annotated[
-        float,
+    budget: Annotated[
+        int,
         typer.Option(
             "--budget",
-            metavar="S",
-            min=5.0,
-            help="Time limit, nearly kept; the result says whether everything was tried.",
+            metavar="N",
+            min=1,
+            help="Most refits of the model; the result says whether everything was tried.",
         ),
-    ] = 120.0,
+    ] = 80,
 ) -> None:
     """Show what a model gets wrong in flights, name the cause, extend the model, measure the gain.
 
     The baseline is refitted first. Every effect of the catalogue is scored; one is named if its
-    log-likelihood ratio exceeds its penalty and the flights given with --validate confirm it. What no effect
-    explains is `unexplained`.
+    log-likelihood ratio exceeds its penalty; the flights given with --validate have no part in that, they judge
+    it. What chance alone makes is weather; what can be foretold and no effect explains is `unexplained`.
 
     Example: `heli-host diagnose a.mcap --validate b.mcap --rig makki2024 --report why --out extended.toml`
     """
@@ -85,7 +85,7 @@ def diagnose(
                 start_s=start_s,
                 stop_s=stop_s,
                 seed=seed,
-                seconds=budget_s,
+                refits=budget,
                 say=bar.show,
             )
         except NotExcited as nothing:

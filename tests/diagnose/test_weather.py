@@ -1,0 +1,54 @@
+"""Weather is explained; what is hidden in it is found."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
+from heli_sim.model import MultibodyModel
+from heli_sim.rig import load_rig
+
+from tests.diagnose.hidden import flights
+
+pytestmark = pytest.mark.diagnosis
+
+_GUST = "random_torque.travel=0.03"
+_WEATHER = ("random_torque.elevation=0.012", "random_torque.pitch=0.004", "random_torque.travel=0.008")
+
+
+@cache
+def diagnosed(*effects: str) -> Diagnosis:
+    """Diagnose flights with chance, and perhaps something else, in them."""
+    fit, held_out = flights(*effects)
+    return diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held_out], labels=["fit", "held out"])
+
+
+def test_weather_alone_is_explained_and_told_by_its_size() -> None:
+    numbers = to_json(diagnosed(*_WEATHER))
+    assert numbers["verdict"] == "explained"
+    assert numbers["causes"] == []
+    for axis, size in (("elevation", 0.012), ("pitch", 0.004), ("travel", 0.008)):
+        assert numbers["weather"][axis]["gust_Nm"] == pytest.approx(size, rel=0.4)
+        assert numbers["weather"][axis]["log_likelihood_ratio"] > 100.0
+    assert "gusts of" in summary(diagnosed(*_WEATHER))
+
+
+def test_lag_in_weather_is_named_with_its_size_and_nothing_else() -> None:
+    numbers = to_json(diagnosed(*_WEATHER, "rotor_lag=0.06"))
+    assert numbers["verdict"] == "cause_found"
+    (cause,) = numbers["causes"]
+    assert cause["effect"] == "rotor_lag"
+    found = cause["parameters"]["rotor_lag_s"]
+    assert abs(found["value"] - 0.06) < 3.0 * found["std"]
+    assert cause["confidence"] > 0.9
+
+
+def test_gust_about_one_axis_is_a_random_torque_of_its_size() -> None:
+    numbers = to_json(diagnosed(_GUST))
+    assert numbers["verdict"] == "cause_found"
+    (cause,) = numbers["causes"]
+    assert cause["effect"] == "random_torque.travel"
+    sigma = cause["parameters"]["random_torque_travel_Nm"]
+    assert abs(sigma["value"] - 0.03) < 3.0 * sigma["std"]
+    assert numbers["residual"]["innovations"]["foretold_by"] == []

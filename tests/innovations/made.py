@@ -1,0 +1,34 @@
+"""A flight in weather whose truth is known, made once for all tests."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from heli_host.flight import Flight
+from heli_lab.identify import Record, prepare
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import parse_effects
+from heli_sim.rig import load_rig
+
+from tests.identify import made
+from tests.identify.made import flown, thinned
+from tests.running.kept import FLOWN, KEPT
+
+GUST_Nm = {"elevation": 0.012, "pitch": 0.004, "travel": 0.008}
+RIG = load_rig("makki2024")
+TRUE_RIG = RIG.replace(thrust_gain=0.62, friction_travel=0.05)
+SECONDS = 34.0
+MADE_BY = (Path(__file__), Path(made.__file__))
+
+
+def _flown() -> Flight:
+    weather = parse_effects([f"random_torque.{axis}={size}" for axis, size in GUST_Nm.items()])
+    return thinned(flown(TRUE_RIG, 21, SECONDS, MultibodyModel(weather)), 2)
+
+
+@cache
+def windy() -> Record:
+    """Flown on a rig whose thrust gain and travel friction differ from the nominal ones, gusts of half a second."""
+    flight = KEPT(f"windy {GUST_Nm} {SECONDS}", _flown, made_by=MADE_BY, rooms=FLOWN)
+    return prepare(flight, RIG, "windy")

@@ -1,0 +1,99 @@
+"""Parameters and weather of a flight whose truth is known."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from heli_lab.diagnose.candidate import Candidate
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.screening import Screening
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue
+
+from tests.innovations.made import RIG, TRUE_RIG, GUST_Nm, windy
+
+pytestmark = pytest.mark.diagnosis
+
+KINDS = catalogue()
+
+
+@cache
+def comparison() -> Comparison:
+    """The flight alone."""
+    return Comparison(MultibodyModel(), RIG, [windy()], [])
+
+
+@cache
+def baseline() -> Hypothesis:
+    """The right model."""
+    return comparison().refit([])
+
+
+def test_parameters_are_the_rigs_within_their_standard_errors() -> None:
+    found = baseline()
+    std = dict(zip(found.estimate.unknowns.names, np.sqrt(np.diag(found.estimate.covariance)), strict=True))
+    for name in ("thrust_gain", "dead_zone", "friction_elevation", "friction_pitch", "friction_travel"):
+        assert abs(found.values[name] - TRUE_RIG[name].value) < 3.5 * std[name], name
+
+
+def test_weather_is_what_blew() -> None:
+    weather = baseline().estimate.weather
+    assert weather.gust_Nm == pytest.approx(list(GUST_Nm.values()), rel=0.35)
+    # A memory of half a second is told to about a factor of two by half a minute.
+    assert np.all((weather.memory_s > 0.2) & (weather.memory_s < 1.2))
+
+
+def test_innovations_of_the_right_model_are_white() -> None:
+    estimate = baseline().estimate
+    innovations, _ = estimate.filtered.innovations(estimate.weather)
+    value = innovations[:, 0].reshape(-1, 3)
+    assert value.std(axis=0) == pytest.approx([1.0, 1.0, 1.0], abs=0.05)
+    for lag in (1, 2, 5, 12):
+        correlation = (value[lag:] * value[:-lag]).mean(axis=0)
+        assert np.all(np.abs(correlation) < 4.0 / np.sqrt(len(value)) + 0.03), lag
+
+
+def test_nothing_of_the_catalogue_scores_where_nothing_is_missing() -> None:
+    screening = Screening(baseline().estimate)
+    kinds = [kind for kind in KINDS.values() if kind.suits(MultibodyModel()) and not kind.noise_inputs]
+    best = screening.effects([kind for kind in kinds if not kind.baseline])[0]
+    assert best.log_likelihood_gain < 14.0, best.candidate.id
+    assert screening.splines()[0].log_likelihood_gain < 20.0
+
+
+def test_scale_of_an_encoder_is_no_cause_of_its_own_innovations() -> None:
+    # About a smoothed course, which knows what is to come, every flight wants its encoders stretched.
+    linear = baseline().estimate.filtered.linears[0]
+    angles = np.zeros((linear.rows, 3, 3))
+    angles[:, range(3), range(3)] = linear.nodes.state[:, :3]
+    scores = Screening(baseline().estimate).score_signals(
+        [(np.zeros((linear.rows, 6, 3)), angles)], [1, 1, 1], [np.ones(1)] * 3
+    )
+    assert max(gain for gain, _, _ in scores) < 8.0
+
+
+def test_weather_found_is_likelier_than_its_neighbours() -> None:
+    estimate = baseline().estimate
+
+    def value(gust: float, memory: float) -> float:
+        from dataclasses import replace
+
+        at = replace(
+            estimate.weather,
+            gust_Nm=estimate.weather.gust_Nm * gust,
+            memory_s=estimate.weather.memory_s * memory,
+        )
+        innovations, log_variances = estimate.filtered.innovations(at)
+        return float(-0.5 * (innovations[:, 0] @ innovations[:, 0] + log_variances.sum()))
+
+    best = value(1.0, 1.0)
+    assert best > max(value(1.2, 1.0), value(0.8, 1.0), value(1.0, 1.3), value(1.0, 0.7))
+
+
+@pytest.mark.parametrize("id_", ["coulomb_friction.elevation", "thrust_asymmetry", "rotor_lag"])
+def test_larger_model_is_never_less_likely_than_the_one_that_it_contains(id_: str) -> None:
+    kind = KINDS[id_]
+    more = comparison().refit([Candidate(id_, kind.make(kind.typical), kind.size)], None, baseline())
+    assert more.log_likelihood > baseline().log_likelihood - 0.5

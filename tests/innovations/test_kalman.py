@@ -1,0 +1,144 @@
+"""Filter and smoother against dense algebra: states and outputs of a flight in one normal distribution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from heli_lab.innovations import _kalman
+from numpy.typing import NDArray
+from scipy.stats import multivariate_normal
+
+Floats = NDArray[np.float64]
+
+STEPS, STATES, TORQUES = 6, 4, 2
+ORDER = STATES + TORQUES
+MEMORY, TORQUE_STD = np.array([0.8, 0.3]), np.array([0.5, 1.5])
+INITIAL_STD = np.array([0.3, 2.0, 0.1, 1.0])
+
+
+@dataclass(frozen=True)
+class System:
+    """A random time-varying system; at one step one axis is not measured."""
+
+    transition: Floats
+    torque_input: Floats
+    measurement: Floats
+    variance: Floats
+
+    def arguments(self, columns: int = 1) -> tuple[Floats, ...]:
+        """What filter and smoother take before the signals, and a drive of nothing."""
+        return (
+            self.transition,
+            self.torque_input,
+            self.measurement,
+            self.variance,
+            MEMORY,
+            TORQUE_STD**2,
+            INITIAL_STD**2,
+            np.zeros((STEPS, STATES, columns)),
+        )
+
+    def dense(self) -> tuple[Floats, Floats]:
+        """State and torques, and outputs, as linear maps of independent unit variables; rows step by step."""
+        width = ORDER + TORQUES * STEPS + 3 * STEPS
+        state = np.zeros((ORDER, width))
+        state[range(ORDER), range(ORDER)] = np.concatenate((INITIAL_STD, TORQUE_STD))
+        states, outputs = [], []
+        for k in range(STEPS):
+            noise = np.zeros((3, width))
+            place = ORDER + TORQUES * STEPS + 3 * k
+            noise[range(3), range(place, place + 3)] = np.sqrt(self.variance[k])
+            states.append(state)
+            outputs.append(self.measurement[k] @ state[:STATES] + noise)
+            moved = self.transition[k] @ state[:STATES] + self.torque_input[k] @ state[STATES:]
+            torque = MEMORY[:, None] * state[STATES:]
+            fresh = ORDER + TORQUES * k
+            torque[range(TORQUES), range(fresh, fresh + TORQUES)] += TORQUE_STD * np.sqrt(1.0 - MEMORY**2)
+            state = np.vstack((moved, torque))
+        return np.vstack(states), np.vstack(outputs)
+
+
+@pytest.fixture(scope="module")
+def system() -> System:
+    """The system, the same each time."""
+    random = np.random.default_rng(3)
+    variance = random.uniform(0.2, 0.6, (STEPS, 3))
+    variance[2, 1] = 0.0
+    return System(
+        random.normal(0.0, 0.6, (STEPS, STATES, STATES)),
+        random.normal(0.0, 1.0, (STEPS, STATES, TORQUES)),
+        random.normal(0.0, 1.0, (STEPS, 3, STATES)),
+        variance,
+    )
+
+
+@pytest.fixture(scope="module")
+def measured() -> Floats:
+    """One column of outputs."""
+    return np.random.default_rng(4).normal(0.0, 1.0, (STEPS, 3, 1))
+
+
+def seen(system: System) -> NDArray[np.bool_]:
+    """Which outputs are measured, all steps' in a row."""
+    result: NDArray[np.bool_] = system.variance.ravel() > 0.0
+    return result
+
+
+def test_innovations_are_the_log_likelihood_of_what_was_measured(system: System, measured: Floats) -> None:
+    innovations, log_variances = _kalman.filter(*system.arguments(), measured)
+    count = seen(system).sum()
+    found = -0.5 * (np.sum(innovations**2) + sum(log_variances) + count * np.log(2.0 * np.pi))
+    outputs = system.dense()[1][seen(system)]
+    expected = multivariate_normal.logpdf(measured.ravel()[seen(system)], cov=outputs @ outputs.T)
+    assert found == pytest.approx(expected, abs=1e-9)
+
+
+def test_innovations_are_white_and_of_unit_variance(system: System) -> None:
+    # The filter is linear: its matrix whitens the outputs' covariance.
+    columns = np.eye(3 * STEPS).reshape(STEPS, 3, -1)
+    innovations, _ = _kalman.filter(*system.arguments(3 * STEPS), columns)
+    whiten = innovations.reshape(3 * STEPS, -1)[np.ix_(seen(system), seen(system))]
+    outputs = system.dense()[1][seen(system)]
+    assert np.allclose(whiten @ outputs @ outputs.T @ whiten.T, np.eye(int(seen(system).sum())), atol=1e-9)
+
+
+def test_smoothed_states_are_the_conditional_distribution(system: System, measured: Floats) -> None:
+    mean, variance = _kalman.smooth(*system.arguments(), measured)
+    states, outputs = system.dense()
+    outputs = outputs[seen(system)]
+    gain = states @ outputs.T @ np.linalg.inv(outputs @ outputs.T)
+    assert np.allclose(mean.ravel(), gain @ measured.ravel()[seen(system)], atol=1e-9)
+    left = states @ states.T - gain @ outputs @ states.T
+    assert np.allclose(variance.ravel(), np.diag(left), atol=1e-9)
+
+
+def test_tracked_states_know_nothing_of_what_comes_later(system: System, measured: Floats) -> None:
+    predicted, filtered = _kalman.track(*system.arguments(), measured)
+    states, outputs = system.dense()
+    for k in range(STEPS):
+        for found, count in ((predicted, 3 * k), (filtered, 3 * k + 3)):
+            known = seen(system) & (np.arange(3 * STEPS) < count)
+            own = states[ORDER * k : ORDER * (k + 1)]
+            if not known.any():
+                assert np.allclose(found[k], 0.0)
+                continue
+            gain = own @ outputs[known].T @ np.linalg.inv(outputs[known] @ outputs[known].T)
+            assert np.allclose(found[k], gain @ measured.ravel()[known], atol=1e-9)
+
+
+def test_drive_moves_the_state_of_the_next_step(system: System) -> None:
+    arguments = list(system.arguments())
+    drive = np.zeros((STEPS, STATES, 1))
+    drive[0, :, 0] = [1.0, -2.0, 0.5, 3.0]
+    arguments[-1] = drive
+    innovations, _ = _kalman.filter(*arguments, np.zeros((STEPS, 3, 1)))
+    assert np.all(innovations[0] == 0.0)
+    predicted, _ = _kalman.track(*arguments, np.zeros((STEPS, 3, 1)))
+    assert np.allclose(predicted[1, :STATES], drive[0, :, 0])
+
+
+def test_arrays_of_another_shape_are_refused(system: System, measured: Floats) -> None:
+    with pytest.raises(ValueError, match="measured has another shape"):
+        _kalman.filter(*system.arguments(), measured[:-1])

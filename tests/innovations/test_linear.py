@@ -1,0 +1,90 @@
+"""The model along a course responds to its parameters and its state as the model itself does."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from heli_lab.innovations import Course, Linear, ModelFunctions, Unknowns, follow
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import parse_effects
+
+from tests.innovations.made import RIG, windy
+
+pytestmark = pytest.mark.slow
+
+
+@cache
+def parts(effect: str = "") -> tuple[Course, ModelFunctions, Unknowns]:
+    """Course, equations and unknowns of a model with an effect."""
+    model = MultibodyModel(parse_effects([effect] if effect else []))
+    unknowns = Unknowns(model, RIG, [windy()])
+    return follow(windy()), ModelFunctions(model, unknowns.quantities), unknowns
+
+
+def changed(effect: str, name: str, by: float) -> Linear:
+    """The model along the course with one parameter off its start."""
+    course, functions, unknowns = parts(effect)
+    theta = unknowns.start
+    theta[unknowns.names.index(name)] += by
+    return Linear(course, functions, unknowns.parameters(theta, 0))
+
+
+@pytest.mark.parametrize(
+    ("effect", "name", "step"),
+    [
+        ("", "thrust_gain", 1e-3),
+        ("", "dead_zone", 1e-3),
+        ("", "friction_travel", 1e-3),
+        ("", "torque_pitch", 1e-4),
+        ("rotor_lag=0.08", "rotor_lag_s", 1e-3),
+        ("input_delay=0.02", "input_delay_s", 2e-4),
+    ],
+)
+def test_derivatives_are_those_of_the_rates_themselves(effect: str, name: str, step: float) -> None:
+    linear, more, less = (changed(effect, name, sign * step) for sign in (0.0, 1.0, -1.0))
+    expected = (more.defect - less.defect)[:, 3:6] / (2.0 * step)
+    found = linear.by_parameters[:, 3:6, parts(effect)[2].names.index(name)]
+    if linear.model.states[6:]:
+        # A lag's own state follows late: what the rates change by the parameter comes through it.
+        state = (more.trajectory.state - less.trajectory.state)[:, 6:] / (2.0 * step)
+        own = np.zeros((linear.rows, len(linear.model.states)))
+        drive = np.einsum(
+            "nij,nj->ni", linear.Gamma, linear.by_parameters[:, :, parts(effect)[2].names.index(name)]
+        )
+        for k in range(linear.rows - 1):
+            own[k + 1, 6:] = linear.Phi[k, 6:, 6:] @ own[k, 6:] + drive[k, 6:]
+        middle = 0.5 * (own[:-1] + own[1:])[:, 6:]
+        late = slice(200, -1)
+        assert np.sqrt(np.mean((middle[late] - state[:-1][late]) ** 2)) < 0.05 * np.sqrt(
+            np.mean(state[late] ** 2)
+        )
+        return
+    assert np.sqrt(np.mean((found - expected) ** 2)) < 0.02 * np.sqrt(np.mean(expected**2))
+
+
+def test_course_moves_by_the_model_where_the_model_is_right() -> None:
+    # Defects are what the rig's wrong thrust gain and the gusts leave, not what the method adds.
+    linear = changed("", "thrust_gain", 0.62 - RIG["thrust_gain"].value)
+    wrong = changed("", "thrust_gain", 0.0)
+    assert np.mean(linear.defect[:, 3] ** 2) < np.mean(wrong.defect[:, 3] ** 2)
+
+
+def test_followed_states_do_not_look_ahead() -> None:
+    record = windy()
+    cut = len(record.t_s) // 2
+    whole = follow(record)
+    from dataclasses import replace
+
+    half = follow(
+        replace(
+            record,
+            t_s=record.t_s[:cut],
+            angles_rad=record.angles_rad[:cut],
+            voltages_V=record.voltages_V[:cut],
+            segments=((record.segments[0][0], cut),),
+        )
+    )
+    same = len(half.filtered) - 2
+    assert np.allclose(half.filtered[:same], whole.filtered[:same], atol=1e-6)
