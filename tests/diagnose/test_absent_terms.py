@@ -51,7 +51,7 @@ def diagnosed(effect: str) -> Diagnosis:
 
 @pytest.mark.parametrize("axis", ["elevation", "pitch", "travel"])
 def test_friction_that_is_not_there_is_named_by_the_fit_itself(axis: str) -> None:
-    comparison, baseline = tried(f"removed.friction.{axis}=1")
+    comparison, _ = tried(f"removed.friction.{axis}=1")
     (term,) = absent_terms(free_run(f"removed.friction.{axis}=1").fit, comparison.rig, KINDS)
     assert term.id == f"removed.friction.{axis}"
     assert abs(term.share - 1.0) < 3.0 * term.std

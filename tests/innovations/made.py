@@ -29,6 +29,6 @@ def _flown() -> Flight:
 
 @cache
 def windy() -> Record:
-    """Flown on a rig whose thrust gain and travel friction differ from the nominal ones, gusts of half a second."""
+    """Flown on a rig whose thrust gain and travel friction are off the nominal, in gusts of half a second."""
     flight = KEPT(f"windy {GUST_Nm} {SECONDS}", _flown, made_by=MADE_BY, rooms=FLOWN)
     return prepare(flight, RIG, "windy")

@@ -1,9 +1,9 @@
-"""Hypotheses: the model with some effects, estimated in innovations form, compared by log-likelihood ratios."""
+"""Hypotheses: the model with some effects, estimated in innovations form; compared by likelihood ratios."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -19,7 +19,6 @@ from heli_lab.innovations import (
     Estimate,
     ModelFunctions,
     Unknowns,
-    Weather,
     estimate,
     follow,
 )
@@ -28,8 +27,8 @@ _FOLLOWED: Final = 2
 """Times that the course is followed anew by the baseline's own filter: after the second it moves by less than
 a hundredth of the quantisation (simulated and field flights, 2026-11)."""
 _OTHER_WEATHER_NATS: Final = 20.0
-"""Gain over the hypothesis before from which on the weather is looked for afresh. By judgement: a cause of six
-standard deviations. Higher: what a cause leaves is measured against the weather that stood for it."""
+"""Gain over the hypothesis before from which on the weather is looked for afresh. By judgement: a cause of
+six standard deviations. Higher: what a cause leaves is measured against the weather that stood for it."""
 _WORSE_NATS: Final = 0.1
 """Log-likelihood by which a larger model may stay behind one that it contains, by rounding."""
 
@@ -141,14 +140,13 @@ class Comparison:
             if known is not None and known.log_likelihood > found.log_likelihood + _WORSE_NATS:
                 again = self._estimate(candidates, start or {}, known)
                 found = max(found, again, key=lambda one: one.log_likelihood)
-        if near is not None and set(near.ids) <= {candidate.id for candidate in candidates}:
-            if found.log_likelihood < near.log_likelihood - _WORSE_NATS:
-                neutral: dict[str, float] = {}
-                for candidate in candidates:
-                    if candidate.id not in near.ids:
-                        neutral |= candidate.neutral
-                again = self._estimate(candidates, neutral, near)
-                found = max(found, again, key=lambda one: one.log_likelihood)
+        elif near is not None and found.log_likelihood < near.log_likelihood - _WORSE_NATS:
+            neutral: dict[str, float] = {}
+            for candidate in candidates:
+                if candidate.id not in near.ids:
+                    neutral |= candidate.neutral
+            again = self._estimate(candidates, neutral, near)
+            found = max(found, again, key=lambda one: one.log_likelihood)
         self.fits += 1
         key = frozenset(candidate.id for candidate in candidates)
         best = self._best.get(key)
@@ -186,9 +184,9 @@ class Comparison:
             return max(found, again, key=lambda one: one.log_likelihood)
         return found
 
-    def held_out_log_likelihood(self, hypothesis: Hypothesis) -> float:
-        """Log-likelihood of the flights held out, nats: what all flights share is as estimated, each
-        flight's own constants and the weather are its own.
+    def held_out_estimate(self, hypothesis: Hypothesis) -> Estimate:
+        """Estimate of the flights held out: what all flights share is as the hypothesis has it, each flight's
+        own constants and the weather are its own.
         """
         own = hypothesis.estimate
         shared = {
@@ -198,10 +196,8 @@ class Comparison:
         }
         unknowns = Unknowns(own.unknowns.model, self.rig, self.held_out, fixed=shared)
         functions = ModelFunctions(own.unknowns.model, unknowns.quantities)
-        weather = Weather(
-            own.weather.gust_Nm, own.weather.memory_s, own.weather.drift_Nm, own.weather.quantisation
-        )
-        return estimate(unknowns, self.held_out_courses, functions, unknowns.start, weather).log_likelihood
+        weather = replace(own.weather, curvature=None)
+        return estimate(unknowns, self.held_out_courses, functions, unknowns.start, weather)
 
 
 def _grids(candidates: Sequence[Candidate]) -> list[tuple[str, tuple[tuple[str, float], ...]]]:

@@ -210,8 +210,8 @@ def _remains(diagnosis: Diagnosis, numbers: dict[str, Any], folder: Path) -> str
         text
         + "<p>Weather, torques by chance that no model foretells:</p>"
         + table(heads, rows)
-        + '<p class="note">Innovations, what each measurement shows that those before it did not foretell, are '
-        f"correlated by {worst:.2f} at most over {innovations['lags_s'][0]:.2g} to "
+        + '<p class="note">Innovations, what each measurement shows that those before it did not '
+        f"foretell, are correlated by {worst:.2f} at most over {innovations['lags_s'][0]:.2g} to "
         f"{innovations['lags_s'][-1]:.2g} s; white noise would stay below {innovations['bound']:.2f}.</p>"
     )
 

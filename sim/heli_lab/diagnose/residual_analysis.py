@@ -17,7 +17,8 @@ import numpy as np
 from heli_sim.model.parts import AXES
 from scipy.signal import lfilter
 
-from heli_lab.diagnose.screening import Scored, Screening
+from heli_lab.diagnose.candidate import spline_candidates
+from heli_lab.diagnose.screening import Scored, Screening, coefficient_std, score_of
 from heli_lab.diagnose.spline_term import quantity_values
 from heli_lab.diagnose.thresholds import CORRELATE_MIN, CORRELATE_SHARE
 from heli_lab.identify.functions import Floats
@@ -51,6 +52,8 @@ _PENALTY_EACH: Final = 0.5
 with 8 coefficients the best exceeds 14 in 5 % of cases by theory, on white innovations; the rest allows for
 weather that is not Gauss-Markov. Lower: weather becomes `unexplained`. Higher: unmodelled dynamics pass for
 weather."""
+_TEST_SPLINES: Final = 99
+"""Above the number of any spline term of a model, so that their parameters' names differ."""
 _NO_TORQUE_Nm: Final = 2e-5
 """As good as none, while covariances stay regular."""
 _WHITE_LAGS: Final = (1, 2, 5, 12)
@@ -121,19 +124,20 @@ class ResidualAnalysis:
         return AXES[int(np.argmax(self.gains))]
 
 
-def residual_analysis(screening: Screening, splines: Sequence[Scored]) -> ResidualAnalysis:
-    """Describe what the model of a `screening` leaves; `splines` are its scores of the spline terms."""
-    estimate = screening.estimate
-    tested = [*dependences(screening, splines)]
-    significant = [one for one in tested if one.log_likelihood_gain > one.penalty]
-    autocorrelation, bound = _autocorrelation(estimate)
+def residual_analysis(screenings: Sequence[Screening]) -> ResidualAnalysis:
+    """Describe what a model leaves, by `screenings` of the flights fitted and of those held out: weather of
+    the former, what foretells the innovations of all.
+    """
+    first = screenings[0]
+    significant = [one for one in dependences(screenings) if one.log_likelihood_gain > one.penalty]
+    autocorrelation, bound = _autocorrelation(first.estimate)
     return ResidualAnalysis(
-        estimate.weather,
-        weather_gains(estimate),
+        first.estimate.weather,
+        weather_gains(first.estimate),
         autocorrelation,
         tuple(lag * BLOCK_s for lag in _WHITE_LAGS),
         bound,
-        screening.measurements,
+        sum(one.measurements for one in screenings),
         tuple(significant[:_MAX_CORRELATES]),
     )
 
@@ -175,36 +179,45 @@ def _autocorrelation(estimate: Estimate) -> tuple[Floats, float]:
     return np.array(found), float(3.0 / np.sqrt(len(value)))
 
 
-def dependences(screening: Screening, splines: Sequence[Scored]) -> list[Dependence]:
-    """Test the innovations against simple functions of states and inputs, the largest gain first."""
-    found = [
-        Dependence(
-            " on ".join(one.candidate.id.split(":")[1:]),
-            one.log_likelihood_gain,
-            len(one.candidate.linear_parameters),
-            penalty(len(one.candidate.linear_parameters)),
-        )
-        for one in splines
-        if not one.candidate.id.startswith("spline:measurement")
+def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
+    """Test the innovations of all flights against functions of states and inputs, the largest gain first.
+
+    The functions have the same coefficients in all flights, with everything else refitted in each.
+    """
+    linears = [linear for one in screenings for linear in one.estimate.filtered.linears]
+    candidates = [
+        one
+        for one in spline_candidates(linears, _TEST_SPLINES)
+        if not one.id.startswith("spline:measurement")
     ]
-    linears = screening.estimate.filtered.linears
-    names: list[tuple[str, int]] = []
-    signals: list[list[Floats]] = [[] for _ in linears]
-    priors: list[Floats] = []
-    for what, curves in _functions(linears).items():
+    names = [(" on ".join(one.id.split(":")[1:]), len(one.linear_parameters)) for one in candidates]
+    priors = [coefficient_std(one) for one in candidates]
+    parts = [one.spline_information(candidates) for one in screenings]
+    functions = _functions(linears)
+    for what, curves in functions.items():
         for axis, name in enumerate(AXES):
             size = curves[0].shape[1]
             names.append((f"torque.{name} on {what}", size))
             priors.append(np.full(size, _TORQUE_STD_Nm[axis]))
-            for place, linear, curve in zip(signals, linears, curves, strict=True):
-                place.append(linear.by_torque[:, :, axis : axis + 1] * curve[:, None, :])
-    scores = screening.score_signals(
-        [(np.concatenate(place, axis=2), None) for place in signals], [size for _, size in names], priors
-    )
-    found += [
-        Dependence(what, gain, size, penalty(size))
-        for (what, size), (gain, _, _) in zip(names, scores, strict=True)
-    ]
+    first = 0
+    for number, screening in enumerate(screenings):
+        own = screening.estimate.filtered.linears
+        signals = []
+        for place, linear in enumerate(own, first):
+            columns = [
+                linear.by_torque[:, :, axis : axis + 1] * curves[place][:, None, :]
+                for curves in functions.values()
+                for axis in range(3)
+            ]
+            signals.append((np.concatenate(columns, axis=2), None))
+        sizes = [size for _, size in names[len(candidates) :]]
+        parts[number] += screening.information(signals, sizes)
+        first += len(own)
+    found = []
+    for (what, size), std, *each in zip(names, priors, *parts, strict=True):
+        information = np.sum([one for one, _ in each], axis=0)
+        gain, _, _ = score_of(information, np.sum([one for _, one in each], axis=0), std)
+        found.append(Dependence(what, gain, size, penalty(size)))
     return sorted(found, key=lambda one: -one.log_likelihood_gain)
 
 
@@ -222,14 +235,14 @@ def correlates(splines: Sequence[Scored]) -> list[str]:
 
 
 def _functions(linears: Sequence[Linear]) -> dict[str, list[Floats]]:
-    """Products of two quantities, past thrusts, and rates near rest: (n, s) for each flight."""
+    """Quantities, products of two, past thrusts, and rates near rest: (n, s) for each flight."""
     quantities = [quantity_values(linear.model, linear.trajectory) for linear in linears]
     centre, scale = {}, {}
     for name in _PRODUCTS:
         together = np.concatenate([one[name] for one in quantities])
         centre[name], scale[name] = together.mean(), together.std() + 1e-12
     every = [{n: (one[n] - centre[n]) / scale[n] for n in _PRODUCTS} for one in quantities]
-    found = {}
+    found = {name: [at[name][:, None] for at in every] for name in _PRODUCTS}
     for one, other in itertools.combinations(_PRODUCTS, 2):
         found[f"{one} times {other}"] = [(at[one] * at[other])[:, None] for at in every]
     step_s = linears[0].trajectory.step_s

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final
 
 import numpy as np
 from heli_host.flight import Flight
@@ -27,6 +26,7 @@ from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.diagnose.prediction import Prediction, predict
 from heli_lab.diagnose.residual_analysis import residual_analysis
 from heli_lab.diagnose.result import Diagnosis
+from heli_lab.diagnose.screening import Screening
 from heli_lab.diagnose.search import search
 from heli_lab.diagnose.search_record import Search
 from heli_lab.diagnose.spline_curve import spline_curve_of
@@ -35,9 +35,6 @@ from heli_lab.diagnose.thresholds import AMBIGUOUS, MANY_UNDETECTABLE, SHORT_s
 from heli_lab.diagnose.verdict import Verdict, ambiguous_with, judge
 from heli_lab.errors import IdentifyError, NotExcited
 from heli_lab.identify import Record, prepare
-
-_TEST_SPLINES: Final = 99
-"""Above the number of any spline term of a model, so that their parameters' names differ."""
 
 
 def diagnose(
@@ -71,8 +68,8 @@ def diagnose(
     seed : int
         Seed of the bootstrap behind the intervals.
     refits : float
-        Limit of the work: refits after which no further cause is looked for; the result says whether everything
-        was tried.
+        Limit of the work: refits after which no further cause is looked for; the result says whether
+        everything was tried.
     say : callable, optional
         Called with what is being done, and the share of the work that is done, 0 to 1.
 
@@ -98,7 +95,8 @@ def diagnose(
     found = search(comparison, tried, removable=tuple(every.values()), say=tell, refits=refits)
     tell("looking at what remains", 0.9)
     screening = found.screening
-    remaining = residual_analysis(screening, screening.splines(_TEST_SPLINES))
+    judged = [Screening(comparison.held_out_estimate(found.final))] if held_out else []
+    remaining = residual_analysis([screening, *judged])
     extended = _extended(comparison, found)
     before = predict((), found.baseline.estimate, train, held_out)
     after = (
@@ -107,7 +105,7 @@ def diagnose(
         else predict(extended.candidates, extended.estimate, train, held_out)
     )
     absent = absent_terms(after.fit, rig, every)
-    verdict = judge(found, remaining, bool(absent))
+    verdict = judge(found, remaining, after, every, bool(absent))
     undetectable = undetectable_effects(found.rounds[-1].screened, every)
     return Diagnosis(
         found,

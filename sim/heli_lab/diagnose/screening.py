@@ -1,4 +1,4 @@
-"""Screening: score tests of every candidate about one estimate, the catalogue on its grids and spline terms."""
+"""Screening: score tests of every candidate about one estimate, on their grids, and of spline terms."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from heli_sim.model.effects.kind import EffectKind
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.candidate import Candidate, Regressors, effect_candidates, spline_candidates
+from heli_lab.diagnose.spline_term import KNOTS
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import Estimate
 
@@ -112,25 +113,38 @@ class Screening:
     def score_signals(
         self, signals: Sequence[tuple[Floats, Floats | None]], sizes: Sequence[int], priors: Sequence[Floats]
     ) -> list[Score]:
-        """The same for regressors that are given: for each flight the change of the rates, (n, states, s), and of the
-        measured angles, (n, 3, s), all candidates side by side.
+        """The same for regressors that are given: for each flight the change of the rates, (n, states, s),
+        and of the measured angles, (n, 3, s), all candidates side by side.
         """
-        filtered = self.estimate.filtered
-        only = filtered.regressors(self.estimate.weather, signals)
+        return [
+            score_of(*part, std) for part, std in zip(self.information(signals, sizes), priors, strict=True)
+        ]
+
+    def information(
+        self, signals: Sequence[tuple[Floats, Floats | None]], sizes: Sequence[int]
+    ) -> list[tuple[Floats, Floats]]:
+        """Fisher information and score of the coefficients of regressors, the free parameters projected out;
+        those of several flights add up.
+        """
+        only = self.estimate.filtered.regressors(self.estimate.weather, signals)
         rest = only - self._nuisance @ (self._covariance @ (self._nuisance.T @ only))
         found = []
         low = 0
-        for size, std in zip(sizes, priors, strict=True):
+        for size in sizes:
             own, raw = rest[:, low : low + size], only[:, low : low + size]
             low += size
-            # The nuisance parameters' priors count as measurements of their own.
-            information = raw.T @ own + np.diag(std**-2.0)
-            information = 0.5 * (information + information.T)
-            score = own.T @ self._error
-            covariance = np.linalg.pinv(information, hermitian=True)
-            coefficients = covariance @ score
-            std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-            found.append((float(0.5 * score @ coefficients), coefficients, std))
+            information = raw.T @ own
+            found.append((0.5 * (information + information.T), own.T @ self._error))
+        return found
+
+    def spline_information(self, candidates: Sequence[Candidate]) -> list[tuple[Floats, Floats]]:
+        """The same of spline terms."""
+        found: list[tuple[Floats, Floats]] = []
+        every = _BATCH // KNOTS
+        for low in range(0, len(candidates), every):
+            group = candidates[low : low + every]
+            signals = [signals_of(maker, group) for maker in self.regressors]
+            found += self.information(signals, [len(one.linear_parameters) for one in group])
         return found
 
     def _score_group(self, candidates: Sequence[Candidate]) -> list[Score]:
@@ -228,6 +242,14 @@ class Screening:
         top = [i for i in range(1, len(power) - 1) if power[i] >= power[i - 1] and power[i] > power[i + 1]]
         top.sort(key=lambda i: -power[i])
         return tuple(float(frequency_Hz[i]) for i in top[:_PEAKS]) or (0.5,)
+
+
+def score_of(information: Floats, score: Floats, prior_std: Floats) -> Score:
+    """Gain, coefficients and standard errors of a score test with normal priors about 0."""
+    covariance = np.linalg.pinv(information + np.diag(prior_std**-2.0), hermitian=True)
+    coefficients = covariance @ score
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return float(0.5 * score @ coefficients), coefficients, std
 
 
 def signals_of(maker: Regressors, candidates: Sequence[Candidate]) -> tuple[Floats, Floats | None]:

@@ -80,15 +80,30 @@ class _Searcher:
             for v in (values[near], *values[near + 1 :])
         ]
 
-    def _plausible(self, refit: Refit) -> bool:
-        """Whether its size is told from nothing, and a moment that was found lies within the flight."""
-        values, candidate = refit.hypothesis.values, refit.candidate
-        last_s = max(float(record.t_s[-1] - record.t_s[0]) for record in self.comparison.train)
-        moments = [values[q.name] for q in candidate.effect.parameters if q.name.endswith("_at_s")]
-        edge = thresholds.EVENT_EDGE_s
-        if not all(edge < moment < last_s - edge for moment in moments):
+    def _accepted(self, refit: Refit) -> bool:
+        """Whether it exceeds its penalty, its size is told from nothing, and a moment that was found lies
+        within the flight.
+        """
+        if refit.margin <= thresholds.MIN_MARGIN:
             return False
-        return candidate.is_spline or told_from_nothing(refit.hypothesis, candidate, self.kinds)
+        candidate = refit.candidate
+        if candidate.is_spline:
+            return True
+        return self._in_flight(refit.hypothesis) and told_from_nothing(
+            refit.hypothesis, candidate, self.kinds
+        )
+
+    def _in_flight(self, hypothesis: Hypothesis) -> bool:
+        """Whether the moments that an effect changes at lie within the free flight: at its edges a step is a
+        constant.
+        """
+        edge = thresholds.EVENT_EDGE_s
+        spans = [
+            (float(record.t_s[record.segments[0][0]] - record.t_s[0]), record.segments[-1][1] * record.step_s)
+            for record in self.comparison.train
+        ]
+        moments = [value for name, value in hypothesis.values.items() if name.endswith("_at_s")]
+        return all(any(a + edge < moment < b - edge for a, b in spans) for moment in moments)
 
     def forward(self, hypothesis: Hypothesis) -> tuple[Hypothesis, Screening, bool]:
         """Add causes until none is accepted."""
@@ -137,7 +152,7 @@ class _Searcher:
                 refits.append(
                     Refit(less, less.log_likelihood - base.log_likelihood, self.penalty(gone), score)
                 )
-        accepted = [one for one in refits if one.margin > thresholds.MIN_MARGIN and self._plausible(one)]
+        accepted = [one for one in refits if self._accepted(one)]
         best = max(accepted, key=lambda one: one.margin, default=None)
         curve = splines[0] if splines else None
         needed = max(thresholds.SPLINE_MIN, best.margin if best else 0.0)
@@ -156,9 +171,7 @@ class _Searcher:
                     refit(one) for one in like[: thresholds.LIKE_REFITTED] if one.log_likelihood_gain > 0.0
                 ]
                 refits += more
-                accepted += [
-                    one for one in more if one.margin > thresholds.MIN_MARGIN and self._plausible(one)
-                ]
+                accepted += [one for one in more if self._accepted(one)]
                 best = max(accepted, key=lambda one: one.margin, default=None)
             refits.append(spline)
             lead = spline.margin - (best.margin if best else 0.0)
@@ -218,8 +231,11 @@ class _Searcher:
     def _held_out(self, final: Hypothesis, without: Mapping[str, Hypothesis]) -> dict[str, float]:
         if not self.comparison.held_out or not without:
             return {}
-        whole = self.comparison.held_out_log_likelihood(final)
-        return {id_: whole - self.comparison.held_out_log_likelihood(less) for id_, less in without.items()}
+        whole = self.comparison.held_out_estimate(final).log_likelihood
+        return {
+            id_: whole - self.comparison.held_out_estimate(less).log_likelihood
+            for id_, less in without.items()
+        }
 
     def alternatives(
         self, final: Hypothesis, candidate: Candidate, less: Hypothesis
@@ -245,6 +261,8 @@ class _Searcher:
                 if not all(_together(kind, self.kinds[one.id]) for one in rest if one.id in self.kinds):
                     continue
                 other = self.comparison.refit([*rest, refit.candidate], refit.hypothesis.values, less)
+            if not self._in_flight(other):
+                continue
             ahead = final.log_likelihood - other.log_likelihood
             ratios[id_] = ahead + self.penalty(refit.candidate) - self.penalty(candidate)
         return tuple(Alternative(id_, ratio) for id_, ratio in sorted(ratios.items(), key=lambda one: one[1]))
@@ -262,7 +280,7 @@ class _Searcher:
 def told_from_nothing(
     hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str, EffectKind], name: str | None = None
 ) -> bool:
-    """Whether the size of an effect, or its parameter `name`, is more than two standard errors from nothing."""
+    """Whether the size of an effect, or its parameter `name`, is told from nothing by two standard errors."""
     kind = kinds.get(candidate.id)
     if kind is None:
         return True

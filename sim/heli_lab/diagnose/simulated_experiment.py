@@ -1,6 +1,4 @@
-"""Simulated experiments: a plan flown by the flight code on the simulated board, on the rig as an estimate has
-it.
-"""
+"""Simulated experiments: a plan flown by the flight code on the simulated board, on the rig as estimated."""
 
 from __future__ import annotations
 
@@ -33,8 +31,8 @@ _DECIMATION: Final = 2
 
 
 def simulate_experiment(estimate: Estimate, plan: str, seed: int = 0) -> Record | None:
-    """Fly a plan on the rig as an estimate has it; the flight is ready for fitting, None when this rig cannot fly
-    the plan.
+    """Fly a plan on the rig as estimated; the flight is ready for fitting, None when this rig cannot fly the
+    plan.
 
     Parameters
     ----------

@@ -7,8 +7,8 @@ flights**: eight flights of real machines (`docs/measured.md`). "By judgement" m
 tuning exists: the value follows from the reasoning that stands there and passed the blind cases, whose counts
 are in `docs/diagnosing.md`.
 
-Log-likelihood ratios are in nats, each model under the weather that suits it best. Constants of numerical methods
-(batches, tolerances, bounds of searches) stand beside their use.
+Log-likelihood ratios are in nats, each model under the weather that suits it best. Constants of numerical
+methods (batches, tolerances, bounds of searches) stand beside their use.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ NOTHING_STD_ERRORS: Final = 2.0
 intervals given. Higher: weak causes are lost."""
 
 LIKE_REFITTED: Final = 2
-"""Effects of a spline's own channel that are refitted over their grids before the spline may displace them. By
-judgement. Fewer: a smooth curve displaces the listed effect that it imitates. More: time."""
+"""Effects of a spline's own channel that are refitted over their grids before the spline may displace them.
+By judgement. Fewer: a smooth curve displaces the listed effect that it imitates. More: time."""
 
 ALTERNATIVES: Final = 2
 """Other effects that are refitted in the place of a cause. By judgement. Fewer: confidence too high. More:
@@ -82,6 +82,15 @@ basis functions leave about half of them free. By judgement. Lower: splines beat
 reverse."""
 
 # What is said.
+
+AT_NOISE_FLOOR: Final = 1.04
+"""Root mean square error of the free run, in standard deviations of the quantisation, on all flights, up to which
+nothing shows. Exact models reach 1.00 to 1.02 on simulated flights (2026-11). Lower: what the method's own steps
+leave, a tenth of a mN m, is called unexplained. Higher: small unlisted laws go unnoticed."""
+
+GUST_SHARE: Final = 0.1
+"""Share of its typical size from which on a random torque about one axis alone is named. By judgement. Lower: what
+the method's own steps leave gets the name of a gust. Higher: light gusts are passed over as weather."""
 
 GUST_MIN: Final = 15.0
 """Log-likelihood ratio, nats, of torques by chance about one axis from which on they may be a cause. By

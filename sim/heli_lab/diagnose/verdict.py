@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from heli_sim.model.effects import EffectKind
+from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose import thresholds
+from heli_lab.diagnose.prediction import Prediction
 from heli_lab.diagnose.residual_analysis import ResidualAnalysis
 from heli_lab.diagnose.search_record import Cause, Search
 
@@ -34,20 +38,44 @@ class Verdict:
     gust: bool
 
 
-def judge(search: Search, remaining: ResidualAnalysis, absent: bool = False) -> Verdict:
-    """Decide the verdict; with `absent` the fit estimated a term of the baseline as zero, which is a cause as
-    well.
+def judge(
+    search: Search,
+    remaining: ResidualAnalysis,
+    after: Prediction,
+    kinds: Mapping[str, EffectKind],
+    absent: bool,
+) -> Verdict:
+    """Decide the verdict.
+
+    Parameters
+    ----------
+    search : Search
+        What was found.
+    remaining : ResidualAnalysis
+        What is left.
+    after : Prediction
+        Free runs of the model with the causes found: where they leave nothing but quantisation, what is left is
+        too small to matter, however significant.
+    kinds : Mapping[str, EffectKind]
+        The catalogue.
+    absent : bool
+        Whether the fit estimated a term of the baseline as zero, which is a cause as well.
     """
     causes = tuple(one for one in search.causes if not one.candidate.is_spline)
     off_list = tuple(one for one in search.causes if one.candidate.is_spline)
+    shows = max(after.train.normalised, after.held_out.normalised) > thresholds.AT_NOISE_FLOOR
     order = np.sort(remaining.gains)
+    kind = kinds.get(f"random_torque.{remaining.axis}")
+    least_Nm = thresholds.GUST_SHARE * kind.typical[kind.size[0]] if kind else math.inf
     gust = bool(
-        order[-1] > thresholds.GUST_MIN
+        shows
+        and order[-1] > thresholds.GUST_MIN
         and order[-2] < thresholds.GUST_BESIDE
+        and remaining.weather.gust_Nm[AXES.index(remaining.axis)] > least_Nm
         and not off_list
         and not remaining.dependences
     )
-    if off_list or remaining.dependences:
+    if shows and (off_list or remaining.dependences):
         return Verdict("unexplained", causes, off_list, False)
     if causes:
         unclear = any(ambiguous_with(one) for one in causes)
@@ -65,8 +93,9 @@ def ambiguous_with(found: Cause) -> list[str]:
 
 
 def confidence(found: Cause, unexplained: bool = False) -> float:
-    """How sure the name of a cause is, 0 to 1: how far it is ahead of nothing, of its closest alternative, and
-    whether the flights held out confirm it; less where something remains `unexplained` that it may imitate.
+    """How sure the name of a cause is, 0 to 1: how far it is ahead of nothing, of its closest alternative,
+    and whether the flights held out confirm it; less where something `unexplained` remains that it may
+    imitate.
     """
     margin = min(
         [

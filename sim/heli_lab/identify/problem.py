@@ -181,8 +181,8 @@ class Problem:
         return other
 
     def with_free(self, free: Sequence[FreeParameter]) -> Problem:
-        """Pose a problem of other free parameters for predictions alone: its kernel has no derivatives by them.
-        The parameters that a flight has of its own come after those that all flights share.
+        """Pose a problem of other free parameters for predictions alone: its kernel has no derivatives by
+        them. Parameters that a flight has of its own come after those that all flights share.
         """
         other = copy.copy(self)
         names = [quantity.name for quantity in self.model.parameters]

@@ -43,7 +43,7 @@ class Course:
     variance_rad2 : ndarray (n, 3)
         Variance of their quantisation errors.
     predicted, filtered : ndarray (n, 6)
-        Angles and rates at the beginning of each step, before and after its measurement is taken into account.
+        Angles and rates at the beginning of each step, before and after its measurement.
     windows : tuple of slice
         Steps of each part in free flight.
     """

@@ -43,7 +43,7 @@ _CONVERGED_NATS: Final = 0.02
 
 @dataclass(frozen=True)
 class _Blocks:
-    """A window in steps of a block; transition and the parts of the torques' input, one for each step in it."""
+    """A window in steps of a block: transition, and the torques' input by each step in it."""
 
     rows: Integers
     transition: Floats
@@ -95,7 +95,7 @@ class Filtered:
         parts = []
         for step in range(self.block):
             phi = one.Phi[rows + step]
-            transition = phi @ transition
+            transition = np.asarray(phi @ transition, float)
             parts = [phi @ part for part in parts]
             parts.append(one.Gamma[rows + step] @ one.by_torque[rows + step])
         return _Blocks(
@@ -151,9 +151,8 @@ class Filtered:
         """
         every = []
         for number, (one, (rates, angles)) in enumerate(zip(self.linears, signals, strict=True)):
-            if angles is None:
-                angles = np.zeros((one.rows, 3, rates.shape[2]))
-            every.append(self._over_blocks(number, -(one.Gamma @ rates), angles))
+            seen = np.zeros((one.rows, 3, rates.shape[2])) if angles is None else angles
+            every.append(self._over_blocks(number, -(one.Gamma @ rates), seen))
         return self.innovations(weather, every)[0]
 
     def moved(self, move: Floats) -> list[list[tuple[Floats, Floats]]]:
@@ -345,7 +344,7 @@ class _Ascent:
         return _Point(theta, weather, filtered, move, covariance, value, float(after) - value)
 
     def begun(self, theta: Floats, weather: Weather | None) -> _Point:
-        """Where to begin: without weather it is estimated at once, the parameters following to first order."""
+        """Where to begin; without weather it is estimated at once, parameters following to first order."""
         filtered = self.linearised(theta)
         point = self.at(theta, weather or Weather.start(), filtered)
         if weather is None:

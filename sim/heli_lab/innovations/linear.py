@@ -12,6 +12,7 @@ enters as w does.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Final
 
@@ -91,14 +92,13 @@ class ModelFunctions:
         if count not in self.integrators:
             self.integrators[count] = self.step.mapaccum("integrated", count * substeps)
         h = trajectory.step_s / substeps
+        late_s = h * (np.tile(np.arange(substeps), count) - substeps / 2)
         parameters = trajectory.parameters
         result = self.integrators[count](
             np.zeros(self.own_states),
             np.repeat(trajectory.state[:, :6], substeps, axis=0).T,
             np.repeat(trajectory.volts_V, substeps, axis=0).T,
-            (np.repeat(trajectory.t_s, substeps) + h * (np.tile(np.arange(substeps), count) - substeps / 2))[
-                None
-            ],
+            (np.repeat(trajectory.t_s, substeps) + late_s)[None],
             np.broadcast_to(parameters[:, None], (len(parameters), count * substeps)),
             np.full((1, count * substeps), h),
         )
@@ -195,4 +195,4 @@ class Linear:
         self.variance_rad2: Floats = course.variance_rad2[rows]
         lengths = [one.stop - one.start for one in course.windows]
         edges = np.concatenate(([0], np.cumsum(lengths))).astype(int)
-        self.windows = [slice(int(low), int(high)) for low, high in zip(edges[:-1], edges[1:], strict=True)]
+        self.windows = [slice(int(low), int(high)) for low, high in itertools.pairwise(edges)]

@@ -28,7 +28,7 @@ _DIFFERENCE: Final = 0.03
 _LONGEST_MOVE: Final = 1.2
 """Most that a logarithm moves at once."""
 _FLAT: Final = 0.5
-"""Least curvature, nats for a change by the factor e, that a step trusts: below it the number hardly matters."""
+"""Least curvature, nats for a change by the factor e, that a step trusts: below it the number is open."""
 _MOVES: Final = 25
 _CONVERGED_NATS: Final = 0.02
 

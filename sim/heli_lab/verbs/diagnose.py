@@ -44,8 +44,9 @@ def diagnose(
     """Show what a model gets wrong in flights, name the cause, extend the model, measure the gain.
 
     The baseline is refitted first. Every effect of the catalogue is scored; one is named if its
-    log-likelihood ratio exceeds its penalty; the flights given with --validate have no part in that, they judge
-    it. What chance alone makes is weather; what can be foretold and no effect explains is `unexplained`.
+    log-likelihood ratio exceeds its penalty; the flights given with --validate have no part in that, they
+    judge it. What chance alone makes is weather; what can be foretold and no effect explains is
+    `unexplained`.
 
     Example: `heli-host diagnose a.mcap --validate b.mcap --rig makki2024 --report why --out extended.toml`
     """
