@@ -119,7 +119,7 @@ def test_other_thrust_effects_act_on_what_the_speed_gives(effect: str, factor: V
 
 @pytest.mark.medium
 def test_a_fit_keeps_voltages_in_the_dead_zone_where_the_rotors_push_there() -> None:
-    t_s: Vector = np.arange(6000) * 1e-3
+    t_s = np.linspace(0.0, 5.999, 6000, dtype=np.float64)
     volts_V = np.column_stack((0.5 + 1.5 * (t_s % 0.2 < 0.1), 2.0 + 0.1 * np.sin(t_s)))
     wavy = 0.1 * np.column_stack((np.sin(t_s), np.cos(t_s), np.sin(2 * t_s)))
     flight = Flight(t_s, *volts_V.T, *wavy.T)
