@@ -59,7 +59,7 @@ def test_gusts_differ_between_flights_and_everything_else_is_the_same() -> None:
     first, second = (case.hidden(number)[0] for number in (0, 1))
     assert isinstance(first, RandomTorque)
     assert first.truth == second.truth
-    moments = [Moment(0.0, 0.0, *(np.zeros(n) for n in (2, 2, 3, 3))) for _ in range(2)]
+    moments = [Moment(0.0, 0.0, np.zeros(2), np.zeros(2), np.zeros(3), np.zeros(3)) for _ in range(2)]
     for one, at in zip((first, second), moments, strict=True):
         one.torque(at)
     assert moments[0].torque_Nm[1] != moments[1].torque_Nm[1]
