@@ -53,7 +53,7 @@ def hidden_in(case: Case, motors_on_s: float) -> tuple[Hidden, ...]:
     tuple of Hidden
         One for each effect of the catalogue.
     """
-    return tuple(_translated(id_, numbers, motors_on_s) for id_, numbers in case.truth().items())
+    return tuple(translated(id_, numbers, motors_on_s) for id_, numbers in case.truth().items())
 
 
 def of_parts(id_: str, parameters: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -81,7 +81,18 @@ def of_parts(id_: str, parameters: Mapping[str, Any]) -> dict[str, dict[str, Any
     }
 
 
-def _translated(id_: str, of: Numbers, motors_on_s: float) -> Hidden:
+def translated(id_: str, of: Numbers, motors_on_s: float) -> Hidden:
+    """Translate one effect.
+
+    Parameters
+    ----------
+    id_ : str
+        The effect.
+    of : Mapping[str, float]
+        The generator's numbers, ``size`` among them.
+    motors_on_s : float
+        As for `hidden_in`.
+    """
     kind, _, _ = id_.partition(".")
     prefix = id_.replace(".", "_")
     scalars = _SAME[kind](of) if kind in _SAME else {}
