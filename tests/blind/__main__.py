@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import fnmatch
 import json
+import os
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -18,7 +19,7 @@ from tests.blind.cases import Case, every_case
 from tests.blind.goals import further, goals
 from tests.blind.judge import Row
 from tests.blind.reliability import draw, reliability
-from tests.blind.run import BUDGET_s, run
+from tests.blind.run import BUDGET_s, run, seen
 from tests.blind.summary import confusion, text
 from tests.blind.weather_cases import weather_cases
 
@@ -47,6 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--processes", type=int, default=_PROCESSES)
     parser.add_argument("--json", type=Path, default=Path("blind.json"))
     parser.add_argument("--read", action="store_true", help="run nothing, tell what the JSON file holds")
+    parser.add_argument("--flights", action="store_true", help="only fly, and tell what can be seen")
     given = parser.parse_args(arguments)
     if given.read:
         return _read(given)
@@ -54,6 +56,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not cases:
         print(f"no case is called {', '.join(given.only)}; cases.py and weather_cases.py have their names")
         return 2
+    # Two cases at once share out the cores; threads of the libraries would take one from the other.
+    for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(threads, "1")
+    if given.flights:
+        return _flown(cases, given)
     rows: list[Row] = []
     for row in _told(_done(cases, given), len(cases)):
         rows = sorted((*rows, row), key=lambda one: one.case)
@@ -79,6 +86,18 @@ def _read(given: argparse.Namespace) -> int:
         return 2
     rows = [Row.read(one) for one in kept if _wanted_name(one["case"], given.only)]
     print(text(rows))
+    return 0
+
+
+def _flown(cases: Sequence[Case], given: argparse.Namespace) -> int:
+    """Make all flights, and tell by how much each cause stands out."""
+    with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
+        jobs = [pool.submit(seen, case, given.folder, given.keep) for case in cases]
+        for case, job in zip(cases, jobs, strict=True):
+            causes = ", ".join(
+                f"{name} {'-' if z is None else f'{z:.1f}'}" for name, z in job.result().items()
+            )
+            print(f"{case.name}: {causes or 'nothing'}", flush=True)
     return 0
 
 

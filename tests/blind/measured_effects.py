@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.blind.hidden import Maker, On, SpinningRotors
+from tests.blind.hidden import Maker, SpinningRotors
 from tests.blind.mujoco_rig import STEP_S, Hidden, Moment
 
 
@@ -47,23 +47,18 @@ class SupplyFade(Hidden):
         at.volts_V = at.volts_V * (1.0 - self.size * at.flight_s / 60.0)
 
 
-class AxisDrag(Hidden):
-    """Size: torque against an axis at 1 rad/s, which goes with the square of its rate."""
-
-    def __init__(self, size: float, rng: np.random.Generator, axis: int) -> None:
-        super().__init__(size, rng)
-        self._axis = axis
+class PitchDrag(Hidden):
+    """Size: torque against pitch at 1 rad/s, which goes with the square of its rate."""
 
     def torque(self, at: Moment) -> None:
-        rate = at.rates_rad_s[self._axis]
-        at.torque_Nm[self._axis] -= self.size * rate * abs(rate)
+        rate = at.rates_rad_s[1]
+        at.torque_Nm[1] -= self.size * rate * abs(rate)
 
 
 MEASURED_EFFECTS: dict[str, tuple[Maker, float]] = {
     "rotor_speed_lag": (SpeedLag, 0.11),
     "flywheel": (Flywheels, 0.015),
     "supply_fade": (SupplyFade, 0.08),
-    "elevation_drag_quadratic": (On(AxisDrag, 0), 0.5),
-    "pitch_drag_quadratic": (On(AxisDrag, 1), 0.08),
+    "pitch_drag_quadratic": (PitchDrag, 0.08),
 }
 """Maker of each, and its typical size."""

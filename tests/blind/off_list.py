@@ -211,17 +211,17 @@ class ThrustByPlace(Hidden):
 IN_WEATHER: dict[str, tuple[Callable[[float, np.random.Generator], Hidden], float]] = {
     "elevation_by_twice_travel": (TwiceAround, 0.06),
     "pitch_by_elevation": (PitchByElevation, 0.1),
-    "elevation_by_travel_rate": (LiftByTravel, 0.1),
+    "elevation_by_travel_rate": (LiftByTravel, 0.2),
     "travel_by_elevation": (TravelByElevation, 0.2),
-    "pitch_by_travel": (PitchByTravel, 0.02),
-    "travel_by_pitch_rate": (TravelByPitchRate, 0.05),
-    "elevation_by_pitch_squared": (SinkByPitch, 0.8),
-    "thrust_by_travel": (ThrustByPlace, 0.06),
-    "draught": (Draught, 0.06),
-    "stiff_bearing": (StiffBearing, 0.15),
+    "pitch_by_travel": (PitchByTravel, 0.03),
+    "travel_by_pitch_rate": (TravelByPitchRate, 0.12),
+    "elevation_by_pitch_squared": (SinkByPitch, 2.0),
+    "thrust_by_travel": (ThrustByPlace, 0.12),
+    "draught": (Draught, 0.08),
+    "stiff_bearing": (StiffBearing, 0.25),
     "bumpy_pitch": (BumpyPitch, 0.02),
-    "wake_on_travel": (WakeOnTravel, 0.4),
-    "hysteretic_thrust": (HystereticThrust, 0.3),
+    "wake_on_travel": (WakeOnTravel, 0.8),
+    "hysteretic_thrust": (HystereticThrust, 0.2),
 }
 """What is hidden in weather, at sizes for a draughty room.
 

@@ -6,7 +6,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from tests.blind.judge import Row, judged
 from tests.blind.oracle import Told, tell
 from tests.blind.truth import hidden_in
 from tests.blind.visibility import visibility
-from tests.blind.weather_cases import WeatherCase
+from tests.blind.weather_case import WeatherCase
 from tests.running.clock import spent_s
 
 BUDGET_s = 600.0
@@ -38,11 +38,38 @@ _ENGINE = (
 _CLEAN = (*_ENGINE, _HERE / "flights.py")
 _WINDY = (
     *_ENGINE,
-    *(_HERE / name for name in ("measured_effects.py", "weather.py", "tracking.py", "weather_cases.py")),
+    *(_HERE / name for name in ("measured_effects.py", "weather.py", "tracking.py", "weather_case.py")),
 )
 _ORACLE = (_HERE / "oracle.py", _HERE / "truth.py")
-_VISIBILITY = (*_WINDY, *(_HERE / name for name in ("course.py", "replay.py", "visibility.py")))
+_VISIBILITY = tuple(_HERE / name for name in ("course.py", "replay.py", "visibility.py"))
+_PAGE = ("figures.py", "report.py")
+_ASKED = tuple(
+    path
+    for room in (_LAB / "diagnose", _LAB / "identify", _SIM / "model", _SIM / "compiled", _SIM / "rig")
+    for path in sorted(room.rglob("*"))
+    if path.suffix in (".py", ".toml", ".hpp", ".cpp") and path.name not in _PAGE
+)
+"""What an answer is made by: all but the page that draws it."""
 _PAPER = "makki2024"
+
+
+@dataclass(frozen=True)
+class Ready:
+    """A case's flights, and what can be seen in them.
+
+    Parameters
+    ----------
+    flights : tuple of Flight
+        The flight to fit and the one to hold out.
+    rig : Rig
+        What is known of the rig beforehand.
+    told : Told or dict of float
+        The fit that was told the answer; in weather, standard deviations of each cause above it.
+    """
+
+    flights: tuple[Flight, Flight]
+    rig: Rig
+    told: Told | dict[str, float]
 
 
 def run(case: Case, folder: Path, *, keep: bool = False, budget_s: float = BUDGET_s) -> Row:
@@ -64,39 +91,72 @@ def run(case: Case, folder: Path, *, keep: bool = False, budget_s: float = BUDGE
     Row
         The judgement.
     """
-    place = folder / case.name
-    place.mkdir(parents=True, exist_ok=True)
-    windy = isinstance(case, WeatherCase)
-    made_by = _digest(repr(case), _WINDY if windy else _CLEAN)
-    mark = place / "made_by.txt"
-    if not keep and not (mark.exists() and mark.read_text() == made_by):
-        for old in place.iterdir():
-            old.unlink()
-    paths = case.flights(folder)
-    if not mark.exists():
-        mark.write_text(made_by)
-    flights = read_flight(paths[0]), read_flight(paths[1])
-    rig = load_rig(case.rig_name if isinstance(case, WeatherCase) else _PAPER)
-    hidden = hidden_in(case, _motors_on_s(flights[0], rig))
-    told: Told | dict[str, float]
-    if isinstance(case, WeatherCase):
-        seen = _digest(repr(case), _VISIBILITY)
-        told = _kept(place / "visibility.json", seen, keep, lambda: dict(visibility(case)))
-    else:
-        fits = _digest("", (*_ORACLE, *_sources(_LAB / "identify"), *_sources(_SIM / "model")))
-        told = Told(**_kept(place / "told.json", fits, keep, lambda: asdict(tell(rig, flights, hidden))))
-    all_of_it = _digest("", [*_sources(_LAB), *_sources(_SIM / "model"), *_sources(_SIM / "rig")])
-    answer = _kept(place / "diagnosis.json", all_of_it, keep, lambda: asked(rig, flights, budget_s))
+    ready = prepare(case, folder, keep=keep)
+    code = _digest("", _ASKED)
+    place = folder / case.name / "diagnosis.json"
+    answer = _kept(place, code, keep, lambda: asked(ready.rig, ready.flights, budget_s))
     return judged(
         case,
-        hidden,
-        told,
+        hidden_in(case, _motors_on_s(ready.flights[0], ready.rig)),
+        ready.told,
         answer["result"],
         answer["seconds"],
         answer["failure"],
         cpu_seconds=answer["cpu_seconds"],
         weather=_conditions(case) if isinstance(case, WeatherCase) else {},
     )
+
+
+def prepare(case: Case, folder: Path, *, keep: bool = False) -> Ready:
+    """Make the flights of a case, and find out what can be seen in them.
+
+    Parameters
+    ----------
+    case : Case
+        The case.
+    folder : Path
+        Where both are kept.
+    keep : bool
+        Take what is there, whatever code it was made with.
+    """
+    place = folder / case.name
+    place.mkdir(parents=True, exist_ok=True)
+    made_by = _digest(repr(case), _WINDY if isinstance(case, WeatherCase) else _CLEAN)
+    mark = place / "made_by.txt"
+    current = mark.exists() and mark.read_text() == made_by
+    if not current and not (keep and any(place.iterdir())):
+        for old in place.iterdir():
+            old.unlink()
+        # Before the flights: each of them is whole or not there, and an interrupted run keeps the first.
+        mark.write_text(made_by)
+    paths = case.flights(folder)
+    flights = read_flight(paths[0]), read_flight(paths[1])
+    rig = load_rig(case.rig_name if isinstance(case, WeatherCase) else _PAPER)
+    if isinstance(case, WeatherCase):
+        code = _digest(made_by, _VISIBILITY)
+        plain = _kept(place / "visibility.json", code, keep, lambda: dict(visibility(case)))
+        return Ready(flights, rig, plain)
+    # What is hidden does not change with the laboratory: an edit there does not ask for 127 fits again.
+    hidden = hidden_in(case, _motors_on_s(flights[0], rig))
+    code = _digest(made_by, _ORACLE)
+    told = _kept(place / "told.json", code, keep, lambda: asdict(tell(rig, flights, hidden)))
+    return Ready(flights, rig, Told(**told))
+
+
+def seen(case: Case, folder: Path, keep: bool) -> dict[str, float | None]:
+    """By how many standard deviations each cause of a case stands out; None where no number can say.
+
+    Parameters
+    ----------
+    case : Case
+        The case.
+    folder : Path
+        Where flights are kept.
+    keep : bool
+        Take what is there, whatever code it was made with.
+    """
+    told = prepare(case, folder, keep=keep).told
+    return told.significance if isinstance(told, Told) else dict(told)
 
 
 def diagnosed(rig: Rig, flights: tuple[Flight, Flight], budget_s: float = BUDGET_s) -> dict[str, Any]:
@@ -184,10 +244,6 @@ def _kept(path: Path, made_by: str, keep: bool, make: Callable[[], dict[str, Any
     unfinished.write_text(json.dumps({"made_by": made_by, "what": what}, indent=1, default=float))
     unfinished.rename(path)
     return what
-
-
-def _sources(room: Path) -> list[Path]:
-    return sorted(path for path in room.rglob("*") if path.suffix in (".py", ".toml", ".hpp", ".cpp", ".c"))
 
 
 def _digest(text: str, files: Iterable[Path]) -> str:

@@ -151,7 +151,7 @@ _SAME: Mapping[str, Callable[[Numbers], dict[str, float]]] = {
     "ground_effect": _ground,
     "coulomb_friction": lambda of: {"Nm": of["size"]},
     **dict.fromkeys(
-        ("elevation_drag_quadratic", "pitch_drag_quadratic", "travel_drag_quadratic"),
+        ("pitch_drag_quadratic", "travel_drag_quadratic"),
         lambda of: {"Nms2": of["size"]},
     ),
     "rotor_speed_lag": lambda of: {"s": of["size"]},

@@ -23,7 +23,7 @@ from tests.blind.course import Course
 from tests.blind.mujoco_rig import Floats
 from tests.blind.replay import FINE, GRID_S, Forces, Rebuilt, inertia_kg_m2, pushes, steps
 from tests.blind.weather import Weather
-from tests.blind.weather_cases import WeatherCase
+from tests.blind.weather_case import WeatherCase
 
 _SMALL = 1e-4
 _START_RAD, _START_RAD_S = 0.02, 0.2

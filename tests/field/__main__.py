@@ -12,10 +12,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from heli_sim.rig import load_rig
-
-from tests.blind.run import BUDGET_s, asked
-from tests.field.cases import DATA, NO_DATA, RIG, Case, cases, judged
+from tests.blind.run import BUDGET_s
+from tests.field.cases import DATA, NO_DATA, Case, ask, cases, judged
 
 
 def main(arguments: Sequence[str] | None = None, data: Path = DATA) -> int:
@@ -62,19 +60,6 @@ def main(arguments: Sequence[str] | None = None, data: Path = DATA) -> int:
                 given.json.write_text(json.dumps(answers, indent=1, default=float) + "\n")
     print(f"\n{right} of {len(chosen)} right, {spent_s:.0f} s of CPU")
     return 0 if right == len(chosen) else 1
-
-
-def ask(case: Case, budget_s: float) -> dict[str, Any]:
-    """Have a case diagnosed.
-
-    Parameters
-    ----------
-    case : Case
-        The case.
-    budget_s : float
-        Most seconds for the search.
-    """
-    return asked(load_rig(RIG), case.flights(), budget_s)
 
 
 def _wanted(case: Case, patterns: Sequence[str]) -> bool:

@@ -12,8 +12,10 @@ from typing import Any, Final
 
 from heli_host.flight import Flight
 from heli_host.log.flight_file import read_flight
+from heli_sim.rig import load_rig
 
 from tests.blind.judge import CHANCE
+from tests.blind.run import asked
 from tests.blind.truth import PARTS, Numbers, of_parts, translated
 
 DATA: Final = Path(__file__).resolve().parents[3] / "shared" / "data"
@@ -174,6 +176,19 @@ def read(path: Path) -> Case:
     text = path.read_text()
     sizes = {name: float(value) for name, value in _NUMBER.findall(text)}
     return Case(path.parent, tuple(tomllib.loads(text)["hidden"]), sizes)
+
+
+def ask(case: Case, budget_s: float) -> dict[str, Any]:
+    """Have a case diagnosed.
+
+    Parameters
+    ----------
+    case : Case
+        The case.
+    budget_s : float
+        Most seconds for the search.
+    """
+    return asked(load_rig(RIG), case.flights(), budget_s)
 
 
 def judged(case: Case, answer: Mapping[str, Any]) -> Judged:
