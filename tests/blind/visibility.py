@@ -6,7 +6,8 @@ memory, drift) and the encoders' counts turns the effect, and what each other nu
 innovations of unit variance. What remains of the effect's innovations, when the other numbers have imitated
 what they can within what is known of them, and the other causes all that they can, is a number of standard
 deviations: the square root of twice the logarithm of the likelihood ratio that a test finds which knows all
-but the sizes, from the flight to learn from alone.
+but the sizes, from the flight to learn from alone. The encoders' errors are taken for white; where an axis
+creeps over its counts they last longer.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def visibility(case: WeatherCase, duration_s: float = TRAIN_S) -> dict[str, floa
         return {}
     course = case.flown(0, duration_s)[1]
     rig = case.rig()
-    line = _Line(course, rig, case.weather)
+    line = Line(course, rig, case.weather)
     acting = Rebuilt(rig, case.hidden(0))
     forces = acting.forces(course)
     acceleration = acting.accelerations(course, forces)
@@ -82,10 +83,10 @@ def visibility(case: WeatherCase, duration_s: float = TRAIN_S) -> dict[str, floa
         causes.append(Pushes(line.torque(lost, FINE), forces.seen_rad - left.seen_rad))
     others = imitators(rig, course, forces, line)
     white = line.innovations([*causes, *others])
-    return {name: _remaining(white, i, len(causes)) for i, name in enumerate(names)}
+    return {name: line.remaining(white, i, len(causes)) for i, name in enumerate(names)}
 
 
-def imitators(rig: Rig, course: Course, forces: Forces, line: _Line) -> list[Pushes]:
+def imitators(rig: Rig, course: Course, forces: Forces, line: Line) -> list[Pushes]:
     """What each number of the rig does along a course when it is one standard deviation of its prior off.
 
     Parameters
@@ -96,7 +97,7 @@ def imitators(rig: Rig, course: Course, forces: Forces, line: _Line) -> list[Pus
         Where it flew.
     forces : Forces
         What acted.
-    line : _Line
+    line : Line
         The rig linearised about the course.
     """
     nothing = np.zeros((steps(course), 3))
@@ -129,7 +130,7 @@ def imitators(rig: Rig, course: Course, forces: Forces, line: _Line) -> list[Pus
     return found
 
 
-class _Line:
+class Line:
     """A rig linearised about a course, in its weather: the Kalman filter that whitens."""
 
     def __init__(self, course: Course, rig: Rig, weather: Weather) -> None:
@@ -178,6 +179,26 @@ class _Line:
             covariance = 0.5 * (covariance + covariance.T)
         return white.reshape(-1, len(pushes))
 
+    def remaining(self, white: Floats, which: int, causes: int) -> float:
+        """Length of one column of innovations beyond what all others imitate at the price of their priors.
+
+        Parameters
+        ----------
+        white : ndarray (rows, columns)
+            Of causes, then of numbers that are one standard deviation off.
+        which : int
+            The cause asked about.
+        causes : int
+            How many columns are causes.
+        """
+        column = white[:, which]
+        others = np.delete(white, which, axis=1)
+        others[:, : causes - 1] *= _OTHER_CAUSE
+        bent = others.T @ others + np.eye(others.shape[1])
+        toward = others.T @ column
+        left = column @ column - toward @ np.linalg.solve(bent, toward)
+        return math.sqrt(max(float(left), 0.0))
+
     def _step(self, k: int, gust_keeps: float, drift_keeps: float) -> tuple[Floats, Floats]:
         """Transition of a step, (12, 12), and what a torque within it does, (12, 3)."""
         h = GRID_S
@@ -203,16 +224,3 @@ def _jacobians(rig: Rig, course: Course, forces: Forces) -> Floats:
         moved = course.moved(i, _SMALL)
         found[:, :, i] = (plain.accelerations(moved, forces, FINE) - base) / _SMALL
     return found
-
-
-def _remaining(white: Floats, which: int, causes: int) -> float:
-    """Length of one column beyond what all others can imitate at the price of their priors."""
-    column = white[:, which]
-    others = np.delete(white, which, axis=1)
-    free = np.ones(others.shape[1])
-    free[: causes - 1] = _OTHER_CAUSE
-    others = others * free
-    bent = others.T @ others + np.eye(len(free))
-    toward = others.T @ column
-    left = column @ column - toward @ np.linalg.solve(bent, toward)
-    return math.sqrt(max(float(left), 0.0))
