@@ -1,22 +1,27 @@
-"""`make blind`: every case, told as it goes; then confusion table, calibration curve and goals."""
+"""`make blind`: every case, told as it goes; then confusion table, misses, reliability and goals."""
 
 from __future__ import annotations
 
 import argparse
 import fnmatch
 import json
+import os
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
+from itertools import zip_longest
 from multiprocessing import get_context
 from pathlib import Path
 
 from tests.blind.cases import Case, every_case
+from tests.blind.goals import further, goals
 from tests.blind.judge import Row
-from tests.blind.run import BUDGET_s, run
-from tests.blind.summary import calibration, confusion, goals, text
+from tests.blind.reliability import draw, reliability
+from tests.blind.run import BUDGET_s, run, seen
+from tests.blind.summary import confusion, text
+from tests.blind.weather_cases import weather_cases
 
 _PROCESSES = 2
 
@@ -42,23 +47,72 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--budget", type=float, default=BUDGET_s, help="most seconds for a search")
     parser.add_argument("--processes", type=int, default=_PROCESSES)
     parser.add_argument("--json", type=Path, default=Path("blind.json"))
+    parser.add_argument("--read", action="store_true", help="run nothing, tell what the JSON file holds")
+    parser.add_argument("--flights", action="store_true", help="only fly, and tell what can be seen")
     given = parser.parse_args(arguments)
-    cases = [case for case in every_case() if _wanted(case, given.only)][: given.first]
+    if given.read:
+        return _read(given)
+    cases = [case for case in _mixed() if _wanted(case, given.only)][: given.first]
     if not cases:
-        print(f"no case is called {', '.join(given.only)}; names are those of tests/blind/cases.py")
+        print(f"no case is called {', '.join(given.only)}; cases.py and weather_cases.py have their names")
         return 2
+    # Two cases at once share out the cores; threads of the libraries would take one from the other.
+    for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(threads, "1")
+    if given.flights:
+        return _flown(cases, given)
     rows: list[Row] = []
     for row in _told(_done(cases, given), len(cases)):
         rows = sorted((*rows, row), key=lambda one: one.case)
         # After each case, so that a run that is stopped leaves what it knows.
         given.json.write_text(json.dumps(_report(rows), indent=1) + "\n")
     print(text(rows))
-    print(f"\n{given.json} has all of it")
+    print(f"\n{given.json} has all of it, {_drawn(rows, given.json)} the reliability")
     return 0 if len(rows) == len(cases) else 1
 
 
+def _mixed() -> list[Case]:
+    """Clean cases and windy ones in turn, so that the first of them are a fair sample of all."""
+    both = zip_longest(every_case(), weather_cases())
+    return [case for pair in both for case in pair if case is not None]
+
+
+def _read(given: argparse.Namespace) -> int:
+    """Tell what an earlier run found, with the judging of today."""
+    try:
+        kept = json.loads(given.json.read_text())["cases"]
+    except FileNotFoundError:
+        print(f"{given.json} is not there; run without --read first")
+        return 2
+    rows = [Row.read(one) for one in kept if _wanted_name(one["case"], given.only)]
+    print(text(rows))
+    return 0
+
+
+def _flown(cases: Sequence[Case], given: argparse.Namespace) -> int:
+    """Make all flights, and tell by how much each cause stands out."""
+    with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
+        jobs = [pool.submit(seen, case, given.folder, given.keep) for case in cases]
+        for case, job in zip(cases, jobs, strict=True):
+            causes = ", ".join(
+                f"{name} {'-' if z is None else f'{z:.1f}'}" for name, z in job.result().items()
+            )
+            print(f"{case.name}: {causes or 'nothing'}", flush=True)
+    return 0
+
+
+def _drawn(rows: Sequence[Row], beside: Path) -> Path:
+    path = beside.with_suffix(".png")
+    draw(reliability(rows), path)
+    return path
+
+
+def _wanted_name(name: str, patterns: Sequence[str]) -> bool:
+    return not patterns or any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)
+
+
 def _wanted(case: Case, patterns: Sequence[str]) -> bool:
-    return not patterns or any(fnmatch.fnmatchcase(case.name, pattern) for pattern in patterns)
+    return _wanted_name(case.name, patterns)
 
 
 def _done(cases: Sequence[Case], given: argparse.Namespace) -> Iterator[tuple[Row | None, str]]:
@@ -97,15 +151,18 @@ def _told(done: Iterable[tuple[Row | None, str]], count: int) -> Iterator[Row]:
 def _report(rows: Sequence[Row]) -> dict[str, object]:
     return {
         "goals": goals(rows),
+        "further": further(rows),
+        "reliability": reliability(rows),
         "confusion": confusion(rows),
-        "calibration": calibration(rows),
         "cases": [
             {
                 **asdict(row),
                 "right": row.right,
-                "spurious": row.spurious,
+                "false_names": row.false_names,
+                "found": row.found,
                 "missed": row.missed,
                 "fair": row.fair,
+                "apart": row.apart,
             }
             for row in rows
         ],

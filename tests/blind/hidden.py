@@ -40,8 +40,7 @@ class InputDelay(Hidden):
 
 class ThrustQuadratic(Hidden):
     def thrust(self, at: Moment) -> None:
-        above_V = np.maximum(at.volts_V - 1.0, 0.0)
-        at.thrust_N = at.thrust_N * (1.0 + self.size * above_V)
+        at.thrust_N = at.thrust_N * (1.0 + self.size * np.abs(at.above_V))
 
 
 class ThrustAsymmetry(Hidden):
@@ -71,7 +70,7 @@ class SupplySag(Hidden):
     """A source with inner resistance: both motors' mean voltage lowers what either gets."""
 
     def volts(self, at: Moment) -> None:
-        at.volts_V = at.volts_V * (1.0 - self.size * at.volts_V.mean())
+        at.volts_V = at.volts_V * (1.0 - self.size * np.abs(at.volts_V).mean())
 
 
 class InflowDamping(Hidden):
@@ -299,7 +298,7 @@ Maker = Callable[[float, np.random.Generator], Hidden]
 
 
 @dataclass(frozen=True)
-class _On:
+class On:
     """Makes an effect at a place; a lambda could not be sent to another process."""
 
     kind: Callable[..., Hidden]
@@ -315,34 +314,34 @@ LISTED: dict[str, tuple[Maker, float, float]] = {
     "thrust_quadratic": (ThrustQuadratic, 0.06, 0.2),
     "thrust_asymmetry": (ThrustAsymmetry, 0.03, 0.1),
     "thrust_fade": (ThrustFade, 0.05, 0.15),
-    "thrust_step.front": (_On(ThrustStep, 0), 0.05, 0.15),
-    "thrust_step.back": (_On(ThrustStep, 1), 0.05, 0.15),
+    "thrust_step.front": (On(ThrustStep, 0), 0.05, 0.15),
+    "thrust_step.back": (On(ThrustStep, 1), 0.05, 0.15),
     "supply_sag": (SupplySag, 0.03, 0.08),
     "inflow_damping": (InflowDamping, 0.1, 0.3),
     "ground_effect": (GroundEffect, 0.1, 0.3),
     "rotor_reaction_torque": (ReactionTorque, 0.01, 0.03),
-    "coulomb_friction.elevation": (_On(Coulomb, 0), 0.02, 0.06),
-    "coulomb_friction.pitch": (_On(Coulomb, 1), 0.005, 0.02),
-    "coulomb_friction.travel": (_On(Coulomb, 2), 0.01, 0.03),
+    "coulomb_friction.elevation": (On(Coulomb, 0), 0.02, 0.06),
+    "coulomb_friction.pitch": (On(Coulomb, 1), 0.005, 0.02),
+    "coulomb_friction.travel": (On(Coulomb, 2), 0.01, 0.03),
     "travel_drag_quadratic": (QuadraticDrag, 0.05, 0.15),
-    "cable_spring.elevation": (_On(CableSpring, 0), 0.05, 0.2),
-    "cable_spring.travel": (_On(CableSpring, 2), 0.03, 0.1),
+    "cable_spring.elevation": (On(CableSpring, 0), 0.05, 0.2),
+    "cable_spring.travel": (On(CableSpring, 2), 0.03, 0.1),
     "axis_tilt": (AxisTilt, 1.0, 3.0),
     "counterweight_shift": (CounterweightShift, 0.003, 0.01),
-    "backlash.elevation": (_On(Backlash, 0), 0.3, 0.8),
-    "backlash.pitch": (_On(Backlash, 1), 0.3, 0.8),
-    "backlash.travel": (_On(Backlash, 2), 0.3, 0.8),
-    "encoder_eccentricity.elevation": (_On(Eccentricity, 0), 0.3, 0.8),
-    "encoder_eccentricity.pitch": (_On(Eccentricity, 1), 0.3, 0.8),
-    "encoder_eccentricity.travel": (_On(Eccentricity, 2), 0.8, 2.5),
-    "zero_offset.elevation": (_On(ZeroOffset, 0), 1.0, 3.0),
-    "zero_offset.pitch": (_On(ZeroOffset, 1), 1.0, 3.0),
-    "periodic_torque.elevation": (_On(PeriodicTorque, 0), 0.01, 0.05),
-    "periodic_torque.pitch": (_On(PeriodicTorque, 1), 0.003, 0.01),
-    "periodic_torque.travel": (_On(PeriodicTorque, 2), 0.01, 0.04),
-    "random_torque.elevation": (_On(RandomTorque, 0), 0.02, 0.08),
-    "random_torque.pitch": (_On(RandomTorque, 1), 0.004, 0.015),
-    "random_torque.travel": (_On(RandomTorque, 2), 0.015, 0.05),
+    "backlash.elevation": (On(Backlash, 0), 0.3, 0.8),
+    "backlash.pitch": (On(Backlash, 1), 0.3, 0.8),
+    "backlash.travel": (On(Backlash, 2), 0.3, 0.8),
+    "encoder_eccentricity.elevation": (On(Eccentricity, 0), 0.3, 0.8),
+    "encoder_eccentricity.pitch": (On(Eccentricity, 1), 0.3, 0.8),
+    "encoder_eccentricity.travel": (On(Eccentricity, 2), 0.8, 2.5),
+    "zero_offset.elevation": (On(ZeroOffset, 0), 1.0, 3.0),
+    "zero_offset.pitch": (On(ZeroOffset, 1), 1.0, 3.0),
+    "periodic_torque.elevation": (On(PeriodicTorque, 0), 0.01, 0.05),
+    "periodic_torque.pitch": (On(PeriodicTorque, 1), 0.003, 0.01),
+    "periodic_torque.travel": (On(PeriodicTorque, 2), 0.01, 0.04),
+    "random_torque.elevation": (On(RandomTorque, 0), 0.02, 0.08),
+    "random_torque.pitch": (On(RandomTorque, 1), 0.004, 0.015),
+    "random_torque.travel": (On(RandomTorque, 2), 0.015, 0.05),
 }
 """Maker, small and large size of each. Travel has no zero to be off: every place of it is as good."""
 
@@ -354,18 +353,18 @@ MORE_LISTED: dict[str, tuple[Maker, float, float]] = {
 
 OTHER_FORMS: dict[str, tuple[str, Maker, float]] = {
     "rotor_reaction_torque-opposed": ("rotor_reaction_torque", OpposedReactionTorque, 0.03),
-    "removed.friction.elevation-gone": ("removed.friction.elevation", _On(NoFriction, 0), 1.0),
-    "removed.friction.pitch-gone": ("removed.friction.pitch", _On(NoFriction, 1), 1.0),
-    "removed.friction.travel-gone": ("removed.friction.travel", _On(NoFriction, 2), 1.0),
+    "removed.friction.elevation-gone": ("removed.friction.elevation", On(NoFriction, 0), 1.0),
+    "removed.friction.pitch-gone": ("removed.friction.pitch", On(NoFriction, 1), 1.0),
+    "removed.friction.travel-gone": ("removed.friction.travel", On(NoFriction, 2), 1.0),
     "removed.dead_zone-gone": ("removed.dead_zone", NoDeadZone, 1.0),
     "removed.pendulum.elevation-gone": (
         "removed.pendulum.elevation",
-        _On(NoPendulum, ("long_arm", "counterweight", "body")),
+        On(NoPendulum, ("long_arm", "counterweight", "body")),
         1.0,
     ),
     "removed.pendulum.pitch-gone": (
         "removed.pendulum.pitch",
-        _On(NoPendulum, ("short_arm", "front_rotor", "back_rotor")),
+        On(NoPendulum, ("short_arm", "front_rotor", "back_rotor")),
         1.0,
     ),
 }

@@ -36,6 +36,10 @@ class Moment:
         Time since the motors first ran.
     volts_V : ndarray (2,)
         Voltages at the motors, front and back.
+    above_V : ndarray (2,)
+        Those beyond the dead zone, with their sign; known once the thrust is.
+    gain_N_per_V : float
+        Thrust for each volt beyond the dead zone, likewise.
     thrust_N : ndarray (2,)
         Thrust that they give.
     angles_rad, rates_rad_s : ndarray (3,)
@@ -54,6 +58,8 @@ class Moment:
     thrust_N: Floats
     angles_rad: Floats
     rates_rad_s: Floats
+    above_V: Floats = field(default_factory=lambda: np.zeros(2))
+    gain_N_per_V: float = 0.0
     torque_Nm: Floats = field(default_factory=lambda: np.zeros(3))
     up: Floats = field(default_factory=lambda: np.zeros(3))
     climb_m_s: Floats = field(default_factory=lambda: np.zeros(2))
@@ -129,6 +135,10 @@ class MujocoPlant:
         self._time_s = self._flight_s = 0.0
         self._let_go = False
         self._gain, self._dead_zone_V = rig["thrust_gain"].value, rig["dead_zone"].value
+        self._reverse = rig["reverse_thrust"].value
+        self._steady_Nm = np.array([rig[f"torque_{axis}"].value for axis in JOINTS])
+        zeros_deg = (rig["offset_elevation"].value, rig["offset_pitch"].value, 0.0)
+        self._zeros_rad = np.deg2rad(zeros_deg)
 
     def rest_state(self) -> Floats:
         """At rest on the table, (6,)."""
@@ -148,9 +158,23 @@ class MujocoPlant:
         """The millisecond for the world."""
         return _native.CallbackStep(self._step, 6, 1)
 
-    def _step(
-        self, state: list[float], volts_V: list[float], locked: list[float], parameters: list[float]
+    def millisecond(
+        self, state: Sequence[float], volts_V: Sequence[float]
     ) -> tuple[list[float], list[float]]:
+        """Let a millisecond pass.
+
+        Parameters
+        ----------
+        state : sequence of float
+            Elevation, pitch and travel in rad, then their rates in rad/s.
+        volts_V : sequence of float
+            Voltages of the front and the back motor.
+
+        Returns
+        -------
+        tuple of list of float
+            The state afterwards, and the angles that the encoders see, rad.
+        """
         data, volts = self.data, np.array(volts_V)
         data.qpos[self._q], data.qvel[self._v] = state[:3], state[3:]
         # The masses of Table 2 balance above the table; a hand holds the arm down until the motors run.
@@ -162,10 +186,55 @@ class MujocoPlant:
         angles, rates = data.qpos[self._q].copy(), data.qvel[self._v].copy()
         if angles[0] <= self._lowest_rad:
             angles[0], rates = self._lowest_rad, rates * np.array([0.0, 0.99, 0.99])
-        seen = angles
+        return [*angles, *rates], self.seen(angles).tolist()
+
+    def act(self, at: Moment) -> None:
+        """Let the motors and what is hidden act: thrusts and torques of a moment by its voltages."""
+        for one in self.hidden:
+            one.volts(at)
+        forward_V = np.maximum(at.volts_V - self._dead_zone_V, 0.0)
+        backward_V = np.maximum(-at.volts_V - self._dead_zone_V, 0.0)
+        at.above_V = forward_V - backward_V
+        at.gain_N_per_V = self._gain
+        at.thrust_N = self._gain * (forward_V - self._reverse * backward_V)
+        at.torque_Nm += self._steady_Nm
+        for one in self.hidden:
+            one.thrust(at)
+        for one in self.hidden:
+            one.torque(at)
+
+    def acceleration(
+        self, angles_rad: Floats, rates_rad_s: Floats, thrust_N: Floats, torque_Nm: Floats
+    ) -> Floats:
+        """Accelerations of the three axes where the rig is put, rad/s2, (3,).
+
+        Parameters
+        ----------
+        angles_rad, rates_rad_s : ndarray (3,)
+            Where it is put.
+        thrust_N : ndarray (2,)
+            Thrusts of the rotors.
+        torque_Nm : ndarray (3,)
+            Further torques about the axes.
+        """
+        data = self.data
+        data.qpos[self._q], data.qvel[self._v] = angles_rad, rates_rad_s
+        data.ctrl[:] = thrust_N
+        data.qfrc_applied[self._v] = torque_Nm
+        mujoco.mj_forward(self.physics, data)
+        return np.asarray(data.qacc[self._v])
+
+    def seen(self, angles_rad: Floats) -> Floats:
+        """What the encoders see of the arm's angles, (3,); once a millisecond, since play remembers."""
+        seen = angles_rad + self._zeros_rad
         for one in self.hidden:
             seen = one.measured(seen)
-        return [*angles, *rates], seen.tolist()
+        return seen
+
+    def _step(
+        self, state: list[float], volts_V: list[float], locked: list[float], parameters: list[float]
+    ) -> tuple[list[float], list[float]]:
+        return self.millisecond(state, volts_V)
 
     def _half(self, volts_V: Floats) -> None:
         data = self.data
@@ -188,13 +257,8 @@ class MujocoPlant:
             up=up,
             climb_m_s=climb,
         )
+        self.act(at)
         for one in self.hidden:
-            one.volts(at)
-        at.thrust_N = self._gain * np.maximum(at.volts_V - self._dead_zone_V, 0.0)
-        for one in self.hidden:
-            one.thrust(at)
-        for one in self.hidden:
-            one.torque(at)
             one.during(at, self.physics)
         data.ctrl[:] = at.thrust_N
         data.qfrc_applied[self._v] = at.torque_Nm

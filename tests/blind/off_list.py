@@ -138,3 +138,92 @@ MORE_OFF_LIST: dict[str, tuple[Callable[[float, np.random.Generator], Hidden], f
     "stick_slip": (StickSlip, 0.06),
 }
 """More of them; a list of its own, so that the cases of the others keep their seeds."""
+
+
+class TwiceAround(Hidden):
+    """A post that is no circle: the elevation's cable pulls up and down twice a revolution."""
+
+    def __init__(self, size: float, rng: np.random.Generator) -> None:
+        super().__init__(size, rng)
+        self._where_rad = rng.uniform(-0.4, 0.4)
+
+    def torque(self, at: Moment) -> None:
+        at.torque_Nm[0] += self.size * np.sin(2.0 * (at.angles_rad[2] - self._where_rad))
+
+
+class PitchByElevation(Hidden):
+    """A cable along the long arm turns the short one as the long one rises."""
+
+    def torque(self, at: Moment) -> None:
+        at.torque_Nm[1] += self.size * at.angles_rad[0]
+
+
+class LiftByTravel(Hidden):
+    """The arm is a wing: it lifts with the speed of travel, and sinks backwards."""
+
+    def torque(self, at: Moment) -> None:
+        at.torque_Nm[0] += self.size * at.rates_rad_s[2]
+
+
+class TravelByElevation(Hidden):
+    """A twisted arm: what rises goes around."""
+
+    def torque(self, at: Moment) -> None:
+        at.torque_Nm[2] += self.size * at.angles_rad[0]
+
+
+class PitchByTravel(Hidden):
+    """A cable from the ceiling turns the short arm by where the long one stands."""
+
+    def __init__(self, size: float, rng: np.random.Generator) -> None:
+        super().__init__(size, rng)
+        self._where_rad = rng.uniform(-0.5, 0.5)
+
+    def torque(self, at: Moment) -> None:
+        at.torque_Nm[1] += self.size * np.sin(at.angles_rad[2] - self._where_rad)
+
+
+class TravelByPitchRate(Hidden):
+    """Short arm and post geared by a cable: a turn of the one drags the other."""
+
+    def torque(self, at: Moment) -> None:
+        at.torque_Nm[2] += self.size * at.rates_rad_s[1]
+
+
+class SinkByPitch(Hidden):
+    """Wakes that meet the post: lift is lost with the square of pitch."""
+
+    def torque(self, at: Moment) -> None:
+        at.torque_Nm[0] -= self.size * at.angles_rad[1] ** 2
+
+
+class ThrustByPlace(Hidden):
+    """A wall on one side of the room: thrust depends on where the arm is."""
+
+    def __init__(self, size: float, rng: np.random.Generator) -> None:
+        super().__init__(size, rng)
+        self._where_rad = rng.uniform(-0.4, 0.4)
+
+    def thrust(self, at: Moment) -> None:
+        at.thrust_N = at.thrust_N * (1.0 + self.size * np.sin(at.angles_rad[2] - self._where_rad))
+
+
+IN_WEATHER: dict[str, tuple[Callable[[float, np.random.Generator], Hidden], float]] = {
+    "elevation_by_twice_travel": (TwiceAround, 0.06),
+    "pitch_by_elevation": (PitchByElevation, 0.1),
+    "elevation_by_travel_rate": (LiftByTravel, 0.2),
+    "travel_by_elevation": (TravelByElevation, 0.2),
+    "pitch_by_travel": (PitchByTravel, 0.03),
+    "travel_by_pitch_rate": (TravelByPitchRate, 0.12),
+    "elevation_by_pitch_squared": (SinkByPitch, 2.0),
+    "thrust_by_travel": (ThrustByPlace, 0.12),
+    "draught": (Draught, 0.08),
+    "stiff_bearing": (StiffBearing, 0.25),
+    "bumpy_pitch": (BumpyPitch, 0.02),
+    "wake_on_travel": (WakeOnTravel, 0.8),
+    "hysteretic_thrust": (HystereticThrust, 0.2),
+}
+"""What is hidden in weather, at sizes for a draughty room.
+
+Left out are what weather itself is (a thrust that wanders) and what has states of its own in MuJoCo (slosh).
+"""

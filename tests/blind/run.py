@@ -6,10 +6,11 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import heli_lab
 import heli_sim
 from heli_host.flight import Flight
 from heli_host.log.flight_file import read_flight
@@ -22,18 +23,53 @@ from tests.blind.cases import Case
 from tests.blind.judge import Row, judged
 from tests.blind.oracle import Told, tell
 from tests.blind.truth import hidden_in
+from tests.blind.visibility import visibility
+from tests.blind.weather_case import WeatherCase
+from tests.running.clock import spent_s
 
 BUDGET_s = 600.0
 """As the command line has it."""
-_SIM = Path(heli_sim.__file__).parent
-_GENERATOR = (
-    Path(__file__).parent.with_name("mujoco_rig.py"),
-    *(
-        Path(__file__).with_name(name)
-        for name in ("mujoco_rig.py", "hidden.py", "off_list.py", "flights.py", "cases.py")
-    ),
+_HERE = Path(__file__).parent
+_SIM, _LAB = Path(heli_sim.__file__).parent, Path(heli_lab.__file__).parent
+_ENGINE = (
+    _HERE.with_name("mujoco_rig.py"),
+    *(_HERE / name for name in ("mujoco_rig.py", "hidden.py", "off_list.py", "cases.py")),
 )
-_ORACLE = (Path(__file__).with_name("oracle.py"), Path(__file__).with_name("truth.py"))
+_CLEAN = (*_ENGINE, _HERE / "flights.py")
+_WINDY = (
+    *_ENGINE,
+    *(_HERE / name for name in ("measured_effects.py", "weather.py", "tracking.py", "weather_case.py")),
+)
+_ORACLE = (_HERE / "oracle.py", _HERE / "truth.py")
+_VISIBILITY = tuple(_HERE / name for name in ("course.py", "replay.py", "visibility.py"))
+_PAGE = ("figures.py", "report.py")
+_ASKED = tuple(
+    path
+    for room in (_LAB / "diagnose", _LAB / "identify", _SIM / "model", _SIM / "compiled", _SIM / "rig")
+    for path in sorted(room.rglob("*"))
+    if path.suffix in (".py", ".toml", ".hpp", ".cpp") and path.name not in _PAGE
+)
+"""What an answer is made by: all but the page that draws it."""
+_PAPER = "makki2024"
+
+
+@dataclass(frozen=True)
+class Ready:
+    """A case's flights, and what can be seen in them.
+
+    Parameters
+    ----------
+    flights : tuple of Flight
+        The flight to fit and the one to hold out.
+    rig : Rig
+        What is known of the rig beforehand.
+    told : Told or dict of float
+        The fit that was told the answer; in weather, standard deviations of each cause above it.
+    """
+
+    flights: tuple[Flight, Flight]
+    rig: Rig
+    told: Told | dict[str, float]
 
 
 def run(case: Case, folder: Path, *, keep: bool = False, budget_s: float = BUDGET_s) -> Row:
@@ -55,24 +91,72 @@ def run(case: Case, folder: Path, *, keep: bool = False, budget_s: float = BUDGE
     Row
         The judgement.
     """
+    ready = prepare(case, folder, keep=keep)
+    code = _digest("", _ASKED)
+    place = folder / case.name / "diagnosis.json"
+    answer = _kept(place, code, keep, lambda: asked(ready.rig, ready.flights, budget_s))
+    return judged(
+        case,
+        hidden_in(case, _motors_on_s(ready.flights[0], ready.rig)),
+        ready.told,
+        answer["result"],
+        answer["seconds"],
+        answer["failure"],
+        cpu_seconds=answer["cpu_seconds"],
+        weather=_conditions(case) if isinstance(case, WeatherCase) else {},
+    )
+
+
+def prepare(case: Case, folder: Path, *, keep: bool = False) -> Ready:
+    """Make the flights of a case, and find out what can be seen in them.
+
+    Parameters
+    ----------
+    case : Case
+        The case.
+    folder : Path
+        Where both are kept.
+    keep : bool
+        Take what is there, whatever code it was made with.
+    """
     place = folder / case.name
     place.mkdir(parents=True, exist_ok=True)
-    made_by = _digest(repr(case), _GENERATOR)
+    made_by = _digest(repr(case), _WINDY if isinstance(case, WeatherCase) else _CLEAN)
     mark = place / "made_by.txt"
-    if not keep and not (mark.exists() and mark.read_text() == made_by):
+    current = mark.exists() and mark.read_text() == made_by
+    if not current and not (keep and any(place.iterdir())):
         for old in place.iterdir():
             old.unlink()
-    paths = case.flights(folder)
-    if not mark.exists():
+        # Before the flights: each of them is whole or not there, and an interrupted run keeps the first.
         mark.write_text(made_by)
+    paths = case.flights(folder)
     flights = read_flight(paths[0]), read_flight(paths[1])
-    rig = load_rig("makki2024")
+    rig = load_rig(case.rig_name if isinstance(case, WeatherCase) else _PAPER)
+    if isinstance(case, WeatherCase):
+        code = _digest(made_by, _VISIBILITY)
+        plain = _kept(place / "visibility.json", code, keep, lambda: dict(visibility(case)))
+        return Ready(flights, rig, plain)
+    # What is hidden does not change with the laboratory: an edit there does not ask for 127 fits again.
     hidden = hidden_in(case, _motors_on_s(flights[0], rig))
-    fits = _digest("", (*_ORACLE, *_sources("identify"), *_sources("model")))
-    told = Told(**_kept(place / "told.json", fits, keep, lambda: asdict(tell(rig, flights, hidden))))
-    all_of_it = _digest("", [*_sources("diagnose"), *_sources("identify"), *_sources("model")])
-    answer = _kept(place / "diagnosis.json", all_of_it, keep, lambda: _asked(rig, flights, budget_s))
-    return judged(case, hidden, told, answer["result"], answer["seconds"], answer["failure"])
+    code = _digest(made_by, _ORACLE)
+    told = _kept(place / "told.json", code, keep, lambda: asdict(tell(rig, flights, hidden)))
+    return Ready(flights, rig, Told(**told))
+
+
+def seen(case: Case, folder: Path, keep: bool) -> dict[str, float | None]:
+    """By how many standard deviations each cause of a case stands out; None where no number can say.
+
+    Parameters
+    ----------
+    case : Case
+        The case.
+    folder : Path
+        Where flights are kept.
+    keep : bool
+        Take what is there, whatever code it was made with.
+    """
+    told = prepare(case, folder, keep=keep).told
+    return told.significance if isinstance(told, Told) else dict(told)
 
 
 def diagnosed(rig: Rig, flights: tuple[Flight, Flight], budget_s: float = BUDGET_s) -> dict[str, Any]:
@@ -97,15 +181,49 @@ def diagnosed(rig: Rig, flights: tuple[Flight, Flight], budget_s: float = BUDGET
     return to_json(found)
 
 
-def _asked(rig: Rig, flights: tuple[Flight, Flight], budget_s: float) -> dict[str, Any]:
-    started_s = time.perf_counter()
+def asked(rig: Rig, flights: tuple[Flight, Flight], budget_s: float = BUDGET_s) -> dict[str, Any]:
+    """Ask the diagnosis, and take the time.
+
+    Parameters
+    ----------
+    rig : Rig
+        Nominal numbers.
+    flights : tuple of Flight
+        The flight to fit and the one to hold out.
+    budget_s : float
+        Most time for the search.
+
+    Returns
+    -------
+    dict
+        ``result``, its JSON or None; ``failure``, the error that ended it; ``seconds`` and ``cpu_seconds``.
+    """
+    started_s, worked_s = time.perf_counter(), spent_s()
     result, failure = None, ""
     try:
         result = diagnosed(rig, flights, budget_s)
     except (SimError, ArithmeticError, LookupError, TypeError, ValueError) as error:
         # One case that dies must not end the night's run; it counts as a miss and is said.
         failure = f"{type(error).__name__}: {error}"
-    return {"result": result, "failure": failure, "seconds": time.perf_counter() - started_s}
+    return {
+        "result": result,
+        "failure": failure,
+        "seconds": time.perf_counter() - started_s,
+        "cpu_seconds": spent_s() - worked_s,
+    }
+
+
+def _conditions(case: WeatherCase) -> dict[str, Any]:
+    of = case.weather
+    return {
+        "rig": case.rig_name,
+        "rate_Hz": case.rate_Hz,
+        "gentle": case.gentle,
+        "controller": case.controller,
+        "gusts_Nm": list(of.gusts_Nm),
+        "memory_s": of.memory_s,
+        "drift_Nm": list(of.drift_Nm),
+    }
 
 
 def _motors_on_s(flight: Flight, rig: Rig) -> float:
@@ -126,10 +244,6 @@ def _kept(path: Path, made_by: str, keep: bool, make: Callable[[], dict[str, Any
     unfinished.write_text(json.dumps({"made_by": made_by, "what": what}, indent=1, default=float))
     unfinished.rename(path)
     return what
-
-
-def _sources(room: str) -> list[Path]:
-    return sorted((_SIM / room).rglob("*.py"))
 
 
 def _digest(text: str, files: Iterable[Path]) -> str:

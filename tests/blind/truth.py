@@ -5,10 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from tests.blind.cases import Case
 
 Numbers = Mapping[str, float]
+
+PARTS: Mapping[str, tuple[str, ...]] = {"rotor_lag_with_delay": ("rotor_lag", "input_delay")}
+"""Effects of the catalogue that are several in one; the generator hides those beside each other."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +53,46 @@ def hidden_in(case: Case, motors_on_s: float) -> tuple[Hidden, ...]:
     tuple of Hidden
         One for each effect of the catalogue.
     """
-    return tuple(_translated(id_, numbers, motors_on_s) for id_, numbers in case.truth().items())
+    return tuple(translated(id_, numbers, motors_on_s) for id_, numbers in case.truth().items())
 
 
-def _translated(id_: str, of: Numbers, motors_on_s: float) -> Hidden:
+def of_parts(id_: str, parameters: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Take a cause apart that is several in one.
+
+    Parameters
+    ----------
+    id_ : str
+        The effect.
+    parameters : Mapping[str, Any]
+        What was found of it by full name.
+
+    Returns
+    -------
+    dict of dict
+        By part and that part's own full names; of any other effect, itself.
+    """
+    if id_ not in PARTS:
+        return {id_: dict(parameters)}
+    of = {"rotor_lag": "lag_s", "input_delay": "delay_s"}
+    return {
+        part: {f"{part}_s": parameters[f"{id_}_{of[part]}"]}
+        for part in PARTS[id_]
+        if f"{id_}_{of[part]}" in parameters
+    }
+
+
+def translated(id_: str, of: Numbers, motors_on_s: float) -> Hidden:
+    """Translate one effect.
+
+    Parameters
+    ----------
+    id_ : str
+        The effect.
+    of : Mapping[str, float]
+        The generator's numbers, ``size`` among them.
+    motors_on_s : float
+        As for `hidden_in`.
+    """
     kind, _, _ = id_.partition(".")
     prefix = id_.replace(".", "_")
     scalars = _SAME[kind](of) if kind in _SAME else {}
@@ -110,7 +150,13 @@ _SAME: Mapping[str, Callable[[Numbers], dict[str, float]]] = {
     "supply_sag": lambda of: {"per_V": of["size"] / 2.0},
     "ground_effect": _ground,
     "coulomb_friction": lambda of: {"Nm": of["size"]},
-    "travel_drag_quadratic": lambda of: {"Nms2": of["size"]},
+    **dict.fromkeys(
+        ("pitch_drag_quadratic", "travel_drag_quadratic"),
+        lambda of: {"Nms2": of["size"]},
+    ),
+    "rotor_speed_lag": lambda of: {"s": of["size"]},
+    "flywheel": lambda of: {"Nms_per_V": of["size"]},
+    "supply_fade": lambda of: {"per_s": of["size"] / 60.0},
     "cable_spring": lambda of: {"Nm_per_rad": of["size"], "rest_rad": of["rest_rad"]},
     "counterweight_shift": lambda of: {"m": of["size"]},
     "backlash": lambda of: {"rad": math.radians(of["size"])},

@@ -1,0 +1,84 @@
+"""Is a confidence a frequency? Causes by the confidence given, and how many of them were there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+from scipy.stats import binom
+
+from tests.blind.judge import Row
+
+BINS = (0.0, 0.5, 0.7, 0.85, 0.95, 1.0)
+"""Bounds of the five bins."""
+_OUTSIDE = 0.05
+"""Chance that a bin of a calibrated diagnosis lies outside its bounds, both sides together."""
+
+
+def reliability(rows: Sequence[Row]) -> list[dict[str, float]]:
+    """Compare confidence with how often it was right.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        Judged cases, those with nothing or something off the list hidden included.
+
+    Returns
+    -------
+    list of dict
+        For each bin its bounds, number of ``causes``, ``mean_confidence``, how many are ``right`` and which
+        share, and the ``least`` and ``most`` of them that a binomial distribution of that mean allows.
+    """
+    given = [(sure, right) for row in rows for _, right, sure in row.answers]
+    curve = []
+    for low, high in pairwise(BINS):
+        inside = [(sure, ok) for sure, ok in given if low <= sure < high or sure == high == 1.0]
+        count, right = len(inside), sum(ok for _, ok in inside)
+        mean = sum(sure for sure, _ in inside) / count if count else 0.5 * (low + high)
+        curve.append(
+            {
+                "from": low,
+                "to": high,
+                "causes": count,
+                "mean_confidence": mean,
+                "right": right,
+                "share_right": right / count if count else mean,
+                "least": int(binom.ppf(_OUTSIDE / 2.0, count, mean)) if count else 0,
+                "most": int(binom.ppf(1.0 - _OUTSIDE / 2.0, count, mean)) if count else 0,
+            }
+        )
+    return curve
+
+
+def holds(one: dict[str, float]) -> bool:
+    """Whether a bin lies within its bounds; an empty one does."""
+    return one["least"] <= one["right"] <= one["most"]
+
+
+def draw(curve: Sequence[dict[str, float]], path: Path) -> None:
+    """Draw the reliability diagram.
+
+    Parameters
+    ----------
+    curve : sequence of dict
+        As `reliability` gives it.
+    path : Path
+        The picture's file.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4.2, 4.0), layout="constrained")
+    axes = figure.subplots()
+    axes.plot([0, 1], [0, 1], color="0.7", lw=1)
+    for one in curve:
+        if not one["causes"]:
+            continue
+        count, mean = one["causes"], one["mean_confidence"]
+        low, high = one["least"] / count, one["most"] / count
+        axes.plot([mean, mean], [low, high], color="0.6", lw=6, solid_capstyle="butt")
+        axes.plot(mean, one["share_right"], "o", color="C0" if holds(one) else "C3")
+        axes.annotate(f"{count:.0f}", (mean, one["share_right"]), (5, -10), textcoords="offset points")
+    axes.set(xlabel="confidence given", ylabel="share that is there", xlim=(-0.03, 1.03), ylim=(-0.03, 1.03))
+    axes.set_title("grey: where 95 % of calibrated bins lie; numbers: causes", fontsize=8)
+    figure.savefig(path, dpi=110)

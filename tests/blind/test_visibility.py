@@ -1,0 +1,115 @@
+"""The oracle that says what can be seen in weather knows the weather, and the size of what it is asked of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from tests.blind.course import Course
+from tests.blind.mujoco_rig import Floats
+from tests.blind.replay import FINE, Forces, Rebuilt, inertia_kg_m2, pushes, steps
+from tests.blind.visibility import Line, Pushes, imitators, visibility
+from tests.blind.weather_case import COURSE, WeatherCase
+from tests.blind.weather_cases import weather_cases
+
+CASES = {case.name: case for case in weather_cases()}
+LAW = "w-off-pitch_by_elevation"
+DURATION_s = 10.0
+
+
+@cache
+def flown(name: str) -> tuple[WeatherCase, Course]:
+    return CASES[name], CASES[name].flown(0, DURATION_s)[1]
+
+
+def chance(case: WeatherCase, course: Course) -> Pushes:
+    """The gusts as they blew, and errors of as many counts as the encoders have, each by itself."""
+    alone = replace(case, effects=(), off_list=(), makers=())
+    rig = case.rig().replace(torque_elevation=0.0, torque_pitch=0.0, torque_travel=0.0)
+    torque = Rebuilt(rig, alone.hidden(0)).forces(course).torque_Nm
+    count_rad = 2.0 * np.pi / 4096.0 / np.array([1.0, 1.0, rig["encoder_travel_ratio"].value])
+    errors = np.random.default_rng(1).uniform(-0.5, 0.5, (steps(course), 3)) * count_rad
+    return Pushes(torque.reshape(-1, FINE, 3).mean(axis=1), errors)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("on_course", [False, True])
+def test_the_weather_itself_leaves_white_innovations_of_unit_variance(on_course: bool) -> None:
+    name = next(
+        name
+        for name, case in CASES.items()
+        if case.kind == "nothing" and (case.rig_name == COURSE) is on_course
+    )
+    case = CASES[name]
+    course = case.flown(0, 2.0 * DURATION_s)[1]
+    white = Line(course, case.rig(), case.weather).innovations([chance(case, course)])[:, 0]
+    by_axis = white.reshape(-1, 3)[25:]
+    # 975 innovations an axis: variances to 4.5 %, correlations to 0.032; four of those.
+    np.testing.assert_allclose(by_axis.var(axis=0), 1.0, atol=0.18)
+    for lag in (1, 2, 5, 25):
+        correlation = (by_axis[lag:] * by_axis[:-lag]).mean(axis=0)
+        np.testing.assert_allclose(correlation, 0.0, atol=0.13)
+
+
+@pytest.mark.slow
+def test_twice_the_law_stands_out_twice_as_far_and_half_as_far_in_twice_the_weather() -> None:
+    case, course = flown(LAW)
+    rig, forces = case.rig(), Rebuilt(case.rig(), case.hidden(0)).forces(course)
+    torque: Floats = np.zeros((steps(course), 3))
+    torque[:, 1] = case.off_list[0][1] * course.angles_rad[20::40, 0]
+    nothing = np.zeros_like(torque)
+    elevation, pitch, travel = case.weather.gusts_Nm
+    strong = replace(case.weather, gusts_Nm=(2.0 * elevation, 2.0 * pitch, 2.0 * travel))
+    seen = []
+    for size, weather in ((1.0, case.weather), (2.0, case.weather), (1.0, strong)):
+        line = Line(course, rig, weather)
+        white = line.innovations([Pushes(size * torque, nothing), *imitators(rig, course, forces, line)])
+        seen.append(line.remaining(white, 0, 1))
+    assert seen[1] == pytest.approx(2.0 * seen[0], rel=1e-6)
+    assert 0.45 * seen[0] < seen[2] < 0.75 * seen[0]
+    assert visibility(case, DURATION_s)["off-pitch_by_elevation"] == pytest.approx(seen[0], rel=0.01)
+
+
+@pytest.mark.slow
+def test_what_another_number_of_the_rig_can_be_does_not_stand_out() -> None:
+    case, course = flown(LAW)
+    rig, forces = case.rig(), Rebuilt(case.rig(), case.hidden(0)).forces(course)
+    line = Line(course, rig, case.weather)
+    others = imitators(rig, course, forces, line)
+    # Thrust a tenth stronger, which the rig's file allows.
+    stronger = Forces(1.1 * forces.thrust_N, forces.torque_Nm, forces.seen_rad)
+    plain = Rebuilt(rig, ())
+    change = plain.accelerations(course, stronger) - plain.accelerations(course, forces)
+    gain = Pushes(line.torque(change, FINE), np.zeros((steps(course), 3)))
+    alone = np.linalg.norm(line.innovations([gain]))
+    assert alone > 30.0
+    assert line.remaining(line.innovations([gain, *others]), 0, 1) < 3.0
+
+
+@pytest.mark.medium
+def test_without_a_cause_nothing_is_asked() -> None:
+    assert visibility(CASES["w-nothing-0"]) == {}
+
+
+@pytest.mark.medium
+def test_inertias_are_those_of_the_masses() -> None:
+    rig = CASES["w-nothing-0"].rig()
+    v = {name: rig[name].value for name in rig}
+    found = inertia_kg_m2(rig, np.zeros((1, 3)))[0]
+    carried_kg = v["M_f"] + v["M_b"] + v["M_h"]
+    along = carried_kg * v["L_a"] ** 2 + v["M_l"] * v["L_x"] ** 2 + v["M_w"] * v["L_b"] ** 2
+    below = carried_kg * (v["L_theta"] + v["L_phi"]) ** 2 + (v["M_l"] + v["M_w"]) * v["L_theta"] ** 2
+    assert found[0, 0] == pytest.approx(along + below, rel=1e-3)
+    np.testing.assert_allclose(found, found.T, atol=1e-9)
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize(
+    ("name", "asks"),
+    [("coulomb_friction.pitch", False), ("inflow_damping", True), ("zero_offset.pitch", True)],
+)
+def test_only_what_acts_by_itself_asks_for_its_forces_again(name: str, asks: bool) -> None:
+    assert pushes(CASES[f"w-lag+{name}"].hidden(0)[1]) is asks

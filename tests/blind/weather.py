@@ -1,0 +1,68 @@
+"""Weather: small torques that wander by chance about all three axes, as every real rig has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from tests.blind.mujoco_rig import STEP_S, Floats, Hidden, Moment
+
+STRENGTHS_Nm = ((0.006, 0.002, 0.004), (0.012, 0.004, 0.008), (0.02, 0.006, 0.012))
+"""Standard deviations about elevation, pitch and travel: a still room, a draughty one, a windy one."""
+MEMORIES_s = (0.3, 0.6, 1.2)
+"""Correlation times of the gusts; on measured flights they are 0.1 to 1.2 s."""
+_LONGEST_s = 130.0
+
+
+@dataclass(frozen=True)
+class Weather:
+    """How the air of a room behaves.
+
+    Parameters
+    ----------
+    gusts_Nm : tuple of float
+        Standard deviations of the gusts about elevation, pitch and travel.
+    memory_s : float
+        Correlation time of the gusts.
+    drift_Nm : tuple of float
+        Standard deviations of a slow drift beside them; zeros where there is none.
+    drift_s : float
+        Correlation time of the drift.
+    """
+
+    gusts_Nm: tuple[float, float, float]
+    memory_s: float
+    drift_Nm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    drift_s: float = 30.0
+
+
+class Air(Hidden):
+    """Weather in the rig: independent Ornstein-Uhlenbeck torques, in no table of causes.
+
+    Parameters
+    ----------
+    weather : Weather
+        Sizes and memories.
+    chance : numpy.random.Generator
+        Other in each flight.
+    """
+
+    def __init__(self, weather: Weather, chance: np.random.Generator) -> None:
+        super().__init__(1.0, chance)
+        steps = round(_LONGEST_s / STEP_S)
+        gusts = _wander(weather.memory_s, steps, chance) * weather.gusts_Nm
+        drift = _wander(weather.drift_s, steps, chance) * weather.drift_Nm
+        self._torque_Nm = gusts + drift
+
+    def torque(self, at: Moment) -> None:
+        at.torque_Nm += self._torque_Nm[round(at.flight_s / STEP_S)]
+
+
+def _wander(memory_s: float, steps: int, chance: np.random.Generator) -> Floats:
+    """Three stationary Ornstein-Uhlenbeck processes of unit variance, (steps, 3)."""
+    keep = np.exp(-STEP_S / memory_s)
+    kicks = np.sqrt(1.0 - keep**2) * chance.standard_normal((steps, 3))
+    kicks[0] = chance.standard_normal(3)
+    return np.asarray(lfilter([1.0], [1.0, -keep], kicks, axis=0))

@@ -1,0 +1,169 @@
+"""The cases in weather: rigs of two kinds, other controllers, gentle flights, one to four causes or none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from tests.blind.hidden import LISTED, MORE_LISTED, Maker
+from tests.blind.measured_effects import MEASURED_EFFECTS
+from tests.blind.off_list import IN_WEATHER
+from tests.blind.tracking import CONTROLLERS
+from tests.blind.weather import MEMORIES_s, STRENGTHS_Nm, Weather
+from tests.blind.weather_case import COURSE, WeatherCase
+
+PAPER = "makki2024"
+RATES_Hz = (100, 250, 500)
+LAG, SPEED_LAG = "rotor_lag", "rotor_speed_lag"
+_NOTHING = 42
+_GENTLE, _ON_COURSE, _DRIFTING = 0.25, 0.3, 0.35
+"""Shares of the cases that may be so."""
+_LARGER = (0.7, 1.0, 1.6)
+"""Sizes go with the strength of the weather, so that most causes can be seen in any."""
+_GENTLE_LARGER = 1.6
+"""And with what a flight shows."""
+_PAPER_ONLY = (
+    *("ground_effect", "edgewise_flow"),
+    *("zero_offset", "cable_spring.elevation", "rotor_reaction_torque"),
+)
+"""What is made for the paper's arm; what is a number of the course's rig file, or hides in its tolerances."""
+_LIVELY = (
+    *("travel_drag_quadratic", "pitch_drag_quadratic", "gyroscopic_torque", "flywheel", "inflow_damping"),
+    *("edgewise_flow", "encoder_eccentricity", "rotor_reaction_torque", "cable_spring.elevation"),
+    *(law for law in IN_WEATHER if law not in ("bumpy_pitch", "hysteretic_thrust")),
+)
+"""What no gentle flight shows at any size that a rig has."""
+
+SIZES: dict[str, float] = {
+    **{name: large for name, (_, _, large) in (LISTED | MORE_LISTED).items()},
+    **{name: typical for name, (_, typical) in MEASURED_EFFECTS.items()},
+    "rotor_lag": 0.11,
+    "input_delay": 0.045,
+    "thrust_asymmetry": 0.12,
+    "supply_sag": 0.12,
+    "inflow_damping": 0.5,
+    "ground_effect": 1.0,
+    "rotor_reaction_torque": 0.06,
+    "coulomb_friction.elevation": 0.06,
+    "travel_drag_quadratic": 0.5,
+    "cable_spring.elevation": 0.7,
+    "axis_tilt": 4.0,
+    "backlash.elevation": 0.3,
+    "backlash.pitch": 0.3,
+    "backlash.travel": 0.3,
+    "encoder_eccentricity.travel": 4.0,
+    "edgewise_flow": 0.25,
+    "gyroscopic_torque": 0.06,
+}
+"""What is hidden in a draughty room, in the makers' units."""
+_UNSEEN = ("random_torque", "encoder_eccentricity.elevation", "encoder_eccentricity.pitch")
+"""Chance torques are the weather itself; over a few degrees an eccentricity of second order is a scale."""
+_MAKERS: dict[str, Maker] = {
+    **{name: maker for name, (maker, _, _) in (LISTED | MORE_LISTED).items()},
+    **{name: maker for name, (maker, _) in MEASURED_EFFECTS.items()},
+    **{name: maker for name, (maker, _) in IN_WEATHER.items()},
+}
+_ALONE = (
+    *(
+        "input_delay",
+        "thrust_asymmetry",
+        "inflow_damping",
+        "coulomb_friction.elevation",
+        "cable_spring.travel",
+    ),
+    *("rotor_reaction_torque", "backlash.pitch", "travel_drag_quadratic", "thrust_step.back", "axis_tilt"),
+)
+"""Without a lag, for once."""
+_SEVERAL = (
+    (LAG, "coulomb_friction.elevation", "cable_spring.travel"),
+    (LAG, "thrust_asymmetry", "coulomb_friction.travel"),
+    (LAG, "gyroscopic_torque", "travel_drag_quadratic"),
+    (LAG, "inflow_damping", "coulomb_friction.pitch"),
+    (LAG, "rotor_reaction_torque", "cable_spring.elevation"),
+    (LAG, "axis_tilt", "thrust_fade"),
+    ("thrust_asymmetry", "cable_spring.elevation"),
+    ("coulomb_friction.travel", "rotor_reaction_torque"),
+    (LAG, "thrust_asymmetry", "coulomb_friction.pitch", "cable_spring.travel"),
+    (LAG, "gyroscopic_torque", "coulomb_friction.elevation", "travel_drag_quadratic"),
+    (LAG, "edgewise_flow", "coulomb_friction.travel", "thrust_step.front"),
+    (LAG, "inflow_damping", "axis_tilt", "backlash.elevation"),
+    (SPEED_LAG,),
+    (SPEED_LAG, "coulomb_friction.travel"),
+    (SPEED_LAG, "cable_spring.elevation"),
+    (SPEED_LAG, "flywheel", "coulomb_friction.pitch"),
+)
+
+
+def weather_cases() -> list[WeatherCase]:
+    """All of them, in an order in which the first are a fair sample of all."""
+    cases = list(_in_order())
+    return [cases[i] for i in np.random.default_rng(2).permutation(len(cases))]
+
+
+def _in_order() -> Iterator[WeatherCase]:
+    seed = 3000
+    for number in range(_NOTHING):
+        seed += 1
+        yield _case(f"w-nothing-{number}", seed, (), ())
+    for number in range(4):
+        seed += 1
+        yield _case(f"w-lag-{number}", seed, (LAG,), ())
+    for name in SIZES:
+        if name not in (LAG, SPEED_LAG) and not name.startswith(_UNSEEN):
+            seed += 1
+            yield _case(f"w-lag+{name}", seed, (LAG, name), ())
+    for name in _ALONE:
+        seed += 1
+        yield _case(f"w-{name}", seed, (name,), ())
+    for names in _SEVERAL:
+        seed += 1
+        yield _case("w-" + "+".join(names).replace(LAG, "lag"), seed, names, ())
+    for law in IN_WEATHER:
+        for beside in ((LAG,), ()):
+            seed += 1
+            yield _case("w-" + "lag+" * len(beside) + f"off-{law}", seed, beside, (law,))
+
+
+def _case(name: str, seed: int, effects: Sequence[str], laws: Sequence[str]) -> WeatherCase:
+    """Draw rig, flight and weather of a case, and the sizes that go with them."""
+    rng = np.random.default_rng([seed, 6])
+    strength = int(rng.integers(3))
+    gusts_Nm, memory_s = STRENGTHS_Nm[strength], MEMORIES_s[int(rng.integers(3))]
+    drifts, on_course = rng.random() < _DRIFTING, rng.random() < _ON_COURSE
+    drift = [float(share * gust) for share, gust in zip(rng.uniform(0.5, 1.0, 3), gusts_Nm, strict=True)]
+    weather = Weather(
+        gusts_Nm,
+        memory_s,
+        (drift[0], drift[1], drift[2]) if drifts else (0.0, 0.0, 0.0),
+        float(rng.uniform(20.0, 40.0)),
+    )
+    gentle = bool(rng.random() < _GENTLE)
+    rate_Hz = RATES_Hz[int(rng.integers(3))]
+    controller = CONTROLLERS[int(rng.integers(3))]
+    if any(one.startswith(_PAPER_ONLY) for one in effects):
+        on_course = False
+    if any(one.startswith(_LIVELY) for one in (*effects, *laws)):
+        gentle = False
+    larger = _LARGER[strength] * (_GENTLE_LARGER if gentle else 1.0)
+    sized = [(one, _size(one, SIZES[one], larger, rng)) for one in effects]
+    off = [(law, _size(law, IN_WEATHER[law][1], larger, rng)) for law in laws]
+    return WeatherCase(
+        name,
+        tuple(sized),
+        tuple(off),
+        seed,
+        tuple(_MAKERS[one] for one in (*effects, *laws)),
+        COURSE if on_course else PAPER,
+        rate_Hz,
+        gentle,
+        controller,
+        weather,
+    )
+
+
+def _size(name: str, typical: float, larger: float, rng: np.random.Generator) -> float:
+    # A lag is as long as the rotors are heavy, whatever the weather.
+    if name in (LAG, SPEED_LAG, "input_delay"):
+        larger = 1.0
+    return typical * larger * float(rng.uniform(0.75, 1.3))

@@ -1,0 +1,71 @@
+"""What the diagnosis says of the practice and field cases: ``python -m tests.field``."""
+
+from __future__ import annotations
+
+import argparse
+import fnmatch
+import json
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from tests.blind.run import BUDGET_s
+from tests.field.cases import DATA, NO_DATA, Case, ask, cases, judged
+
+
+def main(arguments: Sequence[str] | None = None, data: Path = DATA) -> int:
+    """Ask and print.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Instead of the command line's.
+    data : Path
+        The folder with the cases.
+
+    Returns
+    -------
+    int
+        Exit status: 0 when all are right, or there are none; 1 when one is not; 2 when none has such a name.
+    """
+    parser = argparse.ArgumentParser(prog="python -m tests.field", description=__doc__)
+    parser.add_argument("only", nargs="*", help="names of cases, wildcards allowed; all without")
+    parser.add_argument("--budget", type=float, default=BUDGET_s, help="most seconds for a search")
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--json", type=Path, help="file for all answers")
+    given = parser.parse_args(arguments)
+    there = cases(data)
+    if not there:
+        print(NO_DATA)
+        return 0
+    chosen = [case for case in there if _wanted(case, given.only)]
+    if not chosen:
+        print(f"no case is called {', '.join(given.only)}; there are {', '.join(one.name for one in there)}")
+        return 2
+    answers: dict[str, Any] = {}
+    right = 0
+    spent_s = 0.0
+    # Fresh processes: each pays for itself, and its CPU time is its own.
+    with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
+        for case, answer in zip(chosen, pool.map(ask, chosen, [given.budget] * len(chosen)), strict=True):
+            found = judged(case, answer)
+            print(found.line(), flush=True)
+            answers[case.name] = answer
+            right += found.right
+            spent_s += found.cpu_s
+            if given.json:
+                given.json.write_text(json.dumps(answers, indent=1, default=float) + "\n")
+    print(f"\n{right} of {len(chosen)} right, {spent_s:.0f} s of CPU")
+    return 0 if right == len(chosen) else 1
+
+
+def _wanted(case: Case, patterns: Sequence[str]) -> bool:
+    names = (case.name, case.folder.name)
+    return not patterns or any(fnmatch.fnmatchcase(name, p) for p in patterns for name in names)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

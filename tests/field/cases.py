@@ -1,0 +1,215 @@
+"""The cases beside the project: what their truth files say, and whether an answer is right."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from heli_host.flight import Flight
+from heli_host.log.flight_file import read_flight
+from heli_sim.rig import load_rig
+
+from tests.blind.judge import CHANCE
+from tests.blind.run import asked
+from tests.blind.truth import PARTS, Numbers, of_parts, translated
+
+DATA: Final = Path(__file__).resolve().parents[3] / "shared" / "data"
+RIG: Final = "makki2024"
+UNKNOWN: Final = "unknown"
+NO_DATA: Final = "skipped: no shared data"
+NEAR_STD, FAR_STD = 2.0, 3.0
+"""Standard errors from which on a number is marked, and is wrong: one in 20, and one in 370 by chance."""
+_NUMBER = re.compile(r"^# ([\w.]+): ([-+.\deE]+)$", re.MULTILINE)
+_LEAST_SHARE = 1e-3
+
+
+@dataclass(frozen=True)
+class Case:
+    """Two flights and what is hidden in them.
+
+    Parameters
+    ----------
+    folder : Path
+        Where they are.
+    hidden : tuple of str
+        Ids of what is hidden; `UNKNOWN` for a law that is on no list.
+    sizes : Mapping[str, float]
+        Numbers of the truth file by id; ``at`` is when a step comes, s.
+    """
+
+    folder: Path
+    hidden: tuple[str, ...]
+    sizes: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The folders' names."""
+        return f"{self.folder.parent.name}/{self.folder.name}"
+
+    @property
+    def listed(self) -> tuple[str, ...]:
+        """What is hidden and on the list."""
+        return tuple(name for name in self.hidden if name != UNKNOWN)
+
+    @property
+    def verdict(self) -> str:
+        """The right one."""
+        if UNKNOWN in self.hidden:
+            return "unexplained"
+        return "cause_found" if self.hidden else "explained"
+
+    def flights(self) -> tuple[Flight, Flight]:
+        """The flight to fit and the one to hold out."""
+        first, second = (read_flight(self.folder / f"{one}.csv.gz") for one in "ab")
+        return first, second
+
+    def numbers(self) -> Numbers:
+        """Numbers of the truth file, as the catalogue calls them; a rest angle is in none."""
+        found: dict[str, float] = {}
+        for id_ in self.listed:
+            if id_ not in self.sizes:
+                continue
+            of = {"size": self.sizes[id_], "rest_rad": math.nan}
+            if "at" in self.sizes:
+                of["at_s"] = self.sizes["at"]
+            found |= translated(id_, of, 0.0).scalars
+        return {name: value for name, value in found.items() if not math.isnan(value)}
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What a diagnosis said of a case, compared.
+
+    Parameters
+    ----------
+    case : Case
+        The case.
+    verdict : str
+        The verdict given; ``died`` where there is none.
+    named : tuple of (str, float)
+        Causes and their confidence.
+    numbers : Mapping[str, tuple]
+        Value and standard error of each number found of what is hidden, and the truth.
+    cpu_s : float
+        What it took.
+    failure : str
+        Error that ended it.
+    """
+
+    case: Case
+    verdict: str
+    named: tuple[tuple[str, float], ...]
+    numbers: Mapping[str, tuple[float, float, float]]
+    cpu_s: float
+    failure: str = ""
+
+    @property
+    def missed(self) -> tuple[str, ...]:
+        """What is hidden and was not named."""
+        names = self._names()
+        return tuple(name for name in self.case.listed if name not in names)
+
+    @property
+    def false_names(self) -> tuple[str, ...]:
+        """What was named and is not hidden; random torques may be."""
+        return tuple(name for name in self._names() if name not in self.case.hidden)
+
+    @property
+    def off(self) -> dict[str, float]:
+        """By how many standard errors each number is off; two engines do not agree below a thousandth."""
+        return {
+            name: abs(value - truth) / max(std, _LEAST_SHARE * abs(truth))
+            for name, (value, std, truth) in self.numbers.items()
+        }
+
+    @property
+    def right(self) -> bool:
+        """Whether verdict, names and numbers are."""
+        names = not self.missed and not self.false_names
+        return names and self.verdict == self.case.verdict and all(z <= FAR_STD for z in self.off.values())
+
+    def line(self) -> str:
+        """One row of the table, and what is wrong below it."""
+        said = ", ".join(f"{name} {sure:.2f}" for name, sure in self.named) or "no cause"
+        word = "right" if self.right else "WRONG"
+        lines = [
+            f"{self.case.name:45s} {word}  {self.verdict:12s} {self.cpu_s:6.1f} s  {said}",
+            f"{'':45s}        hidden: {', '.join(self.case.hidden) or 'nothing'}",
+        ]
+        for name, (value, std, truth) in self.numbers.items():
+            mark = "" if self.off[name] <= NEAR_STD else f"  {self.off[name]:.1f} standard errors off"
+            lines.append(f"{'':45s}        {name} {value:.4g} +- {std:.2g}, truth {truth:.4g}{mark}")
+        if self.failure:
+            lines.append(f"{'':45s}        {self.failure}")
+        return "\n".join(lines)
+
+    def _names(self) -> tuple[str, ...]:
+        given = [name for name, _ in self.named if not name.startswith(CHANCE)]
+        return tuple(part for name in given for part in PARTS.get(name, (name,)))
+
+
+def cases(data: Path = DATA) -> list[Case]:
+    """All that are there: practice first, then field.
+
+    Parameters
+    ----------
+    data : Path
+        The folder that holds both.
+    """
+    files = [path for kind in ("practice", "field") for path in sorted((data / kind).glob("*/truth.toml"))]
+    return [read(path) for path in files]
+
+
+def read(path: Path) -> Case:
+    """Read a truth file.
+
+    Parameters
+    ----------
+    path : Path
+        The file; its folder holds the flights.
+    """
+    text = path.read_text()
+    sizes = {name: float(value) for name, value in _NUMBER.findall(text)}
+    return Case(path.parent, tuple(tomllib.loads(text)["hidden"]), sizes)
+
+
+def ask(case: Case, budget_s: float) -> dict[str, Any]:
+    """Have a case diagnosed.
+
+    Parameters
+    ----------
+    case : Case
+        The case.
+    budget_s : float
+        Most seconds for the search.
+    """
+    return asked(load_rig(RIG), case.flights(), budget_s)
+
+
+def judged(case: Case, answer: Mapping[str, Any]) -> Judged:
+    """Compare an answer with the truth.
+
+    Parameters
+    ----------
+    case : Case
+        The case.
+    answer : Mapping[str, Any]
+        As `tests.blind.run.asked` gives it.
+    """
+    result = answer["result"] or {"verdict": "died", "causes": []}
+    found: dict[str, Any] = {}
+    for cause in result["causes"]:
+        for numbers in of_parts(cause["effect"], cause["parameters"]).values():
+            found |= numbers
+    numbers = {
+        name: (found[name]["value"], found[name]["std"], truth)
+        for name, truth in case.numbers().items()
+        if name in found
+    }
+    named = tuple((cause["effect"], cause["confidence"]) for cause in result["causes"])
+    return Judged(case, result["verdict"], named, numbers, answer["cpu_seconds"], answer["failure"])
