@@ -13,7 +13,7 @@ from heli_sim.rig import Rig
 
 from heli_lab.diagnose.absent_terms import absent_terms
 from heli_lab.diagnose.detectability import undetectable_effects, unidentifiable_parameters
-from heli_lab.diagnose.error_reduction import error_reduction
+from heli_lab.diagnose.error_reduction import ErrorReduction, judgement
 from heli_lab.diagnose.experiment_design import (
     ExperimentDesign,
     Pair,
@@ -21,6 +21,7 @@ from heli_lab.diagnose.experiment_design import (
     discriminating_experiment,
     informative_experiment,
 )
+from heli_lab.diagnose.free_run import calibration_s, free_runs
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.diagnose.residual_analysis import residual_analysis
 from heli_lab.diagnose.result import Diagnosis
@@ -48,6 +49,7 @@ def diagnose(
     start_s: float | None = None,
     stop_s: float | None = None,
     seed: int = 0,
+    calibrate_s: float | None = None,
     seconds: float = float("inf"),
     say: Callable[[str, float], None] | None = None,
 ) -> Diagnosis:
@@ -67,6 +69,9 @@ def diagnose(
         Use only this part of the flights to fit.
     seed : int
         Seed of the bootstrap behind the intervals.
+    calibrate_s : float, optional
+        Free flight of each validation flight that its zeros and torques are estimated from before the rest is
+        judged, at most a third of it; `CALIBRATE_s` where not given.
     seconds : float
         Time limit, nearly kept; the result says whether everything was tried.
     say : callable, optional
@@ -77,7 +82,8 @@ def diagnose(
     NotExcited
         When nothing flies in the flights to fit; `insufficient_excitation` makes the result for it.
     IdentifyError
-        When a flight cannot be used, or is given both to fit and to validate.
+        When a flight cannot be used, or is given both to fit and to validate, or `calibrate_s` leaves
+        nothing of one to judge.
     """
     started_s = time.perf_counter()
     tell = say or (lambda _what, _share: None)
@@ -88,6 +94,8 @@ def diagnose(
         raise lost[0]
     held_out, lost_held = _ready(validation, names[len(flights) :], rig, None, None)
     _refuse_twins(train, held_out)
+    for record in held_out:
+        calibration_s(record, calibrate_s)
     comparison = Comparison(model, rig, train, held_out, seed=seed)
     known = {effect.name for effect in model.effects}
     tried = {id_: kind for id_, kind in every.items() if _candidate(kind, model, known)}
@@ -99,13 +107,19 @@ def diagnose(
     absent = absent_terms(extended.fit, rig, every)
     verdict = judge(found, remaining, bool(absent))
     undetectable = undetectable_effects(found.rounds[-1].screened, every)
+    before = free_runs(found.baseline.fit, held_out, calibrate_s)
+    after = before if extended is found.baseline else free_runs(extended.fit, held_out, calibrate_s)
+    spline_gains: Mapping[str, ErrorReduction] = {}
+    if verdict.off_list:
+        with_splines = free_runs(found.final.fit, held_out, calibrate_s)
+        spline_gains = judgement(before, with_splines, seed).horizons["2"]
     return Diagnosis(
         found,
         verdict,
         remaining,
         extended,
-        error_reduction(found.baseline, extended, seed),
-        error_reduction(found.baseline, found.final, seed) if verdict.off_list else {},
+        judgement(before, after, seed),
+        spline_gains,
         absent,
         every,
         undetectable,
@@ -113,6 +127,7 @@ def diagnose(
         tuple(str(one) for one in (*lost, *lost_held)),
         _next(comparison, verdict, found, extended, every, undetectable, started_s + seconds),
         time.perf_counter() - started_s,
+        calibrate_s,
     )
 
 

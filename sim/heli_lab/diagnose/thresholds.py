@@ -259,3 +259,14 @@ pendulum it is 6 and more (2026-11). Lower: time. Higher: nothing changes up to 
 ABSENT_MAX_SHARE: Final = 0.5
 """Share of the normalised error beyond 1 that may remain without the term. By judgement: without a pendulum
 that is there the error grows. Higher: another effect may pass for the missing term."""
+
+# Judging on another flight.
+
+CALIBRATE_s: Final = 8.0
+"""Free flight that the constants of a validation flight are estimated from, s: four windows. The goals for
+the measured pairs are stated for it. Shorter: what a model lacks is taken for a constant of the flight.
+Longer: less is left to judge."""
+
+CALIBRATE_SHARE: Final = 1.0 / 3.0
+"""Share of a flight's free seconds that calibration may take at most. By judgement. Higher: a short flight is
+judged on a window or two. Lower: its constants are not known."""
