@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from heli_lab.diagnose import diagnose, to_json
-from heli_lab.diagnose.error_reduction import ErrorReduction
 from heli_lab.diagnose.free_run import HORIZONS
 from heli_sim.model import MultibodyModel
 from heli_sim.model.parts import AXES
@@ -51,47 +50,44 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for pair in pairs:
             print(_diagnosed(pair), flush=True)
         return 0
-    last: list[Told] = []
-    goals: list[str] = []
+    last: list[tuple[str, Told]] = []
+    print("two seconds ahead, degrees rms (ratio to the baseline and its 95 % interval):")
     for pair in pairs:
         there, back = told(pair), told(pair, back=True)
         for one, other in zip(there, back, strict=True):
-            print(*_rows(pair, one), *_rows(pair + ", back", other), sep="\n", flush=True)
-        goals += [_over_own(pair, there[-1]), _over_own(pair + ", back", back[-1])]
-        last += [there[-1], back[-1]]
+            print(_row(pair, one), _row(pair + ", back", other), sep="\n", flush=True)
+        last += [(pair, there[-1]), (pair + ", back", back[-1])]
         title = f"{PAIRS[pair][1]}, predicted two seconds ahead from what {PAIRS[pair][0]} taught"
         figure_of_pair(there[0], there[-1], title).savefig(given.figures / f"measured-{pair}.png", dpi=90)
-    print("over the same model cross-validated on the judging flight, 2 s:", *goals, sep="\n")
+    print(f"ratios {', '.join(HORIZONS)} s ahead; over the same model taught by the judging flight, 2 s:")
+    for name, one in last:
+        print(_ahead(name, one), flush=True)
     if pairs == list(PAIRS):
         sizes = {
-            label: [(one.fit.values[name], one.fit.std[name]) for one in last]
+            label: [(one.fit.values[name], one.fit.std[name]) for _, one in last]
             for name, label in SIZES.items()
         }
         figure_of_sizes(sizes, pairs).savefig(given.figures / "measured-sizes.png", dpi=90)
     return 0
 
 
-def _rows(pair: str, one: Told) -> list[str]:
-    """Lines of the table, one a horizon: errors, ratios with their intervals, and the effects' numbers."""
-    fit, rows = one.fit, []
-    numbers = ", ".join(f"{fit.values[n]:.4f} +- {fit.std[n]:.4f}" for n in SIZES if n in fit.values)
-    for key in HORIZONS:
-        cells = [pair, ", ".join(one.effects) or "baseline, refitted", f"{key} s"]
-        cells += [_cell(one.gain[key][axis]) for axis in AXES]
-        rows.append("| " + " | ".join([*cells, numbers]) + " |")
-    return rows
+def _row(pair: str, one: Told) -> str:
+    """A line of the first table: errors, ratios with their intervals, and the effects' numbers."""
+    fit = one.fit
+    cells = [pair, ", ".join(one.effects) or "baseline, refitted"]
+    for axis in AXES:
+        of = one.gain["2"][axis]
+        low, high = of.interval95
+        cells.append(f"{of.after_deg:.2f} ({of.ratio:.2f}: {low:.2f} to {high:.2f})")
+    cells.append(", ".join(f"{fit.values[n]:.4f} +- {fit.std[n]:.4f}" for n in SIZES if n in fit.values))
+    return "| " + " | ".join(cells) + " |"
 
 
-def _over_own(pair: str, one: Told) -> str:
-    """A line of the second table: errors over those of the model that the judging flight itself taught."""
-    of = cross_validated(one)["2"]
-    cells = [f"{of[axis].before_deg:.2f}, {of[axis].after_deg:.2f} ({of[axis].ratio:.2f})" for axis in AXES]
-    return "| " + " | ".join([pair, *cells]) + " |"
-
-
-def _cell(of: ErrorReduction) -> str:
-    low, high = of.interval95
-    return f"{of.after_deg:.3f} ({of.ratio:.2f}: {low:.2f} to {high:.2f})"
+def _ahead(pair: str, one: Told) -> str:
+    """A line of the second table: ratios at each horizon, and over what the judging flight itself teaches."""
+    own = cross_validated(one)["2"]
+    ratios = [", ".join(f"{one.gain[key][axis].ratio:.2f}" for key in HORIZONS) for axis in AXES]
+    return "| " + " | ".join([pair, *ratios, *(f"{own[axis].ratio:.2f}" for axis in AXES)]) + " |"
 
 
 def _diagnosed(pair: str) -> str:

@@ -6,9 +6,8 @@ over windows of 2 s and over their halves and quarters: the same samples at each
 
 Each window starts from the state that fits it best. That is no forecast: rates are not measured, and a state
 estimated from the past alone carries the model's error over that past into the horizon. On measured flights
-such forecasts, from the second before, are off by three to ten times as much before and after an extension,
-and tell the quality of the start more than that of the model. Fitted, what is left is what the model gets
-wrong within the horizon.
+such forecasts, from the second before, are off by two to seventeen times as much before and after an
+extension. Fitted, what is left is what the model gets wrong within the horizon.
 """
 
 from __future__ import annotations
