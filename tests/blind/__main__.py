@@ -19,7 +19,7 @@ from tests.blind.cases import Case, every_case
 from tests.blind.goals import further, goals
 from tests.blind.judge import Row
 from tests.blind.reliability import draw, reliability
-from tests.blind.run import BUDGET_s, run, seen
+from tests.blind.run import REFITS, run, seen
 from tests.blind.summary import confusion, text
 from tests.blind.weather_cases import weather_cases
 
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--first", type=int, help="only so many of them, a fair sample")
     parser.add_argument("--folder", type=Path, default=Path("build/blind"), help="flights and results")
     parser.add_argument("--keep", action="store_true", help="take results there, whatever code made them")
-    parser.add_argument("--budget", type=float, default=BUDGET_s, help="most seconds for a search")
+    parser.add_argument("--budget", type=int, default=REFITS, help="most refits of a search")
     parser.add_argument("--processes", type=int, default=_PROCESSES)
     parser.add_argument("--json", type=Path, default=Path("blind.json"))
     parser.add_argument("--read", action="store_true", help="run nothing, tell what the JSON file holds")
@@ -119,8 +119,7 @@ def _done(cases: Sequence[Case], given: argparse.Namespace) -> Iterator[tuple[Ro
     # Fresh processes, so that none inherits libraries that this one has loaded.
     with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
         names = {
-            pool.submit(run, case, given.folder, keep=given.keep, budget_s=given.budget): case
-            for case in cases
+            pool.submit(run, case, given.folder, keep=given.keep, refits=given.budget): case for case in cases
         }
         try:
             for future in as_completed(names):

@@ -27,7 +27,7 @@ from tests.blind.visibility import visibility
 from tests.blind.weather_case import WeatherCase
 from tests.running.clock import spent_s
 
-BUDGET_s = 600.0
+REFITS = 80
 """As the command line has it."""
 _HERE = Path(__file__).parent
 _SIM, _LAB = Path(heli_sim.__file__).parent, Path(heli_lab.__file__).parent
@@ -72,7 +72,7 @@ class Ready:
     told: Told | dict[str, float]
 
 
-def run(case: Case, folder: Path, *, keep: bool = False, budget_s: float = BUDGET_s) -> Row:
+def run(case: Case, folder: Path, *, keep: bool = False, refits: int = REFITS) -> Row:
     """Make the flights of a case, have them diagnosed, and judge the answer.
 
     Parameters
@@ -83,8 +83,8 @@ def run(case: Case, folder: Path, *, keep: bool = False, budget_s: float = BUDGE
         Where flights and results are kept.
     keep : bool
         Take flights and results that are there, whatever code they were made with.
-    budget_s : float
-        Most time for the search.
+    refits : int
+        Most refits of the search.
 
     Returns
     -------
@@ -94,7 +94,7 @@ def run(case: Case, folder: Path, *, keep: bool = False, budget_s: float = BUDGE
     ready = prepare(case, folder, keep=keep)
     code = _digest("", _ASKED)
     place = folder / case.name / "diagnosis.json"
-    answer = _kept(place, code, keep, lambda: asked(ready.rig, ready.flights, budget_s))
+    answer = _kept(place, code, keep, lambda: asked(ready.rig, ready.flights, refits))
     return judged(
         case,
         hidden_in(case, _motors_on_s(ready.flights[0], ready.rig)),
@@ -159,7 +159,7 @@ def seen(case: Case, folder: Path, keep: bool) -> dict[str, float | None]:
     return told.significance if isinstance(told, Told) else dict(told)
 
 
-def diagnosed(rig: Rig, flights: tuple[Flight, Flight], budget_s: float = BUDGET_s) -> dict[str, Any]:
+def diagnosed(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> dict[str, Any]:
     """Ask the diagnosis, which gets the flights and the nominal rig and nothing else.
 
     Parameters
@@ -168,8 +168,8 @@ def diagnosed(rig: Rig, flights: tuple[Flight, Flight], budget_s: float = BUDGET
         Nominal numbers.
     flights : tuple of Flight
         The flight to fit and the one to hold out.
-    budget_s : float
-        Most time for the search.
+    refits : int
+        Most refits of the search.
 
     Returns
     -------
@@ -177,11 +177,11 @@ def diagnosed(rig: Rig, flights: tuple[Flight, Flight], budget_s: float = BUDGET
         Its JSON.
     """
     labels = ["a", "b"]
-    found = diagnose(MultibodyModel(), rig, flights[:1], flights[1:], labels=labels, seconds=budget_s)
+    found = diagnose(MultibodyModel(), rig, flights[:1], flights[1:], labels=labels, refits=refits)
     return to_json(found)
 
 
-def asked(rig: Rig, flights: tuple[Flight, Flight], budget_s: float = BUDGET_s) -> dict[str, Any]:
+def asked(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> dict[str, Any]:
     """Ask the diagnosis, and take the time.
 
     Parameters
@@ -190,8 +190,8 @@ def asked(rig: Rig, flights: tuple[Flight, Flight], budget_s: float = BUDGET_s) 
         Nominal numbers.
     flights : tuple of Flight
         The flight to fit and the one to hold out.
-    budget_s : float
-        Most time for the search.
+    refits : int
+        Most refits of the search.
 
     Returns
     -------
@@ -201,7 +201,7 @@ def asked(rig: Rig, flights: tuple[Flight, Flight], budget_s: float = BUDGET_s) 
     started_s, worked_s = time.perf_counter(), spent_s()
     result, failure = None, ""
     try:
-        result = diagnosed(rig, flights, budget_s)
+        result = diagnosed(rig, flights, refits)
     except (SimError, ArithmeticError, LookupError, TypeError, ValueError) as error:
         # One case that dies must not end the night's run; it counts as a miss and is said.
         failure = f"{type(error).__name__}: {error}"

@@ -34,13 +34,20 @@ def conforms(numbers: dict[str, Any], silent: bool = False) -> None:
         "2 s free-run rms on the fitted flights, deg",
     )
     assert gain["axis"].keys() == AXES
-    for one in gain["axis"].values():
+    assert set(gain["horizons"]) == {"0.5", "1", "2"}
+    assert gain["horizons"]["2"]["axis"] == gain["axis"]
+    for one in (one for horizon in gain["horizons"].values() for one in horizon["axis"].values()):
         assert all(_number(one[key], silent) for key in ("before", "after", "ratio"))
         if not silent:
             low, high = one["interval95"]
             assert low <= high
             assert math.isclose(one["ratio"], one["after"] / one["before"])
 
+    for flight in gain["calibration"]:
+        assert flight["before"].keys() == flight["after"].keys()
+        for one in (*flight["before"].values(), *flight["after"].values()):
+            assert one.keys() == {"value", "std", "prior", "unit"}
+            assert one["std"] <= one["prior"]["std"] * 1.001
     missing = numbers["unexplained"]
     if missing is not None:
         assert missing["axis"] in AXES

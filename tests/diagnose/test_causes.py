@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
-from heli_lab.diagnose.error_reduction import error_reduction
+from heli_lab.diagnose.error_reduction import judgement
 from heli_lab.diagnose.report import write_report
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import effects_of
@@ -34,7 +34,8 @@ def test_answer_has_the_keys_and_units_that_were_promised_whatever_the_verdict()
 
 def test_seed_settles_the_intervals() -> None:
     found = diagnosed("rotor_lag=0.06")
-    drawn = [error_reduction(found.before, found.after, seed)["pitch"] for seed in (1, 1, 2)]
+    runs = found.judgement.before, found.judgement.after
+    drawn = [judgement(*runs, seed).horizons["2"]["pitch"] for seed in (1, 1, 2)]
     assert drawn[0] == drawn[1]
     assert drawn[0].interval95 != drawn[2].interval95
     assert drawn[0].ratio == drawn[2].ratio

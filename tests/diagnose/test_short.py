@@ -106,6 +106,7 @@ def test_short_validation_flight_is_used_with_a_caution(terminal: Terminal) -> N
     _, numbers = answered(terminal, "a.csv", "--validate", "b.csv")
     assert numbers["verdict"] == "explained"
     assert any("only 3 s were held out" in caution for caution in numbers["cautions"])
+    assert any("calibrated on 1.0 s of it, not on 8" in caution for caution in numbers["cautions"])
 
 
 def test_copy_of_the_flight_is_no_validation_flight(terminal: Terminal) -> None:

@@ -12,7 +12,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from tests.blind.run import BUDGET_s
+from tests.blind.run import REFITS
 from tests.field.cases import DATA, NO_DATA, Case, ask, cases, judged
 
 
@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None, data: Path = DATA) -> int:
     """
     parser = argparse.ArgumentParser(prog="python -m tests.field", description=__doc__)
     parser.add_argument("only", nargs="*", help="names of cases, wildcards allowed; all without")
-    parser.add_argument("--budget", type=float, default=BUDGET_s, help="most seconds for a search")
+    parser.add_argument("--budget", type=int, default=REFITS, help="most refits of a search")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--json", type=Path, help="file for all answers")
     given = parser.parse_args(arguments)

@@ -178,17 +178,17 @@ def read(path: Path) -> Case:
     return Case(path.parent, tuple(tomllib.loads(text)["hidden"]), sizes)
 
 
-def ask(case: Case, budget_s: float) -> dict[str, Any]:
+def ask(case: Case, refits: int) -> dict[str, Any]:
     """Have a case diagnosed.
 
     Parameters
     ----------
     case : Case
         The case.
-    budget_s : float
+    refits : int
         Most seconds for the search.
     """
-    return asked(load_rig(RIG), case.flights(), budget_s)
+    return asked(load_rig(RIG), case.flights(), refits)
 
 
 def judged(case: Case, answer: Mapping[str, Any]) -> Judged:

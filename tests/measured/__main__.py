@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from heli_lab.diagnose import diagnose, to_json
+from heli_lab.diagnose.free_run import HORIZONS
 from heli_sim.model import MultibodyModel
 from heli_sim.model.parts import AXES
 from heli_sim.rig import load_rig
 
 from tests.measured.figures import figure_of_pair, figure_of_sizes
-from tests.measured.pairs import MEASURED, PAIRS, RIG, Told, flights, told
+from tests.measured.pairs import MEASURED, PAIRS, RIG, Told, cross_validated, flights, told
 
 FIGURES = Path(__file__).resolve().parents[2] / "docs" / "figures"
 SIZES = {
@@ -49,17 +50,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for pair in pairs:
             print(_diagnosed(pair), flush=True)
         return 0
-    last: list[Told] = []
+    last: list[tuple[str, Told]] = []
+    print("two seconds ahead, degrees rms (ratio to the baseline and its 95 % interval):")
     for pair in pairs:
         there, back = told(pair), told(pair, back=True)
         for one, other in zip(there, back, strict=True):
             print(_row(pair, one), _row(pair + ", back", other), sep="\n", flush=True)
-        last += [there[-1], back[-1]]
+        last += [(pair, there[-1]), (pair + ", back", back[-1])]
         title = f"{PAIRS[pair][1]}, predicted two seconds ahead from what {PAIRS[pair][0]} taught"
         figure_of_pair(there[0], there[-1], title).savefig(given.figures / f"measured-{pair}.png", dpi=90)
+    print(f"ratios {', '.join(HORIZONS)} s ahead; over the same model taught by the judging flight, 2 s:")
+    for name, one in last:
+        print(_ahead(name, one), flush=True)
     if pairs == list(PAIRS):
         sizes = {
-            label: [(one.hypothesis.fit.values[name], one.hypothesis.fit.std[name]) for one in last]
+            label: [(one.fit.values[name], one.fit.std[name]) for _, one in last]
             for name, label in SIZES.items()
         }
         figure_of_sizes(sizes, pairs).savefig(given.figures / "measured-sizes.png", dpi=90)
@@ -67,15 +72,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _row(pair: str, one: Told) -> str:
-    """A line of the table: errors, ratios with their intervals, and the effects' numbers."""
-    fit = one.hypothesis.fit
+    """A line of the first table: errors, ratios with their intervals, and the effects' numbers."""
+    fit = one.fit
     cells = [pair, ", ".join(one.effects) or "baseline, refitted"]
     for axis in AXES:
-        of = one.gain[axis]
+        of = one.gain["2"][axis]
         low, high = of.interval95
         cells.append(f"{of.after_deg:.2f} ({of.ratio:.2f}: {low:.2f} to {high:.2f})")
     cells.append(", ".join(f"{fit.values[n]:.4f} +- {fit.std[n]:.4f}" for n in SIZES if n in fit.values))
     return "| " + " | ".join(cells) + " |"
+
+
+def _ahead(pair: str, one: Told) -> str:
+    """A line of the second table: ratios at each horizon, and over what the judging flight itself teaches."""
+    own = cross_validated(one)["2"]
+    ratios = [", ".join(f"{one.gain[key][axis].ratio:.2f}" for key in HORIZONS) for axis in AXES]
+    return "| " + " | ".join([pair, *ratios, *(f"{own[axis].ratio:.2f}" for axis in AXES)]) + " |"
 
 
 def _diagnosed(pair: str) -> str:
@@ -90,9 +102,10 @@ def _diagnosed(pair: str) -> str:
         for one in answer["causes"]
     ]
     gains = [
-        f"{axis} {of['before']:.2f} to {of['after']:.2f}, ratio {of['ratio']:.2f} "
+        f"{key} s: {axis} {of['before']:.3f} to {of['after']:.3f}, ratio {of['ratio']:.2f} "
         f"({of['interval95'][0]:.2f} to {of['interval95'][1]:.2f})"
-        for axis, of in answer["gain"]["axis"].items()
+        for key, horizon in answer["gain"]["horizons"].items()
+        for axis, of in horizon["axis"].items()
     ]
     return "\n  ".join([f"{pair}: {answer['verdict']}", *causes, *gains])
 

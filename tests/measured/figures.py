@@ -38,8 +38,7 @@ def figure_of_pair(before: Told, after: Told, title: str) -> Figure:
     figure.subplots_adjust(0.085, 0.09, 0.985, 0.93, hspace=0.12)
     figure.suptitle(title, fontsize=10)
     for told, colour, label in ((before, _BEFORE, "baseline"), (after, _AFTER, "extended")):
-        assert told.hypothesis.held_out_fit is not None
-        seen = trace(told.hypothesis.held_out_fit)
+        seen = trace(told.run.fit)
         t_s = seen.t_s - seen.t_s[0]
         error_deg = np.rad2deg(seen.measured_rad - seen.predicted_rad)
         if told is before:

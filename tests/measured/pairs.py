@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+import numpy.typing as npt
 from heli_host.log.flight_file import read_flight
-from heli_lab.diagnose.candidate import Candidate
-from heli_lab.diagnose.error_reduction import ErrorReduction, error_reduction
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
-from heli_lab.identify import Record, prepare
+from heli_lab.diagnose.error_reduction import ErrorReduction, error_reduction, judgement
+from heli_lab.diagnose.free_run import HORIZONS, FreeRun, free_run, free_runs
+from heli_lab.identify import Fit, Problem, Record, prepare, solve, trace
+from heli_lab.identify.free import flight_constants
+from heli_lab.identify.residual_noise import floored_mean_square
+from heli_lab.identify.thresholds import BLOCK_S
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig
@@ -34,6 +38,8 @@ LANDS_s: Final = {
 }
 """And the landing: from here on the voltages are taken back. The other flights end in the air."""
 RIG: Final = "quanser-course"
+STEP_s: Final = 0.004
+"""Longest step of the fits, as `diagnose` takes it."""
 TOLD: Final = (
     (),
     ("rotor_lag",),
@@ -51,15 +57,21 @@ class Told:
     ----------
     effects : tuple of str
         Their ids.
-    hypothesis : Hypothesis
-        The fit, and its prediction of the other flight.
-    gain : dict of ErrorReduction
-        Against the refitted baseline, on the other flight, by axis.
+    fit : Fit
+        Of the flight that teaches.
+    judges : Record
+        The other flight.
+    run : FreeRun
+        Its zeros and torques from its first 8 s, the rest predicted.
+    gain : Mapping[str, Mapping[str, ErrorReduction]]
+        Against the refitted baseline, on the other flight, by horizon and axis.
     """
 
     effects: tuple[str, ...]
-    hypothesis: Hypothesis
-    gain: dict[str, ErrorReduction]
+    fit: Fit
+    judges: Record
+    run: FreeRun
+    gain: Mapping[str, Mapping[str, ErrorReduction]]
 
 
 def flights(pair: str, back: bool = False) -> tuple[Record, Record]:
@@ -107,20 +119,91 @@ def told(
     list of Told
         One a model.
     """
-    train, held_out = flights(pair, back)
-    comparison = Comparison(MultibodyModel(), load_rig(RIG), [train], [held_out])
-    kinds = catalogue()
+    teaches, judges = flights(pair, back)
     found: list[Told] = []
     for effects in models:
-        candidates = [Candidate(id_, kinds[id_].make(kinds[id_].typical), kinds[id_].size) for id_ in effects]
-        starts = [None, found[-1].hypothesis.fit] if found and not once else [None]
-        # A valley is chosen by the flight that is fitted; the other one is only looked at.
-        best = min((comparison.refit(candidates, start) for start in starts), key=_unlikely)
-        baseline = found[0].hypothesis if found else best
-        found.append(Told(effects, best, error_reduction(baseline, best)))
+        starts = [None, found[-1].fit.values] if found and not once else [None]
+        fit = fitted(effects, teaches, starts)
+        (run,) = free_runs(fit, [judges])
+        before = found[0].run if found else run
+        found.append(Told(effects, fit, judges, run, judgement([before], [run]).horizons))
     return found
 
 
-def _unlikely(one: Hypothesis) -> float:
+def fitted(
+    effects: Sequence[str], record: Record, starts: Sequence[Mapping[str, float] | None] = (None,)
+) -> Fit:
+    """Fit a model to a flight.
+
+    Parameters
+    ----------
+    effects : sequence of str
+        Ids of the model's effects.
+    record : Record
+        The flight.
+    starts : sequence of Mapping[str, float] or None
+        Values to start from; None for the rig's and the effects' typical ones.
+
+    Returns
+    -------
+    Fit
+        The likeliest on this flight: where there are several maxima, the flight that teaches chooses.
+    """
+    kinds, rig = catalogue(), load_rig(RIG)
+    model = MultibodyModel(tuple(kinds[id_].make(kinds[id_].typical) for id_ in effects))
+    problem = Problem(model, rig, [record], step_s=STEP_s, priors=flight_constants(model, rig))
+    return min((solve(problem, start=start) for start in starts), key=_unlikely)
+
+
+def cross_validated(one: Told) -> dict[str, dict[str, ErrorReduction]]:
+    """Compare a model taught by the other flight with the same model taught by the judging flight itself.
+
+    The judged part is halved, and each half is predicted by a fit to the other half and to the first 8 s;
+    that tells the flight's zeros and torques, too.
+
+    Parameters
+    ----------
+    one : Told
+        What the other flight taught.
+
+    Returns
+    -------
+    dict of dict of ErrorReduction
+        By horizon and axis: `before` cross-validated, `after` taught by the other flight.
+    """
+    windows = one.run.fit.problem.windows(0)
+    free = _rows(one.judges, [(start, stop - start) for start, stop in one.judges.segments])
+    errors = []
+    for part in (windows[: len(windows) // 2], windows[len(windows) // 2 :]):
+        half = _rows(one.judges, part)
+        fit = fitted(one.effects, _only(one.judges, free & ~half), [None, one.fit.values])
+        problem = fit.problem
+        errors.append(free_run(problem.model, problem.rig, fit.values, _only(one.judges, half), 0.0).errors)
+    return {key: error_reduction([half[key] for half in errors], [one.run.errors[key]]) for key in HORIZONS}
+
+
+def _rows(record: Record, windows: Sequence[tuple[int, int]]) -> npt.NDArray[np.bool_]:
+    """Which rows lie in these windows: first row and number of rows of each."""
+    inside = np.zeros(len(record.t_s), bool)
+    for first, count in windows:
+        inside[first : first + count] = True
+    return inside
+
+
+def _only(record: Record, rows: npt.NDArray[np.bool_]) -> Record:
+    """The record with these rows as its free flight."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], rows.astype(int), [0]))))
+    kept = zip(map(int, edges[::2]), map(int, edges[1::2]), strict=True)
+    least = round(BLOCK_S / record.step_s)
+    return replace(record, segments=tuple((start, stop) for start, stop in kept if stop - start > least))
+
+
+def _unlikely(fit: Fit) -> float:
     """Minus the logarithm of the likelihood; a fit's own cost is in units of its own errors."""
-    return float(0.5 * one.train.rows.sum() * one.train.neg2_log_likelihood.sum() + one.train.prior_penalty)
+    seen, problem = trace(fit), fit.problem
+    mean_square = np.mean(seen.residual**2, axis=0)
+    variance = floored_mean_square(mean_square, seen.sigma_rad)
+    blocks = problem.records[0].used_s / BLOCK_S
+    own = {name for effect in problem.model.effects for name in effect.priors}
+    off = ((fit.theta - problem.prior_mean) / problem.prior_std)[[name not in own for name in problem.names]]
+    return float(0.5 * (blocks * np.sum(np.log(variance) + mean_square / variance) + off @ off))

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose.prediction import Prediction
-from heli_lab.identify import Fit, trace
-from heli_lab.identify.functions import Floats
+from heli_lab.diagnose.free_run import HORIZONS, FreeRun, WindowErrors
 
 _RESAMPLES: Final = 2000
 """Bootstrap samples: 50 lie beyond each end of a 95 % interval."""
@@ -25,7 +24,7 @@ class ErrorReduction:
     before_deg, after_deg : float
         Root mean square error of the refitted baseline and of the extended model, degrees.
     interval95 : (float, float)
-        95 % bootstrap interval of the ratio after over before, windows resampled.
+        95 % bootstrap interval of the ratio after over before, windows of 2 s resampled.
     """
 
     before_deg: float
@@ -38,12 +37,48 @@ class ErrorReduction:
         return self.after_deg / self.before_deg
 
 
-def error_reduction(before: Prediction, after: Prediction, seed: int = 0) -> dict[str, ErrorReduction]:
-    """Measure the free-run error on the validation flights, or without any on those fitted; `seed` is the
+@dataclass(frozen=True)
+class Judgement:
+    """Baseline and extended model on the same flights.
+
+    Parameters
+    ----------
+    before, after : tuple of FreeRun
+        Free runs of both, a flight each.
+    horizons : Mapping[str, Mapping[str, ErrorReduction]]
+        By horizon, as in `HORIZONS`, and by axis.
+    """
+
+    before: tuple[FreeRun, ...]
+    after: tuple[FreeRun, ...]
+    horizons: Mapping[str, Mapping[str, ErrorReduction]]
+
+
+def judgement(before: Sequence[FreeRun], after: Sequence[FreeRun], seed: int = 0) -> Judgement:
+    """Compare two models' free runs `before` and `after` an extension over the same flights; `seed` is the
     bootstrap's.
     """
-    squares_before, rows = _squares(before)
-    squares_after, _ = _squares(after)
+    return Judgement(
+        tuple(before),
+        tuple(after),
+        {
+            key: error_reduction(
+                [run.errors[key] for run in before], [run.errors[key] for run in after], seed
+            )
+            for key in HORIZONS
+        },
+    )
+
+
+def error_reduction(
+    before: Sequence[WindowErrors], after: Sequence[WindowErrors], seed: int = 0
+) -> dict[str, ErrorReduction]:
+    """Compare the errors of two models by axis; one of each for each flight, in the same windows. `seed` is
+    the bootstrap's.
+    """
+    rows = np.concatenate([one.rows for one in before])
+    squares_before = np.concatenate([one.squares_rad2 for one in before])
+    squares_after = np.concatenate([one.squares_rad2 for one in after])
     count = len(rows)
     random = np.random.default_rng(seed)
     weights = random.multinomial(count, np.full(count, 1.0 / count), _RESAMPLES)
@@ -55,16 +90,3 @@ def error_reduction(before: Prediction, after: Prediction, seed: int = 0) -> dic
         axis: ErrorReduction(float(rms_before[i]), float(rms_after[i]), (float(low[i]), float(high[i])))
         for i, axis in enumerate(AXES)
     }
-
-
-def _squares(hypothesis: Prediction) -> tuple[Floats, Floats]:
-    """Sum of squared errors in rad^2 and number of samples of each window."""
-    fit: Fit = hypothesis.held_out_fit or hypothesis.fit
-    squares, rows = [], []
-    for index in range(len(fit.problem.records)):
-        run = trace(fit, index)
-        error = run.residual * run.sigma_rad
-        for window in run.windows:
-            squares.append((error[window] ** 2).sum(axis=0))
-            rows.append(window.stop - window.start)
-    return np.array(squares), np.array(rows, float)

@@ -5,13 +5,13 @@ Margins are set by hand: matplotlib's own layout takes as long as everything els
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose.prediction import Prediction
+from heli_lab.diagnose.error_reduction import ErrorReduction
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.search_record import Round
 from heli_lab.diagnose.spline_curve import SplineCurve
@@ -30,17 +30,11 @@ _MOST_POINTS: Final = 5000
 _EQUATION_POINTS: Final = 12.0
 
 
-def _judged(prediction: Prediction) -> Fit:
-    return prediction.held_out_fit or prediction.fit
-
-
-def figure_of_flight(before: Prediction, after: Prediction, index: int = 0) -> Figure:
-    """Draw measured and simulated angles and their errors before and after, on flight `index`, held out where
-    there is one.
-    """
+def figure_of_flight(before: Fit, after: Fit) -> Figure:
+    """Draw the flight of two fits: measured and simulated angles and their errors before and after."""
     from matplotlib.figure import Figure
 
-    old, new = trace(_judged(before), index), trace(_judged(after), index)
+    old, new = trace(before), trace(after)
     figure = Figure(figsize=(11, 9))
     panels = figure.subplots(6, 1, sharex=True, height_ratios=[2, 1.2, 2, 1.2, 2, 1.2])
     figure.subplots_adjust(0.06, 0.06, 0.87, 0.95, hspace=0.12)
@@ -66,11 +60,13 @@ def figure_of_flight(before: Prediction, after: Prediction, index: int = 0) -> F
     return figure
 
 
-def figure_of_windows(before: Prediction, after: Prediction, index: int = 0) -> Figure:
-    """Draw the window of the baseline's largest error on each axis of flight `index`, a panel each."""
+def figure_of_windows(before: Fit, after: Fit) -> Figure:
+    """Draw the window of the baseline's largest error on each axis of the flight of two fits, a panel
+    each.
+    """
     from matplotlib.figure import Figure
 
-    old, new = trace(_judged(before), index), trace(_judged(after), index)
+    old, new = trace(before), trace(after)
     figure = Figure(figsize=(11, 3.4))
     panels = figure.subplots(1, 3)
     figure.subplots_adjust(0.06, 0.22, 0.98, 0.92, wspace=0.18)
@@ -88,6 +84,35 @@ def figure_of_windows(before: Prediction, after: Prediction, index: int = 0) -> 
     panels[0].set_ylabel("angle [deg]")
     lines, names = panels[0].get_legend_handles_labels()
     figure.legend(lines, names, loc="lower center", ncols=3, fontsize=8, frameon=False)
+    return figure
+
+
+def figure_of_horizons(horizons: Mapping[str, Mapping[str, ErrorReduction]]) -> Figure:
+    """Draw the errors before and after over the horizon, a panel an axis, with the ratios and their
+    intervals.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 3.2))
+    panels = figure.subplots(1, 3)
+    figure.subplots_adjust(0.06, 0.17, 0.98, 0.9, wspace=0.2)
+    place = np.arange(len(horizons))
+    for axis, panel in zip(AXES, panels, strict=True):
+        measured = [one[axis] for one in horizons.values()]
+        for offset, color, label, errors_deg in (
+            (-0.18, _BEFORE, "before", [one.before_deg for one in measured]),
+            (0.18, _AFTER, "after", [one.after_deg for one in measured]),
+        ):
+            panel.bar(place + offset, errors_deg, 0.32, color=color, label=label)
+        for where, one in zip(place, measured, strict=True):
+            text = "{:.2f}\n({:.2f} to {:.2f})".format(one.ratio, *one.interval95)
+            highest_deg = max(one.before_deg, one.after_deg)
+            panel.text(where, highest_deg, text, ha="center", va="bottom", fontsize=8)
+        panel.set_ylim(0.0, 1.3 * max(max(one.before_deg, one.after_deg) for one in measured))
+        panel.set_xticks(place, [f"{key} s" for key in horizons])
+        panel.set_title(f"{axis} [deg rms]", fontsize=9)
+        panel.set_xlabel("horizon; above each the ratio, after over before", fontsize=8)
+    panels[0].legend(loc="upper left", fontsize=8, frameon=False)
     return figure
 
 

@@ -29,15 +29,21 @@ def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
     """
     numbers = to_json(diagnosis)
     folder = folder_with(numbers, folder)
-    before, after = diagnosis.before, diagnosis.after
+    before, after = diagnosis.judgement.before[0].fit, diagnosis.judgement.after[0].fit
     size = figures.figure_of_size(diagnosis)
-    judged = "a flight that no fit saw" if after.held_out_fit else "the flight that was fitted"
+    judged = "a flight that no fit saw" if diagnosis.after.held_out_fit else "the flight that was fitted"
     label = diagnosis.verdict.label
     sections = [
         f"<h1>{_TITLES[label]}</h1>",
         f'<p class="verdict {label}">{escaped(summary(diagnosis))}{escaped(_gained(diagnosis))}</p>',
         f"<h2>Measured against simulated, on {judged}</h2>",
         _gain(numbers["gain"]),
+        image(
+            figures.figure_of_horizons(diagnosis.judgement.horizons),
+            folder / "horizons.png",
+            "errors over the horizon",
+        ),
+        _calibration(numbers["gain"]["calibration"]),
         image(figures.figure_of_windows(before, after), folder / "windows.png", "worst windows"),
         image(figures.figure_of_flight(before, after), folder / "flight.png", "measured against simulated"),
         "<h2>What was found</h2>",
@@ -93,6 +99,33 @@ def _gain(gain: dict[str, Any]) -> str:
         table(heads, rows)
         + f'<p class="note">{escaped(gain["metric"])}; bootstrap intervals, windows resampled.</p>'
     )
+
+
+def _calibration(flights: Sequence[dict[str, Any]]) -> str:
+    """What was found from the beginning of each validation flight."""
+    parts = []
+    for one in flights:
+        if not one["after"]:
+            continue
+        rows = [
+            [
+                name,
+                f"{rounded(after['prior']['value'], after['prior']['std'])} ± {after['prior']['std']:.2g}",
+                *(
+                    f"{rounded(n['value'], n['std'])} ± {rounded(n['std'], n['std'])}"
+                    for n in (before, after)
+                ),
+                after["unit"],
+            ]
+            for (name, after), before in zip(one["after"].items(), one["before"].values(), strict=True)
+        ]
+        parts.append(
+            table(["of this flight alone", "beforehand, after", "found, before", "after", "unit"], rows)
+            + f'<p class="note">{escaped(one["flight"])}: zeros and constant torques from its first '
+            f"{one['calibrated_s']:.1f} s of free flight; the {one['judged_s']:.1f} s after them are judged. "
+            "Windows of each horizon start from the state that fits them best.</p>"
+        )
+    return "".join(parts)
 
 
 def _gained(diagnosis: Diagnosis) -> str:

@@ -16,7 +16,7 @@ from heli_sim.model.parts import AXES
 from heli_sim.rig import Number, Rig
 
 from heli_lab.diagnose.absent_terms import AbsentTerm
-from heli_lab.diagnose.error_reduction import ErrorReduction
+from heli_lab.diagnose.error_reduction import ErrorReduction, Judgement
 from heli_lab.diagnose.experiment_design import ExperimentDesign
 from heli_lab.diagnose.model_comparison import Hypothesis
 from heli_lab.diagnose.prediction import Prediction
@@ -24,7 +24,7 @@ from heli_lab.diagnose.residual_analysis import ResidualAnalysis
 from heli_lab.diagnose.search_record import Cause, Search
 from heli_lab.diagnose.spline_curve import SplineCurve, spline_curve_of
 from heli_lab.diagnose.spline_term import SplineTerm
-from heli_lab.diagnose.thresholds import FEW_WINDOWS
+from heli_lab.diagnose.thresholds import FEW_WINDOWS, CALIBRATE_s
 from heli_lab.diagnose.verdict import Verdict
 from heli_lab.identify import Fit
 from heli_lab.identify.result import Identification
@@ -43,11 +43,12 @@ class Diagnosis:
     extended : Hypothesis
         The model with the causes of the catalogue alone, as the extended rig flies it.
     before, after : Prediction
-        Free runs of the refitted baseline and of the extended model.
-    gains : Mapping[str, ErrorReduction]
-        Free-run errors before and after, by axis.
+        Free runs of the refitted baseline and of the extended model, over all flights.
+    judgement : Judgement
+        Free runs before and after on the flights held out, calibrated.
     spline_gains : Mapping[str, ErrorReduction]
-        The same with the spline terms that stand for causes outside the catalogue; empty without any.
+        Errors over 2 s without anything and with the spline terms too that stand for causes outside the
+        catalogue, by axis; empty without any.
     absent : tuple of AbsentTerm
         Terms of the baseline whose parameters the fit estimated as zero.
     undetectable : tuple of str
@@ -60,6 +61,8 @@ class Diagnosis:
         An experiment that would tell more.
     seconds : float
         Time taken.
+    calibrate_s : float or None
+        Free flight of each validation flight to calibrate on, where it was asked for.
     """
 
     search: Search
@@ -68,7 +71,7 @@ class Diagnosis:
     extended: Hypothesis
     before: Prediction
     after: Prediction
-    gains: Mapping[str, ErrorReduction]
+    judgement: Judgement
     spline_gains: Mapping[str, ErrorReduction]
     absent: tuple[AbsentTerm, ...]
     kinds: Mapping[str, EffectKind]
@@ -77,6 +80,7 @@ class Diagnosis:
     skipped: tuple[str, ...]
     next_flight: ExperimentDesign | None
     seconds: float
+    calibrate_s: float | None = None
 
     def values(self, found: Cause) -> dict[str, tuple[float, float, str]]:
         """Parameters of a cause by full name: value, standard error and unit."""
@@ -98,6 +102,11 @@ class Diagnosis:
             {name: value for name, (value, _, _) in numbers.items()},
             {name: std for name, (_, std, _) in numbers.items()},
         )
+
+    @property
+    def gains(self) -> Mapping[str, ErrorReduction]:
+        """Errors over 2 s before and after, by axis."""
+        return self.judgement.horizons["2"]
 
     @property
     def label(self) -> str:
@@ -135,11 +144,26 @@ class Diagnosis:
         held_out = self.after.held_out_fit
         if held_out is None:
             cautions.append("no flight was held out: nothing here is confirmed; give one to --validate")
-        elif len(self.after.held_out.rows) < FEW_WINDOWS:
-            seconds = sum(record.used_s for record in held_out.problem.records)
-            cautions.append(f"only {seconds:.0f} s were held out: too few for the intervals of the ratios")
+        else:
+            cautions += self._cautions_of_judgement(sum(one.used_s for one in held_out.problem.records))
         if not self.search.complete:
             cautions.append("the work allowed ran out before everything was tried; give more with --budget")
+        return cautions
+
+    def _cautions_of_judgement(self, seconds: float) -> list[str]:
+        """What weakens the comparison on the flights held out, of so many seconds of free flight."""
+        asked_s = CALIBRATE_s if self.calibrate_s is None else self.calibrate_s
+        runs = self.judgement.after
+        cautions = []
+        if sum(len(run.errors["2"].rows) for run in runs) < FEW_WINDOWS:
+            cautions.append(f"only {seconds:.0f} s were held out: too few for the intervals of the ratios")
+        cautions += [
+            f"{run.label} is short: its zeros and torques are calibrated on {run.calibrated_s:.1f} s of it, "
+            f"not on {asked_s:g}"
+            for run in runs
+            # A sample is not worth a line.
+            if run.calibrated_s < 0.99 * asked_s
+        ]
         return cautions
 
     def rig(self, name: str) -> Rig:

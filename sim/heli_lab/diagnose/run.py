@@ -14,7 +14,7 @@ from heli_sim.rig import Rig
 
 from heli_lab.diagnose.absent_terms import absent_terms
 from heli_lab.diagnose.detectability import undetectable_effects, unidentifiable_parameters
-from heli_lab.diagnose.error_reduction import ErrorReduction, error_reduction
+from heli_lab.diagnose.error_reduction import ErrorReduction, judgement
 from heli_lab.diagnose.experiment_design import (
     ExperimentDesign,
     Pair,
@@ -22,8 +22,9 @@ from heli_lab.diagnose.experiment_design import (
     discriminating_experiment,
     informative_experiment,
 )
+from heli_lab.diagnose.free_run import calibration_s, free_runs
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
-from heli_lab.diagnose.prediction import Prediction, predict
+from heli_lab.diagnose.prediction import predict
 from heli_lab.diagnose.residual_analysis import residual_analysis
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.screening import Screening
@@ -49,6 +50,7 @@ def diagnose(
     stop_s: float | None = None,
     seed: int = 0,
     refits: float = math.inf,
+    calibrate_s: float | None = None,
     say: Callable[[str, float], None] | None = None,
 ) -> Diagnosis:
     """Find what a model lacks.
@@ -70,6 +72,9 @@ def diagnose(
     refits : float
         Limit of the work: refits after which no further cause is looked for; the result says whether
         everything was tried.
+    calibrate_s : float, optional
+        Free flight of each validation flight that its zeros and torques are estimated from before the rest is
+        judged, at most a third of it; `CALIBRATE_s` where not given.
     say : callable, optional
         Called with what is being done, and the share of the work that is done, 0 to 1.
 
@@ -78,7 +83,8 @@ def diagnose(
     NotExcited
         When nothing flies in the flights to fit; `insufficient_excitation` makes the result for it.
     IdentifyError
-        When a flight cannot be used, or is given both to fit and to validate.
+        When a flight cannot be used, or is given both to fit and to validate, or `calibrate_s` leaves
+        nothing of one to judge.
     """
     started_s = time.perf_counter()
     tell = say or (lambda _what, _share: None)
@@ -89,6 +95,8 @@ def diagnose(
         raise lost[0]
     held_out, lost_held = _ready(validation, names[len(flights) :], rig, None, None)
     _refuse_twins(train, held_out)
+    for record in held_out:
+        calibration_s(record, calibrate_s)
     comparison = Comparison(model, rig, train, held_out, seed=seed)
     known = {effect.name for effect in model.effects}
     tried = {id_: kind for id_, kind in every.items() if _candidate(kind, model, known)}
@@ -107,6 +115,12 @@ def diagnose(
     absent = absent_terms(after.fit, rig, every)
     verdict = judge(found, remaining, after, every, bool(absent))
     undetectable = undetectable_effects(found.rounds[-1].screened, every)
+    runs_before = free_runs(before.fit, held_out, calibrate_s)
+    runs_after = runs_before if after is before else free_runs(after.fit, held_out, calibrate_s)
+    spline_gains: Mapping[str, ErrorReduction] = {}
+    if verdict.off_list:
+        final = predict(found.final.candidates, found.final.estimate, train, held_out)
+        spline_gains = judgement(runs_before, free_runs(final.fit, held_out, calibrate_s), seed).horizons["2"]
     return Diagnosis(
         found,
         verdict,
@@ -114,8 +128,8 @@ def diagnose(
         extended,
         before,
         after,
-        error_reduction(before, after, seed),
-        _with_splines(comparison, found, before, seed) if verdict.off_list else {},
+        judgement(runs_before, runs_after, seed),
+        spline_gains,
         absent,
         every,
         undetectable,
@@ -123,15 +137,7 @@ def diagnose(
         tuple(str(one) for one in (*lost, *lost_held)),
         _next(comparison, verdict, found, extended, every, undetectable),
         time.perf_counter() - started_s,
-    )
-
-
-def _with_splines(
-    comparison: Comparison, found: Search, before: Prediction, seed: int
-) -> dict[str, ErrorReduction]:
-    final = found.final
-    return error_reduction(
-        before, predict(final.candidates, final.estimate, comparison.train, comparison.held_out), seed
+        calibrate_s,
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.error_reduction import ErrorReduction
+from heli_lab.diagnose.free_run import HORIZONS, FreeRun
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.residual_analysis import ResidualAnalysis, correlates
 from heli_lab.diagnose.result import METRIC, Diagnosis
@@ -28,7 +29,7 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
         "causes": causes(result),
         "residual": _residual(result),
         "weather": weather(result.residual_analysis),
-        "gain": {"metric": result.metric, "axis": _gains(result.gains)},
+        "gain": _gain(result),
         "unexplained": unexplained(result),
         "next_flight": {"why": asked.why, "plan": asked.plan} if asked else None,
         "undetectable": list(result.undetectable),
@@ -43,13 +44,16 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
 
 def _of_insufficient_excitation(result: InsufficientExcitation) -> dict[str, Any]:
     unknown = {"before": None, "after": None}
+    gains = {axis: {**unknown, "ratio": None, "interval95": None} for axis in AXES}
     return {
         "verdict": result.label,
         "causes": [],
         "residual": {"axis": dict.fromkeys(AXES, unknown), "normalised": unknown, "white": {}},
         "gain": {
             "metric": METRIC,
-            "axis": {axis: {**unknown, "ratio": None, "interval95": None} for axis in AXES},
+            "axis": gains,
+            "horizons": {key: {"axis": gains} for key in HORIZONS},
+            "calibration": [],
         },
         "unexplained": None,
         "next_flight": {"why": result.next_flight.why, "plan": result.next_flight.plan},
@@ -253,6 +257,40 @@ def _ranking(found: Diagnosis) -> list[dict[str, Any]]:
 
 def _parameters(values: Mapping[str, tuple[float, float, str]]) -> dict[str, dict[str, float | str]]:
     return {name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in values.items()}
+
+
+def _gain(found: Diagnosis) -> dict[str, Any]:
+    """Free-run errors before and after at each horizon, and what was calibrated for them."""
+    judged = found.judgement
+    return {
+        "metric": found.metric,
+        "axis": _gains(found.gains),
+        "horizons": {key: {"axis": _gains(one)} for key, one in judged.horizons.items()},
+        "calibration": [
+            {
+                "flight": after.label,
+                "calibrated_s": after.calibrated_s,
+                "judged_s": after.judged_s,
+                "before": _constants(before),
+                "after": _constants(after),
+            }
+            for before, after in zip(judged.before, judged.after, strict=True)
+        ],
+    }
+
+
+def _constants(run: FreeRun) -> dict[str, dict[str, Any]]:
+    """Zeros and torques that were calibrated: value, standard error, prior and unit of each."""
+    units = {quantity.name: quantity.unit for quantity in run.fit.problem.model.parameters}
+    return {
+        name: {
+            "value": value,
+            "std": std,
+            "prior": {"value": run.priors[name].mean, "std": run.priors[name].std},
+            "unit": units[name],
+        }
+        for name, (value, std) in run.constants.items()
+    }
 
 
 def _gains(measured: Mapping[str, ErrorReduction]) -> dict[str, dict[str, Any]]:

@@ -84,13 +84,13 @@ reverse."""
 # What is said.
 
 AT_NOISE_FLOOR: Final = 1.04
-"""Root mean square error of the free run, in standard deviations of the quantisation, on all flights, up to which
-nothing shows. Exact models reach 1.00 to 1.02 on simulated flights (2026-11). Lower: what the method's own steps
-leave, a tenth of a mN m, is called unexplained. Higher: small unlisted laws go unnoticed."""
+"""Root mean square error of the free run, in standard deviations of the quantisation, on all flights, up to
+which nothing shows. Exact models reach 1.00 to 1.02 on simulated flights (2026-11). Lower: what the method's
+own steps leave, a tenth of a mN m, is called unexplained. Higher: small unlisted laws go unnoticed."""
 
 GUST_SHARE: Final = 0.1
-"""Share of its typical size from which on a random torque about one axis alone is named. By judgement. Lower: what
-the method's own steps leave gets the name of a gust. Higher: light gusts are passed over as weather."""
+"""Share of its typical size from which on a random torque about one axis alone is named. By judgement. Lower:
+what the method's own steps leave gets the name of a gust. Higher: light gusts are passed over as weather."""
 
 GUST_MIN: Final = 15.0
 """Log-likelihood ratio, nats, of torques by chance about one axis from which on they may be a cause. By
@@ -183,3 +183,14 @@ CLOSELY_STATED: Final = 0.5
 """Relative tolerance below which the prior holds a parameter away from zero, so that the model must be
 refitted without the term to see that it is absent. By judgement: rig files state lengths closely and
 frictions loosely."""
+
+# Judging on another flight.
+
+CALIBRATE_s: Final = 8.0
+"""Free flight that the constants of a validation flight are estimated from, s: four windows. The goals for
+the measured pairs are stated for it. Shorter: what a model lacks is taken for a constant of the flight.
+Longer: less is left to judge."""
+
+CALIBRATE_SHARE: Final = 1.0 / 3.0
+"""Share of a flight's free seconds that calibration may take at most. By judgement. Higher: a short flight is
+judged on a window or two. Lower: its constants are not known."""

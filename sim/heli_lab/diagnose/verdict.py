@@ -54,8 +54,8 @@ def judge(
     remaining : ResidualAnalysis
         What is left.
     after : Prediction
-        Free runs of the model with the causes found: where they leave nothing but quantisation, what is left is
-        too small to matter, however significant.
+        Free runs of the model with the causes found: where they leave nothing but quantisation, what is
+        left is too small to matter, however significant.
     kinds : Mapping[str, EffectKind]
         The catalogue.
     absent : bool

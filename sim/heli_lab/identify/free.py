@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from heli_sim.model.base import Model
 from heli_sim.rig import Prior, Rig
+from heli_sim.rig.schema import UNSTATED
 
 from heli_lab.errors import IdentifyError
 from heli_lab.identify.thresholds import LEAST_OF_PRIOR
@@ -19,6 +20,12 @@ NOT_FREE: Final = frozenset({"g"})
 
 PER_FLIGHT: Final = ("offset_elevation", "offset_pitch")
 """Numbers that differ from flight to flight, because encoders are zeroed each time the board starts."""
+
+FLIGHT_TORQUES: Final = ("torque_elevation", "torque_pitch", "torque_travel")
+"""One constant torque an axis that nothing explains: cables lie differently in each flight."""
+
+FLIGHT_CONSTANTS: Final = (*PER_FLIGHT, *FLIGHT_TORQUES)
+"""All that one flight has of its own."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +105,37 @@ def estimated_names(model: Model, rig: Rig, free: Sequence[str] | None, fixed: S
     if not names:
         raise IdentifyError("every number is fixed", "free at least one")
     return names
+
+
+def flight_constants(model: Model, rig: Rig, about: Mapping[str, float] | None = None) -> dict[str, Prior]:
+    """Priors of what one flight has of its own, `FLIGHT_CONSTANTS`, in the model's order: weak, a few seconds
+    of flight outweigh them.
+
+    Without `about` they are for fits, in which a torque is as little known as the rig file says, and cables
+    pull besides: its standard deviation is half the larger one of the rig file's tolerance and the cables'
+    (`UNSTATED` of the rig files' schema: 0.05, 0.02 and 0.1 N m about elevation, pitch and travel). With it
+    they are for another flight of a rig that has been fitted: what was found there is the mean, because
+    masses, zeros and torques compensate for each other and one of them alone is no news, and a torque differs
+    by the cables alone. Zeros have half the rig file's tolerance both times, and are left out where it
+    states none.
+
+    Parameters
+    ----------
+    about : Mapping[str, float], optional
+        Parameters by name, as fitted to other flights.
+    """
+    known = {**{name: rig[name].value for name in FLIGHT_CONSTANTS}, **(about or {})}
+    priors = {}
+    for name in (quantity.name for quantity in model.parameters):
+        if name not in FLIGHT_CONSTANTS:
+            continue
+        tolerance = rig[name].tolerance
+        if name in FLIGHT_TORQUES:
+            cables = UNSTATED[name].tolerance
+            tolerance = cables if about is not None else max(tolerance, cables)
+        if tolerance > 0:
+            priors[name] = Prior(known[name], 0.5 * tolerance)
+    return priors
 
 
 def _unknown(model: Model, name: str) -> IdentifyError:

@@ -57,15 +57,17 @@ class Grid:
         return Grid(self.record, own, self.rows[kept], self.every)
 
 
-def window_starts(record: Record, window_s: float, every: int) -> list[tuple[int, int]]:
-    """Split the free segments into windows of nearly equal length, about `window_s`, and a multiple of
-    `every` rows: first row and number of rows of each.
+def window_starts(record: Record, window_s: float, every: int, parts: int = 1) -> list[tuple[int, int]]:
+    """Split the free segments into windows of nearly equal length, about `window_s`, and each of these into
+    `parts`, all a multiple of `every` rows: first row and number of rows of each.
     """
     windows = []
     for start, stop in record.segments:
         blocks = (stop - start) // every
         count = max(1, round(blocks * every * record.step_s / window_s))
         edges = np.linspace(0, blocks, count + 1).astype(int)
+        inner = [np.linspace(a, b, parts + 1).astype(int)[:-1] for a, b in itertools.pairwise(edges)]
+        edges = np.append(np.concatenate(inner), blocks)
         windows += [
             (start + int(low) * every, int(high - low) * every)
             for low, high in itertools.pairwise(edges)

@@ -119,6 +119,7 @@ class Problem:
         )
         """For each record, which free parameters it depends on, in the order of the kernel."""
         self.window_s = window_s
+        self.window_parts = 1
         self.step_s = step_s
         self.state_count = len(model.states)
         thrust_N = thresholds.STATE_STD_V * rig["thrust_gain"].value
@@ -195,6 +196,15 @@ class Problem:
         other._grids = {}
         return other
 
+    def with_split_windows(self, parts: int) -> Problem:
+        """Pose the same problem with each window divided into `parts` of nearly equal length, each with its
+        own initial state: the same samples, predicted over a shorter horizon.
+        """
+        other = copy.copy(self)
+        other.window_parts = parts
+        other._grids = {}
+        return other
+
     def parameters(self, theta: Floats, index: int = 0) -> Floats:
         """Complete the free parameters `theta`, shape (f,), to all those of the model, shape (p,), for record
         `index`.
@@ -255,7 +265,7 @@ class Problem:
         record = self.records[index]
         coarse = max(1, int(self.step_s / record.step_s + 1e-6))
         block = max(1, int(thresholds.BLOCK_S / record.step_s + 1e-6))
-        return window_starts(record, self.window_s, math.lcm(coarse, block))
+        return window_starts(record, self.window_s, math.lcm(coarse, block), self.window_parts)
 
     def evaluation(
         self, index: int, theta: Floats, states: Floats, *, fine: bool = False, derivatives: bool = True

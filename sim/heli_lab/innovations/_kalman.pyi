@@ -3,36 +3,8 @@ from numpy.typing import NDArray
 
 _Floats = NDArray[float64]
 
-def filter(
-    transition: _Floats,
-    torque_input: _Floats,
-    measurement: _Floats,
-    measurement_variance: _Floats,
-    memory: _Floats,
-    torque_variance: _Floats,
-    initial_variance: _Floats,
-    drive: _Floats,
-    measured: _Floats,
-) -> tuple[_Floats, list[float]]: ...
-def track(
-    transition: _Floats,
-    torque_input: _Floats,
-    measurement: _Floats,
-    measurement_variance: _Floats,
-    memory: _Floats,
-    torque_variance: _Floats,
-    initial_variance: _Floats,
-    drive: _Floats,
-    measured: _Floats,
-) -> tuple[_Floats, _Floats]: ...
-def smooth(
-    transition: _Floats,
-    torque_input: _Floats,
-    measurement: _Floats,
-    measurement_variance: _Floats,
-    memory: _Floats,
-    torque_variance: _Floats,
-    initial_variance: _Floats,
-    drive: _Floats,
-    measured: _Floats,
-) -> tuple[_Floats, _Floats]: ...
+# All take transition, torque_input, measurement, measurement_variance, memory, torque_variance,
+# initial_variance, drive and measured, shaped as sim/kalman/kalman.hpp says.
+def filter(*arrays: _Floats) -> tuple[_Floats, list[float]]: ...
+def track(*arrays: _Floats) -> tuple[_Floats, _Floats]: ...
+def smooth(*arrays: _Floats) -> tuple[_Floats, _Floats]: ...

@@ -85,14 +85,15 @@ class Filtered:
 
     @staticmethod
     def _error_drive(one: Linear) -> Floats:
-        result: Floats = np.einsum("nij,nj->ni", one.Gamma, one.defect)
-        return result + np.einsum("nij,nj->ni", one.Phi, one.surprise)
+        drive: Floats = np.einsum("nij,nj->ni", one.Gamma, one.defect)
+        drive += np.einsum("nij,nj->ni", one.Phi, one.surprise)
+        return drive
 
     def _compose(self, one: Linear, window: slice) -> _Blocks:
         count = (window.stop - window.start) // self.block
         rows = window.start + self.block * np.arange(count)
         transition = np.broadcast_to(np.eye(one.Phi.shape[1]), (count, *one.Phi.shape[1:])).copy()
-        parts = []
+        parts: list[Floats] = []
         for step in range(self.block):
             phi = one.Phi[rows + step]
             transition = np.asarray(phi @ transition, float)
@@ -291,7 +292,7 @@ def solve(
             break
         move[over] = (np.clip(theta + move, low, high) - theta)[over]
         free &= ~over
-    covariance: Floats = np.linalg.inv(information)
+    covariance = np.asarray(np.linalg.inv(information), float)
     return move, covariance, float(value)
 
 

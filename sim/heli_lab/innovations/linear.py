@@ -151,7 +151,7 @@ class Linear:
             delay=delay,
             dead_zone_V=dead_zone if one_way else None,
         )
-        t_s = (np.arange(count) + 0.5) * h
+        t_s = np.asarray((np.arange(count) + 0.5) * h, float)
         after = np.vstack((course.predicted[1:], course.predicted[-1:]))
         middle = 0.5 * (course.filtered + after)
         whole = Trajectory(t_s, middle, grid.inputs.mean_V, h, parameters)
@@ -174,7 +174,7 @@ class Linear:
         eye = np.eye(nx)
         inverse = np.linalg.inv(eye - 0.5 * h * a)
         self.Phi: Floats = inverse @ (eye + 0.5 * h * a)
-        self.Gamma: Floats = inverse * h
+        self.Gamma: Floats = np.asarray(inverse * h, float)
         change = np.zeros((self.rows, nx))
         change[:, :6] = ((after - course.filtered) / h)[rows]
         defect = rates[:, :, 0] - change

@@ -28,6 +28,17 @@ def diagnose(
     report: option.ReportOption = None,
     json: option.NumbersOption = None,
     out: option.FoundRigOption = None,
+    calibrate_s: Annotated[
+        float | None,
+        typer.Option(
+            "--calibrate",
+            metavar="SECONDS",
+            min=0.0,
+            help="Free flight of each validation flight to find its zeros and torques from; the rest is "
+            "judged.  [default: 8, or a third of a short flight]",
+            show_default=False,
+        ),
+    ] = None,
     seed: Annotated[
         int, typer.Option("--seed", metavar="N", min=0, help="Seed of the bootstrap behind the intervals.")
     ] = 0,
@@ -86,6 +97,7 @@ def diagnose(
                 start_s=start_s,
                 stop_s=stop_s,
                 seed=seed,
+                calibrate_s=calibrate_s,
                 refits=budget,
                 say=bar.show,
             )
