@@ -46,7 +46,8 @@ LinearSystem system_of(const In<3>& transition, const In<3>& torque_input, const
           "measurement_variance has another shape than measurement");
   require(memory.shape(0) == system.torques && torque_variance.shape(0) == system.torques,
           "memory and torque_variance must have one entry a torque");
-  require(initial_variance.shape(0) == system.states, "initial_variance must have one entry a state");
+  require(initial_variance.shape(0) == system.states,
+          "initial_variance must have one entry a state");
   require(drive.shape(0) == system.steps && drive.shape(1) == system.states,
           "drive has another shape than transition");
   require(measured.shape(0) == system.steps && measured.shape(1) == 3 &&

@@ -84,7 +84,8 @@ class Filter {
         }
       }
       for (std::size_t c = 0; c < columns; ++c) {
-        // What a window's beginning left dies out: its squares would be denormal, which costs a hundredfold.
+        // What a window's beginning left dies out: its squares would be denormal, which costs a
+        // hundredfold.
         out[c] = std::fabs(out[c]) < kNothing ? 0.0 : out[c] * scale;
       }
       for (std::size_t i = 0; i < order_; ++i) {
@@ -213,8 +214,8 @@ void track(const LinearSystem& system, double* predicted, double* filtered) {
   }
 }
 
-// Modified Bryson-Frazier: adjoint vector and matrix run backwards, nothing is inverted, so that torques of
-// variance 0 and exact states are no special case. Bierman, Automatica 9 (1973) 503.
+// Modified Bryson-Frazier: adjoint vector and matrix run backwards, nothing is inverted, so that
+// torques of variance 0 and exact states are no special case. Bierman, Automatica 9 (1973) 503.
 void smooth(const LinearSystem& system, double* mean, double* variance) {
   const std::size_t states = system.states;
   const std::size_t order = states + system.torques;
@@ -240,7 +241,8 @@ void smooth(const LinearSystem& system, double* mean, double* variance) {
   std::vector<double> line(order);
   for (std::size_t step = system.steps; step-- > 0;) {
     if (step + 1 < system.steps) {
-      // Back through the prediction: F' adjoint, F' matrix F with F = [transition torque_input; 0 memory].
+      // Back through the prediction: F' adjoint, F' matrix F with F = [transition torque_input; 0
+      // memory].
       const double* phi = system.transition + step * states * states;
       const double* input = system.torque_input + step * states * system.torques;
       const auto entry = [&](std::size_t i, std::size_t j) {

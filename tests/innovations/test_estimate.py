@@ -96,4 +96,5 @@ def test_weather_found_is_likelier_than_its_neighbours() -> None:
 def test_larger_model_is_never_less_likely_than_the_one_that_it_contains(id_: str) -> None:
     kind = KINDS[id_]
     more = comparison().refit([Candidate(id_, kind.make(kind.typical), kind.size)], None, baseline())
-    assert more.log_likelihood > baseline().log_likelihood - 0.5
+    # What it cannot avoid is the prior of its size, which at nothing is up to 1.4 standard deviations off.
+    assert more.log_likelihood > baseline().log_likelihood - 1.2

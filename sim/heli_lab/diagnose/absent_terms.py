@@ -26,8 +26,9 @@ _WHOLE: Final = Prior(1.0, 0.03, 0.0, 1.0)
 """Of the share of a term that is absent: all of it or nothing. A wider prior would let a share of the term
 stand in for a parameter that is merely off."""
 _ANY_SHARE: Final = Prior(0.0, 1.0, 0.0, 1.0)
-_LEAST_SHARE, _MOST_SHARE = 0.5, 1.6
-"""Share of a term that the score test must want gone: about all of it, as far as a straight line tells."""
+_LEAST_SHARE, _MOST_SHARE = 0.2, 5.0
+"""Share of a term that the score test must want gone: about all of it, as far as a straight line tells while
+weather stands for what is wrong."""
 _START_SHARE: Final = 0.99
 """Just inside the bound of that prior."""
 
@@ -123,10 +124,14 @@ def closely_stated_terms(
     list of (Candidate, dict, float)
         The term gone, the values to refit from, and the gain that the score test promises, nats.
     """
+    known = {effect.name for effect in screening.estimate.unknowns.model.effects}
     asked = [
         kind
         for kind in kinds
-        if kind.baseline and kind.suits(comparison.model) and closely_stated(kind, comparison.rig)
+        if kind.baseline
+        and kind.id not in known
+        and kind.suits(comparison.model)
+        and closely_stated(kind, comparison.rig)
     ]
     shares = [
         Candidate(kind.id, replace(kind.make(), priors={kind.size[0]: _ANY_SHARE}), kind.size)

@@ -103,7 +103,9 @@ def diagnose(
     found = search(comparison, tried, removable=tuple(every.values()), say=tell, refits=refits)
     tell("looking at what remains", 0.9)
     screening = found.screening
-    judged = [Screening(comparison.held_out_estimate(found.final))] if held_out else []
+    # Numbers from a few seconds are too uncertain to be held against another flight.
+    enough = bool(held_out) and sum(record.used_s for record in train) > SHORT_s
+    judged = [Screening(comparison.held_out_estimate(found.final))] if enough else []
     remaining = residual_analysis([screening, *judged])
     extended = _extended(comparison, found)
     before = predict((), found.baseline.estimate, train, held_out)

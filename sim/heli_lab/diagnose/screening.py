@@ -113,8 +113,17 @@ class Screening:
     def score_signals(
         self, signals: Sequence[tuple[Floats, Floats | None]], sizes: Sequence[int], priors: Sequence[Floats]
     ) -> list[Score]:
-        """The same for regressors that are given: for each flight the change of the rates, (n, states, s),
-        and of the measured angles, (n, 3, s), all candidates side by side.
+        """Gain, coefficients and their standard errors of regressors that are given.
+
+        Parameters
+        ----------
+        signals : sequence of (ndarray, ndarray or None)
+            For each flight the change of the rates, (n, states, s), and of the measured angles, (n, 3, s),
+            all candidates side by side.
+        sizes : sequence of int
+            Regressors of each candidate.
+        priors : sequence of ndarray
+            Standard deviations of each candidate's coefficients about 0.
         """
         return [
             score_of(*part, std) for part, std in zip(self.information(signals, sizes), priors, strict=True)
@@ -125,6 +134,13 @@ class Screening:
     ) -> list[tuple[Floats, Floats]]:
         """Fisher information and score of the coefficients of regressors, the free parameters projected out;
         those of several flights add up.
+
+        Parameters
+        ----------
+        signals : sequence of (ndarray, ndarray or None)
+            As in `score_signals`.
+        sizes : sequence of int
+            Regressors of each candidate.
         """
         only = self.estimate.filtered.regressors(self.estimate.weather, signals)
         rest = only - self._nuisance @ (self._covariance @ (self._nuisance.T @ only))
@@ -245,7 +261,17 @@ class Screening:
 
 
 def score_of(information: Floats, score: Floats, prior_std: Floats) -> Score:
-    """Gain, coefficients and standard errors of a score test with normal priors about 0."""
+    """Gain, coefficients and standard errors of a score test with normal priors about 0.
+
+    Parameters
+    ----------
+    information : ndarray (g, g)
+        Fisher information of the coefficients.
+    score : ndarray (g,)
+        Derivatives of the log-likelihood.
+    prior_std : ndarray (g,)
+        Standard deviations of the priors.
+    """
     covariance = np.linalg.pinv(information + np.diag(prior_std**-2.0), hermitian=True)
     coefficients = covariance @ score
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))

@@ -157,10 +157,10 @@ flight of `heli-host fly identify` leaves 2."""
 
 # Terms of the baseline that are absent.
 
-ABSENT_MIN: Final = 30.0
-"""Log-likelihood ratio, nats, by which a model without a closely stated term must be more likely. By
-judgement: seven standard deviations of one parameter. Lower: another effect passes for the missing term.
-Higher: nothing changes up to hundreds on simulated flights without a pendulum."""
+ABSENT_MIN: Final = 15.0
+"""Score, nats, from which on the model is estimated without a closely stated term. By judgement: while the
+term is in the model, weather stands for its absence and the score is low. Lower: time. Higher: absent terms
+are not tried."""
 
 PRESENT_LOG_STD: Final = math.log(2.0)
 """Standard deviation of the logarithm of a term that is present about the rig file's value: within half and
@@ -171,9 +171,10 @@ ABSENT_PRIOR: Final = 0.1
 """Probability before any flight that a term is absent. By judgement. Enters as ln(0.1/0.9) = -2.2 nats: 0.5
 in its place would add 2.2."""
 
-ABSENT_MIN_CONFIDENCE: Final = 0.5
-"""Probability from which on a term is named as absent: more likely than not, by judgement. Lower: frictions
-that are only small are called absent. Higher: absent terms that the flight hardly shows go unnamed."""
+ABSENT_MIN_CONFIDENCE: Final = 0.8
+"""Probability from which on a term is named as absent. A friction at its bound beside a lag that is not in
+the model reaches 0.66 on a simulated flight (2026-11); absent ones reach 0.9 and more. Lower: frictions that
+another cause hides are called absent. Higher: absent terms that the flight hardly shows go unnamed."""
 
 ABSENT_MIN_STD: Final = 1e-3
 """Least standard error of a parameter, as a share of the rig's: a fit keeps parameters that cannot be

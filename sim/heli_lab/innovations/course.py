@@ -67,7 +67,7 @@ class Course:
         return np.concatenate([np.arange(one.start, one.stop) for one in self.windows]).astype(np.int64)
 
     def followed(self, predicted: Floats, filtered: Floats) -> Course:
-        """Keep everything but the states, as a better filter follows them, shape (n, 6) each."""
+        """Keep everything but the states `predicted` and `filtered` by a better filter, shape (n, 6) each."""
         return replace(self, predicted=predicted, filtered=filtered)
 
 

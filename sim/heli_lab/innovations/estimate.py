@@ -274,7 +274,28 @@ class Estimate:
 def solve(
     unknowns: Unknowns, theta: Floats, innovations: Floats, log_variances: Floats
 ) -> tuple[Floats, Floats, float]:
-    """Move of the parameters that maximises the posterior, their covariance, and its value before, nats."""
+    """Solve for the move of the parameters that maximises the posterior.
+
+    Parameters
+    ----------
+    unknowns : Unknowns
+        Priors and bounds.
+    theta : ndarray (f,)
+        Parameters at which the model is linearised.
+    innovations : ndarray (m, 1 + f)
+        As `Filtered.innovations` gives them.
+    log_variances : ndarray (3,)
+        Sums of the logarithms of the innovations' variances.
+
+    Returns
+    -------
+    move : ndarray (f,)
+        Within the bounds.
+    covariance : ndarray (f, f)
+        Of the parameters.
+    value : float
+        Logarithm of the posterior at `theta`, nats.
+    """
     error, sensitivity = innovations[:, 0], innovations[:, 1:]
     precision = unknowns.std**-2.0
     offset = theta - unknowns.mean
@@ -299,7 +320,9 @@ def solve(
 def estimate_weather(
     filtered: Filtered, error: Sequence[Sequence[tuple[Floats, Floats]]], start: Weather
 ) -> Weather:
-    """Maximise the likelihood of an error's innovations over the weather."""
+    """Maximise the likelihood of the innovations of an `error`, as `Filtered.moved` gives it, over the
+    weather, from `start` on.
+    """
 
     def value(at: Weather) -> Floats:
         found, log_variances = filtered.innovations(at, error)

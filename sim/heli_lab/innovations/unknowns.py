@@ -93,7 +93,9 @@ class Unknowns:
         return result
 
     def parameters(self, theta: Floats, index: int) -> Floats:
-        """Complete free parameters `theta`, shape (f,), to all of the model, shape (p,), for a flight."""
+        """Complete free parameters `theta`, shape (f,), to all those of the model, shape (p,), for the flight
+        of number `index`.
+        """
         full = self._base.copy()
         full[self._place[self.columns[index]]] = theta[self.columns[index]]
         return full

@@ -69,7 +69,7 @@ class Weather:
 
     @classmethod
     def from_point(cls, point: Floats) -> Weather:
-        """Make it of the logarithms of all numbers, shape (3, 4), an axis a row."""
+        """Make it of a `point`, the logarithms of all numbers, shape (3, 4), an axis a row."""
         gust, memory, drift, quantisation = np.exp(point).T
         return cls(gust, memory, drift, quantisation)
 
@@ -81,7 +81,7 @@ class Weather:
         return result
 
     def memory(self, step_s: float) -> Floats:
-        """Share of each torque that is left after a step, gusts first, shape (6,)."""
+        """Share of each torque that is left after a step of `step_s`, gusts first, shape (6,)."""
         result: Floats = np.exp(-step_s / np.concatenate((self.memory_s, np.full(3, DRIFT_MEMORY_s))))
         return result
 
