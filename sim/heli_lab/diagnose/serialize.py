@@ -166,7 +166,8 @@ def unexplained(found: Diagnosis) -> dict[str, Any] | None:
     if found.verdict.label != "unexplained":
         return None
     if not found.verdict.off_list:
-        named = [one.what for one in found.residual_analysis.dependences]
+        # A quantity may stand there as a curve and as a straight line.
+        named = list(dict.fromkeys(one.what for one in found.residual_analysis.dependences))
         channel = named[0].split(" on ")[0].rpartition(".")[2]
         axis = channel if channel in AXES else found.residual_analysis.axis
         return {
