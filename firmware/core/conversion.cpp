@@ -16,10 +16,6 @@ using link::Param;
 
 namespace {
 
-float smoothing_of(float cutoff_Hz) {
-  return control::gone_after(2.0F * kPi * cutoff_Hz * kTick_s);
-}
-
 MotorConversion motor_of(const params::Params& params, float sign, std::int16_t duty_full) {
   const float V_per_duty = params.get(Param::supply_V) / static_cast<float>(duty_full);
   MotorConversion motor{};
@@ -38,6 +34,10 @@ MotorConversion motor_of(const params::Params& params, float sign, std::int16_t 
 }
 
 }  // namespace
+
+float smoothing_of(float cutoff_Hz) {
+  return control::gone_after(2.0F * kPi * cutoff_Hz * kTick_s);
+}
 
 Conversion conversion_of(const params::Params& params, std::int16_t duty_full) {
   Conversion c{};

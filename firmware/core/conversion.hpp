@@ -28,6 +28,9 @@ struct Conversion {
 };
 
 // Uses floats, divisions and exponentials: idle loop only. `duty_full` is the board's.
+// Of a low-pass, for each tick: 1 - exp(-2 pi f T).
+float smoothing_of(float cutoff_Hz);
+
 Conversion conversion_of(const params::Params& params, std::int16_t duty_full);
 
 }  // namespace heli

@@ -38,8 +38,13 @@ std::int32_t wire(Quantity value, Wire per_unit) { return product<0>(value, per_
 
 }  // namespace
 
-Core::Core(Board& board, control::Controller& law)
-    : board_(board), law_(law), store_(board), link_(board, params_, store_), supervisor_(link_) {
+Core::Core(Board& board, control::Controller& law, law::Guest& guest)
+    : board_(board),
+      law_(law),
+      guest_(guest),
+      store_(board),
+      link_(board, params_, store_, guest.tape()),
+      supervisor_(link_) {
   refresh_derived();
 }
 
@@ -75,7 +80,7 @@ void Core::zero(const EncoderReading& reading, std::uint8_t axes) {
       filters_[axis].restart();
     }
   }
-  link_.push_event({tick_, static_cast<std::uint8_t>(Event::zeroed), axes, 0, 0.0F});
+  link_.push_event({seen_.tick, static_cast<std::uint8_t>(Event::zeroed), axes, 0, 0.0F});
 }
 
 void Core::measure(const EncoderReading& reading, const Conversion& c) {
@@ -85,12 +90,13 @@ void Core::measure(const EncoderReading& reading, const Conversion& c) {
                                  static_cast<std::uint32_t>(zero_count_[axis]);
     const std::uint32_t zero =
         axis == kElevation ? static_cast<std::uint32_t>(c.elevation_rest_counts) : 0U;
-    count_[axis] =
+    seen_.count[axis] =
         static_cast<std::int32_t>((c.count_sign[axis] < 0 ? 0U - turned : turned) + zero);
   }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    angle_rad_[axis] = product<24>(Whole::from_raw(count_[axis]), c.rad_per_count[axis]);
-    rate_rad_s_[axis] = filters_[axis].update(angle_rad_[axis], c.smoothing[axis]);
+    seen_.angle_rad[axis] = product<24>(Whole::from_raw(seen_.count[axis]), c.rad_per_count[axis]);
+    seen_.rate_rad_s[axis] = filters_[axis].update(seen_.angle_rad[axis], c.smoothing[axis]);
+    seen_.illegal[axis] = reading.illegal[axis];
     counters_.illegal[axis] = static_cast<std::uint16_t>(
         reading.illegal[axis] < 0xFFFFU ? reading.illegal[axis] : 0xFFFFU);
   }
@@ -125,16 +131,44 @@ Reply Core::execute(const link::Request& request, const EncoderReading& reading)
       zero(reading, message.axes);
       return {};
     }
+    case MessageId::law_fly:
+      return fly_law(request.as<link::LawFlyMessage>().on != 0U);
+    case MessageId::law_set:
+      return guest_.set_parameter(request.as<link::LawSetMessage>());
     default:
       return supervisor_.execute(request);
   }
 }
 
+Reply Core::fly_law(bool on) {
+  const auto state = static_cast<std::uint8_t>(supervisor_.state());
+  if (!on) {
+    if (guest_.flying()) {
+      guest_.leave(link::Takeover::command, 0.0F);
+    }
+    return {Result::ok, state, 0.0F};
+  }
+  if (supervisor_.state() != State::closed_loop || supervisor_.axes() != kAllAxes) {
+    return {Result::bad_law, static_cast<std::uint8_t>(link::LawError::not_flying),
+            static_cast<float>(state)};
+  }
+  Reply reply =
+      guest_.engage({wire(seen_.acted.front_V, kFrontWire), wire(seen_.acted.back_V, kBackWire)});
+  if (reply.result == Result::ok) {
+    reply.detail = state;
+  }
+  return reply;
+}
+
 ControlOutput Core::drive(Bank bank) {
+  if (guest_.busy() && guest_.flying() &&
+      (supervisor_.state() != State::closed_loop || supervisor_.axes() != kAllAxes)) {
+    guest_.leave(link::Takeover::state, static_cast<float>(supervisor_.state()));
+  }
   if (!supervisor_.motors_enabled() || supervisor_.state() == State::armed) {
     law_.reset();
     ControlOutput off{};
-    off.pitch_setpoint_rad = angle_rad_[kPitch];
+    off.pitch_setpoint_rad = seen_.angle_rad[kPitch];
     return off;
   }
   control::Exciter& exciter = supervisor_.exciter();
@@ -142,23 +176,24 @@ ControlOutput Core::drive(Bank bank) {
   const control::ExcitationValue excitation = exciter.next();
   excited_ = exciter.running();
   if (kind != exciter.kind()) {
-    link_.push_event({tick_, static_cast<std::uint8_t>(Event::excitation_end),
+    link_.push_event({seen_.tick, static_cast<std::uint8_t>(Event::excitation_end),
                       static_cast<std::uint8_t>(kind), 0, 0.0F});
   }
-  ControlInput in{};
-  for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    in.angle_rad[axis] = angle_rad_[axis];
-    in.rate_rad_s[axis] = rate_rad_s_[axis];
-    const flight::Setpoint setpoint = supervisor_.setpoint(axis);
-    in.setpoint_rad[axis] = setpoint.angle_rad;
-    in.setpoint_rate_rad_s[axis] = setpoint.rate_rad_s;
-    in.setpoint_acceleration_rad_s2[axis] = setpoint.acceleration_rad_s2;
-  }
-  in.axes = supervisor_.axes();
-  in.open_front_V = supervisor_.open_voltages().front_V;
-  in.open_back_V = supervisor_.open_voltages().back_V;
-  in.excitation_front_V = excitation.front_V;
-  in.excitation_back_V = excitation.back_V;
+  const flight::Setpoint elevation = supervisor_.setpoint(kElevation);
+  const flight::Setpoint pitch = supervisor_.setpoint(kPitch);
+  const flight::Setpoint travel = supervisor_.setpoint(kTravel);
+  // All at once: cleared first and then filled, it takes 40 instructions more.
+  const ControlInput in{
+      {seen_.angle_rad[kElevation], seen_.angle_rad[kPitch], seen_.angle_rad[kTravel]},
+      {seen_.rate_rad_s[kElevation], seen_.rate_rad_s[kPitch], seen_.rate_rad_s[kTravel]},
+      {elevation.angle_rad, pitch.angle_rad, travel.angle_rad},
+      {elevation.rate_rad_s, pitch.rate_rad_s, travel.rate_rad_s},
+      {elevation.acceleration_rad_s2, pitch.acceleration_rad_s2, travel.acceleration_rad_s2},
+      supervisor_.axes(),
+      supervisor_.open_voltages().front_V,
+      supervisor_.open_voltages().back_V,
+      excitation.front_V,
+      excitation.back_V};
   return law_.update(in, bank);
 }
 
@@ -170,26 +205,58 @@ void Core::actuate(const ControlOutput& out, const Conversion& c) {
     command.back_duty = duty_of(out.back_V, c.back);
   }
   board_.write_motors(command);
-  acted_ = {product<24>(Whole::from_raw(command.front_duty), c.front.V_per_duty),
-            product<24>(Whole::from_raw(command.back_duty), c.back.V_per_duty)};
+  seen_.acted = {product<24>(Whole::from_raw(command.front_duty), c.front.V_per_duty),
+                 product<24>(Whole::from_raw(command.back_duty), c.back.V_per_duty)};
+}
+
+// Its setpoints and signals, beginning and end; what else is logged of a tick is as with any law.
+void Core::log_law(link::Sample& sample) {
+  using link::Channel;
+  link::EventMessage news;
+  if (guest_.take_news(news)) {
+    news.tick = seen_.tick;
+    link_.push_event(news);
+  }
+  if (!guest_.flying()) {
+    return;
+  }
+  sample.raw[static_cast<std::size_t>(Channel::flags)] |= link::flags::law;
+  const auto tell = [&sample](Channel channel, std::int32_t value) {
+    sample.raw[static_cast<std::size_t>(channel)] = value;
+  };
+  tell(Channel::elevation_setpoint, guest_.setpoint_raw(kElevation));
+  tell(Channel::pitch_setpoint, guest_.setpoint_raw(kPitch));
+  tell(Channel::travel_setpoint, guest_.setpoint_raw(kTravel));
+  tell(Channel::signal_1, guest_.signal_raw(0));
+  tell(Channel::signal_2, guest_.signal_raw(1));
+  tell(Channel::signal_3, guest_.signal_raw(2));
+  tell(Channel::signal_4, guest_.signal_raw(3));
+  guest_.note({sample.raw[static_cast<std::size_t>(Channel::front)],
+               sample.raw[static_cast<std::size_t>(Channel::back)]});
 }
 
 void Core::log_tick(const ControlOutput& out, TickTiming timing) {
-  link::Sample sample;
-  sample.tick = tick_;
+  link::Sample& sample = link_.next_sample();
+  sample.tick = seen_.tick;
   const auto put = [&sample](link::Channel channel, std::int32_t value) {
     sample.raw[static_cast<std::size_t>(channel)] = value;
   };
   using link::Channel;
-  put(Channel::elevation_count, count_[kElevation]);
-  put(Channel::pitch_count, count_[kPitch]);
-  put(Channel::travel_count, count_[kTravel]);
+  put(Channel::elevation_count, seen_.count[kElevation]);
+  put(Channel::pitch_count, seen_.count[kPitch]);
+  put(Channel::travel_count, seen_.count[kTravel]);
+  // A law that is streamed as voltages tells what it follows.
+  const bool told = supervisor_.follows();
+  const auto setpoint = [this, told](std::size_t axis, Quantity own_rad) {
+    return told ? supervisor_.following_rad(axis) : own_rad;
+  };
   put(Channel::elevation_setpoint,
-      wire(supervisor_.setpoint_rad(kElevation), kElevationSetpointWire));
-  put(Channel::pitch_setpoint, wire(out.pitch_setpoint_rad, kPitchSetpointWire));
-  put(Channel::travel_setpoint, wire(supervisor_.setpoint_rad(kTravel), kTravelSetpointWire));
-  put(Channel::front, wire(acted_.front_V, kFrontWire));
-  put(Channel::back, wire(acted_.back_V, kBackWire));
+      wire(setpoint(kElevation, supervisor_.setpoint_rad(kElevation)), kElevationSetpointWire));
+  put(Channel::pitch_setpoint, wire(setpoint(kPitch, out.pitch_setpoint_rad), kPitchSetpointWire));
+  put(Channel::travel_setpoint,
+      wire(setpoint(kTravel, supervisor_.setpoint_rad(kTravel)), kTravelSetpointWire));
+  put(Channel::front, wire(seen_.acted.front_V, kFrontWire));
+  put(Channel::back, wire(seen_.acted.back_V, kBackWire));
   put(Channel::state, static_cast<std::int32_t>(supervisor_.state()));
   put(Channel::fault, static_cast<std::int32_t>(supervisor_.fault()));
   put(Channel::trigger, static_cast<std::int32_t>(supervisor_.cause()));
@@ -203,8 +270,15 @@ void Core::log_tick(const ControlOutput& out, TickTiming timing) {
   raise(supervisor_.link_alive(), link::flags::link_alive);
   raise(out.pitch_limited, link::flags::pitch_limited);
   raise(timing.late, link::flags::overrun);
+  put(Channel::signal_1, 0);
+  put(Channel::signal_2, 0);
+  put(Channel::signal_3, 0);
+  put(Channel::signal_4, 0);
   put(Channel::flags, flags);
-  link_.push_sample(sample);
+  if (guest_.busy()) {
+    log_law(sample);
+  }
+  link_.keep_sample(sample);
 
   counters_.overruns += timing.late ? 1U : 0U;
   counters_.tick_max_us =
@@ -215,7 +289,7 @@ void Core::log_tick(const ControlOutput& out, TickTiming timing) {
 }
 
 void Core::tick(TickTiming timing) {
-  link_.begin_tick(tick_);
+  link_.begin_tick(seen_.tick);
   const EncoderReading reading = board_.read_encoders();
   if (!zeroed_) {
     zeroed_ = true;
@@ -225,22 +299,13 @@ void Core::tick(TickTiming timing) {
   const Derived& derived = derived_[bank];
   measure(reading, derived.conversion);
 
-  flight::Observation seen{};
-  seen.tick = tick_;
-  for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    seen.angle_rad[axis] = angle_rad_[axis];
-    seen.rate_rad_s[axis] = rate_rad_s_[axis];
-    seen.count[axis] = count_[axis];
-    seen.illegal[axis] = reading.illegal[axis];
-  }
-  seen.overload_edges = reading.overload_edges;
-  seen.overruns = counters_.overruns;
-  seen.hardware_stop = board_.hardware_stop();
-  seen.link_age_ticks = link_.ticks_since_host_frame();
-  seen.acted = acted_;
-  seen.pitch_setpoint_rad = pitch_setpoint_rad_;
-  seen.params_usable = store_.source() != link::ParamsSource::corrupt;
-  supervisor_.observe(seen, derived.limits, derived.bounds, derived.tracking);
+  // Motor voltages and pitch setpoint stand there since the tick before.
+  seen_.overload_edges = reading.overload_edges;
+  seen_.overruns = counters_.overruns;
+  seen_.hardware_stop = board_.hardware_stop();
+  seen_.link_age_ticks = link_.ticks_since_host_frame();
+  seen_.params_usable = store_.source() != link::ParamsSource::corrupt;
+  supervisor_.observe(seen_, derived.limits, derived.bounds, derived.tracking);
 
   if (const link::Request* request = link_.take_request()) {
     link_.answer(execute(*request, reading));
@@ -253,9 +318,9 @@ void Core::tick(TickTiming timing) {
   excited_ = false;
   const ControlOutput out = drive(bank);
   actuate(out, derived.conversion);
-  pitch_setpoint_rad_ = out.pitch_setpoint_rad;
+  seen_.pitch_setpoint_rad = out.pitch_setpoint_rad;
   log_tick(out, timing);
-  ++tick_;
+  ++seen_.tick;
 }
 
 }  // namespace heli

@@ -9,9 +9,11 @@
 #include "control/rate_filter.hpp"
 #include "conversion.hpp"
 #include "flight/limits.hpp"
+#include "flight/observation.hpp"
 #include "flight/setpoints.hpp"
 #include "flight/supervisor.hpp"
 #include "flight/tracking.hpp"
+#include "law/guest.hpp"
 #include "link/link.hpp"
 #include "params/params.hpp"
 #include "params/store.hpp"
@@ -26,7 +28,8 @@ struct TickTiming {
 
 class Core {
  public:
-  Core(Board& board, control::Controller& law);
+  // `guest` is the law that may come over the link; it flies where `law` lets it.
+  Core(Board& board, control::Controller& law, law::Guest& guest);
 
   // Once, before the first tick: loads the parameters, announces the boot.
   void start();
@@ -52,12 +55,15 @@ class Core {
   void measure(const EncoderReading& reading, const Conversion& c);
   void zero(const EncoderReading& reading, std::uint8_t axes);
   link::Reply execute(const link::Request& request, const EncoderReading& reading);
+  link::Reply fly_law(bool on);
   control::ControlOutput drive(control::Bank bank);
   void actuate(const control::ControlOutput& out, const Conversion& c);
+  void log_law(link::Sample& sample);
   void log_tick(const control::ControlOutput& out, TickTiming timing);
 
   Board& board_;
   control::Controller& law_;
+  law::Guest& guest_;
   params::Params params_;
   params::Store store_;
   link::Link link_;
@@ -70,14 +76,9 @@ class Core {
   std::atomic<control::Bank> active_{0};
   std::uint32_t derived_revision_ = 0;
 
-  std::uint32_t tick_ = 0;
   bool zeroed_ = false;
   std::int32_t zero_count_[kAxisCount] = {};
-  std::int32_t count_[kAxisCount] = {};
-  control::Quantity angle_rad_[kAxisCount];
-  control::Quantity rate_rad_s_[kAxisCount];
-  flight::OpenVoltages acted_{};
-  control::Quantity pitch_setpoint_rad_;
+  flight::Observation seen_{};
   bool excited_ = false;
   link::TickCounters counters_;
 };

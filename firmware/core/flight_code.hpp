@@ -4,13 +4,17 @@
 #include "board.hpp"
 #include "control/cascade.hpp"
 #include "core.hpp"
+#include "law/guest.hpp"
+#include "law/simplex.hpp"
 
 namespace heli {
 
 struct FlightCode {
-  explicit FlightCode(Board& board) : core(board, cascade) {}
+  explicit FlightCode(Board& board) : simplex(cascade, guest), core(board, simplex, guest) {}
 
   control::Cascade cascade;
+  law::Guest guest;
+  law::Simplex simplex;
   Core core;
 };
 

@@ -15,8 +15,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-FLASH_MOST_BYTES = 48 * 1024
-RAM_MOST_BYTES = 24 * 1024
+FLASH_MOST_BYTES = 64 * 1024
+RAM_MOST_BYTES = 28 * 1024
 FLASH_START = 0x00080000
 VECTORS = 16 + 45
 

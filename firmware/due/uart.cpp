@@ -34,14 +34,15 @@ std::uint32_t address_of(const std::uint8_t* byte) {
 }
 
 // Gives the PDC a buffer. What it does with a next buffer that arrives just when the present one
-// ends is nowhere written, so the next pair is written only while bytes are left, and with
-// interrupts masked, so that none runs out in between: a byte takes 40 us. False: try again later.
+// ends is nowhere written, so the next pair is written only while the last byte is yet to come: of
+// three that are left one may go between the look and the write, with interrupts masked no second,
+// because a byte takes 40 us. False: try again later.
 bool hand_over(ReadWrite& pointer, ReadWrite& counter, ReadWrite& next_pointer,
                ReadWrite& next_counter, const std::uint8_t* bytes, std::uint32_t count) {
   if (next_counter.read() != 0U) return false;
   mask_interrupts();
   const std::uint32_t left = counter.read();
-  const bool chain = left > 1U;
+  const bool chain = left > 2U;
   if (chain) {
     next_pointer.write(address_of(bytes));
     next_counter.write(count);

@@ -95,6 +95,8 @@ class Auditor {
         return exactly(size, heli::link::StatusMessage::kSize);
       case MessageId::event:
         return exactly(size, heli::link::EventMessage::kSize);
+      case MessageId::law:
+        return exactly(size, heli::link::LawMessage::kSize);
       case MessageId::params:
         require(size > 2, "params has a head");
         return exactly(size, heli::link::ParamsMessage::kSize + 4U * payload[2]);

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from firmware.generator.declared import Table, camel, full_fields, link_hash, rows, size_of
+from firmware.generator.laws import cpp_laws
 
 CPP_TYPE = {
     "u8": "std::uint8_t",
@@ -101,6 +102,7 @@ def generate_cpp(d: Table) -> str:
                 f"  // raw = value in {c['unit']} * this"
             )
     out.append("")
+    out += cpp_laws(d)
     out.append("enum class MessageId : std::uint8_t {")
     out += [f"  {m['name']} = {m['id']}," for m in d["message"]]
     out += ["};", ""]

@@ -28,6 +28,14 @@ TABLES = ("channel", "param", "fault", "message_id")
 
 # Beside the channels: columns of samples and logs, and what a MATLAB file holds besides its columns.
 TAKEN = ("t_s", "tick", "parameters", "plan", "notes", "events")
+# What is declared of laws that come over the link. Five bits of an instruction say which operation it
+# is, nine which cell.
+LAW_LIMITS = (
+    "format", "cells", "words", "signals", "most_ticks", "most_terms", "tick_cost", "fixed_cost",
+    "input_cost", "moving_cost", "term_cost", "state_cost", "signal_cost",
+)  # fmt: skip
+MOST_OPERATIONS = 32
+MOST_CELLS = 512
 LONGEST_MATLAB_NAME = 63
 LOG_FIELD = re.compile(r"[a-z](_?[a-z0-9]+)*")
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -114,6 +122,7 @@ def check(declaration: Table) -> None:
     check_names(declaration)
     check_channels(declaration)
     check_axes(declaration)
+    check_laws(declaration)
     params = declaration["param"]
     names = [p["name"] for p in params]
     if len(params) > MAX_PARAMS:
@@ -230,3 +239,18 @@ def check_axes(declaration: Table) -> None:
             raise DeclarationError(f"enum axis: {name} has no channel; add {name}_{channels.COUNT}")
         if f"{name}_counts_per_rev" not in params:
             raise DeclarationError(f"enum axis: {name} has no parameter {name}_counts_per_rev; add it")
+
+
+def check_laws(d: Table) -> None:
+    """Raise DeclarationError for the first thing that is wrong with what is declared of laws."""
+    if set(d["law"]) != set(LAW_LIMITS):
+        raise DeclarationError(f"law: needs {', '.join(LAW_LIMITS)}, and nothing else")
+    if d["law"]["cells"] > MOST_CELLS:
+        raise DeclarationError(f"law: an instruction can name {MOST_CELLS} cells at most")
+    if [one["code"] for one in d["operation"]] != [*range(len(d["operation"]))]:
+        raise DeclarationError("operation: codes count from 0, in order")
+    if len(d["operation"]) > MOST_OPERATIONS:
+        raise DeclarationError(f"operation: an instruction can name {MOST_OPERATIONS} at most")
+    for one in d["operation"]:
+        if one["operands"] not in (0, 1, 2):
+            raise DeclarationError(f"operation {one['name']}: 0 (terms follow), 1 or 2 operands")

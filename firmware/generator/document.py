@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from firmware.generator import channels
 from firmware.generator.declared import Table, full_fields, link_hash, rows, size_of
+from firmware.generator.laws import document_laws
 
 FRAMING = """\
 # The link, byte by byte
@@ -84,6 +85,7 @@ def generate_doc(d: Table) -> str:
             ],
         ),
     ]
+    out += document_laws(d)
     out.append("## Messages\n")
     for m in d["message"]:
         reply = f", answered by `{m['reply']}`" if m["kind"] == "command" else ""

@@ -6,6 +6,7 @@ import json
 
 from firmware.generator import channels
 from firmware.generator.declared import STRUCT_CODE, Table, axes, camel, full_fields, link_hash, rows
+from firmware.generator.laws import python_laws
 
 PY_TYPE = {"f32": "float"}
 
@@ -214,6 +215,7 @@ def generate_python(d: Table) -> str:
         out.append(f"    ChannelSpec({', '.join(words)}, {json_or_bool(c['meaning'])}),")
     out += [")", ""]
     out += values_class(d["channel"]) + arrays_class(d["channel"])
+    out += python_laws(d)
     for m in d["message"]:
         fields = full_fields(m)
         fmt = "<" + "".join(STRUCT_CODE[f["type"]] for f in fields)

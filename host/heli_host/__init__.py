@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from heli_host.flight import Flight
     from heli_host.heli import Heli, connect
     from heli_host.log.flight_file import read_flight
+    from heli_host.page.client import join
     from heli_host.samples import Sample, Samples
 
 __all__ = [
@@ -39,6 +40,7 @@ __all__ = [
     "Samples",
     "State",
     "connect",
+    "join",
     "read_flight",
 ]
 
@@ -46,6 +48,7 @@ _WHERE = {
     "HeliError": "heli_host.errors",
     "Heli": "heli_host.heli",
     "connect": "heli_host.heli",
+    "join": "heli_host.page.client",
     "Flight": "heli_host.flight",
     "read_flight": "heli_host.log.flight_file",
     "Axes": "heli_host.declaration",
@@ -62,3 +65,7 @@ def __getattr__(name: str) -> Any:
     if name in _WHERE:
         return getattr(import_module(_WHERE[name]), name)
     raise AttributeError(f"module {__name__} has no attribute {name}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})

@@ -9,14 +9,14 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
-from heli_host.declaration import PARAMS, Channel, Param, State
+from heli_host.declaration import AXES, PARAMS, Channel, FollowingMessage, Param, State
 from heli_host.errors import ControllerError, FlightAborted, HeliError, fault_text
 from heli_host.link.channels import physical
 from heli_host.link.clock import TICK_S
@@ -27,6 +27,16 @@ if TYPE_CHECKING:
     from heli_host.vehicle import Vehicle
 
 ControlLaw = Callable[[Sample], tuple[float, float]]
+
+
+@runtime_checkable
+class Following(Protocol):
+    """A control law that says where it goes, so that the log can tell how well it does."""
+
+    setpoints_rad: Mapping[str, float]
+    """Angle of each axis that it follows, by the axis' name, at its last call [rad]."""
+
+
 After = Literal["hold", "land", "stop"]
 
 _READ_INTERVAL_S = 0.001
@@ -185,6 +195,8 @@ def _loop(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
         began_s = time.perf_counter()
         front_V, back_V = _two_voltages(law, sample)
         run.law_s.append(time.perf_counter() - began_s)
+        if isinstance(law, Following):
+            session.stream(FollowingMessage(*(law.setpoints_rad[axis] for axis in AXES)))
         clipped = min(max(front_V, low_V), high_V), min(max(back_V, low_V), high_V)
         run.clipped += clipped != (front_V, back_V)
         heli.voltages(*clipped, run.valid_s)

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-LINK_HASH = 0xC4513147
-LINK_VERSION = "1.1"
+LINK_HASH = 0x4297D6E2
+LINK_VERSION = "1.2"
 FIRMWARE_VERSION = "0.1.0"
 PROTOCOL = 1
 BAUD = 250000
@@ -67,6 +67,63 @@ class Result(IntEnum):
     FLASH_FAILED = 9  # the parameter page could not be written and verified
     NO_HANDSHAKE = 10  # hello with a matching declaration must come first
     HASH_MISMATCH = 11  # the two ends were built from different declarations
+    BAD_LAW = 12  # the law is refused; detail is the law_error, value what is wrong with it
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+class LawError(IntEnum):
+    """Why a law, or a part of one, is refused; what ack.value holds with it."""
+
+    NONE = 0  # nothing is wrong
+    NOT_LOADED = 1  # no law is loaded; value 0
+    FLYING = 2  # a law flies: the one that is loaded cannot be replaced; value 0
+    TOO_LONG = 3  # longer than an upload may be; value = most words
+    WRONG_PART = 4  # a part beyond the end, or without a beginning; value = its first word
+    INCOMPLETE = 5  # parts are missing; value = words received
+    WRONG_HASH = 6  # the hash is not that of the words received; value 0
+    WRONG_FORMAT = 7  # another version of the format, or counts that do not fit the length; value = words that the counts ask for
+    TOO_LARGE = 8  # more cells than there are; value = cells asked for
+    UNKNOWN_OPERATION = 9  # no such operation; value = place of the instruction
+    BAD_CELL = 10  # a cell that may not be written, or an output from beyond the cells; value = place of the instruction, or of the output behind the last
+    NOT_WRITTEN = 11  # a cell is read before it is written; value = place of the instruction, or of the output behind the last
+    BAD_NUMBER = 12  # a constant, a parameter or a first state that is not finite; value = its place among them
+    BAD_DIVISOR = 13  # the rate is no whole part of the tick's; value = divisor
+    TOO_COSTLY = 14  # does not fit the ticks of its period; value = ticks that it needs
+    NO_SUCH_PARAMETER = 15  # the law has fewer parameters; value = how many
+    BAD_SUM = 17  # a sum of products without terms, with too many, or beyond the end; value = place of the word
+    NOT_FLYING = 16  # all three loops of the board must be closed, and the arm in flight; value = state
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+class LawState(IntEnum):
+    """What the board knows of a law."""
+
+    NONE = 0  # no law
+    RECEIVING = 1  # an upload has begun and is not complete
+    READY = 2  # verified; may fly
+    FLYING = 3  # its voltages act
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+class Takeover(IntEnum):
+    """Why the board's own law took over."""
+
+    COMMAND = 0  # asked for; value 0
+    NOT_FINITE = 1  # an output was not a number or infinite; value = which output
+    VOLTAGE_JUMP = 2  # a voltage jumped from one tick to the next; value in V
+    ELEVATION_ENVELOPE = 3  # elevation could not be braked any more before its limits; value = angle foreseen in deg
+    PITCH_ENVELOPE = 4  # pitch could not be braked any more before its limit; value = angle foreseen in deg
+    TRAVEL_ENVELOPE = 5  # travel could not be braked any more before its limit; value = angle foreseen in deg
+    ELEVATION_FOLLOWING = 6  # elevation stayed too far from the board's setpoint; value in deg
+    PITCH_FOLLOWING = 7  # pitch stayed too far from the law's own setpoint; value in deg
+    TRAVEL_FOLLOWING = 8  # travel stayed too far from the board's setpoint; value in deg
+    STATE = 9  # the board left closed loop: stop, landing, a missing setpoint, a fault; value = state
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -122,6 +179,8 @@ class Event(IntEnum):
     EXCITATION_END = 6  # excitation finished or was stopped; detail = kind
     SETPOINT_REJECTED = 7  # a streamed value was refused; detail = result code
     ZEROED = 8  # encoder zeros taken; detail = axis mask
+    LAW_ENGAGED = 9  # a law that came over the link flies; value = its divisor of the tick's rate
+    LAW_TAKEN_OVER = 10  # the board's own law took over from it; detail = takeover, value as said there
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -166,6 +225,7 @@ class Flags(IntFlag):
     LINK_ALIVE = 8  # a valid host frame arrived within the hold time
     PITCH_LIMITED = 16  # the travel loop's pitch setpoint was limited
     OVERRUN = 32  # the tick before this one was late
+    LAW = 64  # the voltages are those of a law that came over the link
 
 
 class Fault(IntEnum):
@@ -264,17 +324,19 @@ class Param(IntEnum):
     MOTION_S = 54  # s: how long a driven elevation or pitch may stay within a count
     TRAVEL_MOTION_DEG = 55  # deg: change of pitch that must move travel within travel_motion_s
     TRAVEL_MOTION_S = 56  # s: how long travel may stay within a count while pitch tilts
-    ARM_RATE_MAX_DEG_S = 57  # deg/s: arming needs every axis slower than this
-    ARM_ELEVATION_TOLERANCE_DEG = 58  # deg: arming needs the elevation this close to rest
-    ARM_PITCH_TOLERANCE_DEG = 59  # deg: arming needs the pitch this close to level
-    SETPOINT_HOLD_S = 60  # s: without a fresh setpoint for this long the board holds level
-    SETPOINT_LAND_S = 61  # s: without a fresh setpoint for this long the board lands
-    LANDING_RATE_DEG_S = 62  # deg/s: descent of the elevation setpoint while landing
-    LANDING_TIMEOUT_S = 63  # s: landing takes at most this long; then motors off with a fault
-    VOLTAGE_VALID_MAX_MS = 64  # ms: a streamed voltage acts at most this long, whatever its sender asked for
-    EXCITATION_MAX_V = 65  # V: largest amplitude that excite accepts
-    EXCITATION_MAX_S = 66  # s: longest duration that excite accepts
-    TELEMETRY_BATCH_TICKS = 67  # tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+    LAW_JUMP_MAX_V = 57  # V: change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link
+    LAW_ENVELOPE = 58  # : share of the angle and rate limits, and of the following errors, beyond which it takes over
+    ARM_RATE_MAX_DEG_S = 59  # deg/s: arming needs every axis slower than this
+    ARM_ELEVATION_TOLERANCE_DEG = 60  # deg: arming needs the elevation this close to rest
+    ARM_PITCH_TOLERANCE_DEG = 61  # deg: arming needs the pitch this close to level
+    SETPOINT_HOLD_S = 62  # s: without a fresh setpoint for this long the board holds level
+    SETPOINT_LAND_S = 63  # s: without a fresh setpoint for this long the board lands
+    LANDING_RATE_DEG_S = 64  # deg/s: descent of the elevation setpoint while landing
+    LANDING_TIMEOUT_S = 65  # s: landing takes at most this long; then motors off with a fault
+    VOLTAGE_VALID_MAX_MS = 66  # ms: a streamed voltage acts at most this long, whatever its sender asked for
+    EXCITATION_MAX_V = 67  # V: largest amplitude that excite accepts
+    EXCITATION_MAX_S = 68  # s: longest duration that excite accepts
+    TELEMETRY_BATCH_TICKS = 69  # tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -295,6 +357,10 @@ class Channel(IntEnum):
     FAULT = 9  # enum fault: fault code, 0 while none
     FLAGS = 10  # bits flags: flag bits
     TRIGGER = 11  # enum trigger: what led to the present state; after a touchdown still what led to the landing: an event may be lost, this cannot
+    SIGNAL_1 = 12  # : first signal of a law that came over the link, in steps of a setpoint; behind the law's own come the board's setpoints of axes for which it logs others; 0 while none flies
+    SIGNAL_2 = 13  # : its second
+    SIGNAL_3 = 14  # : its third
+    SIGNAL_4 = 15  # : its fourth
 
     def __str__(self) -> str:
         return self.name.lower()
@@ -319,13 +385,21 @@ class MessageId(IntEnum):
     ZERO = 14  # Takes the present position as rest (elevation) or zero (pitch, travel); only while idle.
     CLEAR_FAULT = 15  # Leaves the fault state for idle.
     STATUS_READ = 16  # Asks for the counters now; they also come once a second.
+    LAW_BEGIN = 17  # Begins the upload of a law; the law that was loaded is gone. Not while a law flies.
+    LAW_PART = 18  # Twelve words of the law, in order; those behind its last are not looked at. ack.value: words received so far. To bring the same part again changes nothing.
+    LAW_END = 19  # Ends the upload: the board verifies the law. ack.value: instructions that a call takes in the worst case. Again for a law that is ready: the same answer.
+    LAW_FLY = 20  # Flies the law from the next tick on, or has the board's own take over. ack.detail: the state.
+    LAW_SET = 21  # Sets a parameter of the law, in flight too; lasts until the next upload. ack.value: the value in force.
+    LAW_READ = 22  # Asks which law the board has.
     SETPOINT = 32  # Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
     VOLTAGES = 33  # Motor voltages in the streamed state.
+    FOLLOWING = 34  # Setpoints that the host's law follows in the streamed state: logged, and nothing else. In other states it is not looked at.
     ACK = 128  # Answer to a command.
     WELCOME = 129  # Answer to hello.
     PONG = 130  # Answer to ping.
     PARAMS = 131  # Parameter values, as many as `count` says (at most 32), in table order.
     STATUS = 132  # Counters since start; sent once a second with request = 0, and on status_read.
+    LAW = 135  # The law that the board has.
     TELEMETRY = 133  # A batch of consecutive ticks, delta-coded; layout below.
     EVENT = 134  # Something happened; also visible in telemetry, but with its reason here.
 
@@ -460,17 +534,19 @@ PARAMS: tuple[ParamSpec, ...] = (
     ParamSpec(54, "motion_s", "s", 0.1, 10.0, 0.5, False, False, True, "how long a driven elevation or pitch may stay within a count"),
     ParamSpec(55, "travel_motion_deg", "deg", 0.5, 90.0, 8.0, False, False, True, "change of pitch that must move travel within travel_motion_s"),
     ParamSpec(56, "travel_motion_s", "s", 0.1, 30.0, 1.0, False, False, True, "how long travel may stay within a count while pitch tilts"),
-    ParamSpec(57, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, "arming needs every axis slower than this"),
-    ParamSpec(58, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, "arming needs the elevation this close to rest"),
-    ParamSpec(59, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, "arming needs the pitch this close to level"),
-    ParamSpec(60, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, "without a fresh setpoint for this long the board holds level"),
-    ParamSpec(61, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, "without a fresh setpoint for this long the board lands"),
-    ParamSpec(62, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, "descent of the elevation setpoint while landing"),
-    ParamSpec(63, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, "landing takes at most this long; then motors off with a fault"),
-    ParamSpec(64, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, "a streamed voltage acts at most this long, whatever its sender asked for"),
-    ParamSpec(65, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, "largest amplitude that excite accepts"),
-    ParamSpec(66, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, "longest duration that excite accepts"),
-    ParamSpec(67, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, "ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data"),
+    ParamSpec(57, "law_jump_max_V", "V", 0.1, 48.0, 2.5, False, False, True, "change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link"),
+    ParamSpec(58, "law_envelope", "", 0.2, 1.0, 0.8, False, False, True, "share of the angle and rate limits, and of the following errors, beyond which it takes over"),
+    ParamSpec(59, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, "arming needs every axis slower than this"),
+    ParamSpec(60, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, "arming needs the elevation this close to rest"),
+    ParamSpec(61, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, "arming needs the pitch this close to level"),
+    ParamSpec(62, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, "without a fresh setpoint for this long the board holds level"),
+    ParamSpec(63, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, "without a fresh setpoint for this long the board lands"),
+    ParamSpec(64, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, "descent of the elevation setpoint while landing"),
+    ParamSpec(65, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, "landing takes at most this long; then motors off with a fault"),
+    ParamSpec(66, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, "a streamed voltage acts at most this long, whatever its sender asked for"),
+    ParamSpec(67, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, "largest amplitude that excite accepts"),
+    ParamSpec(68, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, "longest duration that excite accepts"),
+    ParamSpec(69, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, "ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data"),
 )
 
 FAULTS: tuple[FaultSpec, ...] = (
@@ -516,6 +592,10 @@ CHANNELS: tuple[ChannelSpec, ...] = (
     ChannelSpec("fault", "<B", "enum fault", 1.0, "fault", "fault", None, Fault, "fault code, 0 while none"),
     ChannelSpec("flags", "<B", "bits flags", 1.0, "flags", "flags", None, Flags, "flag bits"),
     ChannelSpec("trigger", "<B", "enum trigger", 1.0, "trigger", "trigger", None, Trigger, "what led to the present state; after a touchdown still what led to the landing: an event may be lost, this cannot"),
+    ChannelSpec("signal_1", "<i", "", 1e-05, "signal_1", "signal_1", None, None, "first signal of a law that came over the link, in steps of a setpoint; behind the law's own come the board's setpoints of axes for which it logs others; 0 while none flies"),
+    ChannelSpec("signal_2", "<i", "", 1e-05, "signal_2", "signal_2", None, None, "its second"),
+    ChannelSpec("signal_3", "<i", "", 1e-05, "signal_3", "signal_3", None, None, "its third"),
+    ChannelSpec("signal_4", "<i", "", 1e-05, "signal_4", "signal_4", None, None, "its fourth"),
 )
 
 
@@ -551,6 +631,14 @@ class ChannelValues:
         flag bits
     trigger : Trigger
         what led to the present state; after a touchdown still what led to the landing: an event may be lost, this cannot
+    signal_1 : float
+        first signal of a law that came over the link, in steps of a setpoint; behind the law's own come the board's setpoints of axes for which it logs others; 0 while none flies
+    signal_2 : float
+        its second
+    signal_3 : float
+        its third
+    signal_4 : float
+        its fourth
     """
 
     tick: int
@@ -566,6 +654,10 @@ class ChannelValues:
     fault: Fault
     flags: Flags
     trigger: Trigger
+    signal_1: float
+    signal_2: float
+    signal_3: float
+    signal_4: float
 
 
 @dataclass(frozen=True)
@@ -600,6 +692,14 @@ class ChannelArrays:
         flag bits
     trigger : ndarray of uint8, shape (n,)
         what led to the present state; after a touchdown still what led to the landing: an event may be lost, this cannot
+    signal_1 : ndarray of float64, shape (n,)
+        first signal of a law that came over the link, in steps of a setpoint; behind the law's own come the board's setpoints of axes for which it logs others; 0 while none flies
+    signal_2 : ndarray of float64, shape (n,)
+        its second
+    signal_3 : ndarray of float64, shape (n,)
+        its third
+    signal_4 : ndarray of float64, shape (n,)
+        its fourth
     """
 
     tick: NDArray[np.int64]
@@ -615,6 +715,85 @@ class ChannelArrays:
     fault: NDArray[np.uint8]
     flags: NDArray[np.uint8]
     trigger: NDArray[np.uint8]
+    signal_1: NDArray[np.float64]
+    signal_2: NDArray[np.float64]
+    signal_3: NDArray[np.float64]
+    signal_4: NDArray[np.float64]
+
+LAW_FORMAT = 2
+LAW_CELLS = 512
+LAW_WORDS = 1536
+LAW_SIGNALS = 4
+LAW_MOST_TICKS = 16
+LAW_MOST_TERMS = 64
+LAW_TICK_COST = 20000
+LAW_FIXED_COST = 1440
+LAW_INPUT_COST = 22
+LAW_MOVING_COST = 135
+LAW_TERM_COST = 47
+LAW_STATE_COST = 6
+LAW_SIGNAL_COST = 70
+LAW_INPUTS: tuple[str, ...] = (
+    "elevation_rad",
+    "pitch_rad",
+    "travel_rad",
+    "elevation_rad_s",
+    "pitch_rad_s",
+    "travel_rad_s",
+    "elevation_setpoint_rad",
+    "pitch_setpoint_rad",
+    "travel_setpoint_rad",
+    "elevation_setpoint_rad_s",
+    "pitch_setpoint_rad_s",
+    "travel_setpoint_rad_s",
+    "elevation_setpoint_rad_s2",
+    "pitch_setpoint_rad_s2",
+    "travel_setpoint_rad_s2",
+    "front_V",
+    "back_V",
+)
+"""What a law is given, in the order of its cells."""
+
+
+@dataclass(frozen=True, slots=True)
+class OperationSpec:
+    """One operation of a law: its number, how many operands it takes, its worst case in instructions."""
+
+    name: str
+    code: int
+    operands: int
+    cost: int
+    meaning: str
+
+
+OPERATIONS: tuple[OperationSpec, ...] = (
+    OperationSpec("copy", 0, 1, 15, "a"),
+    OperationSpec("add", 1, 2, 63, "a + b"),
+    OperationSpec("subtract", 2, 2, 64, "a - b"),
+    OperationSpec("multiply", 3, 2, 51, "a b"),
+    OperationSpec("divide", 4, 2, 78, "a / b"),
+    OperationSpec("negate", 5, 1, 17, "-a"),
+    OperationSpec("absolute", 6, 1, 17, "|a|"),
+    OperationSpec("minimum", 7, 2, 29, "the lesser; the other one where one is no number"),
+    OperationSpec("maximum", 8, 2, 29, "the greater; the other one where one is no number"),
+    OperationSpec("less", 9, 2, 34, "1 where a < b, else 0"),
+    OperationSpec("less_equal", 10, 2, 34, "1 where a <= b, else 0"),
+    OperationSpec("equal", 11, 2, 33, "1 where a = b, else 0"),
+    OperationSpec("not_equal", 12, 2, 33, "1 where a is not b, else 0"),
+    OperationSpec("both", 13, 2, 21, "1 where neither is 0, else 0"),
+    OperationSpec("either", 14, 2, 20, "1 where one is not 0, else 0"),
+    OperationSpec("negation", 15, 1, 20, "1 where a is 0, else 0"),
+    OperationSpec("select", 16, 2, 19, "b where a is not 0, else 0"),
+    OperationSpec("floor", 17, 1, 31, "the greatest whole number that is not above a"),
+    OperationSpec("square_root", 18, 1, 299, "no number below 0"),
+    OperationSpec("sine", 19, 1, 93, "of a in rad; no number beyond 8192 rad"),
+    OperationSpec("cosine", 20, 1, 89, "of a in rad; no number beyond 8192 rad"),
+    OperationSpec("tangent", 21, 1, 228, "of a in rad; no number beyond 8192 rad"),
+    OperationSpec("arctangent", 22, 2, 238, "of a / b, in the quadrant of (b, a), rad"),
+    OperationSpec("hyperbolic_tangent", 23, 1, 277, "of a"),
+    OperationSpec("exponential", 24, 1, 127, "e to the power of a"),
+    OperationSpec("sum_of_products", 25, 0, 62, "a b + c d - ... of the terms that follow it, rounded once; no number where one of them is not finite"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -1069,6 +1248,210 @@ class StatusReadMessage:
 
 
 @dataclass(frozen=True, slots=True)
+class LawBeginMessage:
+    """Begins the upload of a law; the law that was loaded is gone. Not while a law flies.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    hash : int
+        CRC-32 of its words, little-endian
+    words : int
+        their number
+    """
+
+    ID: ClassVar[MessageId] = MessageId.LAW_BEGIN
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BIH")
+    REPLY: ClassVar[MessageId] = MessageId.ACK
+    request: int
+    hash: int
+    words: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.hash, self.words)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> LawBeginMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class LawPartMessage:
+    """Twelve words of the law, in order; those behind its last are not looked at. ack.value: words received so far. To bring the same part again changes nothing.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    first : int
+        position of the first of them
+    word_0 : int
+        word first + 0
+    word_1 : int
+        word first + 1
+    word_2 : int
+        word first + 2
+    word_3 : int
+        word first + 3
+    word_4 : int
+        word first + 4
+    word_5 : int
+        word first + 5
+    word_6 : int
+        word first + 6
+    word_7 : int
+        word first + 7
+    word_8 : int
+        word first + 8
+    word_9 : int
+        word first + 9
+    word_10 : int
+        word first + 10
+    word_11 : int
+        word first + 11
+    """
+
+    ID: ClassVar[MessageId] = MessageId.LAW_PART
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BHIIIIIIIIIIII")
+    REPLY: ClassVar[MessageId] = MessageId.ACK
+    request: int
+    first: int
+    word_0: int
+    word_1: int
+    word_2: int
+    word_3: int
+    word_4: int
+    word_5: int
+    word_6: int
+    word_7: int
+    word_8: int
+    word_9: int
+    word_10: int
+    word_11: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.first, self.word_0, self.word_1, self.word_2, self.word_3, self.word_4, self.word_5, self.word_6, self.word_7, self.word_8, self.word_9, self.word_10, self.word_11)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> LawPartMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class LawEndMessage:
+    """Ends the upload: the board verifies the law. ack.value: instructions that a call takes in the worst case. Again for a law that is ready: the same answer.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    """
+
+    ID: ClassVar[MessageId] = MessageId.LAW_END
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
+    REPLY: ClassVar[MessageId] = MessageId.ACK
+    request: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> LawEndMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class LawFlyMessage:
+    """Flies the law from the next tick on, or has the board's own take over. ack.detail: the state.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    on : int
+        1: the law; 0: the board's own
+    """
+
+    ID: ClassVar[MessageId] = MessageId.LAW_FLY
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BB")
+    REPLY: ClassVar[MessageId] = MessageId.ACK
+    request: int
+    on: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.on)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> LawFlyMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class LawSetMessage:
+    """Sets a parameter of the law, in flight too; lasts until the next upload. ack.value: the value in force.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    index : int
+        its position in the law
+    value : float
+        new value
+    """
+
+    ID: ClassVar[MessageId] = MessageId.LAW_SET
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBf")
+    REPLY: ClassVar[MessageId] = MessageId.ACK
+    request: int
+    index: int
+    value: float
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.index, self.value)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> LawSetMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class LawReadMessage:
+    """Asks which law the board has.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    """
+
+    ID: ClassVar[MessageId] = MessageId.LAW_READ
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
+    REPLY: ClassVar[MessageId] = MessageId.LAW
+    request: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> LawReadMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
 class SetpointMessage:
     """Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
 
@@ -1127,6 +1510,36 @@ class VoltagesMessage:
 
     @classmethod
     def unpack(cls, payload: bytes) -> VoltagesMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class FollowingMessage:
+    """Setpoints that the host's law follows in the streamed state: logged, and nothing else. In other states it is not looked at.
+
+    Parameters
+    ----------
+    elevation_rad : float
+        elevation setpoint [rad]
+    pitch_rad : float
+        pitch setpoint [rad]
+    travel_rad : float
+        travel setpoint [rad]
+    """
+
+    ID: ClassVar[MessageId] = MessageId.FOLLOWING
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<fff")
+    elevation_rad: float
+    pitch_rad: float
+    travel_rad: float
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.elevation_rad, self.pitch_rad, self.travel_rad)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> FollowingMessage:
         """Read the fixed fields from the start of ``payload``."""
         return cls(*cls.STRUCT.unpack_from(payload))
 
@@ -1349,6 +1762,45 @@ class StatusMessage:
 
     @classmethod
     def unpack(cls, payload: bytes) -> StatusMessage:
+        """Read the fixed fields from the start of ``payload``."""
+        return cls(*cls.STRUCT.unpack_from(payload))
+
+
+@dataclass(frozen=True, slots=True)
+class LawMessage:
+    """The law that the board has.
+
+    Parameters
+    ----------
+    request : int
+        request number; a retry repeats it
+    hash : int
+        as given by law_begin; 0 without a law
+    state : int
+        what the board knows of it [enum law_state]
+    divisor : int
+        ticks from one call to the next
+    ticks : int
+        ticks that a call is spread over [tick]
+    cost : int
+        instructions of a call in the worst case
+    """
+
+    ID: ClassVar[MessageId] = MessageId.LAW
+    STRUCT: ClassVar[struct.Struct] = struct.Struct("<BIBBBI")
+    request: int
+    hash: int
+    state: int
+    divisor: int
+    ticks: int
+    cost: int
+
+    def pack(self) -> bytes:
+        """Return the payload bytes."""
+        return self.STRUCT.pack(self.request, self.hash, self.state, self.divisor, self.ticks, self.cost)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> LawMessage:
         """Read the fixed fields from the start of ``payload``."""
         return cls(*cls.STRUCT.unpack_from(payload))
 

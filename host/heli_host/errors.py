@@ -18,6 +18,7 @@
     ├── ParameterError          unknown name, value out of range, damaged dump
     ├── SetpointError           a target outside the limits in force on the board
     ├── ControllerError         a Python control law raised, or returned no two finite voltages
+    ├── BadLaw              a law that cannot run on a board, or is not written as one
     ├── WaitTimeout             what was waited for did not happen in time
     ├── PlanError               a flight plan that cannot be flown as written
     ├── FlightAborted           a flight ended before its plan did
@@ -36,7 +37,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from heli_host.declaration import FAULTS, PARAMS, Fault, FaultSpec, MessageId, Param, Result, State
+from heli_host.declaration import FAULTS, PARAMS, Fault, FaultSpec, LawError, MessageId, Param, Result, State
 
 MOST_CHARACTERS = 2000
 """Longest cause and longest remedy: a file may hold a name of a megabyte."""
@@ -219,6 +220,8 @@ class CommandRefused(LinkError):
             if self.result == Result.UNSAFE_NOW:
                 return f"{param.name} may only be set while idle", "land or stop first"
             return f"{param.name} does not take this value", f"give {range_text(Param(detail))}"
+        if self.result == Result.BAD_LAW:
+            return _law_text(detail, self.value)
         remedy = {
             Result.UNKNOWN_COMMAND: "flash the firmware of this release",
             Result.BAD_LENGTH: "flash the firmware of this release",
@@ -257,6 +260,10 @@ class SetpointError(HeliError):
 
 class ControllerError(HeliError):
     """A Python control law raised, or did not return two finite voltages."""
+
+
+class BadLaw(HeliError):
+    """A law that cannot run on a board, or is not written as one; nothing was sent."""
 
 
 class WaitTimeout(HeliError):
@@ -334,6 +341,27 @@ def range_text(param: Param) -> str:
     zero = ", not 0" if spec.nonzero else ""
     unit = f" {spec.unit}" if spec.unit else ""
     return f"{kind} from {spec.min:g} to {spec.max:g}{unit}{zero}"
+
+
+def _law_text(code: int, value: float) -> tuple[str, str]:
+    if code not in LawError._value2member_map_:
+        return f"law error {code}", "update heli_host: it does not know this error"
+    error = LawError(code)
+    remedies = {
+        LawError.NOT_LOADED: ("the board has no law", "bring it one: it forgets at every reset"),
+        LawError.FLYING: ("a law flies", "have the board's own take over first"),
+        LawError.NOT_FLYING: (
+            "the board does not hover under its own law",
+            "take off first, with all loops closed",
+        ),
+        LawError.TOO_COSTLY: (f"a call needs {value:.0f} ticks", "give it a lower rate"),
+        LawError.NO_SUCH_PARAMETER: (f"the law has {value:.0f} parameters", "send this law first"),
+        LawError.WRONG_HASH: ("the law was garbled on its way", "send it again"),
+        LawError.WRONG_PART: ("a part of the law came out of turn", "send it again"),
+        LawError.INCOMPLETE: ("parts of the law are missing", "send it again"),
+    }
+    plain = f"{error.name.lower()} ({value:.0f})", "make the tape again with this release"
+    return remedies.get(error, plain)
 
 
 def _message_name(message_id: int) -> str:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from heli_host.controller import After, ControlLaw, ControllerReport, run_controller
 from heli_host.declaration import BAUD
 from heli_host.fly.runner import PlanLike, fly
+from heli_host.guest_law import LawReport, fly_law, set_parameter, upload
 from heli_host.link.session import HANDSHAKE_TIMEOUT_S, RECONNECT_TIMEOUT_S, Session
-from heli_host.link.transport import open_transport
+from heli_host.link.transport import open_transport, transport_label, transport_rig
 from heli_host.log.summary import FlightSummary
+from heli_host.tape import Tape
 from heli_host.telemetry_view import HISTORY_S
 from heli_host.vehicle import Vehicle
 
@@ -21,6 +23,22 @@ class Heli(Vehicle):
     What it takes and does beyond plans and control laws is told at `heli_host.vehicle.Vehicle`: motors off at
     the end of a ``with`` block, setpoints kept alive, methods that return when telemetry shows their effect.
     """
+
+    _tape: Tape | None = None
+    _tape_restarts = 0
+
+    def __repr__(self) -> str:
+        transport = self.session.transport
+        what = transport_label(transport) or self.info.board
+        rig = transport_rig(transport)
+        newest = repr(self.latest).strip("<>") if self.session.latest is not None else "no sample yet"
+        return f"<Heli on {transport.url} ({what}{', rig ' + rig if rig else ''}): {newest}>"
+
+    def arm(self) -> None:
+        """As `heli_host.vehicle.Vehicle.arm`; a board that was reset gets the law again that it had."""
+        if self._tape is not None and self.session.counters.restarts != self._tape_restarts:
+            self.load_law(self._tape)
+        super().arm()
 
     def run_controller(
         self,
@@ -36,7 +54,8 @@ class Heli(Vehicle):
         Parameters
         ----------
         law : callable taking Sample, returning (front_V, back_V)
-            The control law; voltages beyond the board's limits are brought back to them.
+            The control law; voltages beyond the board's limits are brought back to them. Where it has an
+            attribute ``setpoints_rad``, a mapping by axis [rad], those are logged as the setpoints.
         rate_Hz : float
             How often it is called, on device time [Hz]; at most 250.
         duration_s : float
@@ -60,6 +79,87 @@ class Heli(Vehicle):
             A fault switched the motors off.
         """
         return run_controller(self, law, rate_Hz=rate_Hz, duration_s=duration_s, valid_s=valid_s, after=after)
+
+    def load_law(self, tape: Tape) -> None:
+        """Bring a control law to the board, which verifies it.
+
+        A board forgets it at a reset, and gets it again from here when it is next armed.
+
+        Parameters
+        ----------
+        tape : Tape
+            The law, as the laboratory makes it of Python.
+
+        Raises
+        ------
+        CommandRefused
+            The board does not take it, and says why.
+        """
+        upload(self.session, tape)
+        self._tape, self._tape_restarts = tape, self.session.counters.restarts
+
+    def fly_law(
+        self,
+        tape: Tape,
+        *,
+        duration_s: float,
+        after: After = "hold",
+        parameters: Mapping[str, float] | None = None,
+    ) -> LawReport:
+        """Have the board itself fly a law, at up to 1 kHz, with its own law in the shadow.
+
+        Setpoints go on as ever: the law follows `setpoint`. Whatever makes the board's own law take over ends
+        the flight of this one; the report says why.
+
+        Parameters
+        ----------
+        tape : Tape
+            The law; sent when the board has another one, or was reset.
+        duration_s : float
+            How long, in device time [s].
+        after : {"hold", "land", "stop"}
+            What follows: the board's own law goes on, or it lands, or the motors go off.
+        parameters : mapping of str to float, optional
+            Parameters of the law that differ from its own values.
+
+        Returns
+        -------
+        LawReport
+            How long it flew, and what ended it.
+
+        Raises
+        ------
+        CommandRefused
+            The board does not take the law, or does not hover.
+        FlightAborted
+            A fault switched the motors off, or the law was taken over at once.
+        """
+        self.load_law(tape)
+        return fly_law(self, tape, duration_s=duration_s, after=after, parameters=parameters)
+
+    def set_law_parameter(self, tape: Tape, name: str, value: float) -> float:
+        """Change a parameter of the law on the board, in flight too.
+
+        Parameters
+        ----------
+        tape : Tape
+            The law that the board has.
+        name : str
+            Which parameter.
+        value : float
+            Its new value.
+
+        Returns
+        -------
+        float
+            The value in force: the nearest of single precision.
+
+        Raises
+        ------
+        BadLaw
+            The law has no such parameter.
+        """
+        return set_parameter(self.session, tape, name, value)
 
     def fly(self, plans: PlanLike | Sequence[PlanLike], log: str | Path | None = None) -> FlightSummary:
         """Take off, fly plans one after the other, land; `heli_host.fly.runner.fly` has more options.

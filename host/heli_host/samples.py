@@ -7,15 +7,17 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from heli_host.declaration import CHANNELS, Channel, ChannelArrays, ChannelValues
+from heli_host.declaration import CHANNELS, Channel, ChannelArrays, ChannelValues, State
 from heli_host.link.channels import Floats, is_whole, numbers, rad_per_count
 from heli_host.link.clock import TICK_S
 from heli_host.link.telemetry import CHANNEL_COUNT, Ticks
+from heli_host.views import AngleViews, shares
 
 
 class Sample(ChannelValues):
@@ -44,9 +46,17 @@ class Sample(ChannelValues):
         """Travel [deg]."""
         return float(np.degrees(self.travel_rad))
 
+    def __repr__(self) -> str:
+        fault = f", fault {self.fault}" if self.fault else ""
+        return (
+            f"<Sample at {self.t_s:.3f} s: {self.state}{fault}, elevation {self.elevation_deg:.1f} deg, "
+            f"pitch {self.pitch_deg:.1f} deg, travel {self.travel_deg:.1f} deg, "
+            f"front {self.front_V:.2f} V, back {self.back_V:.2f} V>"
+        )
 
-class Samples(ChannelArrays):
-    """Consecutive samples as arrays, one entry a tick: a `ChannelArrays`."""
+
+class Samples(AngleViews, ChannelArrays):
+    """Consecutive samples as arrays, one entry a tick: a `ChannelArrays`, with the `AngleViews` of it."""
 
     @property
     def t_s(self) -> Floats:
@@ -55,6 +65,19 @@ class Samples(ChannelArrays):
 
     def __len__(self) -> int:
         return len(self.tick)
+
+    def columns(self) -> dict[str, npt.NDArray[Any]]:
+        """Return every channel by name, time first."""
+        return {"t_s": self.t_s} | {one.name: getattr(self, one.name) for one in fields(self)}
+
+    def __repr__(self) -> str:
+        if not len(self):
+            return "<Samples: none>"
+        names = {int(state): str(state) for state in State}
+        return (
+            f"<Samples: {len(self)} ticks from {self.t_s[0]:.3f} to {self.t_s[-1]:.3f} s; "
+            f"{shares(self.state, names)}>"
+        )
 
 
 class Scales:

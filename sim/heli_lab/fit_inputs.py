@@ -7,12 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from heli_lab.errors import IdentifyError, NotExcited, WrongSigns
 from heli_lab.fit_options import DEFAULT_MODEL
 
 if TYPE_CHECKING:
     from heli_host.flight import Flight
     from heli_sim.model.base import Model
     from heli_sim.rig import Rig
+
+    from heli_lab.identify.record import Record
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,75 @@ def fit_inputs(
     stated = tuple(one for one in effects_of(chosen, effect_files) if one.name not in names)
     equations = model_named(model or chosen.model or DEFAULT_MODEL, stated + asked)
     return FitInputs(chosen, equations, short_names([*flights, *validate]))
+
+
+def parts(
+    from_s: Sequence[float], to_s: Sequence[float], fitted: int, validated: int
+) -> list[tuple[float | None, float | None]]:
+    """Give each flight its part.
+
+    Parameters
+    ----------
+    from_s, to_s : sequence of float
+        None, one for all flights to fit, one for each of these, or one for each and for those to validate.
+    fitted, validated : int
+        Numbers of flights.
+
+    Returns
+    -------
+    list of (float or None, float or None)
+        First time and first time no longer used of each flight, those to fit first.
+
+    Raises
+    ------
+    IdentifyError
+        When there are more or fewer times than that.
+    """
+    ends = []
+    for option, times in (("--from", from_s), ("--to", to_s)):
+        if len(times) > 1 and len(times) not in (fitted, fitted + validated):
+            raise IdentifyError(
+                f"{option} has {len(times)} times for {fitted} flights to fit and {validated} to validate",
+                "give one for all, or one for each",
+            )
+        whole: list[float | None] = list(times) if len(times) != 1 else [*times] * fitted
+        ends.append(whole + [None] * (fitted + validated - len(whole)))
+    return list(zip(*ends, strict=True))
+
+
+def part_of(flight: Flight, rig: Rig, label: str, part: tuple[float | None, float | None]) -> Flight | Record:
+    """Prepare a `flight`, whose messages call it `label`, of which only a `part` is used; a flight that is
+    used whole is returned as it is.
+    """
+    from heli_lab.identify.record import prepare
+
+    if part == (None, None):
+        return flight
+    return prepare(flight, rig, label, start_s=part[0], stop_s=part[1])
+
+
+def refuse_wrong_signs(flights: Sequence[Flight], labels: Sequence[str], rig: Rig) -> None:
+    """Refuse flights, called `labels`, whose signs, zeros or units are not those of a flight; a WrongSigns
+    says what is wrong with the first, and the remedy.
+    """
+    from heli_lab.guess.signs import wrong_signs
+    from heli_lab.identify.record import prepare
+
+    for flight, label in zip(flights, labels, strict=True):
+        try:
+            prepare(flight, rig, label)
+        except NotExcited:
+            # An elevation that counts the other way is below its table all the time.
+            pass
+        except IdentifyError:
+            # What is not sound has no signs; the fit says what is wrong with it.
+            continue
+        found = wrong_signs(flight, rig)
+        if found:
+            raise WrongSigns(
+                f"{label}: {'; '.join(one.what for one in found)}",
+                f"{'; '.join(one.remedy for one in found)} (or fit it --as-is)",
+            )
 
 
 def read_flights(paths: Sequence[Path], allow_gaps: bool = False) -> list[Flight]:

@@ -40,15 +40,31 @@ OwnEffectsOption = Annotated[
     typer.Option("--effects", metavar="FILE...", help="Python files with effects of your own."),
 ]
 FromOption = Annotated[
-    float | None, typer.Option("--from", "--from-s", metavar="S", help="Fit nothing before this time.")
+    list[float] | None,
+    typer.Option(
+        "--from",
+        "--from-s",
+        metavar="S...",
+        help="Fit nothing before this time: one for all, or one for each flight, those to validate last.",
+    ),
 ]
 ToOption = Annotated[
-    float | None, typer.Option("--to", "--to-s", metavar="S", help="Fit nothing from this time on.")
+    list[float] | None,
+    typer.Option("--to", "--to-s", metavar="S...", help="Fit nothing from this time on; as --from."),
 ]
+GapsOption = Annotated[
+    bool, typer.Option("--allow-gaps", help="Leave out missing rows instead of refusing the flight.")
+]
+AsIsOption = Annotated[bool, typer.Option("--as-is", help="Fit though signs, zeros or units look wrong.")]
 ReportOption = Annotated[
     Path | None, typer.Option("--report", metavar="DIR", help="A page with figures to look at.")
 ]
-NumbersOption = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="All numbers.")]
+NumbersOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--json", metavar="FILE", help="All numbers; - for standard output, which then has nothing else."
+    ),
+]
 FoundRigOption = Annotated[
     Path | None, typer.Option("--out", metavar="FILE", help="The rig found, TOML, to be flown.")
 ]

@@ -71,7 +71,9 @@ def check_pseudo_terminal() -> Finding:
 
     if not hasattr(os, "openpty"):
         return Finding(
-            Verdict.NOTE, "no pseudo-terminals on this system", "simulate with --speed max, or over TCP"
+            Verdict.NOTE,
+            "no pseudo-terminals on this system",
+            "nothing: boards are simulated in process, or over TCP on this machine",
         )
     import serial
 

@@ -7,6 +7,7 @@ import os
 import platform
 import shutil
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import Final
@@ -18,7 +19,10 @@ from heli_sim.errors import PlantError
 
 # No contraction into fused multiply-adds: the same numbers on every machine. -O2 takes 1.6 times as long to
 # compile and runs no faster.
-_FLAGS: Final = ("-O1", "-fPIC", "-shared", "-ffp-contract=off")
+# Clang for Windows makes nothing but position-independent code, and has no library of mathematics apart.
+_WINDOWS: Final = sys.platform == "win32"
+FLAGS: Final = ("-O1", *(() if _WINDOWS else ("-fPIC",)), "-shared", "-ffp-contract=off")
+LIBRARIES: Final = () if _WINDOWS else ("-lm",)
 
 
 def compiler() -> str | None:
@@ -51,7 +55,7 @@ def compile_source(name: str, source: str) -> Path | None:
     earlier call; None when there is no C compiler. A PlantError when that fails, or others can write to the
     cache.
     """
-    key = hashlib.sha256("\n".join([source, *_FLAGS, platform.machine(), platform.system()]).encode())
+    key = hashlib.sha256("\n".join([source, *FLAGS, platform.machine(), platform.system()]).encode())
     folder = cache_folder()
     library = folder / f"{name}-{key.hexdigest()[:24]}.so"
     if is_whole(library):
@@ -63,7 +67,7 @@ def compile_source(name: str, source: str) -> Path | None:
     with tempfile.TemporaryDirectory(dir=folder) as work:
         c_file, so_file = Path(work) / "f.c", Path(work) / "f.so"
         c_file.write_text(source, encoding="utf-8")
-        command = [cc, *_FLAGS, "-o", str(so_file), str(c_file), "-lm"]
+        command = [cc, *FLAGS, "-o", str(so_file), str(c_file), *LIBRARIES]
         result = subprocess.run(command, capture_output=True, text=True, check=False)
         if result.returncode != 0:
             reason = (result.stderr.strip().splitlines() or ["no message"])[0]

@@ -16,7 +16,7 @@ from heli_sim.model.base import Model
 from heli_sim.rig import Quantity, Rig
 
 STEP_s: Final = 0.001
-_LIMITS: Final = ("elevation_min", "elevation_max", "pitch_max", "travel_max", "table_damping")
+LIMITS: Final = ("elevation_min", "elevation_max", "pitch_max", "travel_max", "table_damping")
 _RAD: Final = np.pi / 180.0
 _MULTIPLIER: Final = 48_271
 _MODULUS: Final = 2**31 - 1
@@ -81,12 +81,12 @@ def step_function(model: Model, late_s: float = 0.0) -> ca.Function:
     whole, commanded = ca.SX.sym("state", count + len(more.states)), ca.SX.sym("volts_V", 2)
     x, rest = whole[:count], whole[count:]
     locked = ca.SX.sym("locked", 3)
-    p = ca.SX.sym("parameters", len(model.parameters) + len(_LIMITS))
-    p_model, limits = p[: len(model.parameters)], p[len(model.parameters) :]
+    p = ca.SX.sym("parameters", len(model.parameters) + len(LIMITS))
+    p_model = p[: len(model.parameters)]
     free = ca.vertcat(1 - locked, 1 - locked, ca.SX.ones(count - 6))
     t, rest = (rest[0], rest[1:]) if more.timed else (ca.SX(0), rest)
     chance, past_V = (rest[0], rest[1:]) if more.random else (ca.SX(0), rest)
-    u = _late(commanded, past_V, late_s)
+    u = late_volts(commanded, past_V, late_s)
 
     def rates(at: ca.SX, later_s: float) -> ca.SX:
         return free * model.dynamics(at, u, p_model, t + later_s, locked=locked)
@@ -96,7 +96,43 @@ def step_function(model: Model, late_s: float = 0.0) -> ca.Function:
     k3 = rates(x + STEP_s / 2 * k2, STEP_s / 2)
     k4 = rates(x + STEP_s * k3, STEP_s)
     after = x + STEP_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    turning = ca.fmax(t > 0, ca.fmax(ca.fabs(commanded[0]), ca.fabs(commanded[1])) > 0)
+    t_after = t + STEP_s * turning
+    after, measured, chance = end_of_step(model, after, u, p, t_after, chance, locked)
+    kept_V = ca.vertcat(commanded, past_V)[: past_V.numel()]
+    whole_after = ca.vertcat(
+        after, *((t_after,) if more.timed else ()), *((chance,) if more.random else ()), kept_V
+    )
+    results = ca.cse([ca.densify(whole_after), ca.densify(measured)])
+    return ca.Function("plant_step", [whole, commanded, locked, p], results)
 
+
+def end_of_step(
+    model: Model, after: ca.SX, u: ca.SX, p: ca.SX, t_after: ca.SX, chance: ca.SX, locked: ca.SX
+) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """What no rate describes, at the end of a millisecond: table, stops, locks; resets and chance of effects.
+
+    Parameters
+    ----------
+    after : casadi.SX
+        State of the model, integrated over the millisecond.
+    u : casadi.SX
+        Voltages that acted [V].
+    p : casadi.SX
+        Parameters, as in `step_function`.
+    t_after : casadi.SX
+        Time since the motors first turned [s].
+    chance : casadi.SX
+        State of the random generator.
+    locked : casadi.SX
+        1 for each locked axis.
+
+    Returns
+    -------
+    after, measured, chance : casadi.SX
+        The state, the angles that the encoders see [rad], and the generator's next state.
+    """
+    p_model, limits = p[: len(model.parameters)], p[len(model.parameters) :]
     low = ca.vertcat(limits[0], -limits[2], -limits[3]) * _RAD
     high = ca.vertcat(limits[1], limits[2], limits[3]) * _RAD
     angles, speeds = after[0:3], after[3:6]
@@ -107,18 +143,10 @@ def step_function(model: Model, late_s: float = 0.0) -> ca.Function:
     speeds = ca.vertcat(speeds[0], kept * speeds[1], kept * speeds[2]) * (1 - locked)
     after = ca.vertcat(ca.fmin(ca.fmax(angles, low), high), speeds, after[6:])
 
-    turning = ca.fmax(t > 0, ca.fmax(ca.fabs(commanded[0]), ca.fabs(commanded[1])) > 0)
-    t_after = t + STEP_s * turning
     normal, chance = _drawn(chance, model.noise_inputs)
     after = model.reset_map(after, u, p_model, t_after)
     after = after + model.diffusion(after, u, p_model, t_after, STEP_s, normal)
-    measured = model.measurement(after, u, p_model, t_after)
-    kept_V = ca.vertcat(commanded, past_V)[: past_V.numel()]
-    whole_after = ca.vertcat(
-        after, *((t_after,) if more.timed else ()), *((chance,) if more.random else ()), kept_V
-    )
-    results = ca.cse([ca.densify(whole_after), ca.densify(measured)])
-    return ca.Function("plant_step", [whole, commanded, locked, p], results)
+    return after, model.measurement(after, u, p_model, t_after), chance
 
 
 def _depends_on_time(model: Model) -> bool:
@@ -128,8 +156,10 @@ def _depends_on_time(model: Model) -> bool:
     return bool(ca.depends_on(ca.vertcat(*timed), t))
 
 
-def _late(commanded_V: ca.SX, past_V: ca.SX, late_s: float) -> ca.SX:
-    """Mean over a millisecond of the voltages that were commanded `late_s` before it."""
+def late_volts(commanded_V: ca.SX, past_V: ca.SX, late_s: float) -> ca.SX:
+    """Mean over a millisecond of the voltages that were commanded `late_s` before it: of those `commanded_V`
+    in it, shape (2,), and of `past_V`, those of the milliseconds before, newest first.
+    """
     ticks = past_V.numel() // 2
     if not ticks:
         return commanded_V
@@ -163,7 +193,7 @@ class Plant:
         self.extras = extras(model, late_s)
         """What the simulation remembers besides the model's states; its states follow those."""
         self.function = step_function(model, late_s)
-        limits = [rig[name].value for name in _LIMITS]
+        limits = [rig[name].value for name in LIMITS]
         self.parameters: npt.NDArray[np.float64] = np.array([*values, *limits])
         """Parameters of the step, shape (len(model.parameters) + 5,)."""
         # Seeds next to each other would draw nearly the same first number.

@@ -27,25 +27,29 @@ void require(bool holds, const char* what) {
   }
 }
 
-LinearSystem system_of(const In<3>& transition, const In<3>& torque_input, const In<3>& measurement,
+LinearSystem system_of(const In<3>& transition, const In<4>& part_input, const In<3>& measurement,
                        const In<2>& measurement_variance, const In<1>& memory,
                        const In<1>& torque_variance, const In<1>& initial_variance,
                        const In<3>& drive, const In<3>& measured) {
   LinearSystem system;
   system.steps = transition.shape(0);
   system.states = transition.shape(1);
-  system.torques = torque_input.shape(2);
+  system.torques = memory.shape(0);
+  system.parts = part_input.shape(0);
+  system.kind = part_input.shape(3);
   system.columns = drive.shape(2);
   require(transition.shape(2) == system.states, "transition is not square");
-  require(torque_input.shape(0) == system.steps && torque_input.shape(1) == system.states,
-          "torque_input has another shape than transition");
+  require(part_input.shape(1) == system.steps && part_input.shape(2) == system.states,
+          "part_input has another shape than transition");
+  require(system.parts > 0 && system.kind > 0 && system.torques % system.kind == 0,
+          "memory must have one entry a torque, of whole kinds");
   require(measurement.shape(0) == system.steps && measurement.shape(1) == 3 &&
               measurement.shape(2) == system.states,
           "measurement has another shape than transition");
   require(measurement_variance.shape(0) == system.steps && measurement_variance.shape(1) == 3,
           "measurement_variance has another shape than measurement");
-  require(memory.shape(0) == system.torques && torque_variance.shape(0) == system.torques,
-          "memory and torque_variance must have one entry a torque");
+  require(torque_variance.shape(0) == system.torques,
+          "torque_variance must have one entry a torque");
   require(initial_variance.shape(0) == system.states,
           "initial_variance must have one entry a state");
   require(drive.shape(0) == system.steps && drive.shape(1) == system.states,
@@ -54,7 +58,7 @@ LinearSystem system_of(const In<3>& transition, const In<3>& torque_input, const
               measured.shape(2) == system.columns && system.columns > 0,
           "measured has another shape than drive");
   system.transition = transition.data();
-  system.torque_input = torque_input.data();
+  system.part_input = part_input.data();
   system.measurement = measurement.data();
   system.measurement_variance = measurement_variance.data();
   system.memory = memory.data();
@@ -74,16 +78,40 @@ Out array(std::size_t a, std::size_t b, std::size_t c, std::size_t dimensions) {
   return Out(data, {a, b}, owner);
 }
 
+// A function that finds two numbers of each state and torque at each step.
+template <void (*kFind)(const LinearSystem&, double*, double*)>
+void def_of_states(nb::module_& module, const char* name) {
+  module.def(
+      name,
+      [](const In<3>& transition, const In<4>& part_input, const In<3>& measurement,
+         const In<2>& measurement_variance, const In<1>& memory, const In<1>& torque_variance,
+         const In<1>& initial_variance, const In<3>& drive, const In<3>& measured) {
+        const LinearSystem system =
+            system_of(transition, part_input, measurement, measurement_variance, memory,
+                      torque_variance, initial_variance, drive, measured);
+        const std::size_t order = system.states + system.torques;
+        Out first = array(system.steps, order, 1, 2);
+        Out second = array(system.steps, order, 1, 2);
+        {
+          const nb::gil_scoped_release release;
+          kFind(system, first.data(), second.data());
+        }
+        return std::make_pair(first, second);
+      },
+      "transition"_a, "part_input"_a, "measurement"_a, "measurement_variance"_a, "memory"_a,
+      "torque_variance"_a, "initial_variance"_a, "drive"_a, "measured"_a);
+}
+
 }  // namespace
 
 NB_MODULE(_kalman, module) {
   module.def(
       "filter",
-      [](const In<3>& transition, const In<3>& torque_input, const In<3>& measurement,
+      [](const In<3>& transition, const In<4>& part_input, const In<3>& measurement,
          const In<2>& measurement_variance, const In<1>& memory, const In<1>& torque_variance,
          const In<1>& initial_variance, const In<3>& drive, const In<3>& measured) {
         const LinearSystem system =
-            system_of(transition, torque_input, measurement, measurement_variance, memory,
+            system_of(transition, part_input, measurement, measurement_variance, memory,
                       torque_variance, initial_variance, drive, measured);
         Out innovations = array(system.steps, 3, system.columns, 3);
         std::array<double, 3> log_variances{};
@@ -93,44 +121,74 @@ NB_MODULE(_kalman, module) {
         }
         return std::make_pair(innovations, log_variances);
       },
-      "transition"_a, "torque_input"_a, "measurement"_a, "measurement_variance"_a, "memory"_a,
+      "transition"_a, "part_input"_a, "measurement"_a, "measurement_variance"_a, "memory"_a,
       "torque_variance"_a, "initial_variance"_a, "drive"_a, "measured"_a);
   module.def(
-      "track",
-      [](const In<3>& transition, const In<3>& torque_input, const In<3>& measurement,
-         const In<2>& measurement_variance, const In<1>& memory, const In<1>& torque_variance,
-         const In<1>& initial_variance, const In<3>& drive, const In<3>& measured) {
-        const LinearSystem system =
-            system_of(transition, torque_input, measurement, measurement_variance, memory,
-                      torque_variance, initial_variance, drive, measured);
-        const std::size_t order = system.states + system.torques;
-        Out predicted = array(system.steps, order, 1, 2);
-        Out filtered = array(system.steps, order, 1, 2);
+      "midpoint",
+      [](const In<3>& jacobian, double step_s) {
+        const std::size_t steps = jacobian.shape(0);
+        const std::size_t states = jacobian.shape(1);
+        require(jacobian.shape(2) == states, "jacobian is not square");
+        Out transition = array(steps, states, states, 3);
+        Out input = array(steps, states, states, 3);
         {
           const nb::gil_scoped_release release;
-          heli_lab::track(system, predicted.data(), filtered.data());
+          heli_lab::midpoint(jacobian.data(), steps, states, step_s, transition.data(),
+                             input.data());
         }
-        return std::make_pair(predicted, filtered);
+        return std::make_pair(transition, input);
       },
-      "transition"_a, "torque_input"_a, "measurement"_a, "measurement_variance"_a, "memory"_a,
-      "torque_variance"_a, "initial_variance"_a, "drive"_a, "measured"_a);
+      "jacobian"_a, "step_s"_a);
   module.def(
-      "smooth",
-      [](const In<3>& transition, const In<3>& torque_input, const In<3>& measurement,
-         const In<2>& measurement_variance, const In<1>& memory, const In<1>& torque_variance,
-         const In<1>& initial_variance, const In<3>& drive, const In<3>& measured) {
-        const LinearSystem system =
-            system_of(transition, torque_input, measurement, measurement_variance, memory,
-                      torque_variance, initial_variance, drive, measured);
-        const std::size_t order = system.states + system.torques;
-        Out mean = array(system.steps, order, 1, 2);
-        Out variance = array(system.steps, order, 1, 2);
+      "over_blocks",
+      [](const In<3>& transition, const In<3>& input, const In<3>& rates, std::size_t block) {
+        heli_lab::Signals signals;
+        signals.steps = transition.shape(0);
+        signals.states = transition.shape(1);
+        signals.columns = rates.shape(2);
+        require(transition.shape(2) == signals.states, "transition is not square");
+        require(input.shape(0) == signals.steps && input.shape(1) == signals.states &&
+                    input.shape(2) == signals.states,
+                "input has another shape than transition");
+        require(rates.shape(0) == signals.steps && rates.shape(1) == signals.states,
+                "rates have another shape than transition");
+        require(block > 0, "a block has steps");
+        signals.transition = transition.data();
+        signals.input = input.data();
+        signals.rates = rates.data();
+        Out out = array(signals.steps / block, signals.states, signals.columns, 3);
         {
           const nb::gil_scoped_release release;
-          heli_lab::smooth(system, mean.data(), variance.data());
+          heli_lab::over_blocks(signals, block, out.data());
         }
-        return std::make_pair(mean, variance);
+        return out;
       },
-      "transition"_a, "torque_input"_a, "measurement"_a, "measurement_variance"_a, "memory"_a,
-      "torque_variance"_a, "initial_variance"_a, "drive"_a, "measured"_a);
+      "transition"_a, "input"_a, "rates"_a, "block"_a);
+  module.def(
+      "log_likelihoods",
+      [](const In<3>& transition, const In<4>& part_input, const In<3>& measurement,
+         const In<2>& measurement_variance, const In<2>& memory, const In<2>& torque_variance,
+         const In<2>& scale, const In<1>& initial_variance, const In<3>& drive,
+         const In<3>& measured) {
+        const std::size_t weathers = memory.shape(0);
+        require(weathers > 0 && torque_variance.shape(0) == weathers && scale.shape(0) == weathers,
+                "memory, torque_variance and scale must have one row a weather");
+        require(torque_variance.shape(1) == memory.shape(1) && scale.shape(1) == 3,
+                "torque_variance or scale has another shape");
+        const In<1> first(memory.data(), {memory.shape(1)}, nb::handle());
+        const LinearSystem system =
+            system_of(transition, part_input, measurement, measurement_variance, first, first,
+                      initial_variance, drive, measured);
+        Out values = array(weathers, 3, 1, 2);
+        {
+          const nb::gil_scoped_release release;
+          heli_lab::log_likelihoods(system, weathers, memory.data(), torque_variance.data(),
+                                    scale.data(), values.data());
+        }
+        return values;
+      },
+      "transition"_a, "part_input"_a, "measurement"_a, "measurement_variance"_a, "memory"_a,
+      "torque_variance"_a, "scale"_a, "initial_variance"_a, "drive"_a, "measured"_a);
+  def_of_states<heli_lab::track>(module, "track");
+  def_of_states<heli_lab::smooth>(module, "smooth");
 }

@@ -27,7 +27,12 @@ class Filter {
         next_(system.states * system.columns),
         covariance_(order_ * order_, 0.0),
         product_(system.states * order_),
-        gain_(order_) {
+        gain_(order_),
+        input_(system.states * system.torques),
+        step_memory_(system.torques) {
+    for (std::size_t i = 0; i < system.torques; ++i) {
+      step_memory_[i] = std::pow(system.memory[i], static_cast<double>(system.parts));
+    }
     for (std::size_t i = 0; i < system.states; ++i) {
       covariance_[i * order_ + i] = system.initial_variance[i];
     }
@@ -108,7 +113,7 @@ class Filter {
     const std::size_t torques = system_.torques;
     const std::size_t columns = system_.columns;
     const double* phi = system_.transition + step * states * states;
-    const double* input = system_.torque_input + step * states * torques;
+    const double* input = torque_input(step);
     const double* drive = system_.drive + step * states * columns;
     std::copy(drive, drive + states * columns, next_.begin());
     std::fill(product_.begin(), product_.end(), 0.0);
@@ -134,7 +139,7 @@ class Filter {
     for (std::size_t i = 0; i < torques; ++i) {
       double* to = mean_.data() + (states + i) * columns;
       for (std::size_t c = 0; c < columns; ++c) {
-        to[c] *= system_.memory[i];
+        to[c] *= step_memory_[i];
       }
     }
     for (std::size_t i = 0; i < states; ++i) {
@@ -151,19 +156,41 @@ class Filter {
         covariance_[k * order_ + i] = sum;
       }
       for (std::size_t j = 0; j < torques; ++j) {
-        const double sum = line[states + j] * system_.memory[j];
+        const double sum = line[states + j] * step_memory_[j];
         covariance_[i * order_ + states + j] = sum;
         covariance_[(states + j) * order_ + i] = sum;
       }
     }
     for (std::size_t i = 0; i < torques; ++i) {
       for (std::size_t j = 0; j < torques; ++j) {
-        covariance_[(states + i) * order_ + states + j] *= system_.memory[i] * system_.memory[j];
+        covariance_[(states + i) * order_ + states + j] *= step_memory_[i] * step_memory_[j];
       }
-      const double lost = 1.0 - system_.memory[i] * system_.memory[i];
+      const double lost = 1.0 - step_memory_[i] * step_memory_[i];
       covariance_[(states + i) * order_ + states + i] += lost * system_.torque_variance[i];
     }
   }
+
+  // What a unit of each torque at the step's beginning moves, [states][torques].
+  const double* torque_input(std::size_t step) {
+    const std::size_t kind = system_.kind;
+    const std::size_t size = system_.states * kind;
+    std::fill(input_.begin(), input_.end(), 0.0);
+    for (std::size_t first = 0; first < system_.torques; first += kind) {
+      for (std::size_t k = 0; k < kind; ++k) {
+        double left = 1.0;
+        for (std::size_t part = 0; part < system_.parts; ++part) {
+          const double* from = system_.part_input + (part * system_.steps + step) * size + k;
+          for (std::size_t i = 0; i < system_.states; ++i) {
+            input_[i * system_.torques + first + k] += left * from[i * kind];
+          }
+          left *= system_.memory[first + k];
+        }
+      }
+    }
+    return input_.data();
+  }
+
+  const std::vector<double>& step_memory() const { return step_memory_; }
 
   void keep(Kept& kept) const {
     first_column(kept.mean.data());
@@ -184,6 +211,8 @@ class Filter {
   std::vector<double> covariance_;
   std::vector<double> product_;
   std::vector<double> gain_;
+  std::vector<double> input_;
+  std::vector<double> step_memory_;
 };
 
 }  // namespace
@@ -244,12 +273,12 @@ void smooth(const LinearSystem& system, double* mean, double* variance) {
       // Back through the prediction: F' adjoint, F' matrix F with F = [transition torque_input; 0
       // memory].
       const double* phi = system.transition + step * states * states;
-      const double* input = system.torque_input + step * states * system.torques;
+      const double* input = filter.torque_input(step);
       const auto entry = [&](std::size_t i, std::size_t j) {
         if (i < states) {
           return j < states ? phi[i * states + j] : input[i * system.torques + j - states];
         }
-        return i == j ? system.memory[i - states] : 0.0;
+        return i == j ? filter.step_memory()[i - states] : 0.0;
       };
       for (std::size_t j = 0; j < order; ++j) {
         double sum = 0.0;

@@ -7,19 +7,23 @@
 
 namespace heli_lab {
 
-// e' = transition e + torque_input w + drive, w' = memory w + noise, y = measurement e + error.
+// e' = transition e + input w + drive, w' = memory^parts w + noise, y = measurement e + error.
 // Matrices are row-major, one a step; `columns` signals share the gains, because filtering is
-// linear.
+// linear. A step has one or more equal parts. The torques w come in kinds of `kind` torques each,
+// that differ by their memory: what one of any kind moves in a step is the sum of what it moves in
+// each part, memory^part left of it.
 struct LinearSystem {
   std::size_t steps = 0;
+  std::size_t parts = 0;
   std::size_t states = 0;
   std::size_t torques = 0;
+  std::size_t kind = 0;
   std::size_t columns = 0;
   const double* transition = nullptr;            // [steps][states][states]
-  const double* torque_input = nullptr;          // [steps][states][torques]
+  const double* part_input = nullptr;            // [parts][steps][states][kind]
   const double* measurement = nullptr;           // [steps][3][states]
   const double* measurement_variance = nullptr;  // [steps][3]; 0 where nothing was measured
-  const double* memory = nullptr;                // [torques]
+  const double* memory = nullptr;                // [torques], of a part
   const double* torque_variance = nullptr;       // [torques], stationary
   const double* initial_variance = nullptr;      // [states]
   const double* drive = nullptr;                 // [steps][states][columns]
@@ -30,6 +34,14 @@ struct LinearSystem {
 // sum of the logarithms of their variances, [3].
 void filter(const LinearSystem& system, double* innovations, double* log_variances);
 
+// The log-likelihood of the first column under several weathers, without its constant: for each
+// axis minus half the sum of squares and of logarithms of variances, [weathers][3]. Each weather
+// has a memory and a variance of its torques, [weathers][torques], and scales the measurement's
+// variances, [weathers][3]; those of the system are not used. Four weathers cost little more than
+// one.
+void log_likelihoods(const LinearSystem& system, std::size_t weathers, const double* memory,
+                     const double* torque_variance, const double* scale, double* values);
+
 // Mean of state and torques at each step by the first column, before and after the step's
 // measurement, [steps][states + torques] each.
 void track(const LinearSystem& system, double* predicted, double* filtered);
@@ -37,5 +49,24 @@ void track(const LinearSystem& system, double* predicted, double* filtered);
 // Smooths the first column: mean and variance of state and torques at each step, [steps][states +
 // torques].
 void smooth(const LinearSystem& system, double* mean, double* variance);
+
+// Rates that drive deviations, e' = transition e + input rates, row-major, one a step.
+struct Signals {
+  std::size_t steps = 0;
+  std::size_t states = 0;
+  std::size_t columns = 0;
+  const double* transition = nullptr;  // [steps][states][states]
+  const double* input = nullptr;       // [steps][states][states]
+  const double* rates = nullptr;       // [steps][states][columns]
+};
+
+// What the rates of a block of steps have moved at its end, from nothing at its beginning, [steps /
+// block][states][columns].
+void over_blocks(const Signals& signals, std::size_t block, double* out);
+
+// The implicit midpoint rule over steps of `step_s` where rates change with the state by
+// `jacobian`: transition, and what rates during a step move; all [steps][states][states].
+void midpoint(const double* jacobian, std::size_t steps, std::size_t states, double step_s,
+              double* transition, double* input);
 
 }  // namespace heli_lab

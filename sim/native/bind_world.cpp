@@ -159,6 +159,8 @@ void bind_world(nb::module_& module) {
               self.set_encoder_out(axis, out[axis]);
             }
           })
+      .def("support_below", &World::support_below, "elevation_rad"_a,
+           "Hold the arm on its table below this elevation while the motors are off.")
       .def_prop_rw("supply_on", &World::supply_on, &World::set_supply_on)
       .def_prop_rw(
           "host_reading", [](World& self) { return self.line().host_reading(); },

@@ -1,16 +1,16 @@
 #include "plant_step.hpp"
 
-#include <dlfcn.h>
-
 #include <stdexcept>
+
+#include "shared_library.hpp"
 
 namespace heli_sim {
 
 CompiledStep::CompiledStep(const std::string& library, const std::string& name)
     : library_(library) {
-  handle_ = dlopen(library.c_str(), RTLD_NOW | RTLD_LOCAL);
+  handle_ = open_library(library);
   if (handle_ == nullptr) {
-    throw std::runtime_error("the compiled plant does not load: " + std::string(dlerror()) +
+    throw std::runtime_error("the compiled plant does not load: " + library_error() +
                              "; delete it, it is built again");
   }
   try {
@@ -38,15 +38,15 @@ CompiledStep::CompiledStep(const std::string& library, const std::string& name)
     integer_work_.resize(static_cast<std::size_t>(integers));
     real_work_.resize(static_cast<std::size_t>(reals));
   } catch (...) {
-    dlclose(handle_);
+    close_library(handle_);
     throw;
   }
 }
 
-CompiledStep::~CompiledStep() { dlclose(handle_); }
+CompiledStep::~CompiledStep() { close_library(handle_); }
 
 void* CompiledStep::symbol(const std::string& name) const {
-  void* address = dlsym(handle_, name.c_str());
+  void* address = find_symbol(handle_, name);
   if (address == nullptr) {
     throw std::runtime_error("the compiled plant " + library_ + " lacks " + name +
                              "; delete it, it is built again");

@@ -10,6 +10,9 @@ namespace heli_sim {
 
 namespace {
 
+// How often the operator looks at the arm.
+constexpr std::uint64_t kSupport_ticks = 5;
+
 void require_size(const char* what, std::size_t given, std::size_t wanted) {
   if (given == wanted) return;
   throw std::invalid_argument(std::string(what) + " has " + std::to_string(given) +
@@ -65,6 +68,7 @@ std::uint64_t World::advance(std::uint64_t ticks, bool until_output, std::uint64
 }
 
 void World::one_tick(std::vector<std::uint8_t>& to_host) {
+  if (tick_ % kSupport_ticks == 0) support_arm();
   line_.carry_to_board(*board_);
   board_->tick(encoders_.count());
   move_rig();
@@ -76,6 +80,14 @@ void World::one_tick(std::vector<std::uint8_t>& to_host) {
   }
   line_.carry_to_host(*board_, to_host);
   ++tick_;
+}
+
+void World::support_arm() {
+  if (!support_below_rad_.has_value() || locked_ != supported_) return;
+  const bool off = volts_V_[0] <= 0.0 && volts_V_[1] <= 0.0;
+  const bool low = state_[heli::kElevation] <= *support_below_rad_;
+  supported_[heli::kElevation] = off && low ? 1.0 : 0.0;
+  locked_ = supported_;
 }
 
 void World::move_rig() {

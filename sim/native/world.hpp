@@ -4,6 +4,7 @@
 #include <array>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "encoders.hpp"
@@ -49,9 +50,13 @@ class World {
   const std::array<double, 2>& volts_V() const { return volts_V_; }
   void set_locked(const std::array<double, heli::kAxisCount>& locked) { locked_ = locked; }
   const std::array<double, heli::kAxisCount>& locked() const { return locked_; }
+  // Until take-off an operator supports the arm on its table: while the motors are off the
+  // elevation is locked below `elevation_rad`. Axes that somebody else has locked stay as they are.
+  void support_below(double elevation_rad) { support_below_rad_ = elevation_rad; }
 
  private:
   void one_tick(std::vector<std::uint8_t>& to_host);
+  void support_arm();
   void move_rig();
 
   std::shared_ptr<SimBoard> board_;
@@ -64,6 +69,8 @@ class World {
   std::vector<double> parameters_;
   std::array<double, heli::kAxisCount> angles_rad_{};
   std::array<double, heli::kAxisCount> locked_{};
+  std::array<double, heli::kAxisCount> supported_{};  // as the operator last locked them
+  std::optional<double> support_below_rad_;
   std::array<double, 2> volts_V_{};
   std::uint64_t tick_ = 0;
   bool supply_on_ = true;

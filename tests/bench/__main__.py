@@ -12,7 +12,20 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from tests.bench import decoding, due, identification, line, plant, reading, recording, simulation
+from tests.bench import (
+    campaign,
+    decoding,
+    diagnosis,
+    due,
+    identification,
+    line,
+    many_flights,
+    page,
+    plant,
+    reading,
+    recording,
+    simulation,
+)
 from tests.bench.result import PROMISES, Measured
 
 RESULT = Path("bench.json")
@@ -36,25 +49,33 @@ def measure_all(say: Callable[[str], None]) -> list[Measured]:
     say : callable
         Told what is measured next, and how long that takes.
     """
-    say("[1/8] flying in simulation as fast as possible (about 60 s)")
+    say("[1/12] flying in simulation as fast as possible (about 60 s)")
     measured = simulation.measure()
-    say("[2/8] decoding, against pymavlink (about 10 s)")
+    say("[2/12] decoding, against pymavlink (about 10 s)")
     sent, duration_s = line.flight_bytes()
     measured += decoding.measure(sent)
-    say("[3/8] counting bytes on the line (about 5 s)")
+    say("[3/12] counting bytes on the line (about 5 s)")
     measured += line.measure(sent, duration_s)
-    say("[4/8] reading a ten-minute log (about 10 s)")
+    say("[4/12] reading a ten-minute log (about 10 s)")
     measured += reading.measure()
-    say("[5/8] recording in real time (about 85 s)")
+    say("[5/12] recording in real time (about 85 s)")
     measured += recording.measure()
-    say("[6/8] counting instructions of the Due's firmware (about 40 s)")
+    say("[6/12] stopping from the live page, and what it costs (about 150 s)")
+    measured += page.measure()
+    say("[7/12] counting instructions of the Due's firmware (about 40 s)")
     counted = due.measure()
     if not counted:
         say("      skipped: there is no cross-compiler for the Due; make firmware says how to get it")
     measured += counted
-    say("[7/8] stepping and linearising the rig, against MuJoCo (about 10 s)")
+    say("[8/12] stepping and linearising the rig, against MuJoCo (about 10 s)")
     measured += plant.measure()
-    say("[8/8] identifying fifty simulated rigs (about 5 minutes)")
+    say("[9/12] a campaign of two hundred short cases, with one worker and with two (about 35 s)")
+    measured += campaign.measure()
+    say("[10/12] diagnosing, against an earlier commit, and ten minutes of flight (about 10 minutes)")
+    measured += diagnosis.measure(say)
+    say("[11/12] diagnosing ten flights of a rig, and a hundred (about 10 minutes)")
+    measured += many_flights.measure()
+    say("[12/12] identifying fifty simulated rigs (about 5 minutes)")
     return measured + identification.measure(say)
 
 

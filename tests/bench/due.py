@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 from firmware.due.report import read_image
 from tests.bench.result import Measured
-from tests.firmware.cost import measure_costs
+from tests.firmware.cost import LAW_UPDATE, Flight, measure_costs
 from tests.firmware.desk import Board
 from tests.firmware.measures import (
     boot_to_first_frame_ms,
@@ -17,6 +17,7 @@ from tests.firmware.measures import (
     rx_lost_bytes,
     travel_counts_lost,
 )
+from tests.law.flown import fly_and_steer, law_of
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -39,6 +40,24 @@ def has_cross_compiler() -> bool:
     return shutil.which("arm-none-eabi-g++") is not None
 
 
+def law_costs(elf: Path) -> dict[str, float]:
+    """Instructions of laws that came over the link, in flight.
+
+    Parameters
+    ----------
+    elf : Path
+        The linked firmware.
+    """
+    found: dict[str, float] = {}
+    for name in ("lqi", "mpc"):
+        flight = Flight(elf, read_image(elf), (LAW_UPDATE,))
+        fly_and_steer(flight, law_of(ROOT / "docs" / "laws" / f"{name}.py").tape, 5.0)
+        found[f"law_{name}_tick_instructions"] = flight.tick()[2]
+        if name == "lqi":
+            found["law_lqi_instructions"] = flight.function(LAW_UPDATE)[2]
+    return found
+
+
 def measure() -> list[Measured]:
     """Count instructions, bytes and milliseconds; nothing without the cross-compiler."""
     if not has_cross_compiler():
@@ -52,6 +71,7 @@ def measure() -> list[Measured]:
             "due_tick_instructions_mean": costs.tick_instructions_mean,
             "due_cascade_instructions": costs.cascade_instructions_max,
             "due_pid_v1_three_loops_instructions": costs.pid_v1_three_loops_instructions,
+            **law_costs(elf),
             "due_encoder_isr_instructions": costs.encoder_isr_instructions_max,
             "due_encoder_lost_counts": travel_counts_lost(Board(elf, image)),
             "due_boot_to_first_frame_ms": boot_to_first_frame_ms(Board(elf, image)),

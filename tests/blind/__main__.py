@@ -6,20 +6,26 @@ import argparse
 import fnmatch
 import json
 import os
+import queue
 import sys
+import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from itertools import zip_longest
 from multiprocessing import get_context
 from pathlib import Path
 
+from heli_lab.campaign import Answer, Campaign, Store, run_campaign
+from heli_lab.campaign import Case as CampaignCase
+from heli_lab.campaign.run import State
+
 from tests.blind.cases import Case, every_case
 from tests.blind.goals import further, goals
 from tests.blind.judge import Row
 from tests.blind.reliability import draw, reliability
-from tests.blind.run import REFITS, run, seen
+from tests.blind.run import REFITS, WORK, code_of_rows, seen
 from tests.blind.summary import confusion, text
 from tests.blind.weather_cases import weather_cases
 
@@ -116,21 +122,42 @@ def _wanted(case: Case, patterns: Sequence[str]) -> bool:
 
 
 def _done(cases: Sequence[Case], given: argparse.Namespace) -> Iterator[tuple[Row | None, str]]:
-    # Fresh processes, so that none inherits libraries that this one has loaded.
-    with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
-        names = {
-            pool.submit(run, case, given.folder, keep=given.keep, refits=given.budget): case for case in cases
-        }
+    """Rows as they come, those of an earlier run first; None and why there is none."""
+    folder = given.folder.resolve()
+    settings = {"folder": str(folder), "keep": given.keep, "refits": given.budget}
+    named = {case.name: CampaignCase(case.name, WORK, {"case": case.name, **settings}) for case in cases}
+    store, code = Store(folder / "campaign"), code_of_rows()
+    keys = {case.key(code): case.name for case in named.values()}
+    # What was judged once is taken from there only by code that would judge the same.
+    again = (lambda _: True) if given.keep else (lambda answer: bool(answer.failure))
+    ended: queue.SimpleQueue[Answer | BaseException | None] = queue.SimpleQueue()
+
+    def work() -> None:
+        def say(state: State) -> None:
+            if state.newest is not None:
+                ended.put(state.newest)
+
         try:
-            for future in as_completed(names):
-                try:
-                    yield future.result(), ""
-                except Exception as error:  # noqa: BLE001 - a case that dies must not end the others
-                    yield None, f"{names[future].name}: {type(error).__name__}: {error}"
-        except KeyboardInterrupt:
-            pool.shutdown(wait=False, cancel_futures=True)
-            print("stopped; the same command goes on where this one was")
-            raise SystemExit(130) from None
+            campaign = Campaign("blind", tuple(named.values()))
+            run_campaign(campaign, store, processes=given.processes, code=code, again=again, say=say)
+            ended.put(None)
+        except BaseException as error:  # noqa: BLE001 - raised again where it is waited for
+            ended.put(error)
+
+    known = {} if given.keep else store.read(keys)
+    for answer in known.values():
+        if not answer.failure:
+            yield Row.read(answer.detail), ""
+    threading.Thread(target=work, daemon=True).start()
+    try:
+        while (one := ended.get()) is not None:
+            if isinstance(one, BaseException):
+                raise one
+            whole = store.read([one.key]).get(one.key, one)
+            yield (None, f"{one.name}: {one.failure}") if one.failure else (Row.read(whole.detail), "")
+    except KeyboardInterrupt:
+        print("stopped; the same command goes on where this one was")
+        raise SystemExit(130) from None
 
 
 def _told(done: Iterable[tuple[Row | None, str]], count: int) -> Iterator[Row]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,21 +14,23 @@ import heli_lab
 import heli_sim
 from heli_host.flight import Flight
 from heli_host.log.flight_file import read_flight
-from heli_lab.diagnose import diagnose, to_json
+from heli_lab.diagnose import Diagnosis, diagnose, to_json
 from heli_sim.errors import SimError
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig, load_rig
 
-from tests.blind.cases import Case
+from tests.blind.cases import Case, every_case
 from tests.blind.judge import Row, judged
 from tests.blind.oracle import Told, tell
 from tests.blind.truth import hidden_in
 from tests.blind.visibility import visibility
 from tests.blind.weather_case import WeatherCase
+from tests.blind.weather_cases import weather_cases
 from tests.running.clock import spent_s
 
 REFITS = 80
 """As the command line has it."""
+WORK = f"{__name__}:answered"
 _HERE = Path(__file__).parent
 _SIM, _LAB = Path(heli_sim.__file__).parent, Path(heli_lab.__file__).parent
 _ENGINE = (
@@ -42,10 +44,14 @@ _WINDY = (
 )
 _ORACLE = (_HERE / "oracle.py", _HERE / "truth.py")
 _VISIBILITY = tuple(_HERE / name for name in ("course.py", "replay.py", "visibility.py"))
-_PAGE = ("figures.py", "report.py")
+_PAGE = ("figures.py", "result_figures.py", "missing_law.py", "words.py", "report.py")
 _ASKED = tuple(
     path
-    for room in (_LAB / "diagnose", _LAB / "identify", _SIM / "model", _SIM / "compiled", _SIM / "rig")
+    for room in (
+        *(_LAB / name for name in ("diagnose", "identify", "innovations")),
+        *(_SIM / name for name in ("model", "compiled", "rig")),
+        *(_SIM.with_name(name) for name in ("kalman", "straight_line")),
+    )
     for path in sorted(room.rglob("*"))
     if path.suffix in (".py", ".toml", ".hpp", ".cpp") and path.name not in _PAGE
 )
@@ -107,6 +113,20 @@ def run(case: Case, folder: Path, *, keep: bool = False, refits: int = REFITS) -
     )
 
 
+def answered(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A case of a campaign: `run` by its name; the judgement is the detail, its sum the row."""
+    every = (*every_case(), *weather_cases())
+    case = next(one for one in every if one.name == settings["case"])
+    row = run(case, Path(settings["folder"]), keep=settings["keep"], refits=settings["refits"])
+    said = {"verdict": row.verdict, "right": row.right, "died": row.failure, "causes": ", ".join(row.named)}
+    return said, asdict(row)
+
+
+def code_of_rows() -> str:
+    """Digest of all that a judgement depends on: flights, answers, and the judging."""
+    return _digest("", (*sorted(_HERE.glob("*.py")), _HERE.with_name("mujoco_rig.py"), *_ASKED))
+
+
 def prepare(case: Case, folder: Path, *, keep: bool = False) -> Ready:
     """Make the flights of a case, and find out what can be seen in them.
 
@@ -159,7 +179,7 @@ def seen(case: Case, folder: Path, keep: bool) -> dict[str, float | None]:
     return told.significance if isinstance(told, Told) else dict(told)
 
 
-def diagnosed(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> dict[str, Any]:
+def found_in(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> Diagnosis:
     """Ask the diagnosis, which gets the flights and the nominal rig and nothing else.
 
     Parameters
@@ -171,14 +191,13 @@ def diagnosed(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) ->
     refits : int
         Most refits of the search.
 
-    Returns
-    -------
-    dict
-        Its JSON.
     """
-    labels = ["a", "b"]
-    found = diagnose(MultibodyModel(), rig, flights[:1], flights[1:], labels=labels, refits=refits)
-    return to_json(found)
+    return diagnose(MultibodyModel(), rig, flights[:1], flights[1:], labels=["a", "b"], refits=refits)
+
+
+def diagnosed(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> dict[str, Any]:
+    """JSON of what `found_in` finds, with the same arguments."""
+    return to_json(found_in(rig, flights, refits))
 
 
 def asked(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> dict[str, Any]:

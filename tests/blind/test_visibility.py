@@ -14,6 +14,7 @@ from tests.blind.replay import FINE, Forces, Rebuilt, inertia_kg_m2, pushes, ste
 from tests.blind.visibility import Line, Pushes, imitators, visibility
 from tests.blind.weather_case import COURSE, WeatherCase
 from tests.blind.weather_cases import weather_cases
+from tests.running.long import samples
 
 CASES = {case.name: case for case in weather_cases()}
 LAW = "w-off-pitch_by_elevation"
@@ -36,7 +37,7 @@ def chance(case: WeatherCase, course: Course) -> Pushes:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("on_course", [False, True])
+@pytest.mark.parametrize("on_course", [False, True][: samples(2, 1)])
 def test_the_weather_itself_leaves_white_innovations_of_unit_variance(on_course: bool) -> None:
     name = next(
         name

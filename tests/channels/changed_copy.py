@@ -19,6 +19,7 @@ scale = {scale}
 meaning = "{meaning}"
 """
 DECLARATION = "firmware/link.toml"
+_COMMAND_LINE = ("-c", "from heli_host.cli import main; main()")
 _SOURCES = ("firmware", "host", "sim")
 
 
@@ -60,22 +61,33 @@ class ChangedCopy:
         """Write the copy's tables from its declaration."""
         self.run(str(self.root / "firmware" / "generate.py"))
 
-    def build(self) -> None:
+    def build(self, optimised: str = "-O0") -> None:
         """Compile what the native board needs, at the least cost.
 
         Unoptimised, which computes the same, and each library in one piece: 10 s of CPU instead of 34, most
         of which are headers that every file of the bindings' library reads again.
+
+        Parameters
+        ----------
+        optimised : str
+            How far, as an option of the compiler: for those who look at a clock.
         """
         build = self.root / "build"
         cmake = shutil.which("cmake") or str(Path(sys.executable).with_name("cmake"))
         configure = [cmake, "-S", str(self.root), "-B", str(build), f"-DPython_EXECUTABLE={sys.executable}"]
-        configure += ["-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_CXX_FLAGS_DEBUG=-O0"]
+        configure += ["-DCMAKE_BUILD_TYPE=Debug", f"-DCMAKE_CXX_FLAGS_DEBUG={optimised}"]
         configure += ["-DCMAKE_UNITY_BUILD=ON", "-DCMAKE_UNITY_BUILD_BATCH_SIZE=0"]
         for command in (configure, [cmake, "--build", str(build), "--target", "_native", "--parallel", "2"]):
             done = subprocess.run(command, capture_output=True, text=True, check=False)
             assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
         (extension,) = build.glob("_native*.so")
-        shutil.copy(extension, self.root / "sim" / "heli_sim")
+        self.extension.write_bytes(extension.read_bytes())
+
+    @property
+    def extension(self) -> Path:
+        """Where the copy's host looks for the native board."""
+        suffix = sysconfig.get_config_var("EXT_SUFFIX")
+        return self.root / "sim" / "heli_sim" / f"_native{suffix}"
 
     def run(self, *command: str) -> str:
         """Run Python on the copy's packages: a script, or ``-c`` and a program; what it printed.
@@ -83,13 +95,10 @@ class ChangedCopy:
         The installed packages hook themselves in by a file of site-packages; without the module `site` that
         is not read, and the copy is what is found.
         """
-        packages = dict.fromkeys((sysconfig.get_path("purelib"), sysconfig.get_path("platlib")))
-        path = [self.root / "host", self.root / "sim", *packages, ROOT]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path))}
         done = subprocess.run(
             [sys.executable, "-S", *command],
             cwd=self.root,
-            env=environment,
+            env=self.environment(),
             capture_output=True,
             text=True,
             check=False,
@@ -97,9 +106,19 @@ class ChangedCopy:
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
+    def environment(self) -> dict[str, str]:
+        """In which Python without `site` finds the copy's packages."""
+        packages = dict.fromkeys((sysconfig.get_path("purelib"), sysconfig.get_path("platlib")))
+        path = [self.root / "host", self.root / "sim", *packages, ROOT]
+        return {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path))}
+
     def heli_host(self, *arguments: str) -> str:
         """Run the command line of the copy; what it printed."""
-        return self.run("-c", "from heli_host.cli import main; main()", *arguments)
+        return self.run(*_COMMAND_LINE, *arguments)
+
+    def heli_host_command(self, *arguments: str) -> list[str]:
+        """The same as a command to run in `environment`."""
+        return [sys.executable, "-S", *_COMMAND_LINE, *arguments]
 
 
 def channel(

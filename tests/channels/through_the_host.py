@@ -101,7 +101,8 @@ def check(folder: Path) -> None:
     log = read_log(folder / "a.mcap")
     np.testing.assert_array_equal(log.raw, raw)
     flight = log.flight()
-    assert set(flight.columns()) == {"t_s", *expected}
+    counts = {spec.field for spec in CHANNELS if spec.axis is not None}
+    assert set(flight.columns()) == {"t_s", *expected, *counts}
     write_csv(flight, folder / "a.csv")
     export_mat(flight, folder / "a.mat")
     export_parquet(flight, folder / "a.parquet")

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import os
 import pty
+import re
 import signal
+import struct
 import subprocess
+import termios
 from pathlib import Path
 
 import heli_host
@@ -35,6 +40,36 @@ def test_watch_shows_counts_angles_and_errors_of_each_axis(terminal: Terminal) -
     # On the table, at -25 degrees, 284 counts of 4096 below level.
     assert lines[0].startswith("elevation   -284 ( -24.96 deg, 0 bad)  pitch     +0")
     assert lines[0].endswith("front +0.00 V, back +0.00 V  idle")
+
+
+def test_watch_is_a_table_that_fits_a_terminal_of_80_columns(tmp_path: Path) -> None:
+    screen, terminal = pty.openpty()
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    with (
+        SilProcess() as board,
+        Process(
+            command("watch", "--port", board.url, "--for-s", "1.5"),
+            cwd=tmp_path,
+            stdin=subprocess.DEVNULL,
+            stdout=terminal,
+            stderr=terminal,
+            env={**os.environ, "TERM": "xterm", "COLUMNS": "80"},
+        ) as running,
+    ):
+        os.close(terminal)
+        shown = b""
+        with contextlib.suppress(OSError):  # how a terminal ends whose program has gone
+            while piece := os.read(screen, 65536):
+                shown += piece
+        assert running.wait() == 0
+    os.close(screen)
+    text = re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", shown.decode())
+    lines = re.split(r"[\r\n]+", text)
+    tables = [line for line in lines if line.startswith(("elevation", "pitch", "travel", "front", "link"))]
+    assert "is" in text
+    assert "bad edges" in text
+    assert len(tables) >= 5
+    assert max(map(len, lines[1:])) <= 79
 
 
 def test_watch_commands_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:

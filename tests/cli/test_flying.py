@@ -17,6 +17,7 @@ from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import Log, read_log
 
 from tests.cli.terminal import Terminal, command, process
+from tests.running.long import LONG, samples
 
 pytestmark = pytest.mark.slow
 
@@ -25,7 +26,7 @@ FLY = ("fly", "hover", "--sil", "--speed", "10", "--log", "f.mcap")
 
 
 def test_a_flight_leaves_log_summary_and_figure(terminal: Terminal, tmp_path: Path) -> None:
-    ended = terminal("fly", "hover", "sine", *SIL)
+    ended = terminal("fly", "hover", "step", *SIL)
     assert ended.code == 0
     (folder,) = (tmp_path / "flights").iterdir()
     assert sorted(path.name for path in folder.iterdir()) == ["figure.png", "flight.mcap", "summary.json"]
@@ -36,10 +37,20 @@ def test_a_flight_leaves_log_summary_and_figure(terminal: Terminal, tmp_path: Pa
     assert set(summary["rms_error_deg"]) == {"elevation", "pitch", "travel"}
     assert {"frames_ok", "frames_bad", "retries", "reconnects"} <= set(summary["link"])
     last = "\n".join(ended.out.splitlines()[-5:])
-    for expected in ("hover + sine", "elevation", "ticks logged, 0 lost", str(folder.name), "board:"):
+    for expected in ("hover + step", "elevation", "ticks logged, 0 lost", str(folder.name), "board:"):
         assert expected in last
 
 
+def test_a_flight_that_hung_low_is_not_tracked_and_ends_with_4(terminal: Terminal, tmp_path: Path) -> None:
+    (tmp_path / "weak.toml").write_text(
+        "[parameters]\nelevation_integral_max_V = 0.0\nhover_V = 0.8\nelevation_kp = 0.03\n"
+    )
+    ended = terminal("fly", "hover", *SIL, "--params", "weak.toml", "--log", "low.mcap")
+    assert ended.code == 4
+    assert "not_tracked: elevation was up to" in ended.out + ended.err
+
+
+@pytest.mark.skipif(not LONG, reason="tests/fly and tests/sil ask the same; this one runs in make long")
 def test_the_same_seed_gives_the_same_log(terminal: Terminal, tmp_path: Path) -> None:
     for name in ("a", "b"):
         assert terminal("fly", "hover", *SIL, "--seed", "7", "--log", tmp_path / f"{name}.mcap").code == 0
@@ -100,11 +111,11 @@ def test_under_nohup_a_hang_up_ends_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("number", "prepare"),
     [
-        (signal.SIGINT, None),
         (signal.SIGINT, ignoring_interrupts),
         (signal.SIGTERM, None),
+        (signal.SIGINT, None),
         (signal.SIGHUP, None),
-    ],
+    ][: samples(4, 2)],
 )
 def test_an_interrupted_flight_lands_and_keeps_its_log(
     tmp_path: Path, number: signal.Signals, prepare: Callable[[], None] | None

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import gzip
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import rich
 import zstandard
+from heli_host.cli.progress import LiveLine
+from heli_host.cli.progress_bar import WorkBar
+from heli_host.cli.say import say, say_files
 from heli_host.errors import FlightDataError, LogError, PlanError, printable
 from heli_host.files import parse_toml, read_file
 from heli_host.fly.plan import Plan
@@ -15,6 +20,7 @@ from heli_host.log import scan, table
 from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import read_log
 from heli_host.log.summary import summarise
+from heli_sim.rig import load_rig, write_rig
 from mcap.data_stream import RecordBuilder
 from mcap.records import Chunk
 
@@ -66,6 +72,57 @@ def test_what_a_plan_says_reaches_the_terminal_as_text(terminal: Terminal, tmp_p
     (tmp_path / "b.toml").write_text('title = "\\u001b[2Jx"\n' + HOLD.partition("\n")[2] + "1\n")
     shown = terminal("fly", "b.toml", "--sil", "--speed", "max", "--log", "b.mcap")
     assert shown.code == 0 and not raw(shown.out) and "flying: \\x1b[2Jx" in shown.out
+
+
+@pytest.mark.medium
+def test_names_of_files_reach_the_terminal_as_text(terminal: Terminal, tmp_path: Path) -> None:
+    log = tmp_path / f"a{ESCAPES}.mcap"
+    writer = open_writer(log)
+    writer.write_ticks(*make_samples(200))
+    writer.close()
+    write_rig(
+        replace(load_rig("makki2024"), name=f"n{ESCAPES}", description=f"d{ESCAPES}"),
+        tmp_path / f"r{ESCAPES}.toml",
+    )
+    for words in (
+        ("export", log, "--csv"),
+        ("plot", log, "--out", f"b{ESCAPES}.png"),
+        ("rig", "show", f"r{ESCAPES}.toml"),
+        ("rig", "check", f"r{ESCAPES}.toml"),
+        ("rig", "diff", f"r{ESCAPES}.toml", "makki2024", "--all"),
+        ("params", "dump", f"p{ESCAPES}.toml", "--sil"),
+    ):
+        shown = terminal(*words)
+        assert shown.code == 0, shown
+        assert not raw(shown.out), words
+        assert "\\x1b" in shown.out, words
+
+
+def test_what_is_told_of_files_is_one_line_each(capsys: pytest.CaptureFixture[str]) -> None:
+    say("a\nb", "c")
+    say_files([Path("d\x1b[2J"), None, Path("e\nf")])
+    say_files([None])
+    assert capsys.readouterr().out == "a\\nb\nc\nfiles: d\\x1b[2J, e\\nf\n"
+
+
+@pytest.mark.medium
+def test_live_lines_show_names_as_text(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rich.get_console()  # as another part of the process may have done, where there was no terminal
+    for name, value in (("FORCE_COLOR", "1"), ("TERM", "xterm"), ("COLUMNS", "200")):
+        monkeypatch.setenv(name, value)
+    for is_terminal in (False, True):
+        with LiveLine(is_terminal) as live:
+            live.say(f"note{ESCAPES}")
+        with WorkBar(is_terminal) as bar:
+            bar._shown_s = -1e9
+            bar.show(f"[/stage]{ESCAPES}", 0.5)
+            if bar._bar is not None:
+                bar._bar.refresh()
+        shown = capsys.readouterr().out
+        assert "owned" in shown and "[/stage]" in shown
+        assert not any(one in shown for one in ("\x07", "\x9b", "\u202e", "\x1b]0;", "\x1b[2J"))
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,12 @@ def conforms(numbers: dict[str, Any], silent: bool = False) -> None:
     confidences = [cause["confidence"] for cause in numbers["causes"]]
     assert len(confidences) == len({cause["effect"] for cause in numbers["causes"]})
 
+    if not silent:
+        assert numbers["rig"].keys() == {"name", "model", "numbers"}
+        for number in numbers["rig"]["numbers"].values():
+            assert number.keys() == {"value", "std", "prior", "unit"}
+            assert 0.0 < number["std"] <= number["prior"]["std"] * 1.001
+
     residual = numbers["residual"]
     assert residual["axis"].keys() == AXES
     for one in (*residual["axis"].values(), residual["normalised"]):
@@ -41,7 +47,7 @@ def conforms(numbers: dict[str, Any], silent: bool = False) -> None:
         if not silent:
             low, high = one["interval95"]
             assert low <= high
-            assert math.isclose(one["ratio"], one["after"] / one["before"])
+            assert math.isclose(one["ratio"], one["after"] / one["before"] if one["before"] else 1.0)
 
     for flight in gain["calibration"]:
         assert flight["before"].keys() == flight["after"].keys()

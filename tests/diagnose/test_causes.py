@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import html
+from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -9,13 +12,16 @@ import numpy as np
 import pytest
 from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
 from heli_lab.diagnose.error_reduction import judgement
+from heli_lab.diagnose.missing_law import missing_laws
 from heli_lab.diagnose.report import write_report
+from heli_lab.diagnose.summary import title
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import effects_of
 from heli_sim.rig import load_rig, write_rig
 
 from tests.diagnose.hidden import flights
 from tests.diagnose.schema import conforms
+from tests.running.long import samples
 
 pytestmark = pytest.mark.diagnosis
 
@@ -52,6 +58,37 @@ def test_work_that_runs_out_is_said_where_the_verdict_is() -> None:
     assert any("--budget" in caution for caution in numbers["cautions"])
 
 
+def test_search_that_is_resumed_ends_as_one_that_never_stopped(tmp_path: Path) -> None:
+    whole = to_json(diagnosed("rotor_lag=0.06"))
+    fit, held_out = flights("rotor_lag=0.06")
+    begun: list[str] = []
+
+    def told(what: str, share: float) -> None:
+        begun.append(what)
+        if len([one for one in begun if one.startswith("trying")]) == 3:
+            raise KeyboardInterrupt
+
+    def asked(say: Callable[[str, float], None] | None = None) -> Diagnosis:
+        return diagnose(
+            MultibodyModel(),
+            load_rig("makki2024"),
+            [fit],
+            [held_out],
+            labels=["fit", "held out"],
+            resume=tmp_path / "search",
+            say=say,
+        )
+
+    with pytest.raises(KeyboardInterrupt):
+        asked(told)
+    kept = (tmp_path / "search").read_bytes()
+    assert kept.count(b"\n") == 4
+    # What it was writing when it was killed.
+    (tmp_path / "search").write_bytes(kept[:-200])
+    everything = to_json(asked())
+    assert {**everything, "seconds_taken": 0.0} == {**whole, "seconds_taken": 0.0}
+
+
 def test_nothing_hidden_is_explained_without_a_cause() -> None:
     found = diagnosed()
     numbers = to_json(found)
@@ -66,7 +103,7 @@ def test_nothing_hidden_is_explained_without_a_cause() -> None:
     [
         ("rotor_lag=0.06", "rotor_lag_s", 0.06),
         ("cable_spring.travel=0.06", "cable_spring_travel_Nm_per_rad", 0.06),
-    ],
+    ][: samples(2, 1)],
 )
 def test_hidden_effect_is_named_measured_and_halves_the_error(effect: str, name: str, truth: float) -> None:
     numbers = to_json(diagnosed(effect))
@@ -101,8 +138,63 @@ def test_curve_in_the_place_of_an_unknown_cause_is_the_cause_and_in_no_rig(tmp_p
     assert found.gains["pitch"].ratio == pytest.approx(1.0)
     assert found.rig("extended").effects == {}
     page = write_report(found, tmp_path).read_text(encoding="utf-8")
-    assert "torque.pitch on elevation, seen from" in page
+    said = html.unescape(page)
+    assert "<h1>Something unknown is missing</h1>" in said
+    # The same sentence on the page, on a terminal and in the numbers.
+    assert said.count(summary(found)) == 1
+    assert to_json(found)["sentence"] == summary(found)
+    assert "a torque about pitch that goes with elevation foretells" in said
     assert (tmp_path / "curves.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("hidden", "on", "slope_mNm_per_deg"),
+    [("cable_spring.travel=0.06", "travel", -60.0), ("", "elevation", 50.0)],
+    ids=["named", "off the list"],
+)
+def test_what_is_missing_follows_what_was_hidden_though_the_law_had_no_part_in_it(
+    hidden: str, on: str, slope_mNm_per_deg: float
+) -> None:
+    found = diagnosed(hidden) if hidden else diagnosed(off_list=True)
+    (law,) = missing_laws(found)
+    assert (law.what, law.unit, law.on, law.on_unit) == ("torque", "mN m", on, "deg")
+    hidden_slope = slope_mNm_per_deg * np.pi / 180.0
+    assert np.polyfit(law.place, law.missing, 1)[0] == pytest.approx(hidden_slope, rel=0.1)
+    assert abs(np.polyfit(law.place, law.left, 1)[0]) < 0.1 * abs(hidden_slope)
+    assert law.share > 0.8
+
+
+def test_what_is_perhaps_there_beside_something_unknown_is_never_said_as_a_fact() -> None:
+    found = diagnosed("rotor_lag=0.06")
+    unsure = replace(
+        found,
+        verdict=replace(
+            found.verdict, label="unexplained", off_list=diagnosed(off_list=True).verdict.off_list
+        ),
+    )
+    unsure = replace(
+        unsure, search=diagnosed(off_list=True).search, spline_gains=diagnosed(off_list=True).spline_gains
+    )
+    fact, perhaps = summary(unsure).split(" Beside it, perhaps: ")
+    assert fact.startswith("Something is missing that no effect of the catalogue explains")
+    assert "lags" not in fact
+    assert "(confidence 0." in perhaps
+    assert title(unsure) == "Something unknown is missing, perhaps beside known causes"
+
+
+def test_number_that_flights_pull_far_from_the_rig_file_is_said() -> None:
+    found = diagnosed()
+    assert found.pulled == ()
+    fit = found.after.fit
+    place = [one.name for one in fit.problem.free].index("offset_pitch")
+    one = fit.problem.free[place]
+    theta = fit.theta.copy()
+    theta[place] = one.prior.mean + 4.1 * one.prior.std
+    pulled = replace(found, after=replace(found.after, fit=replace(fit, theta=theta)))
+    (said,) = pulled.pulled
+    assert said.deviations == pytest.approx(4.1)
+    assert to_json(pulled)["pulled"][0]["parameter"] == "offset_pitch"
+    assert any("offset_pitch" in line and "4.1 standard deviations" in line for line in pulled.cautions)
 
 
 def test_extended_rig_is_read_back_with_the_cause_and_its_size(tmp_path: Path) -> None:
@@ -115,8 +207,14 @@ def test_extended_rig_is_read_back_with_the_cause_and_its_size(tmp_path: Path) -
 
 def test_report_needs_nothing_else_and_says_the_cause_with_its_number(tmp_path: Path) -> None:
     page = write_report(diagnosed("rotor_lag=0.06"), tmp_path).read_text(encoding="utf-8")
-    assert "The rotors&#x27; thrust lags their voltage by 0.0" in page
-    assert "http" not in page.replace("http-equiv", "")
-    assert {"flight.png", "torque.png", "ranking.png", "windows.png", "size.png", "index.html"} <= {
-        path.name for path in tmp_path.iterdir()
-    }
+    assert "The rotors' thrust lags their voltage by 0.0" in html.unescape(page)
+    assert not any(scheme in page for scheme in ("http:", "https:"))
+    assert {
+        "cause.png",
+        "prediction.png",
+        "gain.png",
+        "ranking.png",
+        "flight.png",
+        "torque.png",
+        "index.html",
+    } <= {path.name for path in tmp_path.iterdir()}

@@ -13,6 +13,7 @@ from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Terminal
 from tests.diagnose.hidden import flights
+from tests.running.long import LONG
 
 pytestmark = pytest.mark.diagnosis
 
@@ -39,15 +40,30 @@ def test_command_writes_numbers_rig_and_page(terminal: Terminal, tables: tuple[P
     assert Path("why/index.html").stat().st_size > 100_000
 
 
+@pytest.mark.skipif(not LONG, reason="test_short asks this of 3 s; this one runs in make long")
 def test_short_part_of_a_flight_is_answered_with_the_flight_that_would_tell(
     terminal: Terminal, tables: tuple[Path, Path]
 ) -> None:
     fit, held_out = tables
     ended = terminal(
-        "diagnose", fit, "--validate", held_out, "--from", "12", "--to", "17", "--json", "why.json"
+        "diagnose",
+        fit,
+        "--validate",
+        held_out,
+        "--from",
+        "12",
+        "--to",
+        "17",
+        "--json",
+        "-",
+        "--report",
+        "why",
     )
     assert ended.code == 0, ended.err
-    numbers = json.loads(Path("why.json").read_text())
+    # Standard output has the numbers and nothing else; words go to standard error.
+    numbers = json.loads(ended.out)
+    assert numbers["sentence"] in ended.err
+    assert "files: why/index.html" in ended.err
     assert numbers["causes"] == []
     assert numbers["undetectable"]
     assert tomllib.loads(numbers["next_flight"]["plan"])["segment"]

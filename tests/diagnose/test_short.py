@@ -16,6 +16,7 @@ from heli_sim.model.effects import catalogue
 from tests.cli.terminal import Ended, Terminal
 from tests.diagnose.hidden import flights, hovering
 from tests.diagnose.schema import conforms
+from tests.running.long import LONG
 
 pytestmark = pytest.mark.diagnosis
 
@@ -64,6 +65,7 @@ def test_three_seconds_name_nothing_wrong_and_say_what_they_cannot_show(terminal
     assert "next flight: " in ended.out
 
 
+@pytest.mark.skipif(not LONG, reason="a flight on the table is asked the same; this one runs in make long")
 def test_hovering_still_names_no_cause_and_asks_for_motion(terminal: Terminal) -> None:
     write_csv(hovering(10.0), "a.csv")
     _, numbers = answered(terminal, "a.csv")

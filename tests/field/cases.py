@@ -27,6 +27,9 @@ NEAR_STD, FAR_STD = 2.0, 3.0
 _NUMBER = re.compile(r"^# ([\w.]+): ([-+.\deE]+)$", re.MULTILINE)
 _LEAST_SHARE = 1e-3
 
+LAW_UNTOLD: Final = frozenset({"ground_effect"})
+"""Truth files say how much is gained at the table, not over which height that falls."""
+
 
 @dataclass(frozen=True)
 class Case:
@@ -69,10 +72,12 @@ class Case:
         return first, second
 
     def numbers(self) -> Numbers:
-        """Numbers of the truth file, as the catalogue calls them; a rest angle is in none."""
+        """Numbers of the truth file, as the catalogue calls them; a rest angle is in none, nor are the
+        numbers of effects whose law it does not tell.
+        """
         found: dict[str, float] = {}
         for id_ in self.listed:
-            if id_ not in self.sizes:
+            if id_ not in self.sizes or id_ in LAW_UNTOLD:
                 continue
             of = {"size": self.sizes[id_], "rest_rad": math.nan}
             if "at" in self.sizes:

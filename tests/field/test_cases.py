@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.field.__main__ import main
-from tests.field.cases import DATA, NO_DATA, Case, cases, judged, read
+from tests.field.cases import DATA, LAW_UNTOLD, NO_DATA, Case, cases, judged, read
 
 TRUTH = """hidden = ['rotor_lag', 'cable_spring.elevation']
 # weather, standard deviations of elevation, pitch, travel in N m, memory in s: (0.02, 0.006, 0.012, 0.6)
@@ -101,7 +101,7 @@ def test_the_cases_are_all_there_and_each_number_is_understood() -> None:
     )
     for one in there:
         assert set(one.listed) <= set(one.sizes)
-        assert len(one.numbers()) >= len(one.listed)
+        assert len(one.numbers()) >= len(set(one.listed) - LAW_UNTOLD)
 
 
 @needs_data

@@ -26,7 +26,8 @@ from tests.firmware.desk import TICK_INTERRUPT, TRAVEL_INTERRUPT, Arm, Board
 ROOT: Final = Path(__file__).resolve().parents[2]
 PROGRAMS: Final = ROOT / "tests" / "due" / "programs"
 FLAGS: Final = ROOT / "firmware" / "due" / "compile.flags"
-CASCADE: Final = "_ZN4heli7control7Cascade6update"
+CASCADE: Final = "_ZN4heli7control7Cascade4step"
+LAW_UPDATE: Final = "_ZN4heli3law5Guest6updateE"
 PID_LOOPS: Final = "three_loops"
 EXCITATIONS: Final = ("step", "doublet", "chirp", "multisine", "prbs")
 HOVERING: Final = Axes.ELEVATION | Axes.PITCH

@@ -358,13 +358,13 @@ RACES = (
 CORE = (
     core(
         "flight/supervisor.cpp",
-        "  overruns_at_arming_ = seen_.overruns;\n",
+        "  at_arming_.overruns = seen_->overruns;\n",
         "",
         since_when.test_late_ticks_from_before_arming_are_no_fault_and_later_ones_are,
     ),
     core(
         "flight/supervisor.cpp",
-        "    illegal_at_arming_[axis] = seen_.illegal[axis];\n",
+        "    at_arming_.illegal[axis] = seen_->illegal[axis];\n",
         "",
         claims.test_illegal_transitions_are_counted_beyond_16_bits,
         2,
@@ -377,7 +377,7 @@ CORE = (
     ),
     core(
         "flight/supervisor.cpp",
-        "    setpoints_.hold_at(kTravel, seen_.angle_rad[kTravel]);\n",
+        "    setpoints_.hold_at(kTravel, seen_->angle_rad[kTravel]);\n",
         "",
         since_when.test_a_hold_stays_where_it_began_on_every_axis_that_it_holds,
     ),

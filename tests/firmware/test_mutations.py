@@ -1,4 +1,7 @@
-"""One wrong register in any driver is noticed: each mutation must break the claim beside it."""
+"""One wrong register in any driver is noticed: each mutation must break the claim beside it.
+
+`make test` takes one in four of every file's mutations, `make long` all.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +20,12 @@ from tests.firmware.built import ROOT
 from tests.firmware.desk import Board
 from tests.firmware.mutations import MUTATIONS, Mutation
 from tests.firmware.subtle_mutations import SUBTLE
+from tests.running.long import shared_out
 
 pytestmark = pytest.mark.emulated
+
+ALL = (*MUTATIONS, *SUBTLE)
+SHARE = shared_out(ALL, every=4, kind=lambda mutation: mutation.file)
 
 due = pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")
@@ -87,7 +94,7 @@ def workshop(elf: Path, tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     return Workshop(folder)
 
 
-@pytest.mark.parametrize("mutation", (*MUTATIONS, *SUBTLE), ids=lambda m: f"{m.file}:{m.right.strip()[:40]}")
+@pytest.mark.parametrize("mutation", SHARE, ids=lambda m: f"{m.file}:{m.right.strip()[:40]}")
 def test_a_wrong_register_is_noticed(workshop: Workshop, image: Image, mutation: Mutation) -> None:
     elf = workshop.spoilt(mutation)
     # Claims look only at where things are, and taking a program apart takes longer than most claims.
@@ -104,4 +111,4 @@ def test_every_driver_has_a_mutation() -> None:
     # These three have no register of their own: arithmetic, memory, and calls into the drivers.
     without = {"memory.cpp", "due_board.cpp"}
     drivers = {path.name for path in (ROOT / "firmware" / "due").glob("*.cpp")} - without
-    assert drivers <= {mutation.file for mutation in (*MUTATIONS, *SUBTLE)}
+    assert drivers <= {mutation.file for mutation in SHARE}

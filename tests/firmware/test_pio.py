@@ -1,4 +1,4 @@
-"""The PlatformIO build needs no network and makes the same program as the Makefile."""
+"""The PlatformIO build needs no network, makes the same program as the Makefile, and uploads it."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from heli_sim.sil.process import SilProcess
 
+from tests.cli.uploader import Uploader
 from tests.firmware.built import ROOT
 
 pytestmark = pytest.mark.emulated
@@ -34,26 +37,70 @@ def test_flags_are_in_one_place() -> None:
         assert "-mcpu" not in path.read_text(), path.name
 
 
-def test_platformio_builds_the_same_program_as_the_makefile_wherever_the_project_lies(
-    elf: Path, tmp_path: Path
-) -> None:
+@dataclass(frozen=True)
+class Uploaded:
+    """A copy of the project in a folder with spaces in its name, built and uploaded in one go.
+
+    Parameters
+    ----------
+    project : Path
+        The copy.
+    printed : str
+        By PlatformIO.
+    calls : list of list of str
+        Words that the uploader, which is a stand-in, was called with.
+    """
+
+    project: Path
+    printed: str
+    calls: list[list[str]]
+
+
+@pytest.fixture(scope="module")
+def uploaded(tmp_path_factory: pytest.TempPathFactory) -> Uploaded:
+    """Built once, which takes longer than all claims about it."""
     if find_spec("platformio") is None or find_spec("SCons") is None:
         pytest.skip("PlatformIO is not installed: pip install platformio scons")
-    project = tmp_path / "a rig of mine"
+    folder = tmp_path_factory.mktemp("pio")
+    project = folder / "a rig of mine"
     shutil.copytree(ROOT / "firmware", project / "firmware", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "platformio.ini", project)
-    # A proxy that does not exist stands for the network that is missing.
-    done = subprocess.run(
-        [sys.executable, project / "firmware" / "pio" / "build.py", "run", "-e", "due"],
-        env={**os.environ, "http_proxy": "http://127.0.0.1:9", "https_proxy": "http://127.0.0.1:9"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    uploader = Uploader(folder / "bin")
+    with SilProcess(speed=None) as board:
+        done = subprocess.run(
+            [
+                *(sys.executable, project / "firmware" / "pio" / "build.py", "run", "-e", "due"),
+                *("-t", "upload", "--upload-port", board.url),
+            ],
+            env={
+                **os.environ,
+                "PATH": f"{uploader.folder}{os.pathsep}{os.environ['PATH']}",
+                # A proxy that does not exist stands for the network that is missing.
+                "http_proxy": "http://127.0.0.1:9",
+                "https_proxy": "http://127.0.0.1:9",
+            },
+            capture_output=True,
+            text=True,
+            check=False,
+        )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
-    assert "flash" in done.stdout
+    return Uploaded(project, done.stdout, uploader.calls)
+
+
+def test_platformio_builds_the_same_program_as_the_makefile_wherever_the_project_lies(
+    uploaded: Uploaded, elf: Path, tmp_path: Path
+) -> None:
+    assert "flash" in uploaded.printed
     flashed = tmp_path / "heli.bin"
     subprocess.run(["arm-none-eabi-objcopy", "-O", "binary", elf, flashed], check=True)
-    built = project / "build" / "pio" / "due"
+    built = uploaded.project / "build" / "pio" / "due"
     assert (built / "firmware.bin").read_bytes() == flashed.read_bytes()
     assert (built / "firmware.map").exists()
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals on this system")
+def test_upload_writes_the_image_that_was_built_over_heli_host_flash(uploaded: Uploaded) -> None:
+    [call] = uploaded.calls
+    image = uploaded.project / "build" / "pio" / "due" / "firmware.bin"
+    assert (uploaded.project / call[-1]).resolve() == image.resolve()
+    assert "flashed: simulated board" in uploaded.printed

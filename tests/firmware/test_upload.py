@@ -1,12 +1,9 @@
-"""`pio run -e due -t upload` with the stand-in platform reaches the uploader, over `heli-host flash`."""
+"""What the firmware is written with: the check of its image, and the real uploader on an emulated chip."""
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
-import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -16,43 +13,12 @@ from heli_host.flash.bossac import find_bossac, write_image
 from heli_host.flash.image import read_image
 from heli_host.link.session import Session
 from heli_sim.due.machine import new_due
-from heli_sim.sil.process import SilProcess
 
 from firmware.due.report import Image
-from tests.cli.uploader import Uploader
-from tests.firmware.built import ROOT
 from tests.firmware.desk import Board
 from tests.firmware.loader import RomLoader
 
 pytestmark = pytest.mark.emulated
-
-
-@pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals on this system")
-def test_upload_writes_the_image_that_was_built(elf: Path, tmp_path: Path) -> None:
-    if find_spec("platformio") is None or find_spec("SCons") is None:
-        pytest.skip("PlatformIO is not installed: pip install platformio scons")
-    uploader = Uploader(tmp_path / "bin")
-    with SilProcess(speed=None) as board:
-        done = subprocess.run(
-            [
-                *(sys.executable, str(ROOT / "firmware/pio/build.py"), "run", "-e", "due"),
-                *("-t", "upload", "--upload-port", board.url),
-            ],
-            env={
-                **os.environ,
-                "PATH": f"{uploader.folder}{os.pathsep}{os.environ['PATH']}",
-                # A proxy that does not exist stands for the network that is missing.
-                "http_proxy": "http://127.0.0.1:9",
-                "https_proxy": "http://127.0.0.1:9",
-            },
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
-    [call] = uploader.calls
-    assert Path(ROOT, call[-1]) == ROOT / "build/pio/due/firmware.bin"
-    assert "flashed: simulated board" in done.stdout
 
 
 def flat_binary(elf: Path, folder: Path) -> Path:

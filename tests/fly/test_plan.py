@@ -13,6 +13,8 @@ from heli_host.fly.plan import TAKE_OFF, Plan, load_plan, plan_names, take_off
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.running.long import samples
+
 DEFAULTS = {spec.name: spec.default for spec in PARAMS}
 
 
@@ -345,7 +347,7 @@ def toml(value: Any) -> str:
 
 
 @pytest.mark.slow
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=samples(300, 80), deadline=None)
 @given(
     head=st.dictionaries(st.sampled_from(KEYS), VALUES, max_size=2),
     segments=st.lists(
@@ -362,7 +364,7 @@ def test_no_table_raises_anything_but_a_plan_error(
 
 
 @pytest.mark.medium
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=samples(200, 60), deadline=None)
 @given(st.text(max_size=200))
 def test_no_text_raises_anything_but_a_plan_error(text: str) -> None:
     _survives(text)

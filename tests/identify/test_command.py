@@ -126,10 +126,11 @@ def test_a_second_flight_to_validate_on_is_not_fitted(terminal: Terminal, tmp_pa
         volts = 1.7 + 0.2 * wave, 1.7 - 0.1 * wave
         write_csv(Flight(t_s, *volts, 0.1 * wave, 0.2 * wave, 0.5 * wave), tmp_path / f"{name}.csv")
     ended = terminal(
-        *("identify", "a.csv", "--free", "thrust_gain", "--validate", "b.csv", "c.csv", "--json", "new.json")
+        *("identify", "a.csv", "--free", "thrust_gain", "--validate", "b.csv", "c.csv", "--json", "-")
     )
     assert ended.code == 0, ended
-    flights = json.loads((tmp_path / "new.json").read_text())["flights"]
+    flights = json.loads(ended.out)["flights"]
+    assert "thrust_gain" in ended.err
     assert [(one["flight"], one["role"]) for one in flights] == [
         *(("a.csv", "train"), ("b.csv", "validation"), ("c.csv", "validation"))
     ]

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from heli_lab.identify import Fit, Problem, Record
 from heli_lab.identify.free import FLIGHT_CONSTANTS, flight_constants
+from heli_lab.identify.result import Identification
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig, load_rig
 
@@ -32,3 +35,36 @@ def test_fits_take_the_wider_of_rig_and_cables_and_other_flights_the_cables_abou
     assert (other["torque_pitch"].mean, other["torque_pitch"].std) == pytest.approx((0.05, 0.01))
     assert other["offset_elevation"].mean == 1.0
     assert other["torque_travel"].mean == rig["torque_travel"].value
+
+
+def flown(label: str) -> Record:
+    """Two seconds, in which nothing matters here."""
+    rows = 200
+    still = np.zeros((rows, 3))
+    return Record(
+        label, np.arange(rows) / 100.0, still, still[:, :2], 0.01, np.full(3, 1e-3), ((0, rows),), ()
+    )
+
+
+@pytest.mark.medium
+def test_rig_found_from_several_flights_has_their_mean_torque_and_nobodys_zero() -> None:
+    model, rig = MultibodyModel(), load_rig("makki2024")
+    named = ("friction_pitch", "torque_pitch", "offset_pitch")
+    problem = Problem(model, rig, [flown("a"), flown("b")], free=named, per_flight=FLIGHT_CONSTANTS)
+    found = {
+        "friction_pitch": 0.02,
+        "torque_pitch[a]": 0.01,
+        "torque_pitch[b]": 0.03,
+        "offset_pitch[a]": 0.5,
+        "offset_pitch[b]": 0.7,
+    }
+    theta = np.array([found[name] for name in problem.names])
+    covariance = np.diag(np.full(len(theta), 0.001**2))
+    fit = Fit(problem, theta, covariance, covariance, (), (), (), 0.0, (), 1, 0.0, True)
+    numbers = Identification(fit, (), (), (), ()).rig("found").numbers
+    assert (numbers["friction_pitch"].value, numbers["friction_pitch"].tolerance) == (
+        pytest.approx((0.02, 0.002))
+    )
+    assert numbers["torque_pitch"].value == pytest.approx(0.02)
+    assert numbers["torque_pitch"].tolerance == pytest.approx(2.0 * np.hypot(0.001, np.sqrt(2.0) * 0.01))
+    assert numbers["offset_pitch"] == rig["offset_pitch"]

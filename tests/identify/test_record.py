@@ -58,3 +58,28 @@ def test_thrust_at_the_beginning_of_a_segment_follows_the_voltages_before_it() -
     gain, zero_V = rig["thrust_gain"].value, rig["dead_zone"].value
     reached_V = high - (high - low) * math.exp(-since_s / lag_s)
     assert front_N == pytest.approx(gain * (reached_V - zero_V), rel=1e-3)
+
+
+def landing(held_V: float, ends_deg: float) -> Flight:
+    """Twenty seconds at level, then a descent in two seconds that the log does not see the end of."""
+    t_s = np.arange(0.0, 22.0, 0.01)
+    down = np.clip(t_s - 20.0, 0.0, None) / 2.0
+    wave = 0.02 * np.sin(3.0 * t_s)
+    total_V = 3.4 + wave + down.clip(0.0, 0.05) / 0.05 * (held_V - 3.4)
+    elevation_rad = np.round((wave + np.radians(ends_deg) * down) * 4096 / (2 * np.pi)) * 2 * np.pi / 4096
+    return Flight(
+        t_s, total_V / 2, total_V / 2, elevation_rad, 0 * t_s, np.round(t_s * 65) * 2 * np.pi / 4096
+    )
+
+
+@pytest.mark.parametrize(
+    ("held_V", "ends_deg", "cut"), [(0.5, -14.0, True), (3.2, -14.0, False), (0.5, -2.0, False)]
+)
+def test_a_descent_that_the_log_does_not_see_the_end_of_is_cut(
+    held_V: float, ends_deg: float, cut: bool
+) -> None:
+    record = prepare(landing(held_V, ends_deg), load_rig("makki2024"))
+    assert bool(record.cuts) == cut
+    if cut:
+        assert record.cuts[-1].start_s == pytest.approx(20.1, abs=0.25)
+        assert record.cuts[-1].stop_s == pytest.approx(22.0, abs=0.02)

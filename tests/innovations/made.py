@@ -22,9 +22,9 @@ SECONDS = 34.0
 MADE_BY = (Path(__file__), Path(made.__file__))
 
 
-def _flown() -> Flight:
-    weather = parse_effects([f"random_torque.{axis}={size}" for axis, size in GUST_Nm.items()])
-    return thinned(flown(TRUE_RIG, 21, SECONDS, MultibodyModel(weather)), 2)
+def _flown(share: float = 1.0, *further: str) -> Flight:
+    weather = parse_effects([f"random_torque.{axis}={share * size}" for axis, size in GUST_Nm.items()])
+    return thinned(flown(TRUE_RIG, 21, SECONDS, MultibodyModel((*weather, *parse_effects(further)))), 2)
 
 
 @cache
@@ -32,3 +32,12 @@ def windy() -> Record:
     """Flown on a rig whose thrust gain and travel friction are off the nominal, in gusts of half a second."""
     flight = KEPT(f"windy {GUST_Nm} {SECONDS}", _flown, made_by=MADE_BY, rooms=FLOWN)
     return prepare(flight, RIG, "windy")
+
+
+@cache
+def flown_with(effect: str) -> Record:
+    """The same with an effect, in a third of those gusts."""
+    flight = KEPT(
+        f"{effect} {GUST_Nm} {SECONDS}", lambda: _flown(1 / 3, effect), made_by=MADE_BY, rooms=FLOWN
+    )
+    return prepare(flight, RIG, effect)

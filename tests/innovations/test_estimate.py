@@ -12,7 +12,7 @@ from heli_lab.diagnose.screening import Screening
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 
-from tests.innovations.made import RIG, TRUE_RIG, GUST_Nm, windy
+from tests.innovations.made import RIG, TRUE_RIG, GUST_Nm, flown_with, windy
 
 pytestmark = pytest.mark.diagnosis
 
@@ -47,7 +47,7 @@ def test_weather_is_what_blew() -> None:
 
 def test_innovations_of_the_right_model_are_white() -> None:
     estimate = baseline().estimate
-    innovations, _ = estimate.filtered.innovations(estimate.weather)
+    innovations, _ = estimate.filtered().innovations(estimate.weather)
     value = innovations[:, 0].reshape(-1, 3)
     assert value.std(axis=0) == pytest.approx([1.0, 1.0, 1.0], abs=0.05)
     for lag in (1, 2, 5, 12):
@@ -65,7 +65,7 @@ def test_nothing_of_the_catalogue_scores_where_nothing_is_missing() -> None:
 
 def test_scale_of_an_encoder_is_no_cause_of_its_own_innovations() -> None:
     # About a smoothed course, which knows what is to come, every flight wants its encoders stretched.
-    linear = baseline().estimate.filtered.linears[0]
+    linear = baseline().estimate.filtered().linears[0]
     angles = np.zeros((linear.rows, 3, 3))
     angles[:, range(3), range(3)] = linear.nodes.state[:, :3]
     scores = Screening(baseline().estimate).score_signals(
@@ -85,7 +85,7 @@ def test_weather_found_is_likelier_than_its_neighbours() -> None:
             gust_Nm=estimate.weather.gust_Nm * gust,
             memory_s=estimate.weather.memory_s * memory,
         )
-        innovations, log_variances = estimate.filtered.innovations(at)
+        innovations, log_variances = estimate.filtered().innovations(at)
         return float(-0.5 * (innovations[:, 0] @ innovations[:, 0] + log_variances.sum()))
 
     best = value(1.0, 1.0)
@@ -98,3 +98,24 @@ def test_larger_model_is_never_less_likely_than_the_one_that_it_contains(id_: st
     more = comparison().refit([Candidate(id_, kind.make(kind.typical), kind.size)], None, baseline())
     # What it cannot avoid is the prior of its size, which at nothing is up to 1.4 standard deviations off.
     assert more.log_likelihood > baseline().log_likelihood - 1.2
+
+
+@pytest.mark.parametrize(
+    ("id_", "parameter", "size"),
+    [
+        # By rates that the encoder's errors make of rest the friction is 0.042.
+        ("coulomb_friction.travel", "coulomb_friction_travel_Nm", 0.06),
+        # By a play operator along the measured angles it is nothing at all.
+        ("backlash.pitch", "backlash_pitch_rad", 0.006),
+    ],
+)
+def test_what_acts_while_an_axis_turns_back_has_its_size(id_: str, parameter: str, size: float) -> None:
+    among = Comparison(MultibodyModel(), RIG, [flown_with(f"{id_}={size}")], [])
+    nothing, kind = among.refit([]), KINDS[id_]
+    best = Screening(nothing.estimate).effects([one for one in KINDS.values() if one.acts_on == kind.acts_on])
+    assert best[0].candidate.id == id_
+    candidate = Candidate(id_, kind.make({**kind.typical, **kind.neutral}), kind.size)
+    found = among.refit([candidate], None, nothing)
+    place = found.estimate.unknowns.names.index(parameter)
+    assert np.sqrt(found.estimate.covariance[place, place]) < 0.1 * size
+    assert found.values[parameter] == pytest.approx(size, rel=0.1)

@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal
 
 Floats = NDArray[np.float64]
 
-STEPS, STATES, TORQUES = 6, 4, 2
+STEPS, STATES, TORQUES, PARTS = 6, 4, 2, 3
 ORDER = STATES + TORQUES
 MEMORY, TORQUE_STD = np.array([0.8, 0.3]), np.array([0.5, 1.5])
 INITIAL_STD = np.array([0.3, 2.0, 0.1, 1.0])
@@ -23,7 +23,7 @@ class System:
     """A random time-varying system; at one step one axis is not measured."""
 
     transition: Floats
-    torque_input: Floats
+    part_input: Floats
     measurement: Floats
     variance: Floats
 
@@ -31,7 +31,7 @@ class System:
         """What filter and smoother take before the signals, and a drive of nothing."""
         return (
             self.transition,
-            self.torque_input,
+            self.part_input,
             self.measurement,
             self.variance,
             MEMORY,
@@ -45,6 +45,11 @@ class System:
         width = ORDER + TORQUES * STEPS + 3 * STEPS
         state = np.zeros((ORDER, width))
         state[range(ORDER), range(ORDER)] = np.concatenate((INITIAL_STD, TORQUE_STD))
+        # Each torque keeps its share of a part, and what is left of it acts in the next.
+        kept = MEMORY[None, :] ** np.arange(PARTS)[:, None]
+        over_parts = np.concatenate((self.part_input, self.part_input), axis=3)
+        torque_input = np.einsum("pkij,pj->kij", over_parts, kept)
+        memory = MEMORY**PARTS
         states, outputs = [], []
         for k in range(STEPS):
             noise = np.zeros((3, width))
@@ -52,10 +57,10 @@ class System:
             noise[range(3), range(place, place + 3)] = np.sqrt(self.variance[k])
             states.append(state)
             outputs.append(self.measurement[k] @ state[:STATES] + noise)
-            moved = self.transition[k] @ state[:STATES] + self.torque_input[k] @ state[STATES:]
-            torque = MEMORY[:, None] * state[STATES:]
+            moved = self.transition[k] @ state[:STATES] + torque_input[k] @ state[STATES:]
+            torque = memory[:, None] * state[STATES:]
             fresh = ORDER + TORQUES * k
-            torque[range(TORQUES), range(fresh, fresh + TORQUES)] += TORQUE_STD * np.sqrt(1.0 - MEMORY**2)
+            torque[range(TORQUES), range(fresh, fresh + TORQUES)] += TORQUE_STD * np.sqrt(1.0 - memory**2)
             state = np.vstack((moved, torque))
         return np.vstack(states), np.vstack(outputs)
 
@@ -68,7 +73,7 @@ def system() -> System:
     variance[2, 1] = 0.0
     return System(
         random.normal(0.0, 0.6, (STEPS, STATES, STATES)),
-        random.normal(0.0, 1.0, (STEPS, STATES, TORQUES)),
+        random.normal(0.0, 0.5, (PARTS, STEPS, STATES, TORQUES // 2)),
         random.normal(0.0, 1.0, (STEPS, 3, STATES)),
         variance,
     )
@@ -137,6 +142,54 @@ def test_drive_moves_the_state_of_the_next_step(system: System) -> None:
     assert np.all(innovations[0] == 0.0)
     predicted, _ = _kalman.track(*arguments, np.zeros((STEPS, 3, 1)))
     assert np.allclose(predicted[1, :STATES], drive[0, :, 0])
+
+
+def test_steps_of_a_block_move_what_they_move_one_by_one(system: System) -> None:
+    random = np.random.default_rng(7)
+    response = random.normal(0.0, 1.0, (STEPS, STATES, STATES))
+    rates = random.normal(0.0, 1.0, (STEPS, STATES, 5))
+    found = _kalman.over_blocks(system.transition, response, rates, 3)
+    assert found.shape == (2, STATES, 5)
+    for block in range(2):
+        state = np.zeros((STATES, 5))
+        for step in range(3 * block, 3 * block + 3):
+            state = system.transition[step] @ state + response[step] @ rates[step]
+        assert np.allclose(found[block], state, atol=1e-12)
+
+
+def test_midpoint_rule_is_that_of_dense_algebra() -> None:
+    jacobian = np.random.default_rng(8).normal(0.0, 60.0, (9, 7, 7))
+    transition, response = _kalman.midpoint(jacobian, 0.01)
+    for a, phi, gamma in zip(jacobian, transition, response, strict=True):
+        half = 0.005 * a
+        assert np.allclose(phi, np.linalg.solve(np.eye(7) - half, np.eye(7) + half), rtol=1e-9, atol=1e-9)
+        assert np.allclose(gamma, 0.01 * np.linalg.inv(np.eye(7) - half), rtol=1e-9, atol=1e-11)
+
+
+@pytest.mark.parametrize("states", [4, 6, 8, 12, 13])
+@pytest.mark.parametrize("weathers", [1, 4, 6])
+def test_several_weathers_at_once_are_as_likely_as_each_by_itself(states: int, weathers: int) -> None:
+    random = np.random.default_rng(100 * states + weathers)
+    steps, torques = 41, 6
+    transition = 0.9 * np.eye(states) + random.normal(0.0, 0.05, (steps, states, states))
+    part_input = random.normal(0.0, 0.5, (4, steps, states, 3))
+    measurement = random.normal(0.0, 1.0, (steps, 3, states)) * (random.random((steps, 3, states)) < 0.6)
+    variance = random.uniform(0.2, 0.6, (steps, 3))
+    variance[5, 1] = 0.0
+    initial = random.uniform(0.1, 2.0, states)
+    drive = random.normal(0.0, 0.3, (steps, states, 1))
+    measured = random.normal(0.0, 1.0, (steps, 3, 1))
+    memory = random.uniform(0.3, 0.99, (weathers, torques))
+    power = random.uniform(0.1, 2.0, (weathers, torques))
+    scale = random.uniform(0.3, 2.0, (weathers, 3))
+    fixed = transition, part_input, measurement
+    found = _kalman.log_likelihoods(*fixed, variance, memory, power, scale, initial, drive, measured)
+    for number in range(weathers):
+        innovations, log_variances = _kalman.filter(
+            *fixed, variance * scale[number], memory[number], power[number], initial, drive, measured
+        )
+        expected = -0.5 * ((innovations[:, :, 0] ** 2).sum(axis=0) + log_variances)
+        assert np.allclose(found[number], expected, rtol=1e-9)
 
 
 def test_arrays_of_another_shape_are_refused(system: System, measured: Floats) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from heli_lab.innovations import Course, Linear, ModelFunctions, Unknowns, follow
+from heli_lab.innovations import Course, Derivatives, Linear, ModelFunctions, Unknowns, follow
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 
@@ -31,6 +32,11 @@ def changed(effect: str, name: str, by: float) -> Linear:
     return Linear(course, functions, unknowns.parameters(theta, 0))
 
 
+def every(linear: Linear) -> Derivatives:
+    """The model linearised in all steps at once."""
+    return linear.derivatives(slice(0, linear.rows))
+
+
 @pytest.mark.parametrize(
     ("effect", "name", "step"),
     [
@@ -44,31 +50,29 @@ def changed(effect: str, name: str, by: float) -> Linear:
 )
 def test_derivatives_are_those_of_the_rates_themselves(effect: str, name: str, step: float) -> None:
     linear, more, less = (changed(effect, name, sign * step) for sign in (0.0, 1.0, -1.0))
-    expected = (more.defect - less.defect)[:, 3:6] / (2.0 * step)
-    found = linear.by_parameters[:, 3:6, parts(effect)[2].names.index(name)]
+    expected = (every(more).rates - every(less).rates)[:, 3:6, 0] / (2.0 * step)
+    by_parameter = -every(linear).rates[:, :, 1 + parts(effect)[2].names.index(name)]
     if linear.model.states[6:]:
         # A lag's own state follows late: what the rates change by the parameter comes through it.
         state = (more.trajectory.state - less.trajectory.state)[:, 6:] / (2.0 * step)
         own = np.zeros((linear.rows, len(linear.model.states)))
-        drive = np.einsum(
-            "nij,nj->ni", linear.Gamma, linear.by_parameters[:, :, parts(effect)[2].names.index(name)]
-        )
+        drive = np.einsum("nij,nj->ni", linear.steps.Gamma, by_parameter)
         for k in range(linear.rows - 1):
-            own[k + 1, 6:] = linear.Phi[k, 6:, 6:] @ own[k, 6:] + drive[k, 6:]
+            own[k + 1, 6:] = linear.steps.Phi[k, 6:, 6:] @ own[k, 6:] + drive[k, 6:]
         middle = 0.5 * (own[:-1] + own[1:])[:, 6:]
         late = slice(200, -1)
         assert np.sqrt(np.mean((middle[late] - state[:-1][late]) ** 2)) < 0.05 * np.sqrt(
             np.mean(state[late] ** 2)
         )
         return
-    assert np.sqrt(np.mean((found - expected) ** 2)) < 0.02 * np.sqrt(np.mean(expected**2))
+    assert np.sqrt(np.mean((by_parameter[:, 3:6] - expected) ** 2)) < 0.02 * np.sqrt(np.mean(expected**2))
 
 
 def test_course_moves_by_the_model_where_the_model_is_right() -> None:
     # Defects are what the rig's wrong thrust gain and the gusts leave, not what the method adds.
     linear = changed("", "thrust_gain", 0.62 - RIG["thrust_gain"].value)
     wrong = changed("", "thrust_gain", 0.0)
-    assert np.mean(linear.defect[:, 3] ** 2) < np.mean(wrong.defect[:, 3] ** 2)
+    assert np.mean(every(linear).rates[:, 3, 0] ** 2) < np.mean(every(wrong).rates[:, 3, 0] ** 2)
 
 
 def test_followed_states_do_not_look_ahead() -> None:
@@ -88,3 +92,20 @@ def test_followed_states_do_not_look_ahead() -> None:
     )
     same = len(half.filtered) - 2
     assert np.allclose(half.filtered[:same], whole.filtered[:same], atol=1e-6)
+
+
+def test_axis_is_at_rest_where_its_count_stays_the_same_for_long() -> None:
+    record = windy()
+    rows = len(record.t_s)
+    turned = np.arange(rows) * 3.0 * record.step_s / 0.3  # three counts in the time of a rest: never at rest
+    stays = np.where((np.arange(rows) * record.step_s) % 2.0 < 1.5, 0.0, turned)
+    angles = np.stack((turned, stays, np.zeros(rows)), axis=1)
+    course = follow(replace(record, angles_rad=np.floor(angles) * record.count_rad))
+    assert not course.at_rest[:, 0].any()
+    assert 0.6 < course.at_rest[:, 1].mean() < 0.75
+    assert course.at_rest[40:-40, 2].all()
+    for states in (course.predicted, course.filtered):
+        assert not states[:, 3:][course.at_rest].any()
+        assert states[:, 3].any()
+    again = course.followed(course.predicted + 0.1, course.filtered + 0.1)
+    assert not again.predicted[:, 3:][again.at_rest].any()

@@ -31,7 +31,7 @@ TO_BOARD: list[Any] = [
     for cls in vars(declaration).values()
     if isinstance(cls, type) and getattr(cls, "ID", MessageId.ACK) < MessageId.ACK
 ]
-STREAMS = [cls for cls in TO_BOARD if cls.ID in (MessageId.SETPOINT, MessageId.VOLTAGES)]
+STREAMS = [cls for cls in TO_BOARD if cls.ID in (MessageId.SETPOINT, MessageId.VOLTAGES, MessageId.FOLLOWING)]
 COMMANDS = [cls for cls in TO_BOARD if cls not in STREAMS]
 
 Execute = Callable[[int, bytes], tuple[int, int, float]]

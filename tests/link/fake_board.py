@@ -19,6 +19,7 @@ from heli_host import declaration as link
 from heli_host.declaration import Channel, Flags, MessageId, Result, State
 from heli_host.errors import LinkLost, PortError
 from heli_host.link.frames import Frame, FrameParser
+from heli_host.link.session import Session
 
 from tests.channels.groups import COUNTS, SETPOINTS, VOLTAGES, row_of
 from tests.link import host_reference as reference
@@ -318,3 +319,15 @@ class PtyBoard:
             if due < 0:
                 began_s, began_tick = time.monotonic(), self.board.tick
             os.write(master, self.board.advance(max(due, 0)))
+
+
+def opened(board: FakeBoard) -> Session:
+    """A session that is connected to it."""
+    session = Session(FakeLine(board))
+    session.connect()
+    return session
+
+
+def heard(board: FakeBoard, message_id: MessageId) -> list[int]:
+    """Ticks at which the board heard a message."""
+    return [tick for tick, frame in board.heard if frame.id == message_id]

@@ -9,12 +9,13 @@ import pytest
 from cobs import cobs
 from heli_host.declaration import MAX_TELEMETRY_PAYLOAD, PROTOCOL, Channel, TelemetryMessage
 from heli_test_native import link as core_link
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from tests.channels.groups import SIGNED, UNSIGNED
 from tests.link import host_reference as reference
+from tests.running.long import samples
 
 # Runs without a zero around the 254 bytes that a COBS block may hold.
 RUNS = [b"\x01" * length for length in (0, 1, 253, 254, 255, 256, 507, 508, 509)]
@@ -97,6 +98,7 @@ def raw_ticks(draw: st.DrawFn) -> np.ndarray:
 
 
 @pytest.mark.slow
+@settings(max_examples=samples(100, 30))
 @given(st.integers(0, 2**32 - 1), raw_ticks())
 @example(2**32 - 3, np.arange(10 * len(Channel), dtype=np.int32).reshape(10, -1))
 def test_packed_ticks_come_out_of_the_witness_as_they_were(first_tick: int, raw: np.ndarray) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.link import host_reference as reference
+from tests.running.long import samples
 
 Batch = tuple[int, list[list[int]]]
 
@@ -20,8 +22,12 @@ CODES = {"u8": "<B", "u16": "<H", "u32": "<I", "i16": "<h", "i32": "<i"}
 
 @st.composite
 def batches(draw: st.DrawFn, types: list[str] = reference.TYPES) -> Batch:
-    """A first tick and 1 to 32 samples; each channel still, slow, or anything that its type holds."""
+    """A first tick and 1 to 32 samples; each channel still, slow, or anything that its type holds.
+
+    Samples follow from a drawn seed: to draw each by itself takes fifty times as long as to decode it.
+    """
     count = draw(st.integers(1, 32))
+    walk = random.Random(draw(st.integers(0, 2**32 - 1)))
     columns = []
     for wire_type in types:
         low, high = reference.limits(wire_type)
@@ -29,14 +35,14 @@ def batches(draw: st.DrawFn, types: list[str] = reference.TYPES) -> Batch:
         value = draw(st.integers(low, high))
         column = [value]
         for _ in range(count - 1):
-            value = draw(st.integers(max(low, value - reach), min(high, value + reach)))
+            value = walk.randint(max(low, value - reach), min(high, value + reach))
             column.append(value)
         columns.append(column)
     return draw(st.integers(0, 2**32 - 33)), [list(row) for row in zip(*columns, strict=True)]
 
 
 @pytest.mark.slow
-@settings(max_examples=60)
+@settings(max_examples=samples(200, 40))
 @given(st.lists(batches(), max_size=5))
 def test_any_batches_decode_to_what_was_packed(sent: list[Batch]) -> None:
     ticks = TelemetryDecoder().decode([reference.telemetry_payload(first, rows) for first, rows in sent])
@@ -55,7 +61,7 @@ def declared(types: list[str]) -> list[ChannelSpec]:
 
 
 @pytest.mark.slow
-@settings(max_examples=100)
+@settings(max_examples=samples(200, 40))
 @given(st.lists(st.sampled_from([*CODES]), min_size=1, max_size=16), st.data())
 def test_channels_of_any_type_may_stand_anywhere(types: list[str], data: st.DataObject) -> None:
     sent = data.draw(st.lists(batches(types), min_size=1, max_size=3))
@@ -66,7 +72,7 @@ def test_channels_of_any_type_may_stand_anywhere(types: list[str], data: st.Data
 
 
 @pytest.mark.slow
-@settings(max_examples=60)
+@settings(max_examples=samples(200, 40))
 @given(batches(), st.data())
 def test_wider_deltas_than_needed_decode_alike(sent: Batch, data: st.DataObject) -> None:
     first, rows = sent

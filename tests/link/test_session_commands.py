@@ -21,20 +21,8 @@ from heli_host.declaration import (
     VoltagesMessage,
 )
 from heli_host.errors import CommandRefused, CommandTimeout, LinkLost
-from heli_host.link.session import Session
 
-from tests.link.fake_board import FakeBoard, FakeLine
-
-
-def opened(board: FakeBoard) -> Session:
-    session = Session(FakeLine(board))
-    session.connect()
-    return session
-
-
-def heard(board: FakeBoard, message_id: MessageId) -> list[int]:
-    """Ticks at which the board heard a message."""
-    return [tick for tick, frame in board.heard if frame.id == message_id]
+from tests.link.fake_board import FakeBoard, FakeLine, heard, opened
 
 
 def test_a_command_whose_acks_are_lost_is_repeated_and_executed_once() -> None:

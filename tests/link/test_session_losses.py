@@ -15,6 +15,7 @@ from heli_host.link.telemetry import Ticks
 
 from tests.channels.groups import SIGNED
 from tests.link.fake_board import FakeBoard, FakeLine, truth
+from tests.running.long import samples
 
 pytestmark = pytest.mark.medium
 
@@ -185,7 +186,8 @@ def test_a_damaged_line_delivers_no_wrong_tick_and_counts_what_is_missing(damage
     session = Session(line)
     seen = collected(session)
     session.connect()
-    for index in range(60):
+    commands = samples(60, 15)
+    for index in range(commands):
         value = index / 16
         assert session.command(ParamSetMessage(0, Param.HOVER_V, value), timeout_s=5.0).value == value
         session.wait(0.5)
@@ -198,7 +200,7 @@ def test_a_damaged_line_delivers_no_wrong_tick_and_counts_what_is_missing(damage
     assert counters.ticks_received == len(tick)
     assert counters.ticks_received + counters.ticks_lost == span(seen)
     assert [ParamSetMessage.unpack(b"\0" + done[1:]).value for done in board.executed] == [
-        index / 16 for index in range(60)
+        index / 16 for index in range(commands)
     ]
 
 

@@ -239,7 +239,7 @@ def test_a_device_may_take_a_log() -> None:
 def test_a_flight_needs_the_space_of_its_length(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(disk, "free_bytes", lambda _: 20_000_000)
     check_free_space(tmp_path / "a.mcap", 60.0)
-    with pytest.raises(LogWriteError, match=r"has 20\.0 MB left, the flight can need 76\.2 MB"):
+    with pytest.raises(LogWriteError, match=r"has 20\.0 MB left, the flight can need 79\.2 MB"):
         check_free_space(tmp_path / "a.mcap", 600.0)
 
 

@@ -19,6 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.log.made import write_made_log
+from tests.running.long import samples
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 SHARED_FILES = sorted(SHARED.glob("**/*.csv.gz"))
@@ -186,7 +187,7 @@ def test_a_file_of_another_kind_or_none_is_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=samples(200, 60), deadline=None)
 @given(st.one_of(st.binary(max_size=300), st.text(max_size=300).map(str.encode)), st.booleans())
 def test_bytes_of_any_kind_raise_nothing_but_flight_data_errors(
     tmp_path_factory: pytest.TempPathFactory, content: bytes, with_header: bool

@@ -48,7 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     pairs = given.pairs or list(PAIRS)
     if given.diagnose:
         for pair in pairs:
-            print(_diagnosed(pair), flush=True)
+            for exchanged in (False, True):
+                print(_diagnosed(pair, exchanged), flush=True)
         return 0
     last: list[tuple[str, Told]] = []
     print("two seconds ahead, degrees rms (ratio to the baseline and its 95 % interval):")
@@ -90,10 +91,11 @@ def _ahead(pair: str, one: Told) -> str:
     return "| " + " | ".join([pair, *ratios, *(f"{own[axis].ratio:.2f}" for axis in AXES)]) + " |"
 
 
-def _diagnosed(pair: str) -> str:
-    """What the search says of a pair."""
-    train, held_out = flights(pair)
-    found = diagnose(MultibodyModel(), load_rig(RIG), [train], [held_out], labels=list(PAIRS[pair]))
+def _diagnosed(pair: str, exchanged: bool) -> str:
+    """What the search says of a pair, or of the same pair with the flights' parts exchanged."""
+    train, held_out = flights(pair, exchanged)
+    labels = list(reversed(PAIRS[pair])) if exchanged else list(PAIRS[pair])
+    found = diagnose(MultibodyModel(), load_rig(RIG), [train], [held_out], labels=labels)
     answer = to_json(found)
     causes = [
         f"{one['effect']} (confidence {one['confidence']:.2f}; "
@@ -107,7 +109,8 @@ def _diagnosed(pair: str) -> str:
         for key, horizon in answer["gain"]["horizons"].items()
         for axis, of in horizon["axis"].items()
     ]
-    return "\n  ".join([f"{pair}: {answer['verdict']}", *causes, *gains])
+    title = f"{pair}{', back' if exchanged else ''}: {answer['verdict']}"
+    return "\n  ".join([title, *causes, *gains])
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from heli_sim.plant import Plant, step_function
 from heli_sim.rig import load_rig
 
 from tests.plant.toys import WIDE, rates_function
+from tests.running.long import shared_out
 
 Vector = npt.NDArray[np.float64]
 
@@ -87,7 +88,7 @@ def test_an_effect_does_nothing_at_its_neutral_values(model: type[Model], kind: 
 
 
 @pytest.mark.medium
-@pytest.mark.parametrize("kind", MULTIBODY)
+@pytest.mark.parametrize("kind", shared_out(MULTIBODY, every=4))
 def test_an_effect_of_typical_size_shows_in_five_seconds(kind: EffectKind) -> None:
     effect = kind.make({**kind.typical, **{name: 1.0 for name in kind.neutral if name.endswith("at_s")}})
     differs_rad = np.abs(flown(MultibodyModel((effect,))) - flown_without()).max()

@@ -15,13 +15,14 @@ from heli_sim.rig import load_rig
 
 from tests.mujoco_rig import JOINTS, mujoco_rig
 from tests.plant.toys import WIDE
+from tests.running.long import samples
 
 pytestmark = pytest.mark.slow
 
 mujoco = pytest.importorskip("mujoco")
 
 Vector = npt.NDArray[np.float64]
-TICKS = 5000
+TICKS = samples(5000, 2500)
 RIG = load_rig("makki2024").replace(**WIDE)
 Control = Callable[[Any, Any, Vector], Vector]
 Course = Callable[[int, float], Vector]
@@ -268,4 +269,5 @@ def test_a_counterweight_that_slips_is_one_that_mujoco_moves() -> None:
         model.body_pos[model.body("counterweight").id, 0] -= 0.005
 
     # Ours takes some 20 ms to slip.
-    agree("counterweight_shift=0.005@2.5", theirs(change, at_tick=2500), within_rad=2e-5)
+    half = TICKS // 2
+    agree(f"counterweight_shift=0.005@{1e-3 * half:g}", theirs(change, at_tick=half), within_rad=2e-5)

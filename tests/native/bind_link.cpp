@@ -52,13 +52,14 @@ Bytes copy_of(const nb::bytes& from) { return {data_of(from), data_of(from) + fr
 class LinkHarness {
  public:
   LinkHarness(std::int16_t duty_full, std::size_t page_bytes)
-      : board(duty_full, page_bytes), store(board), link(board, params, store) {
+      : board(duty_full, page_bytes), store(board), link(board, params, store, tape) {
     store.load(params);
   }
 
   HarnessBoard board;
   Params params;
   Store store;
+  heli::law::Tape tape;
   Link link;
 };
 
@@ -71,14 +72,19 @@ std::optional<std::tuple<int, nb::bytes>> take_request(const LinkHarness& harnes
 std::optional<std::tuple<int, nb::bytes>> take_stream(LinkHarness& harness) {
   heli::link::StreamValue value;
   if (!harness.link.take_stream(value)) return std::nullopt;
-  const bool setpoint = value.id == heli::link::MessageId::setpoint;
-  Bytes payload(setpoint ? value.setpoint.kSize : value.voltages.kSize);
-  if (setpoint) {
-    value.setpoint.write(payload.data());
-  } else {
-    value.voltages.write(payload.data());
+  const auto packed = [&value](const auto& message) {
+    Bytes payload(message.kSize);
+    message.write(payload.data());
+    return std::tuple(static_cast<int>(value.id), to_python(payload));
+  };
+  switch (value.id) {
+    case heli::link::MessageId::setpoint:
+      return packed(value.setpoint);
+    case heli::link::MessageId::voltages:
+      return packed(value.voltages);
+    default:
+      return packed(value.following);
   }
-  return std::tuple(static_cast<int>(value.id), to_python(payload));
 }
 
 std::vector<Sample> samples_of(std::uint32_t first_tick, const RawTicks& raw) {
@@ -240,7 +246,11 @@ void bind_harness(nb::module_& m) {
       .def(
           "push_samples",
           [](LinkHarness& h, std::uint32_t first_tick, const RawTicks& raw) {
-            for (const Sample& sample : samples_of(first_tick, raw)) h.link.push_sample(sample);
+            for (const Sample& sample : samples_of(first_tick, raw)) {
+              Sample& room = h.link.next_sample();
+              room = sample;
+              h.link.keep_sample(room);
+            }
           },
           "first_tick"_a, "raw"_a)
       .def(

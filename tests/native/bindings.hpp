@@ -5,5 +5,6 @@
 
 void bind_control(nanobind::module_& module);
 void bind_flight(nanobind::module_& module);
+void bind_law(nanobind::module_& module);
 void bind_link(nanobind::module_& module);
 void bind_plant(nanobind::module_& module);

@@ -26,9 +26,11 @@ def paper_rig(**values: float) -> Rig:
 
 
 def fly(plant: Plant, state: Vector, volts_V: tuple[float, float], ticks: int) -> Vector:
-    for _ in range(ticks):
-        state, _ = plant.step(state, volts_V)
-    return state
+    """Where constant voltages take a plant: ticks in CasADi, not in Python."""
+    held_V = np.tile(np.reshape(volts_V, (2, 1)), ticks)
+    after, _ = plant.function.mapaccum(ticks)(state, held_V, np.zeros(3), plant.parameters)
+    last: Vector = np.asarray(after)[:, -1]
+    return last
 
 
 def rates_function(model: Model) -> ca.Function:

@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CHECKS = re.findall(r'^check "(.+?)"', (ROOT / ".ci" / "check").read_text(), re.MULTILINE)
 TIDY_NODES = "20000"
 """States of a function that the analyser follows; `make check` and `make long` follow all that it does."""
-FUZZ_S = samples(60, 2)
+FUZZ_S = samples(60, 1)
 """Of each target; `make fuzz` has 60 s, too."""
 
 

@@ -1,16 +1,14 @@
 """What the documents tell a reader to type works.
 
 In a fence ```console every line that starts with ``$`` is a command: its verb and options must exist. A fence
-```console run, or ```python run, is run, each document in one empty folder from top to bottom.
+```console run, or ```python run, is run, each document in one empty folder from top to bottom; one with
+```console long, or ```python long, in `make long` only, because tests/tune or tests/identify do the same.
 """
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,10 +17,19 @@ import pytest
 import typer.main
 from heli_host.cli import app
 
+from tests.repo.typed import Typed
+from tests.running.long import LONG
+
 ROOT = Path(__file__).resolve().parents[2]
-DOCUMENTS = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
-FENCE = re.compile(r"^```(\w+)( run)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-RUN_TIMEOUT_S = 300
+DOCUMENTS = sorted(
+    [
+        ROOT / "README.md",
+        *(ROOT / "docs").glob("*.md"),
+        *(ROOT / "docs" / "walks").glob("*.md"),
+        *(ROOT / "docs" / "course").glob("*.md"),
+    ]
+)
+FENCE = re.compile(r"^```(\w+)(?: (run|long))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -34,13 +41,16 @@ class Block:
     language : str
         What it is written in.
     runs : bool
-        Whether it is to be run.
+        Whether it is to be run, now or in `make long`.
+    is_long : bool
+        Whether only there.
     text : str
         Its content.
     """
 
     language: str
     runs: bool
+    is_long: bool
     text: str
 
     @property
@@ -50,7 +60,10 @@ class Block:
 
 
 def blocks(path: Path) -> list[Block]:
-    return [Block(match[1], bool(match[2]), match[3]) for match in FENCE.finditer(path.read_text())]
+    return [
+        Block(match[1], bool(match[2]), match[2] == "long", match[3])
+        for match in FENCE.finditer(path.read_text())
+    ]
 
 
 def commands() -> list[tuple[str, list[str]]]:
@@ -128,26 +141,14 @@ def parse(arguments: list[str]) -> None:
     ],
 )
 def test_what_a_document_says_to_run_runs(path: Path, tmp_path: Path) -> None:
-    binaries = str(Path(sys.executable).parent)
-    environment = {**os.environ, "PATH": binaries + os.pathsep + os.environ["PATH"], "MPLBACKEND": "agg"}
-    for block in blocks(path):
-        if not block.runs:
-            continue
-        if block.language == "python":
-            runs = [[sys.executable, "-c", block.text]]
-        else:
-            runs = [["bash", "-c", shlex.join(command)] for command in block.commands]
-        for run in runs:
-            done = subprocess.run(
-                run,
-                cwd=tmp_path,
-                env=environment,
-                capture_output=True,
-                text=True,
-                timeout=RUN_TIMEOUT_S,
-                check=False,
-            )
-            assert done.returncode == 0, f"{run[-1]}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+    with Typed(tmp_path) as typed:
+        for block in blocks(path):
+            if not block.runs or (block.is_long and not LONG):
+                continue
+            is_python = block.language == "python"
+            for words in [["python", "-c", block.text]] if is_python else block.commands:
+                code, said = typed.run(words)
+                assert code == 0, f"{words[-1] if is_python else shlex.join(words)}\n{said[-4000:]}"
 
 
 def anchors(path: Path) -> set[str]:

@@ -119,7 +119,17 @@ def test_a_line_may_come_in_pieces_and_several_at_once(person: Person) -> None:
 
 
 def test_what_is_not_understood_says_what_is(host: Host, person: Person) -> None:
-    for line in ("halt", "pull", "pull yaw", "supply", "supply up", "stop now", "\x1b[A\xff"):
+    for line in (
+        "halt",
+        "pull",
+        "pull yaw",
+        "supply",
+        "supply up",
+        "stop now",
+        "\x1b[A\xff",
+        "stop\0",
+        "x" * 4000,
+    ):
         assert person.type_in(line + "\n").endswith(f"this cannot be rehearsed; say {HELP}")
     assert host.world.rig_faults == host.world.options.rig_faults
 

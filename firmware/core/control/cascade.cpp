@@ -10,8 +10,23 @@ void Cascade::derive(const params::Params& params, Bank bank) {
   constants_[bank] = cascade_constants_of(params);
 }
 
-ControlOutput Cascade::update(const ControlInput& in, Bank bank) {
-  return step(in, constants_[bank]);
+void Cascade::shadow(const ControlInput& in, Bank bank, const ControlOutput& acting) {
+  const CascadeConstants& c = constants_[bank];
+  const Pid elevation = state_.elevation;
+  const Pid pitch = state_.pitch;
+  const Pid travel = state_.travel;
+  step(in, c);
+  state_.elevation = elevation;
+  state_.pitch = pitch;
+  state_.travel = travel;
+  state_.front_V = acting.front_V - in.excitation_front_V;
+  state_.back_V = acting.back_V - in.excitation_back_V;
+  const Quantity front_V = lift_from_motor_V(state_.front_V, c.dead_zone);
+  const Quantity back_V = lift_from_motor_V(state_.back_V, c.dead_zone);
+  state_.collective_fade.shift(front_V + back_V - state_.collective_V);
+  state_.differential_fade.shift(front_V - back_V - state_.differential_V);
+  state_.collective_V = front_V + back_V;
+  state_.differential_V = front_V - back_V;
 }
 
 ControlOutput Cascade::step(const ControlInput& in, const CascadeConstants& c) {

@@ -4,28 +4,22 @@
 
 #include "control/cascade_constants.hpp"
 #include "control/controller.hpp"
+#include "control/fade.hpp"
 #include "control/pid.hpp"
 
 namespace heli::control {
-
-// Takes over a signal without a jump: what the new source differs by at the moment of the change is
-// added to it and fades out.
-class Fade {
- public:
-  Quantity apply(Quantity fresh, Quantity previous, bool changed, Share keep) {
-    jump_ = changed ? previous - fresh : shrunk(jump_, keep);
-    return fresh + jump_;
-  }
-
- private:
-  Quantity jump_;
-};
 
 class Cascade final : public Controller {
  public:
   void derive(const params::Params& params, Bank bank) override;
   void reset() override { state_ = {}; }
-  ControlOutput update(const ControlInput& in, Bank bank) override;
+  ControlOutput update(const ControlInput& in, Bank bank) override {
+    return step(in, constants_[bank]);
+  }
+
+  // In place of update() in a tick in which another law's voltages act. The integrators stand
+  // still: they know what this rig needs, and nothing of what the other law does.
+  void shadow(const ControlInput& in, Bank bank, const ControlOutput& acting);
 
  private:
   struct State {

@@ -1,5 +1,6 @@
 #include "control/cascade_constants.hpp"
 
+#include "control/fade.hpp"
 #include "control/math.hpp"
 
 namespace heli::control {
@@ -35,7 +36,7 @@ CascadeConstants cascade_constants_of(const params::Params& params) {
   c.travel_acceleration_ff = Gain::of(params.get(Param::travel_acceleration_ff));
   c.pitch_setpoint_max_rad = Quantity::of(params.get(Param::pitch_setpoint_max_deg) * kRadPerDeg);
   c.pitch_step_max_rad = Quantity::of(params.get(Param::pitch_slew_deg_s) * kRadPerDeg * kTick_s);
-  c.bumpless_keep = Share::of(1.0F - gone_after(kTick_s / params.get(Param::bumpless_s)));
+  c.bumpless_keep = bumpless_keep_of(params);
 
   c.dead_zone = DeadZone::of(params.get(Param::dead_zone_V));
   c.motor_min_V = volts(Param::motor_min_V);

@@ -50,7 +50,7 @@ Limits limits_of(const params::Params& params) {
   return l;
 }
 
-Verdict check_flight(const Situation& s, const Limits& l) {
+Verdict check_flight(const Observation& s, const AtArming& before, const Limits& l) {
   if (s.hardware_stop) {
     return {Fault::hardware_stop, 0.0F};
   }
@@ -68,29 +68,30 @@ Verdict check_flight(const Situation& s, const Limits& l) {
     if (magnitude(s.rate_rad_s[axis]) > l.rate_max_rad_s[axis]) {
       return {kRateFault[axis], deg(s.rate_rad_s[axis])};
     }
-    if (s.illegal[axis] > l.encoder_illegal_max) {
-      return {kEncoderFault[axis], static_cast<float>(s.illegal[axis])};
+    const std::uint32_t illegal = s.illegal[axis] - before.illegal[axis];
+    if (illegal > l.encoder_illegal_max) {
+      return {kEncoderFault[axis], static_cast<float>(illegal)};
     }
   }
-  if (s.overruns > l.overrun_max) {
-    return {Fault::tick_overrun, static_cast<float>(s.overruns)};
+  const std::uint32_t overruns = s.overruns - before.overruns;
+  if (overruns > l.overrun_max) {
+    return {Fault::tick_overrun, static_cast<float>(overruns)};
   }
   return {Fault::none, 0.0F};
 }
 
-Verdict check_before_arming(const Situation& s, const Limits& l, std::uint32_t link_age_ticks,
-                            bool params_usable) {
+Verdict check_before_arming(const Observation& s, const Limits& l) {
   if (s.hardware_stop) {
     return {Fault::hardware_stop, 0.0F};
   }
   if (s.overload_edges > 0U) {
     return {Fault::encoder_overload, static_cast<float>(s.overload_edges)};
   }
-  if (!params_usable || !l.params_consistent) {
+  if (!s.params_usable || !l.params_consistent) {
     return {Fault::parameters_invalid, 0.0F};
   }
-  if (link_age_ticks > l.hold_ticks) {
-    return {Fault::link_not_alive, static_cast<float>(link_age_ticks) * control::kTick_s};
+  if (s.link_age_ticks > l.hold_ticks) {
+    return {Fault::link_not_alive, static_cast<float>(s.link_age_ticks) * control::kTick_s};
   }
   for (const Quantity rate_rad_s : s.rate_rad_s) {
     if (magnitude(rate_rad_s) > l.arm_rate_max_rad_s) {

@@ -5,12 +5,11 @@
 
 #include "board.hpp"
 #include "control/fixed.hpp"
+#include "flight/observation.hpp"
 #include "link/declaration.hpp"
 #include "params/params.hpp"
 
 namespace heli::flight {
-
-using control::Quantity;
 
 // From the parameters, in the idle loop.
 struct Limits {
@@ -35,14 +34,10 @@ struct Limits {
 
 Limits limits_of(const params::Params& params);
 
-// What the checks look at.
-struct Situation {
-  Quantity angle_rad[kAxisCount];
-  Quantity rate_rad_s[kAxisCount];
-  std::uint32_t illegal[kAxisCount] = {};  // since arming
-  std::uint32_t overload_edges = 0;        // of this tick, see EncoderReading
-  std::uint32_t overruns = 0;              // since arming
-  bool hardware_stop = false;
+// Counters since power-up, as they stood at arming.
+struct AtArming {
+  std::uint32_t illegal[kAxisCount] = {};
+  std::uint32_t overruns = 0;
 };
 
 struct Verdict {
@@ -50,11 +45,10 @@ struct Verdict {
   float value;        // the offending quantity, in degrees, deg/s or a count
 };
 
-// The first limit that the situation breaks.
-Verdict check_flight(const Situation& situation, const Limits& limits);
+// The first limit that is broken.
+Verdict check_flight(const Observation& seen, const AtArming& before, const Limits& limits);
 
-// The first reason not to arm. `link_age_ticks`: since the last frame of the host.
-Verdict check_before_arming(const Situation& situation, const Limits& limits,
-                            std::uint32_t link_age_ticks, bool params_usable);
+// The first reason not to arm.
+Verdict check_before_arming(const Observation& seen, const Limits& limits);
 
 }  // namespace heli::flight

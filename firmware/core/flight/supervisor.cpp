@@ -49,9 +49,9 @@ Reply bad_value(std::uint8_t field, float value = 0.0F) {
 
 void Supervisor::observe(const Observation& seen, const Limits& limits,
                          const SetpointLimits& bounds, const TrackingLimits& tracking) {
-  seen_ = seen;
-  limits_ = limits;
-  bounds_ = bounds;
+  seen_ = &seen;
+  limits_ = &limits;
+  bounds_ = &bounds;
   tracking_limits_ = &tracking;
 }
 
@@ -78,7 +78,7 @@ std::uint16_t Supervisor::setpoint_rate_Hz() const {
 }
 
 void Supervisor::event(Event kind, std::uint8_t detail, std::uint8_t cause, float value) {
-  link_.push_event({seen_.tick, code(kind), detail, cause, value});
+  link_.push_event({seen_->tick, code(kind), detail, cause, value});
 }
 
 bool Supervisor::trigger(Trigger cause) {
@@ -95,17 +95,17 @@ void Supervisor::enter(State next, Trigger cause) {
     end_excitation();
   }
   if (next == State::hold) {
-    const Quantity elevation_rad = seen_.angle_rad[kElevation];
-    setpoints_.hold_at(kElevation, elevation_rad < bounds_.most_rad[kElevation]
+    const Quantity elevation_rad = seen_->angle_rad[kElevation];
+    setpoints_.hold_at(kElevation, elevation_rad < bounds_->most_rad[kElevation]
                                        ? elevation_rad
-                                       : bounds_.most_rad[kElevation]);
-    setpoints_.hold_at(kTravel, seen_.angle_rad[kTravel]);
+                                       : bounds_->most_rad[kElevation]);
+    setpoints_.hold_at(kTravel, seen_->angle_rad[kTravel]);
     setpoints_.hold_at(kPitch, Quantity{});
   }
   if (descends(next) && state_ != next) {
     for (const std::size_t axis : {kElevation, kTravel}) {
       const bool closed = (axes() & (1U << axis)) != 0U;
-      setpoints_.hold_at(axis, closed ? setpoints_.of(axis).angle_rad : seen_.angle_rad[axis]);
+      setpoints_.hold_at(axis, closed ? setpoints_.of(axis).angle_rad : seen_->angle_rad[axis]);
     }
     setpoints_.hold_at(kPitch, Quantity{});
     quiet_ticks_ = 0;
@@ -116,7 +116,7 @@ void Supervisor::enter(State next, Trigger cause) {
     fault_ = Fault::none;
   }
   if (next != state_) {
-    entered_tick_ = seen_.tick;
+    entered_tick_ = seen_->tick;
     if (cause != Trigger::touchdown) {
       cause_ = cause;
     }
@@ -155,10 +155,11 @@ Reply Supervisor::execute(const link::Request& request) {
     case MessageId::stream: {
       const Reply reply = plain(Trigger::stream);
       if (reply.result == Result::ok) {
-        open_ = seen_.acted;
+        open_ = seen_->acted;
+        follows_ = false;
         axes_ = kAllAxes;
-        fresh_tick_ = seen_.tick;
-        voltage_end_tick_ = seen_.tick + limits_.voltage_valid_max_ticks;
+        fresh_tick_ = seen_->tick;
+        voltage_end_tick_ = seen_->tick + limits_->voltage_valid_max_ticks;
       }
       return reply;
     }
@@ -170,7 +171,7 @@ Reply Supervisor::execute(const link::Request& request) {
       end_excitation();
       return {Result::ok, 0, 0.0F};
     case MessageId::clear_fault:
-      if (seen_.hardware_stop && state_ == State::fault) {
+      if (seen_->hardware_stop && state_ == State::fault) {
         return {Result::check_failed, code(Fault::hardware_stop), 0.0F};
       }
       return plain(Trigger::clear);
@@ -183,22 +184,14 @@ Reply Supervisor::arm() {
   if (next_state(state_, Trigger::arm) == kRefused) {
     return refuse_state();
   }
-  Situation situation{};
-  for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    situation.angle_rad[axis] = seen_.angle_rad[axis];
-    situation.rate_rad_s[axis] = seen_.rate_rad_s[axis];
-  }
-  situation.overload_edges = seen_.overload_edges;
-  situation.hardware_stop = seen_.hardware_stop;
-  const Verdict verdict =
-      check_before_arming(situation, limits_, seen_.link_age_ticks, seen_.params_usable);
+  const Verdict verdict = check_before_arming(*seen_, *limits_);
   if (verdict.fault != Fault::none) {
     return {Result::check_failed, code(verdict.fault), verdict.value};
   }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    illegal_at_arming_[axis] = seen_.illegal[axis];
+    at_arming_.illegal[axis] = seen_->illegal[axis];
   }
-  overruns_at_arming_ = seen_.overruns;
+  at_arming_.overruns = seen_->overruns;
   open_ = {};
   axes_ = 0;
   return plain(Trigger::arm);
@@ -211,10 +204,10 @@ Reply Supervisor::control(const link::ControlMessage& message) {
   if ((wanted & ~kAllAxes) != 0U || travel_alone) {
     return bad_value(0, static_cast<float>(wanted));
   }
-  if (!within(message.front_V, limits_.motor_min_V, limits_.motor_max_V)) {
+  if (!within(message.front_V, limits_->motor_min_V, limits_->motor_max_V)) {
     return bad_value(1, message.front_V);
   }
-  if (!within(message.back_V, limits_.motor_min_V, limits_.motor_max_V)) {
+  if (!within(message.back_V, limits_->motor_min_V, limits_->motor_max_V)) {
     return bad_value(2, message.back_V);
   }
   const auto closing = static_cast<std::uint8_t>(wanted & ~axes());
@@ -223,12 +216,12 @@ Reply Supervisor::control(const link::ControlMessage& message) {
   }
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     if ((closing & (1U << axis)) != 0U) {
-      setpoints_.hold_at(axis, seen_.angle_rad[axis]);
+      setpoints_.hold_at(axis, seen_->angle_rad[axis]);
     }
   }
   axes_ = wanted;
   open_ = {control::quantity_of(message.front_V), control::quantity_of(message.back_V)};
-  fresh_tick_ = seen_.tick;
+  fresh_tick_ = seen_->tick;
   return {Result::ok, code(state_), 0.0F};
 }
 
@@ -240,10 +233,10 @@ Reply Supervisor::excite(const link::ExciteMessage& message) {
   if (message.kind == 0U || message.kind >= link::kExcitationCount) {
     return bad_value(0, static_cast<float>(message.kind));
   }
-  if (magnitude(message.front_V) > limits_.excitation_max_V) {
+  if (magnitude(message.front_V) > limits_->excitation_max_V) {
     return bad_value(1, message.front_V);
   }
-  if (magnitude(message.back_V) > limits_.excitation_max_V) {
+  if (magnitude(message.back_V) > limits_->excitation_max_V) {
     return bad_value(2, message.back_V);
   }
   const bool sweeps = kind == link::Excitation::chirp || kind == link::Excitation::multisine;
@@ -254,7 +247,7 @@ Reply Supervisor::excite(const link::ExciteMessage& message) {
       (kind == link::Excitation::prbs && !within(message.stop_Hz, 0.01F, kNyquist_Hz))) {
     return bad_value(4, message.stop_Hz);
   }
-  if (!within(message.duration_s, control::kTick_s, limits_.excitation_max_s)) {
+  if (!within(message.duration_s, control::kTick_s, limits_->excitation_max_s)) {
     return bad_value(5, message.duration_s);
   }
   if (kind == link::Excitation::prbs && message.seed == 0U) {
@@ -268,8 +261,13 @@ Reply Supervisor::excite(const link::ExciteMessage& message) {
 void Supervisor::take_stream(const link::StreamValue& value) {
   if (value.id == MessageId::setpoint) {
     take_setpoint(value.setpoint);
-  } else {
+  } else if (value.id == MessageId::voltages) {
     take_voltages(value.voltages);
+  } else if (state_ == State::streamed) {
+    following_rad_[kElevation] = control::quantity_of(value.following.elevation_rad);
+    following_rad_[kPitch] = control::quantity_of(value.following.pitch_rad);
+    following_rad_[kTravel] = control::quantity_of(value.following.travel_rad);
+    follows_ = true;
   }
 }
 
@@ -281,7 +279,7 @@ void Supervisor::take_setpoint(const link::SetpointMessage& message) {
   const Quantity target_rad[kAxisCount] = {control::quantity_of(message.elevation_rad),
                                            control::quantity_of(message.pitch_rad),
                                            control::quantity_of(message.travel_rad)};
-  if (!setpoints_.aim(target_rad, message.apply_tick, seen_.tick, bounds_)) {
+  if (!setpoints_.aim(target_rad, message.apply_tick, seen_->tick, *bounds_)) {
     reject(Result::bad_value);
     return;
   }
@@ -296,46 +294,37 @@ void Supervisor::take_voltages(const link::VoltagesMessage& message) {
     reject(Result::bad_state);
     return;
   }
-  if (!within(message.front_V, limits_.motor_min_V, limits_.motor_max_V) ||
-      !within(message.back_V, limits_.motor_min_V, limits_.motor_max_V)) {
+  if (!within(message.front_V, limits_->motor_min_V, limits_->motor_max_V) ||
+      !within(message.back_V, limits_->motor_min_V, limits_->motor_max_V)) {
     reject(Result::bad_value);
     return;
   }
   open_ = {control::quantity_of(message.front_V), control::quantity_of(message.back_V)};
-  const std::uint32_t valid_ticks = message.valid_ms < limits_.voltage_valid_max_ticks
+  const std::uint32_t valid_ticks = message.valid_ms < limits_->voltage_valid_max_ticks
                                         ? message.valid_ms
-                                        : limits_.voltage_valid_max_ticks;
-  voltage_end_tick_ = seen_.tick + valid_ticks;
+                                        : limits_->voltage_valid_max_ticks;
+  voltage_end_tick_ = seen_->tick + valid_ticks;
   count_accepted();
 }
 
 void Supervisor::count_accepted() {
   ++accepted_[bucket_];
-  fresh_tick_ = seen_.tick;
+  fresh_tick_ = seen_->tick;
   rate_when_fresh_Hz_ = setpoint_rate_Hz();
 }
 
 void Supervisor::reject(Result why) {
   ++refused_streams_;
   // A host that still streams into a landing is not wrong, only late.
-  if (descends(state_) || !passed(seen_.tick, next_reject_event_tick_)) {
+  if (descends(state_) || !passed(seen_->tick, next_reject_event_tick_)) {
     return;
   }
-  next_reject_event_tick_ = seen_.tick + kRejectEvery_ticks;
+  next_reject_event_tick_ = seen_->tick + kRejectEvery_ticks;
   event(Event::setpoint_rejected, code(why), 0, 0.0F);
 }
 
 void Supervisor::check_limits() {
-  Situation situation{};
-  for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    situation.angle_rad[axis] = seen_.angle_rad[axis];
-    situation.rate_rad_s[axis] = seen_.rate_rad_s[axis];
-    situation.illegal[axis] = seen_.illegal[axis] - illegal_at_arming_[axis];
-  }
-  situation.overruns = seen_.overruns - overruns_at_arming_;
-  situation.overload_edges = seen_.overload_edges;
-  situation.hardware_stop = seen_.hardware_stop;
-  const Verdict verdict = check_flight(situation, limits_);
+  const Verdict verdict = check_flight(*seen_, at_arming_, *limits_);
   if (verdict.fault != Fault::none) {
     trip(verdict.fault, verdict.value);
   }
@@ -347,20 +336,15 @@ void Supervisor::check_tracking() {
     tracking_.restart();
     return;
   }
-  Tracked tracked{};
-  for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
-    tracked.count[axis] = seen_.count[axis];
-    tracked.angle_rad[axis] = seen_.angle_rad[axis];
-    tracked.setpoint_rad[axis] = setpoints_.angle_rad(axis);
-  }
-  tracked.setpoint_rad[kPitch] = seen_.pitch_setpoint_rad;
-  tracked.front_V = seen_.acted.front_V;
-  tracked.back_V = seen_.acted.back_V;
   const std::uint8_t closed = axes();
-  // Landing aims below the table and has a time limit of its own.
-  tracked.closed =
-      static_cast<std::uint8_t>(descends(state_) ? closed & ~link::axes::elevation : closed);
-  tracked.driven = state_ == State::streamed ? kAllAxes : closed;
+  Tracked tracked{*seen_, {}, closed, state_ == State::streamed ? kAllAxes : closed};
+  tracked.setpoint_rad[kElevation] = setpoints_.angle_rad(kElevation);
+  tracked.setpoint_rad[kPitch] = seen_->pitch_setpoint_rad;
+  tracked.setpoint_rad[kTravel] = setpoints_.angle_rad(kTravel);
+  if (descends(state_)) {
+    // Landing aims below the table and has a time limit of its own.
+    tracked.closed = static_cast<std::uint8_t>(closed & ~link::axes::elevation);
+  }
   const Verdict verdict = tracking_.check(tracked, *tracking_limits_);
   if (verdict.fault == Fault::none) {
     return;
@@ -371,32 +355,32 @@ void Supervisor::check_tracking() {
 }
 
 void Supervisor::check_ages() {
-  const std::uint32_t stream_age_ticks = seen_.tick - fresh_tick_;
+  const std::uint32_t stream_age_ticks = seen_->tick - fresh_tick_;
   switch (state_) {
     case State::armed:
-      if (seen_.link_age_ticks > limits_.land_ticks) {
+      if (seen_->link_age_ticks > limits_->land_ticks) {
         trigger(Trigger::stale_land);
       }
       break;
     case State::open_loop:
-      if (seen_.link_age_ticks > limits_.hold_ticks) {
+      if (seen_->link_age_ticks > limits_->hold_ticks) {
         trigger(Trigger::stale_hold);
       }
       break;
     case State::closed_loop:
-      if (stream_age_ticks > limits_.hold_ticks) {
+      if (stream_age_ticks > limits_->hold_ticks) {
         trigger(Trigger::stale_hold);
         event(Event::setpoint_stale, 0, 0, static_cast<float>(rate_when_fresh_Hz_));
       }
       break;
     case State::streamed:
-      if (passed(seen_.tick, voltage_end_tick_)) {
+      if (passed(seen_->tick, voltage_end_tick_)) {
         trigger(Trigger::stale_hold);
         event(Event::setpoint_stale, 0, 0, static_cast<float>(rate_when_fresh_Hz_));
       }
       break;
     case State::hold:
-      if (stream_age_ticks > limits_.land_ticks) {
+      if (stream_age_ticks > limits_->land_ticks) {
         trigger(Trigger::stale_land);
       }
       break;
@@ -406,15 +390,15 @@ void Supervisor::check_ages() {
 }
 
 bool Supervisor::touched_down() {
-  const bool quiet = seen_.angle_rad[kElevation] - limits_.rest_rad < kTouchdown_rad &&
-                     magnitude(seen_.rate_rad_s[kElevation]) < kTouchdown_rad_s;
+  const bool quiet = seen_->angle_rad[kElevation] - limits_->rest_rad < kTouchdown_rad &&
+                     magnitude(seen_->rate_rad_s[kElevation]) < kTouchdown_rad_s;
   quiet_ticks_ = quiet ? quiet_ticks_ + 1U : 0U;
   return quiet_ticks_ >= kTouchdown_ticks;
 }
 
 void Supervisor::advance() {
-  if (passed(seen_.tick, bucket_end_tick_)) {
-    bucket_end_tick_ = seen_.tick + kBucket_ticks;
+  if (passed(seen_->tick, bucket_end_tick_)) {
+    bucket_end_tick_ = seen_->tick + kBucket_ticks;
     bucket_ = bucket_ + 1U < kRateBuckets ? bucket_ + 1U : 0U;
     accepted_[bucket_] = 0;
   }
@@ -427,20 +411,20 @@ void Supervisor::advance() {
   switch (state_) {
     case State::closed_loop:
     case State::hold:
-      setpoints_.advance(bounds_);
+      setpoints_.advance(*bounds_);
       break;
     case State::landing:
     case State::emergency_landing:
-      setpoints_.descend(bounds_, limits_.rest_rad - kBelowRest_rad);
+      setpoints_.descend(*bounds_, limits_->rest_rad - kBelowRest_rad);
       if (touched_down()) {
         trigger(Trigger::touchdown);
-      } else if (seen_.tick - entered_tick_ > limits_.landing_timeout_ticks) {
+      } else if (seen_->tick - entered_tick_ > limits_->landing_timeout_ticks) {
         trip(Fault::landing_timeout,
-             static_cast<float>(seen_.tick - entered_tick_) * control::kTick_s);
+             static_cast<float>(seen_->tick - entered_tick_) * control::kTick_s);
       }
       break;
     default:
-      setpoints_.start_at(seen_.angle_rad);
+      setpoints_.start_at(seen_->angle_rad);
       break;
   }
 }

@@ -6,6 +6,7 @@
 #include "board.hpp"
 #include "control/excitation.hpp"
 #include "flight/limits.hpp"
+#include "flight/observation.hpp"
 #include "flight/setpoints.hpp"
 #include "flight/state_table.hpp"
 #include "flight/tracking.hpp"
@@ -13,33 +14,12 @@
 
 namespace heli::flight {
 
-// Motor voltages that nobody's control law decides: open loop, or streamed by the host.
-struct OpenVoltages {
-  Quantity front_V;
-  Quantity back_V;
-};
-
-// Seen once a tick, after the encoders were read.
-struct Observation {
-  std::uint32_t tick = 0;
-  Quantity angle_rad[kAxisCount];
-  Quantity rate_rad_s[kAxisCount];
-  std::int32_t count[kAxisCount] = {};
-  std::uint32_t illegal[kAxisCount] = {};  // since power-up; wraps
-  std::uint32_t overload_edges = 0;        // of this tick, see EncoderReading
-  std::uint32_t overruns = 0;              // since power-up
-  bool hardware_stop = false;
-  std::uint32_t link_age_ticks = 0;
-  OpenVoltages acted;           // motor voltages of the previous tick
-  Quantity pitch_setpoint_rad;  // that the control law used in it
-  bool params_usable = false;
-};
-
 class Supervisor {
  public:
   explicit Supervisor(link::Link& link) : link_(link) {}
 
-  // `tracking` stays as it is until the tick ends.
+  // Once a tick; all of it stays as it is until the supervisor has advanced, the limits until the
+  // tick ends.
   void observe(const Observation& seen, const Limits& limits, const SetpointLimits& bounds,
                const TrackingLimits& tracking);
 
@@ -59,7 +39,10 @@ class Supervisor {
   OpenVoltages open_voltages() const { return open_; }
   Setpoint setpoint(std::size_t axis) const { return setpoints_.of(axis); }
   Quantity setpoint_rad(std::size_t axis) const { return setpoints_.angle_rad(axis); }
-  bool link_alive() const { return seen_.link_age_ticks <= limits_.hold_ticks; }
+  // Whether a law of the host's flies and has told where to; those setpoints are only logged.
+  bool follows() const { return follows_ && state_ == State::streamed; }
+  Quantity following_rad(std::size_t axis) const { return following_rad_[axis]; }
+  bool link_alive() const { return seen_->link_age_ticks <= limits_->hold_ticks; }
   control::Exciter& exciter() { return exciter_; }
   std::uint32_t refused_streams() const { return refused_streams_; }
   std::uint16_t setpoint_rate_Hz() const;
@@ -90,9 +73,9 @@ class Supervisor {
   void take_voltages(const link::VoltagesMessage& message);
 
   link::Link& link_;
-  Observation seen_{};
-  Limits limits_{};
-  SetpointLimits bounds_{};
+  const Observation* seen_ = nullptr;
+  const Limits* limits_ = nullptr;
+  const SetpointLimits* bounds_ = nullptr;
   const TrackingLimits* tracking_limits_ = nullptr;
   Setpoints setpoints_;
   Tracking tracking_;
@@ -103,12 +86,13 @@ class Supervisor {
   Trigger cause_ = Trigger::start;
   std::uint8_t axes_ = 0;
   OpenVoltages open_{};
+  bool follows_ = false;
+  Quantity following_rad_[kAxisCount];
   std::uint32_t entered_tick_ = 0;
   std::uint32_t fresh_tick_ = 0;        // last accepted stream value
   std::uint32_t voltage_end_tick_ = 0;  // streamed voltage acts until then
   std::uint32_t quiet_ticks_ = 0;       // at rest on the table while landing
-  std::uint32_t illegal_at_arming_[kAxisCount] = {};
-  std::uint32_t overruns_at_arming_ = 0;
+  AtArming at_arming_{};
   std::uint32_t refused_streams_ = 0;
   std::uint32_t next_reject_event_tick_ = 0;
   std::uint16_t accepted_[kRateBuckets] = {};

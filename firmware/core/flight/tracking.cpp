@@ -62,9 +62,10 @@ TrackingLimits tracking_limits_of(const params::Params& params) {
   return l;
 }
 
-Verdict Tracking::check(const Tracked& seen, const TrackingLimits& limits) {
-  const Quantity front_V = lift_from_motor_V(seen.front_V, limits.dead_zone);
-  const Quantity back_V = lift_from_motor_V(seen.back_V, limits.dead_zone);
+Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
+  const Observation& seen = tracked.seen;
+  const Quantity front_V = lift_from_motor_V(seen.acted.front_V, limits.dead_zone);
+  const Quantity back_V = lift_from_motor_V(seen.acted.back_V, limits.dead_zone);
   const Quantity drive[kAxisCount] = {front_V + back_V, front_V - back_V, seen.angle_rad[kPitch]};
   Verdict verdict{Fault::none, 0.0F};
   const bool on_table = seen.angle_rad[kElevation] < limits.table_rad;
@@ -72,7 +73,7 @@ Verdict Tracking::check(const Tracked& seen, const TrackingLimits& limits) {
     Axis& axis = axes_[i];
     // A tilt turns the arm only by the lift that it tilts.
     const bool lifts = i != kTravel || (!on_table && drive[kElevation] > limits.hover_V.half());
-    const bool driven = lifts && (seen.driven & (1U << i)) != 0U;
+    const bool driven = lifts && (tracked.driven & (1U << i)) != 0U;
     const bool still = started_ && driven && distance(seen.count[i], axis.count) <= kStill_counts;
     axis.average = started_ ? averaged(axis.average, drive[i]) : drive[i];
     if (!still) {
@@ -82,8 +83,8 @@ Verdict Tracking::check(const Tracked& seen, const TrackingLimits& limits) {
     const Quantity change =
         i == kElevation && on_table ? drive[i] - limits.hover_V : magnitude(drive[i] - axis.drive);
     axis.driven_ticks = still && change > limits.drive_max[i] ? axis.driven_ticks + 1U : 0U;
-    const Quantity error_rad = magnitude(seen.setpoint_rad[i] - seen.angle_rad[i]);
-    const bool astray = (seen.closed & (1U << i)) != 0U && error_rad > limits.error_max_rad[i];
+    const Quantity error_rad = magnitude(tracked.setpoint_rad[i] - seen.angle_rad[i]);
+    const bool astray = (tracked.closed & (1U << i)) != 0U && error_rad > limits.error_max_rad[i];
     axis.error_ticks = astray && started_ ? axis.error_ticks + 1U : 0U;
     if (verdict.fault != Fault::none) {
       continue;

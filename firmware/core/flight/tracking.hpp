@@ -10,6 +10,7 @@
 #include "control/fixed.hpp"
 #include "control/mixer.hpp"
 #include "flight/limits.hpp"
+#include "flight/observation.hpp"
 #include "params/params.hpp"
 
 namespace heli::flight {
@@ -31,13 +32,10 @@ TrackingLimits tracking_limits_of(const params::Params& params);
 
 // What the checks look at, once a tick.
 struct Tracked {
-  std::int32_t count[kAxisCount] = {};
-  Quantity angle_rad[kAxisCount];
+  const Observation& seen;
   Quantity setpoint_rad[kAxisCount];  // that the control law followed
-  Quantity front_V;                   // motor volts that acted
-  Quantity back_V;
-  std::uint8_t closed = 0;  // link::axes bits: axes held to a setpoint
-  std::uint8_t driven = 0;  // and axes that must move when driven
+  std::uint8_t closed = 0;            // link::axes bits: axes held to a setpoint
+  std::uint8_t driven = 0;            // and axes that must move when driven
 };
 
 class Tracking {
@@ -47,7 +45,7 @@ class Tracking {
 
   // The first axis that does not do what it should; elevation and pitch come before travel, because
   // they decide whether the arm can still land.
-  Verdict check(const Tracked& seen, const TrackingLimits& limits);
+  Verdict check(const Tracked& tracked, const TrackingLimits& limits);
 
  private:
   struct Axis {

@@ -9,9 +9,9 @@
 
 namespace heli::link {
 
-inline constexpr std::uint32_t kLinkHash = 0xc4513147U;
+inline constexpr std::uint32_t kLinkHash = 0x4297d6e2U;
 inline constexpr std::uint8_t kLinkMajor = 1;
-inline constexpr std::uint8_t kLinkMinor = 1;
+inline constexpr std::uint8_t kLinkMinor = 2;
 inline constexpr std::uint8_t kFirmwareMajor = 0;
 inline constexpr std::uint8_t kFirmwareMinor = 1;
 inline constexpr std::uint8_t kFirmwarePatch = 0;
@@ -57,8 +57,56 @@ enum class Result : std::uint8_t {
   flash_failed = 9,  // the parameter page could not be written and verified
   no_handshake = 10,  // hello with a matching declaration must come first
   hash_mismatch = 11,  // the two ends were built from different declarations
+  bad_law = 12,  // the law is refused; detail is the law_error, value what is wrong with it
 };
-inline constexpr std::size_t kResultCount = 12;
+inline constexpr std::size_t kResultCount = 13;
+
+// Why a law, or a part of one, is refused; what ack.value holds with it.
+enum class LawError : std::uint8_t {
+  none = 0,  // nothing is wrong
+  not_loaded = 1,  // no law is loaded; value 0
+  flying = 2,  // a law flies: the one that is loaded cannot be replaced; value 0
+  too_long = 3,  // longer than an upload may be; value = most words
+  wrong_part = 4,  // a part beyond the end, or without a beginning; value = its first word
+  incomplete = 5,  // parts are missing; value = words received
+  wrong_hash = 6,  // the hash is not that of the words received; value 0
+  wrong_format = 7,  // another version of the format, or counts that do not fit the length; value = words that the counts ask for
+  too_large = 8,  // more cells than there are; value = cells asked for
+  unknown_operation = 9,  // no such operation; value = place of the instruction
+  bad_cell = 10,  // a cell that may not be written, or an output from beyond the cells; value = place of the instruction, or of the output behind the last
+  not_written = 11,  // a cell is read before it is written; value = place of the instruction, or of the output behind the last
+  bad_number = 12,  // a constant, a parameter or a first state that is not finite; value = its place among them
+  bad_divisor = 13,  // the rate is no whole part of the tick's; value = divisor
+  too_costly = 14,  // does not fit the ticks of its period; value = ticks that it needs
+  no_such_parameter = 15,  // the law has fewer parameters; value = how many
+  bad_sum = 17,  // a sum of products without terms, with too many, or beyond the end; value = place of the word
+  not_flying = 16,  // all three loops of the board must be closed, and the arm in flight; value = state
+};
+inline constexpr std::size_t kLawErrorCount = 18;
+
+// What the board knows of a law.
+enum class LawState : std::uint8_t {
+  none = 0,  // no law
+  receiving = 1,  // an upload has begun and is not complete
+  ready = 2,  // verified; may fly
+  flying = 3,  // its voltages act
+};
+inline constexpr std::size_t kLawStateCount = 4;
+
+// Why the board's own law took over.
+enum class Takeover : std::uint8_t {
+  command = 0,  // asked for; value 0
+  not_finite = 1,  // an output was not a number or infinite; value = which output
+  voltage_jump = 2,  // a voltage jumped from one tick to the next; value in V
+  elevation_envelope = 3,  // elevation could not be braked any more before its limits; value = angle foreseen in deg
+  pitch_envelope = 4,  // pitch could not be braked any more before its limit; value = angle foreseen in deg
+  travel_envelope = 5,  // travel could not be braked any more before its limit; value = angle foreseen in deg
+  elevation_following = 6,  // elevation stayed too far from the board's setpoint; value in deg
+  pitch_following = 7,  // pitch stayed too far from the law's own setpoint; value in deg
+  travel_following = 8,  // travel stayed too far from the board's setpoint; value in deg
+  state = 9,  // the board left closed loop: stop, landing, a missing setpoint, a fault; value = state
+};
+inline constexpr std::size_t kTakeoverCount = 10;
 
 // Why the board last started.
 enum class Reset : std::uint8_t {
@@ -100,8 +148,10 @@ enum class Event : std::uint8_t {
   excitation_end = 6,  // excitation finished or was stopped; detail = kind
   setpoint_rejected = 7,  // a streamed value was refused; detail = result code
   zeroed = 8,  // encoder zeros taken; detail = axis mask
+  law_engaged = 9,  // a law that came over the link flies; value = its divisor of the tick's rate
+  law_taken_over = 10,  // the board's own law took over from it; detail = takeover, value as said there
 };
-inline constexpr std::size_t kEventCount = 9;
+inline constexpr std::size_t kEventCount = 11;
 
 // Supervisor events: rows of its state table, and the cause in state events and telemetry.
 enum class Trigger : std::uint8_t {
@@ -137,6 +187,7 @@ inline constexpr std::uint8_t excitation = 1U << 2U;  // excitation is being add
 inline constexpr std::uint8_t link_alive = 1U << 3U;  // a valid host frame arrived within the hold time
 inline constexpr std::uint8_t pitch_limited = 1U << 4U;  // the travel loop's pitch setpoint was limited
 inline constexpr std::uint8_t overrun = 1U << 5U;  // the tick before this one was late
+inline constexpr std::uint8_t law = 1U << 6U;  // the voltages are those of a law that came over the link
 }  // namespace flags
 
 enum class Fault : std::uint8_t {
@@ -228,19 +279,21 @@ enum class Param : std::uint8_t {
   motion_s = 54,  // s: how long a driven elevation or pitch may stay within a count
   travel_motion_deg = 55,  // deg: change of pitch that must move travel within travel_motion_s
   travel_motion_s = 56,  // s: how long travel may stay within a count while pitch tilts
-  arm_rate_max_deg_s = 57,  // deg/s: arming needs every axis slower than this
-  arm_elevation_tolerance_deg = 58,  // deg: arming needs the elevation this close to rest
-  arm_pitch_tolerance_deg = 59,  // deg: arming needs the pitch this close to level
-  setpoint_hold_s = 60,  // s: without a fresh setpoint for this long the board holds level
-  setpoint_land_s = 61,  // s: without a fresh setpoint for this long the board lands
-  landing_rate_deg_s = 62,  // deg/s: descent of the elevation setpoint while landing
-  landing_timeout_s = 63,  // s: landing takes at most this long; then motors off with a fault
-  voltage_valid_max_ms = 64,  // ms: a streamed voltage acts at most this long, whatever its sender asked for
-  excitation_max_V = 65,  // V: largest amplitude that excite accepts
-  excitation_max_s = 66,  // s: longest duration that excite accepts
-  telemetry_batch_ticks = 67,  // tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
+  law_jump_max_V = 57,  // V: change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link
+  law_envelope = 58,  // : share of the angle and rate limits, and of the following errors, beyond which it takes over
+  arm_rate_max_deg_s = 59,  // deg/s: arming needs every axis slower than this
+  arm_elevation_tolerance_deg = 60,  // deg: arming needs the elevation this close to rest
+  arm_pitch_tolerance_deg = 61,  // deg: arming needs the pitch this close to level
+  setpoint_hold_s = 62,  // s: without a fresh setpoint for this long the board holds level
+  setpoint_land_s = 63,  // s: without a fresh setpoint for this long the board lands
+  landing_rate_deg_s = 64,  // deg/s: descent of the elevation setpoint while landing
+  landing_timeout_s = 65,  // s: landing takes at most this long; then motors off with a fault
+  voltage_valid_max_ms = 66,  // ms: a streamed voltage acts at most this long, whatever its sender asked for
+  excitation_max_V = 67,  // V: largest amplitude that excite accepts
+  excitation_max_s = 68,  // s: longest duration that excite accepts
+  telemetry_batch_ticks = 69,  // tick: ticks in one telemetry batch: 20 saves line, 5 gives a host controller fresh data
 };
-inline constexpr std::size_t kParamCount = 68;
+inline constexpr std::size_t kParamCount = 70;
 
 struct ParamInfo {
   float min;
@@ -308,6 +361,8 @@ inline constexpr ParamInfo kParams[kParamCount] = {
     {0.1F, 10.0F, 0.5F, false, false, true},  // motion_s
     {0.5F, 90.0F, 8.0F, false, false, true},  // travel_motion_deg
     {0.1F, 30.0F, 1.0F, false, false, true},  // travel_motion_s
+    {0.1F, 48.0F, 2.5F, false, false, true},  // law_jump_max_V
+    {0.2F, 1.0F, 0.8F, false, false, true},  // law_envelope
     {0.1F, 100.0F, 3.0F, false, false, true},  // arm_rate_max_deg_s
     {0.1F, 60.0F, 2.0F, false, false, true},  // arm_elevation_tolerance_deg
     {0.1F, 60.0F, 10.0F, false, false, true},  // arm_pitch_tolerance_deg
@@ -334,14 +389,89 @@ enum class Channel : std::uint8_t {
   fault = 9,  // enum fault: fault code, 0 while none
   flags = 10,  // bits flags: flag bits
   trigger = 11,  // enum trigger: what led to the present state; after a touchdown still what led to the landing: an event may be lost, this cannot
+  signal_1 = 12,  // : first signal of a law that came over the link, in steps of a setpoint; behind the law's own come the board's setpoints of axes for which it logs others; 0 while none flies
+  signal_2 = 13,  // : its second
+  signal_3 = 14,  // : its third
+  signal_4 = 15,  // : its fourth
 };
-inline constexpr std::size_t kChannelCount = 12;
-inline constexpr std::uint8_t kChannelBytes[kChannelCount] = {4, 4, 4, 4, 4, 4, 2, 2, 1, 1, 1, 1};
+inline constexpr std::size_t kChannelCount = 16;
+inline constexpr std::uint8_t kChannelBytes[kChannelCount] = {4, 4, 4, 4, 4, 4, 2, 2, 1, 1, 1, 1, 4, 4, 4, 4};
 inline constexpr float kElevationSetpointPerUnit = 100000.0F;  // raw = value in rad * this
 inline constexpr float kPitchSetpointPerUnit = 100000.0F;  // raw = value in rad * this
 inline constexpr float kTravelSetpointPerUnit = 100000.0F;  // raw = value in rad * this
 inline constexpr float kFrontPerUnit = 1000.0F;  // raw = value in V * this
 inline constexpr float kBackPerUnit = 1000.0F;  // raw = value in V * this
+inline constexpr float kSignal1PerUnit = 100000.0F;  // raw = value in  * this
+inline constexpr float kSignal2PerUnit = 100000.0F;  // raw = value in  * this
+inline constexpr float kSignal3PerUnit = 100000.0F;  // raw = value in  * this
+inline constexpr float kSignal4PerUnit = 100000.0F;  // raw = value in  * this
+
+// Laws that come over the link.
+inline constexpr std::uint32_t kLawFormat = 2;
+inline constexpr std::uint32_t kLawCells = 512;
+inline constexpr std::uint32_t kLawWords = 1536;
+inline constexpr std::uint32_t kLawSignals = 4;
+inline constexpr std::uint32_t kLawMostTicks = 16;
+inline constexpr std::uint32_t kLawMostTerms = 64;
+inline constexpr std::uint32_t kLawTickCost = 20000;
+inline constexpr std::uint32_t kLawFixedCost = 1440;
+inline constexpr std::uint32_t kLawInputCost = 22;
+inline constexpr std::uint32_t kLawMovingCost = 135;
+inline constexpr std::uint32_t kLawTermCost = 47;
+inline constexpr std::uint32_t kLawStateCost = 6;
+inline constexpr std::uint32_t kLawSignalCost = 70;
+enum class LawInput : std::uint8_t {
+  elevation_rad = 0,  // angle, by the encoder
+  pitch_rad = 1,  // angle, by the encoder
+  travel_rad = 2,  // angle, by the encoder
+  elevation_rad_s = 3,  // rate, filtered at elevation_filter_Hz
+  pitch_rad_s = 4,  // rate, filtered at pitch_filter_Hz
+  travel_rad_s = 5,  // rate, filtered at travel_filter_Hz
+  elevation_setpoint_rad = 6,  // the board's setpoint as logged: shaped, in steps of the channel
+  pitch_setpoint_rad = 7,  // the host's, as logged; of use to a law that leaves travel alone
+  travel_setpoint_rad = 8,  // the board's setpoint as logged: shaped, in steps of the channel
+  elevation_setpoint_rad_s = 9,  // its rate, through the filter that the measured rate has passed: both lag alike
+  pitch_setpoint_rad_s = 10,  // its rate, likewise
+  travel_setpoint_rad_s = 11,  // its rate, likewise
+  elevation_setpoint_rad_s2 = 12,  // its acceleration: the rate through the same filter once more
+  pitch_setpoint_rad_s2 = 13,  // its acceleration, likewise
+  travel_setpoint_rad_s2 = 14,  // its acceleration, likewise
+  front_V = 15,  // voltage that acted in the tick before, as logged
+  back_V = 16,  // voltage that acted in the tick before, as logged
+};
+inline constexpr std::size_t kLawInputCount = 17;
+enum class Operation : std::uint8_t {
+  copy = 0,  // a
+  add = 1,  // a + b
+  subtract = 2,  // a - b
+  multiply = 3,  // a b
+  divide = 4,  // a / b
+  negate = 5,  // -a
+  absolute = 6,  // |a|
+  minimum = 7,  // the lesser; the other one where one is no number
+  maximum = 8,  // the greater; the other one where one is no number
+  less = 9,  // 1 where a < b, else 0
+  less_equal = 10,  // 1 where a <= b, else 0
+  equal = 11,  // 1 where a = b, else 0
+  not_equal = 12,  // 1 where a is not b, else 0
+  both = 13,  // 1 where neither is 0, else 0
+  either = 14,  // 1 where one is not 0, else 0
+  negation = 15,  // 1 where a is 0, else 0
+  select = 16,  // b where a is not 0, else 0
+  floor = 17,  // the greatest whole number that is not above a
+  square_root = 18,  // no number below 0
+  sine = 19,  // of a in rad; no number beyond 8192 rad
+  cosine = 20,  // of a in rad; no number beyond 8192 rad
+  tangent = 21,  // of a in rad; no number beyond 8192 rad
+  arctangent = 22,  // of a / b, in the quadrant of (b, a), rad
+  hyperbolic_tangent = 23,  // of a
+  exponential = 24,  // e to the power of a
+  sum_of_products = 25,  // a b + c d - ... of the terms that follow it, rounded once; no number where one of them is not finite
+};
+inline constexpr std::size_t kOperationCount = 26;
+inline constexpr std::uint16_t kOperationCost[kOperationCount] = {15, 63, 64, 51, 78, 17, 17, 29, 29, 34, 34, 33, 33, 21, 20, 20, 19, 31, 299, 93, 89, 228, 238, 277, 127, 62};
+// A bit for each that has two operands.
+inline constexpr std::uint32_t kBinaryOperations = 0x00417f9eU;
 
 enum class MessageId : std::uint8_t {
   hello = 1,
@@ -360,13 +490,21 @@ enum class MessageId : std::uint8_t {
   zero = 14,
   clear_fault = 15,
   status_read = 16,
+  law_begin = 17,
+  law_part = 18,
+  law_end = 19,
+  law_fly = 20,
+  law_set = 21,
+  law_read = 22,
   setpoint = 32,
   voltages = 33,
+  following = 34,
   ack = 128,
   welcome = 129,
   pong = 130,
   params = 131,
   status = 132,
+  law = 135,
   telemetry = 133,
   event = 134,
 };
@@ -662,6 +800,150 @@ struct StatusReadMessage {
   }
 };
 
+// Begins the upload of a law; the law that was loaded is gone. Not while a law flies.
+struct LawBeginMessage {
+  static constexpr MessageId kId = MessageId::law_begin;
+  static constexpr std::size_t kSize = 7;
+  std::uint8_t request = {};  // -
+  std::uint32_t hash = {};  // -
+  std::uint16_t words = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u32(to + 1, hash);
+    put_u16(to + 5, words);
+  }
+  static LawBeginMessage read([[maybe_unused]] const std::uint8_t* from) {
+    LawBeginMessage m;
+    m.request = get_u8(from + 0);
+    m.hash = get_u32(from + 1);
+    m.words = get_u16(from + 5);
+    return m;
+  }
+};
+
+// Twelve words of the law, in order; those behind its last are not looked at. ack.value: words received so far. To bring the same part again changes nothing.
+struct LawPartMessage {
+  static constexpr MessageId kId = MessageId::law_part;
+  static constexpr std::size_t kSize = 51;
+  std::uint8_t request = {};  // -
+  std::uint16_t first = {};  // -
+  std::uint32_t word_0 = {};  // -
+  std::uint32_t word_1 = {};  // -
+  std::uint32_t word_2 = {};  // -
+  std::uint32_t word_3 = {};  // -
+  std::uint32_t word_4 = {};  // -
+  std::uint32_t word_5 = {};  // -
+  std::uint32_t word_6 = {};  // -
+  std::uint32_t word_7 = {};  // -
+  std::uint32_t word_8 = {};  // -
+  std::uint32_t word_9 = {};  // -
+  std::uint32_t word_10 = {};  // -
+  std::uint32_t word_11 = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u16(to + 1, first);
+    put_u32(to + 3, word_0);
+    put_u32(to + 7, word_1);
+    put_u32(to + 11, word_2);
+    put_u32(to + 15, word_3);
+    put_u32(to + 19, word_4);
+    put_u32(to + 23, word_5);
+    put_u32(to + 27, word_6);
+    put_u32(to + 31, word_7);
+    put_u32(to + 35, word_8);
+    put_u32(to + 39, word_9);
+    put_u32(to + 43, word_10);
+    put_u32(to + 47, word_11);
+  }
+  static LawPartMessage read([[maybe_unused]] const std::uint8_t* from) {
+    LawPartMessage m;
+    m.request = get_u8(from + 0);
+    m.first = get_u16(from + 1);
+    m.word_0 = get_u32(from + 3);
+    m.word_1 = get_u32(from + 7);
+    m.word_2 = get_u32(from + 11);
+    m.word_3 = get_u32(from + 15);
+    m.word_4 = get_u32(from + 19);
+    m.word_5 = get_u32(from + 23);
+    m.word_6 = get_u32(from + 27);
+    m.word_7 = get_u32(from + 31);
+    m.word_8 = get_u32(from + 35);
+    m.word_9 = get_u32(from + 39);
+    m.word_10 = get_u32(from + 43);
+    m.word_11 = get_u32(from + 47);
+    return m;
+  }
+};
+
+// Ends the upload: the board verifies the law. ack.value: instructions that a call takes in the worst case. Again for a law that is ready: the same answer.
+struct LawEndMessage {
+  static constexpr MessageId kId = MessageId::law_end;
+  static constexpr std::size_t kSize = 1;
+  std::uint8_t request = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+  }
+  static LawEndMessage read([[maybe_unused]] const std::uint8_t* from) {
+    LawEndMessage m;
+    m.request = get_u8(from + 0);
+    return m;
+  }
+};
+
+// Flies the law from the next tick on, or has the board's own take over. ack.detail: the state.
+struct LawFlyMessage {
+  static constexpr MessageId kId = MessageId::law_fly;
+  static constexpr std::size_t kSize = 2;
+  std::uint8_t request = {};  // -
+  std::uint8_t on = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, on);
+  }
+  static LawFlyMessage read([[maybe_unused]] const std::uint8_t* from) {
+    LawFlyMessage m;
+    m.request = get_u8(from + 0);
+    m.on = get_u8(from + 1);
+    return m;
+  }
+};
+
+// Sets a parameter of the law, in flight too; lasts until the next upload. ack.value: the value in force.
+struct LawSetMessage {
+  static constexpr MessageId kId = MessageId::law_set;
+  static constexpr std::size_t kSize = 6;
+  std::uint8_t request = {};  // -
+  std::uint8_t index = {};  // -
+  float value = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u8(to + 1, index);
+    put_f32(to + 2, value);
+  }
+  static LawSetMessage read([[maybe_unused]] const std::uint8_t* from) {
+    LawSetMessage m;
+    m.request = get_u8(from + 0);
+    m.index = get_u8(from + 1);
+    m.value = get_f32(from + 2);
+    return m;
+  }
+};
+
+// Asks which law the board has.
+struct LawReadMessage {
+  static constexpr MessageId kId = MessageId::law_read;
+  static constexpr std::size_t kSize = 1;
+  std::uint8_t request = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+  }
+  static LawReadMessage read([[maybe_unused]] const std::uint8_t* from) {
+    LawReadMessage m;
+    m.request = get_u8(from + 0);
+    return m;
+  }
+};
+
 // Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
 struct SetpointMessage {
   static constexpr MessageId kId = MessageId::setpoint;
@@ -703,6 +985,27 @@ struct VoltagesMessage {
     m.front_V = get_f32(from + 0);
     m.back_V = get_f32(from + 4);
     m.valid_ms = get_u16(from + 8);
+    return m;
+  }
+};
+
+// Setpoints that the host's law follows in the streamed state: logged, and nothing else. In other states it is not looked at.
+struct FollowingMessage {
+  static constexpr MessageId kId = MessageId::following;
+  static constexpr std::size_t kSize = 12;
+  float elevation_rad = {};  // rad
+  float pitch_rad = {};  // rad
+  float travel_rad = {};  // rad
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_f32(to + 0, elevation_rad);
+    put_f32(to + 4, pitch_rad);
+    put_f32(to + 8, travel_rad);
+  }
+  static FollowingMessage read([[maybe_unused]] const std::uint8_t* from) {
+    FollowingMessage m;
+    m.elevation_rad = get_f32(from + 0);
+    m.pitch_rad = get_f32(from + 4);
+    m.travel_rad = get_f32(from + 8);
     return m;
   }
 };
@@ -880,6 +1183,36 @@ struct StatusMessage {
     m.illegal_pitch = get_u16(from + 37);
     m.illegal_travel = get_u16(from + 39);
     m.setpoint_rate_Hz = get_u16(from + 41);
+    return m;
+  }
+};
+
+// The law that the board has.
+struct LawMessage {
+  static constexpr MessageId kId = MessageId::law;
+  static constexpr std::size_t kSize = 12;
+  std::uint8_t request = {};  // -
+  std::uint32_t hash = {};  // -
+  std::uint8_t state = {};  // enum law_state
+  std::uint8_t divisor = {};  // -
+  std::uint8_t ticks = {};  // tick
+  std::uint32_t cost = {};  // -
+  void write([[maybe_unused]] std::uint8_t* to) const {
+    put_u8(to + 0, request);
+    put_u32(to + 1, hash);
+    put_u8(to + 5, state);
+    put_u8(to + 6, divisor);
+    put_u8(to + 7, ticks);
+    put_u32(to + 8, cost);
+  }
+  static LawMessage read([[maybe_unused]] const std::uint8_t* from) {
+    LawMessage m;
+    m.request = get_u8(from + 0);
+    m.hash = get_u32(from + 1);
+    m.state = get_u8(from + 5);
+    m.divisor = get_u8(from + 6);
+    m.ticks = get_u8(from + 7);
+    m.cost = get_u32(from + 8);
     return m;
   }
 };

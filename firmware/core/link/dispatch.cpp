@@ -47,8 +47,15 @@ constexpr CommandInfo kCommands[] = {
     entry<ZeroMessage>(Kind::remote),
     entry<ClearFaultMessage>(Kind::remote),
     entry<StatusReadMessage>(Kind::local),
+    entry<LawBeginMessage>(Kind::local),
+    entry<LawPartMessage>(Kind::local),
+    entry<LawEndMessage>(Kind::local),
+    entry<LawFlyMessage>(Kind::remote),
+    entry<LawSetMessage>(Kind::remote, 2, 2, 1),
+    entry<LawReadMessage>(Kind::local),
     entry<SetpointMessage>(Kind::stream, 4, 1, 3),
     entry<VoltagesMessage>(Kind::stream, 0, 0, 2),
+    entry<FollowingMessage>(Kind::stream, 0, 0, 3),
 };
 
 // Ids from here on travel from the board to the host.
@@ -128,6 +135,15 @@ void Dispatcher::local(const Frame& frame) {
     }
     case MessageId::params_read:
       return params_read(frame);
+    // Whichever of these comes twice does the same twice, so none needs the memory of commands.
+    case MessageId::law_begin:
+      return told(frame, tape_.begin(LawBeginMessage::read(frame.payload)));
+    case MessageId::law_part:
+      return told(frame, tape_.receive(LawPartMessage::read(frame.payload)));
+    case MessageId::law_end:
+      return told(frame, tape_.end());
+    case MessageId::law_read:
+      return law_read(frame);
     default: {
       StatusMessage status;
       status.request = frame.payload[0];
@@ -177,6 +193,30 @@ void Dispatcher::params_read(const Frame& frame) {
   for (std::size_t i = 0; i < head.count; ++i, reply_.size += 4) {
     put_f32(reply_.payload + reply_.size, params_.data()[message.first + i]);
   }
+}
+
+void Dispatcher::told(const Frame& frame, const law::Finding& finding) {
+  AckMessage ack;
+  ack.request = frame.payload[0];
+  ack.command = frame.id;
+  ack.result =
+      static_cast<std::uint8_t>(finding.error == LawError::none ? Result::ok : Result::bad_law);
+  ack.detail = static_cast<std::uint8_t>(finding.error);
+  ack.value = static_cast<float>(finding.value);
+  send(ack);
+}
+
+void Dispatcher::law_read(const Frame& frame) {
+  LawMessage law;
+  law.request = frame.payload[0];
+  law.hash = tape_.hash();
+  law.state = static_cast<std::uint8_t>(tape_.state());
+  if (tape_.state() == LawState::ready || tape_.state() == LawState::flying) {
+    law.divisor = static_cast<std::uint8_t>(tape_.shape().divisor);
+    law.ticks = static_cast<std::uint8_t>(tape_.ticks());
+    law.cost = tape_.cost();
+  }
+  send(law);
 }
 
 void Dispatcher::remote(MessageId id, const std::uint8_t* payload, std::uint8_t size) {
@@ -246,8 +286,10 @@ void Dispatcher::stream(const CommandInfo& info, const Frame& frame, std::uint32
   newest_stream_.id = info.id;
   if (info.id == MessageId::setpoint) {
     newest_stream_.setpoint = SetpointMessage::read(frame.payload);
-  } else {
+  } else if (info.id == MessageId::voltages) {
     newest_stream_.voltages = VoltagesMessage::read(frame.payload);
+  } else {
+    newest_stream_.following = FollowingMessage::read(frame.payload);
   }
   stream_waits_ = true;
   pass_stream();

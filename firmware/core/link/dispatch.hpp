@@ -5,6 +5,7 @@
 #include <cstdint>
 
 #include "board.hpp"
+#include "law/tape.hpp"
 #include "link/declaration.hpp"
 #include "link/mailbox.hpp"
 #include "link/parser.hpp"
@@ -19,6 +20,7 @@ struct StreamValue {
   MessageId id = MessageId::setpoint;
   SetpointMessage setpoint;
   VoltagesMessage voltages;
+  FollowingMessage following;
 };
 
 using StreamQueue = Spsc<StreamValue, 4>;
@@ -40,9 +42,14 @@ struct CommandInfo;
 // the host, which sends one at a time, repeats it. Only a stop is never passed over.
 class Dispatcher {
  public:
-  Dispatcher(Board& board, const params::Params& params, params::Store& store, Mailbox& mailbox,
-             StreamQueue& streams)
-      : board_(board), params_(params), store_(store), mailbox_(mailbox), streams_(streams) {}
+  Dispatcher(Board& board, const params::Params& params, params::Store& store, law::Tape& tape,
+             Mailbox& mailbox, StreamQueue& streams)
+      : board_(board),
+        params_(params),
+        store_(store),
+        tape_(tape),
+        mailbox_(mailbox),
+        streams_(streams) {}
 
   // False for a frame that no host sends: a looped-back line brings the board its own.
   bool handle(const Frame& frame, std::uint32_t tick);
@@ -77,6 +84,8 @@ class Dispatcher {
   void hello(const Frame& frame);
   void local(const Frame& frame);
   void params_read(const Frame& frame);
+  void law_read(const Frame& frame);
+  void told(const Frame& frame, const law::Finding& finding);
   void remote(MessageId id, const std::uint8_t* payload, std::uint8_t size);
   void stream(const CommandInfo& info, const Frame& frame, std::uint32_t tick);
   void pass_stream();
@@ -88,6 +97,7 @@ class Dispatcher {
   Board& board_;
   const params::Params& params_;
   params::Store& store_;
+  law::Tape& tape_;
   Mailbox& mailbox_;
   StreamQueue& streams_;
 

@@ -17,8 +17,8 @@ constexpr std::uint32_t kStatusTicks = 1000000U / kTick_us;
 
 }  // namespace
 
-Link::Link(Board& board, params::Params& params, params::Store& store)
-    : board_(board), params_(params), dispatcher_(board, params, store, mailbox_, streams_) {}
+Link::Link(Board& board, params::Params& params, params::Store& store, law::Tape& tape)
+    : board_(board), params_(params), dispatcher_(board, params, store, tape, mailbox_, streams_) {}
 
 void Link::poll() {
   // Parameters change by requests only, and none that changes one is with the tick just after
@@ -65,8 +65,16 @@ bool Link::take_stream(StreamValue& value) {
   return true;
 }
 
-void Link::push_sample(const Sample& sample) {
-  if (samples_.push(sample)) return;
+Sample& Link::next_sample() {
+  Sample* room = samples_.room();
+  return room != nullptr ? *room : lost_sample_;
+}
+
+void Link::keep_sample(const Sample& sample) {
+  if (&sample != &lost_sample_) {
+    samples_.keep();
+    return;
+  }
   samples_lost_.store(samples_lost_.load(std::memory_order_relaxed) + 1, std::memory_order_relaxed);
 }
 

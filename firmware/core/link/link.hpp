@@ -10,6 +10,7 @@
 #include <cstdint>
 
 #include "board.hpp"
+#include "law/tape.hpp"
 #include "link/declaration.hpp"
 #include "link/dispatch.hpp"
 #include "link/frame_writer.hpp"
@@ -36,7 +37,7 @@ class Link {
   // ticks_since_host_frame() while no session is open.
   static constexpr std::uint32_t kNever = 0xffffffffU;
 
-  Link(Board& board, params::Params& params, params::Store& store);
+  Link(Board& board, params::Params& params, params::Store& store, law::Tape& tape);
 
   // Idle loop: call again and again. Bounded work, never waits.
   void poll();
@@ -54,8 +55,10 @@ class Link {
   // Tick: the next streamed value, floats finite; call until false, the last one wins.
   bool take_stream(StreamValue& value);
 
-  // Tick: once at its end.
-  void push_sample(const Sample& sample);
+  // Tick, once at its end: fill in all of what next_sample() gives, then keep_sample(). A sample
+  // for which there is no room, because the idle loop is late, is lost and counted.
+  Sample& next_sample();
+  void keep_sample(const Sample& sample);
   void publish(const TickCounters& counters);
 
   // Tick (before the first tick: anyone). The newest is lost when sixteen wait.
@@ -93,6 +96,7 @@ class Link {
   Mailbox mailbox_;
   StreamQueue streams_;
   SampleRing samples_;
+  Sample lost_sample_;  // the tick's alone
   Spsc<EventMessage, 16> events_;
 
   // Idle loop only.

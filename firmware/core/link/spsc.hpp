@@ -23,6 +23,14 @@ class Spsc {
     return true;
   }
 
+  // Producer. Where the next value may be written in place, kept by keep(); null when full.
+  T* room() {
+    const std::uint32_t head = head_.load(std::memory_order_relaxed);
+    if (head - tail_.load(std::memory_order_acquire) >= kCapacity) return nullptr;
+    return &slots_[head & kMask];
+  }
+  void keep() { head_.store(head_.load(std::memory_order_relaxed) + 1, std::memory_order_release); }
+
   // Consumer. The oldest value, valid until pop(); null when empty.
   const T* front() const {
     const std::uint32_t tail = tail_.load(std::memory_order_relaxed);

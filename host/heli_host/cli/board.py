@@ -89,11 +89,12 @@ def clear_latched_fault(heli: Heli) -> None:
     CommandRefused
         The cause is still there.
     """
+    from heli_host.cli.say import say
     from heli_host.declaration import State
     from heli_host.errors import fault_text
 
     if heli.state is State.FAULT:
-        print(f"cleared: {fault_text(heli.fault)}")
+        say(f"cleared: {fault_text(heli.fault)}")
         heli.clear_fault()
 
 

@@ -8,27 +8,65 @@ on stderr, and says itself which code it ends with; ``HELI_DEBUG=1`` shows the t
 
 from __future__ import annotations
 
+import contextvars
+import copy
 import os
 import signal
 import stat
 import sys
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
+import typer.main
 
-from heli_host.cli.verb import installed_verbs
+from heli_host.cli.verb import DISTRIBUTION, installed_verbs
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from types import FrameType
 
 app = typer.Typer(
     name="heli-host",
     help="Fly a 3-DOF laboratory helicopter: a board on a serial port, or the simulated one.",
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        from heli_host.cli.say import say
+        from heli_host.declaration import LINK_VERSION
+
+        say(f"heli-host {version(DISTRIBUTION)}, link {LINK_VERSION}")
+        raise typer.Exit
+
+
+def _be_quiet(wanted: bool) -> None:
+    if wanted:
+        from heli_host.cli.say import QUIET
+
+        QUIET.set(True)
+
+
+@app.callback()
+def _every_verb(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_say_version, is_eager=True, help="Say the version and end."),
+    ] = False,
+    quiet: Annotated[
+        bool,
+        typer.Option("--quiet", "-q", callback=_be_quiet, help="Only results and errors: no progress."),
+    ] = False,
+) -> None:
+    """Options that come before any verb."""
+
+
 for _name, _verb in installed_verbs().items():
     _verb.add_to(app, _name)
 
@@ -49,7 +87,7 @@ def run(arguments: list[str] | None = None) -> int:
     exit code, as in the module's docstring.
     """
     try:
-        code = app(arguments, prog_name="heli-host", standalone_mode=False)
+        code = contextvars.copy_context().run(command_line(), arguments, "heli-host", standalone_mode=False)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
@@ -67,6 +105,21 @@ def run(arguments: list[str] | None = None) -> int:
             print(f"error: {printable(message)}", file=sys.stderr)
         return exit_code
     return code if isinstance(code, int) else 0
+
+
+def command_line() -> Callable[..., object]:
+    """Make the whole command line, with ``--quiet`` behind each verb too."""
+    whole = typer.main.get_command(app)
+    quiet = next(one for one in whole.params if one.name == "quiet")
+    behind = copy.copy(quiet)
+    behind.expose_value = False
+    left = list(getattr(whole, "commands", {}).values())
+    while left:
+        one = left.pop()
+        left += getattr(one, "commands", {}).values()
+        if not any("--quiet" in known.opts or "-q" in known.opts for known in one.params):
+            one.params.append(behind)
+    return whole
 
 
 def _land_on_signals() -> None:

@@ -18,6 +18,7 @@ PortOption = Annotated[
         show_default=False,
     ),
 ]
+JsonFlag = Annotated[bool, typer.Option("--json", help="One JSON object instead of text.")]
 ForOption = Annotated[
     float | None, typer.Option("--for-s", metavar="S", min=0.001, help="How long; else until Ctrl-C.")
 ]

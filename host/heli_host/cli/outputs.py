@@ -8,6 +8,8 @@ from typing import Final
 
 import typer
 
+from heli_host.cli.say import STDOUT
+
 FIGURE_ENDS: Final = (".png", ".pdf", ".svg")
 
 
@@ -27,7 +29,7 @@ def check_result_places(*files: Path | None, figure: Path | None = None, report:
     Parameters
     ----------
     *files : Path or None
-        Files to write; None for one that nobody asked for.
+        Files to write; None for one that nobody asked for, ``-`` for standard output.
     figure : Path, optional
         File of a figure; its ending says the format.
     report : Path, optional
@@ -41,7 +43,7 @@ def check_result_places(*files: Path | None, figure: Path | None = None, report:
     if figure is not None and figure.suffix.lower() not in FIGURE_ENDS:
         raise typer.BadParameter(f"--figure {figure}: give a file that ends in {', '.join(FIGURE_ENDS)}")
     for target in (*files, figure):
-        if target is not None:
+        if target is not None and str(target) != STDOUT:
             check_place(target)
     if report is not None:
         check_place(report / "index.html")

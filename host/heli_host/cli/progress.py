@@ -2,57 +2,46 @@
 
 from __future__ import annotations
 
-import errno
-import sys
-import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+from heli_host.cli.live_display import LiveDisplay
+from heli_host.cli.live_table import numbers_table
+from heli_host.cli.say import QUIET
 from heli_host.errors import printable
 
 if TYPE_CHECKING:
-    from rich.live import Live
-
     from heli_host.link.accounting import LinkCounters
     from heli_host.samples import Sample
 
-REFRESH_S = 0.25
-"""On a terminal; four a second cost about 1 % of a core."""
 LINE_EVERY_S = 5.0
 """When the output goes to a file or another program."""
 
 
 class LiveLine:
-    """Shows what is happening; a context manager. None for `is_terminal` asks standard output.
+    """Shows what is happening; a context manager. None for `is_terminal` asks standard output; ``--quiet``
+    leaves only the lines that stay.
 
-    On a terminal a few lines are rewritten in place; elsewhere a line is printed every few seconds.
+    On a terminal a table is rewritten in place; elsewhere a line is printed every few seconds.
     """
 
     def __init__(self, is_terminal: bool | None = None) -> None:
-        self._is_terminal = sys.stdout.isatty() if is_terminal is None else is_terminal
-        self._live: Live | None = None
-        self._shown_s = float("-inf")
+        self._quiet = QUIET.get()
+        self._display = LiveDisplay(LINE_EVERY_S, False if self._quiet else is_terminal)
 
     def __enter__(self) -> Self:
-        if self._is_terminal:
-            from rich.console import Console
-            from rich.live import Live
-
-            self._live = Live(console=Console(highlight=False), auto_refresh=False, transient=True)
-            self._live.start()
+        self._display.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._live is not None:
-            self._live.stop()
+        self._display.__exit__(kind, error, trace)
 
     @property
     def due(self) -> bool:
         """Whether enough time has passed to show something again."""
-        interval_s = REFRESH_S if self._is_terminal else LINE_EVERY_S
-        return time.monotonic() - self._shown_s >= interval_s
+        return self._display.due
 
     def show(
         self, sample: Sample, counters: LinkCounters, *, t_s: float, phase: str, left_s: float | None = None
@@ -68,36 +57,17 @@ class LiveLine:
         left_s : float or None
             Device time left [s]; None when nobody knows.
         """
-        if not self.due:
+        if self._quiet or not self.due:
             return
-        self._shown_s = time.monotonic()
-        head = heading(sample, t_s, phase, left_s)
-        angles = angles_text(sample)
-        link = link_text(counters)
-        try:
-            self._print(head, angles, link, "" if counters.ticks_lost == 0 else "yellow")
-        except OSError as error:
-            # A terminal that is gone says so by SIGHUP as well, and that lands.
-            if error.errno != errno.EIO:
-                raise
-
-    def _print(self, head: str, angles: str, link: str, style: str) -> None:
-        if self._live is None:
-            print(f"{head} | {angles} | {link}", flush=True)
-            return
-        from rich.text import Text
-
-        self._live.update(
-            Text.assemble((head, "bold"), "\n", angles, "\n", (f"link: {link}", style), no_wrap=True),
-            refresh=True,
-        )
+        head, link = heading(sample, t_s, phase, left_s), link_text(counters)
+        if self._display.is_terminal:
+            self._display.replace(head, numbers_table(sample), f"link: {link}")
+        else:
+            self._display.print_line(f"{head} | {angles_text(sample)} | {link}")
 
     def say(self, text: str) -> None:
         """Print a line of `text` that stays, above the live one."""
-        if self._live is None:
-            print(text, flush=True)
-        else:
-            self._live.console.print(text, markup=False)
+        self._display.say(text)
 
 
 def heading(sample: Sample, t_s: float, phase: str, left_s: float | None) -> str:

@@ -7,6 +7,9 @@ import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+from heli_host.cli.say import DATA_ONLY, QUIET, say_progress
+from heli_host.errors import printable
+
 if TYPE_CHECKING:
     from rich.progress import Progress
 
@@ -16,7 +19,7 @@ LINE_EVERY_S = 5.0
 
 class WorkBar:
     """Shows what is being done, and the time left; a context manager. None for `is_terminal` asks standard
-    output.
+    output; ``--quiet`` shows nothing.
 
     On a terminal one line is rewritten in place and disappears at the end; elsewhere a line is printed every
     few seconds.
@@ -24,19 +27,23 @@ class WorkBar:
 
     def __init__(self, is_terminal: bool | None = None) -> None:
         self._is_terminal = sys.stdout.isatty() if is_terminal is None else is_terminal
+        self._is_terminal &= not QUIET.get()
         self._bar: Progress | None = None
         self._started_s = self._shown_s = time.monotonic()
 
     def __enter__(self) -> Self:
         if self._is_terminal:
+            from rich.console import Console
             from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
             self._bar = Progress(
-                TextColumn("{task.description}"),
+                TextColumn("{task.description}", markup=False),
                 BarColumn(),
                 TaskProgressColumn(),
                 TimeRemainingColumn(),
                 TextColumn("left"),
+                # rich's own console is one for the process and keeps the first terminal that it saw.
+                console=Console(stderr=DATA_ONLY.get()),
                 transient=True,
             )
             self._bar.start()
@@ -52,10 +59,10 @@ class WorkBar:
     def show(self, stage: str, done: float) -> None:
         """Show the `stage` of the work in a few words, and the share of it all that is `done`, 0 to 1."""
         if self._bar is not None:
-            self._bar.update(self._bar.task_ids[0], description=stage, completed=done)
+            self._bar.update(self._bar.task_ids[0], description=printable(stage), completed=done)
             return
         now_s = time.monotonic()
         if now_s - self._shown_s >= LINE_EVERY_S:
             self._shown_s = now_s
             left_s = (now_s - self._started_s) * (1.0 - done) / max(done, 1e-3)
-            print(f"{stage}: {100 * done:.0f} %, about {left_s:.0f} s left", flush=True)
+            say_progress(f"{stage}: {100 * done:.0f} %, about {left_s:.0f} s left")

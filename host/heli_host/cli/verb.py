@@ -63,12 +63,18 @@ def installed_verbs() -> dict[str, Verb]:
         try:
             for name, verb in _verbs_in(entry.value):
                 if found.setdefault(name, verb) is not verb:
-                    print(f"warning: {entry.value} has another verb '{name}'; left out", file=sys.stderr)
+                    _warn(f"{entry.value} has another verb '{name}'")
         except Exception as error:  # noqa: BLE001  -- whatever a stranger's package raises when it is imported
             reason = " ".join(f"{type(error).__name__}: {error}".split())
-            print(f"warning: the verbs of {entry.value} do not load ({reason}); left out", file=sys.stderr)
+            _warn(f"the verbs of {entry.value} do not load ({reason})")
     rank = {panel: place for place, panel in enumerate(PANELS)}
     return dict(sorted(found.items(), key=lambda item: (rank.get(item[1].panel, len(rank)), item[0])))
+
+
+def _warn(cause: str) -> None:
+    from heli_host.errors import printable
+
+    print(f"warning: {printable(cause)}; left out", file=sys.stderr)
 
 
 def _order(entry: EntryPoint) -> tuple[bool, str]:
@@ -84,4 +90,5 @@ def _verbs_in(package_name: str) -> Iterator[tuple[str, Verb]]:
     for module in modules:
         verb = getattr(module, "VERB", None)
         if isinstance(verb, Verb):
-            yield module.__name__.rpartition(".")[2], verb
+            # import_.py is the verb import: Python keeps that word for itself.
+            yield module.__name__.rpartition(".")[2].rstrip("_"), verb

@@ -87,7 +87,7 @@ def _check_time(t_s: Floats, source: str, allow_gaps: bool, where: Callable[[int
         raise FlightDataError(
             f"{source}: t_s jumps by {step_s[row - 1]:.6g} s in {where(row)}, a step is "
             f"{typical_s:.6g} s ({gaps.size} gaps)",
-            "cut the flight there, or read it with allow_gaps=True",
+            "cut the flight there, or leave the missing rows out: --allow-gaps, in Python allow_gaps=True",
         )
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from heli_host.declaration import AXES
 from heli_host.errors import FlightDataError
+from heli_host.views import AngleViews, shares
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -57,8 +58,8 @@ class FlightEvent:
     text: str
 
 
-@dataclass(frozen=True)
-class Flight:
+@dataclass(frozen=True, repr=False)
+class Flight(AngleViews):
     """One flight, evenly sampled, with time first.
 
     Parameters
@@ -121,6 +122,16 @@ class Flight:
 
     def __len__(self) -> int:
         return int(self.t_s.size)
+
+    def __repr__(self) -> str:
+        if not len(self):
+            return "<Flight: no rows>"
+        rate_Hz = 1.0 / self.step_s if self.step_s else 0.0
+        parts = [f"{self.duration_s:.1f} s, {len(self)} rows at {rate_Hz:.4g} Hz"]
+        parts += [f"{len(self.gaps)} gaps"] if len(self.gaps) else []
+        parts += [f"rig {self.meta['rig']}"] if self.meta.get("rig") else []
+        parts += [shares(self.state, self.state_names)] if self.state is not None else []
+        return f"<Flight: {'; '.join(parts)}>"
 
     @property
     def duration_s(self) -> float:

@@ -90,6 +90,10 @@ class Pilot:
 
     interrupts : Interrupts, optional
         Signals while it flies; without it they are what they were.
+    end_when : callable returning str, optional
+        Why the flight is to end now, empty while it is not; asked all the time, so it must not wait.
+    on_taken_off : callable, optional
+        Called once, in the thread of `fly`, when the plans begin; an error of it ends the flight.
 
     Attributes
     ----------
@@ -106,8 +110,12 @@ class Pilot:
         on_progress: Callable[[Progress], None] | None = None,
         tolerance: Tolerance | None = None,
         interrupts: Interrupts | None = None,
+        end_when: Callable[[], str] | None = None,
+        on_taken_off: Callable[[], object] | None = None,
     ) -> None:
+        self._end_when = end_when or (lambda: "")
         self.outcome = "not flown"
+        self._on_taken_off = on_taken_off
         self._interrupts = interrupts or Interrupts()
         self._heli = heli
         self._session = heli.session
@@ -177,9 +185,15 @@ class Pilot:
         end_tick = self._start_tick + round(self._route.duration_s / TICK_S)
         while self._tick() < end_tick:
             self._check_up()
+            taken_off_tick = self._start_tick + self._take_off_ticks
+            if self._on_taken_off is not None and self._tick() >= taken_off_tick:
+                taken_off, self._on_taken_off = self._on_taken_off, None
+                taken_off()
             self._excite()
             self._report()
             due_tick = min([end_tick, *(self._tick_of(piece) for piece in self._excitations[:1])])
+            if self._on_taken_off is not None:
+                due_tick = min(due_tick, taken_off_tick)
             self._session.wait_for(lambda due=due_tick: self._tick() >= due or self._trouble(), _LOOK_S)  # type: ignore[misc]
             self._bridge_a_stall()
         self._check_up()
@@ -253,7 +267,8 @@ class Pilot:
         state = self._session.state
         self._was_closed = self._was_closed or state is State.CLOSED_LOOP
         flying = (State.CLOSED_LOOP, State.HOLD) if self._was_closed else (State.CLOSED_LOOP, State.ARMED)
-        return (state is not None and state not in flying) or self._recorder.error is not None
+        wrong = (state is not None and state not in flying) or self._recorder.error is not None
+        return wrong or bool(self._end_when())
 
     def _check_up(self) -> None:
         """Raise what ends the flight, if anything does."""
@@ -264,6 +279,8 @@ class Pilot:
         slow = not self._was_closed and (self._tick() - self._start_tick) * TICK_S > _CLOSING_S
         if not self._trouble() and not slow:
             return
+        if reason := self._end_when():
+            raise FlightAborted(reason)
         state = self._session.state
         if state in (State.FAULT, State.EMERGENCY_LANDING):
             raise FlightAborted(f"fault {fault_text(self._fault())}")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from heli_host.declaration import LINK_HASH, LINK_VERSION, StatusMessage
 from heli_host.errors import HeliError, LogError
 from heli_host.link.channels import rad_per_count
-from heli_host.link.events import BOARD_RESTARTED, LINK_LOST, LINK_SILENT, LinkEvent
+from heli_host.link.events import BOARD_RESTARTED, LAW_SIGNALS, LINK_LOST, LINK_SILENT, LinkEvent
 from heli_host.log.disk import check_free_space
 from heli_host.log.schema import LEVEL_ERROR, LEVEL_INFO, LEVEL_WARNING
 from heli_host.log.summary import PHASE_EVENT
@@ -92,6 +92,9 @@ class Recorder:
             background=not heli.session.lockstep,
         )
         self._last_wall_ns = 0
+        self._law_signals: dict[str, str] = {}
+        for event in heli.session.events:
+            self._name_signals(event)
         self._unsubscribe = (
             heli.session.subscribe_ticks(self._take_ticks),
             heli.session.subscribe_events(self._take_event),
@@ -211,6 +214,18 @@ class Recorder:
             if event.kind in _URGENT:
                 # What follows may be silence: nothing should wait in memory for a chunk to fill.
                 self._writer.flush()
+            self._name_signals(event)
+
+    def _name_signals(self, event: LinkEvent) -> None:
+        """Keep the names of a law's signals; a channel that two laws name differently keeps its own."""
+        if event.kind != LAW_SIGNALS:
+            return
+        for number, name in enumerate(event.names, 1):
+            channel = f"signal_{number}"
+            self._law_signals[channel] = name if self._law_signals.get(channel, name) == name else channel
+        self._law_signals["law"] = event.text
+        with self._guard():
+            self._writer.write_metadata("law", self._law_signals)
 
     def _take_status(self, status: StatusMessage) -> None:
         with self._guard():

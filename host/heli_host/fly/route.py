@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +96,10 @@ class Route:
         """Setpoints at its end, degrees (axes,)."""
         return self.pieces[-1].end_deg if self.pieces else self.start_deg
 
+    @cached_property
+    def _starts_s(self) -> Floats:
+        return np.array([piece.start_s for piece in self.pieces])
+
     def then(
         self, phase: str, name: str, duration_s: float, shape: Shape, excitation: Excitation | None = None
     ) -> Route:
@@ -127,8 +132,7 @@ class Route:
         """
         if not self.pieces or t_s < 0.0 or t_s >= self.duration_s:
             return None
-        starts = [piece.start_s for piece in self.pieces]
-        return self.pieces[max(0, int(np.searchsorted(starts, t_s, side="right")) - 1)]
+        return self.pieces[max(0, int(np.searchsorted(self._starts_s, t_s, side="right")) - 1)]
 
     def evaluate(self, t_s: Floats) -> Floats:
         """Return the setpoints.
@@ -147,9 +151,8 @@ class Route:
         out[:] = self.start_deg
         if not self.pieces:
             return out
-        starts = np.array([piece.start_s for piece in self.pieces])
-        index = np.searchsorted(starts, t_s, side="right") - 1
-        for number in np.unique(index[index >= 0]):
+        index = np.searchsorted(self._starts_s, t_s, side="right") - 1
+        for number in set(index.tolist()) - {-1}:
             piece = self.pieces[number]
             mine = index == number
             out[mine] = piece.shape(np.minimum(t_s[mine] - piece.start_s, piece.duration_s))

@@ -22,8 +22,10 @@ from heli_host.log.figure import write_figure
 from heli_host.log.reader import Log, read_log
 from heli_host.log.schema import TICK_LAYOUT
 from heli_host.log.summary import FlightSummary, summarise
+from heli_host.twins import EVENT
 
 if TYPE_CHECKING:
+    from heli_host.twins import TwinWatch
     from heli_host.vehicle import Vehicle
 
 PlanLike = Plan | str | Path
@@ -39,6 +41,9 @@ def fly(
     on_progress: Callable[[Progress], None] | None = None,
     rig_name: str = "",
     board_name: str = "",
+    twin: TwinWatch | None = None,
+    land_on_change: bool = False,
+    on_taken_off: Callable[[], object] | None = None,
 ) -> FlightSummary:
     """Take off, fly plans one after the other, land.
 
@@ -63,6 +68,12 @@ def fly(
         Name of the rig, for the log.
     board_name : str
         What the board is, for the log, where it cannot know: an emulated Due takes itself for a Due.
+    on_taken_off : callable, optional
+        Called once in this thread when the plans begin, such as to have a law of one's own fly them.
+    twin : TwinWatch, optional
+        A twin that flies along; what it says goes into the log.
+    land_on_change : bool
+        Whether the flight ends in a landing when the rig is no longer what the twin knows.
 
     Returns
     -------
@@ -92,11 +103,26 @@ def fly(
             duration_s=route.duration_s,
         )
         tolerance = Tolerance.widest([plan.tolerance for plan in loaded])
+        end_when = (lambda: twin.parted) if twin is not None and land_on_change else None
+        if twin is not None:
+            twin.listen(lambda news: recorder.note(EVENT, news.text))
         with Interrupts() as interrupts:
-            pilot = Pilot(heli, route, loaded[0].axes, recorder, on_progress, tolerance, interrupts)
+            pilot = Pilot(
+                heli,
+                route,
+                loaded[0].axes,
+                recorder,
+                on_progress,
+                tolerance,
+                interrupts,
+                end_when=end_when,
+                on_taken_off=on_taken_off,
+            )
             try:
                 pilot.fly()
             finally:
+                if twin is not None:
+                    twin.close()
                 recorder.close(pilot.outcome)
         log = _written(path, recorder)
     summary = replace(summarise(log), outcome=pilot.outcome, log=str(log_path) if log_path else "")

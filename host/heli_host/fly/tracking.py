@@ -9,9 +9,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from heli_host.declaration import AXES, Channel, State
+from heli_host.declaration import AXES, CHANNELS, Channel, State
 from heli_host.fly.keys import Number, Table
-from heli_host.link.channels import ENCODERS, numbers, physical
+from heli_host.link.channels import ENCODERS, numbers
 from heli_host.link.clock import TICK_S
 from heli_host.link.telemetry import Ticks
 
@@ -118,6 +118,11 @@ class TrackingMonitor:
     def __post_init__(self) -> None:
         self._since_tick = np.full(len(AXES), -1, np.int64)
         self._peak_deg = np.zeros(len(AXES))
+        # From a row of raw numbers to angle minus setpoint: (channels, axes).
+        self._deg_per_number = np.zeros((len(Channel), len(AXES)))
+        for index, (encoder, setpoint) in enumerate(zip(ENCODERS, _SETPOINTS, strict=True)):
+            self._deg_per_number[encoder, index] = np.degrees(self.rad_per_count[index])
+            self._deg_per_number[setpoint, index] = -np.degrees(CHANNELS[setpoint].scale)
         self._bound_deg = np.array([getattr(self.tolerance, f"{axis}_deg") for axis in AXES])
 
     def take(self, ticks: Ticks, first_tick: int) -> None:
@@ -132,15 +137,14 @@ class TrackingMonitor:
         """
         if not len(ticks):
             return
-        tick = ticks.tick.astype(np.int64)
-        flown = (numbers(ticks.raw, Channel.STATE) == State.CLOSED_LOOP) & (tick >= first_tick)
-        angle_rad = ticks.raw[:, ENCODERS] * self.rad_per_count
-        setpoint_rad = np.stack([physical(ticks.raw, channel) for channel in _SETPOINTS], axis=1)
-        error_deg = np.degrees(np.abs(angle_rad - setpoint_rad))
-        beyond = flown[:, None] & (error_deg > self._bound_deg)
+        error_deg = np.abs(ticks.raw @ self._deg_per_number)  # (n, axes)
+        beyond = error_deg > self._bound_deg
         if not beyond.any():
             self._since_tick[:] = -1
             return
+        tick = ticks.tick.astype(np.int64)
+        flown = (numbers(ticks.raw, Channel.STATE) == State.CLOSED_LOOP) & (tick >= first_tick)
+        beyond &= flown[:, None]
         for index, axis in enumerate(AXES):
             if axis in self.axes:
                 self._follow(index, tick, error_deg[:, index], beyond[:, index])

@@ -32,6 +32,9 @@ _NAMED = np.array([number in values for values in _ENUMERATED.values() for numbe
 _COLUMNS = np.array(list(_ENUMERATED))
 _STARTS = np.arange(len(_ENUMERATED), dtype=np.uint32) * np.uint32(_MOST + 2)
 
+MODES = slice(min(_ENUMERATED), max(_ENUMERATED) + 1)
+"""Columns of a row among which are all enumerations: they seldom change, so a glance at them saves a look."""
+
 _TYPES = tuple(np.dtype(spec.code) for spec in CHANNELS)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from heli_host.declaration import TICK_US
@@ -24,6 +24,8 @@ _BINS = 120
 # computer slept), not that the line was busy: a full Due line is late by 15 ms at most.
 _STEP_S = 0.03
 _STEP_BINS = 4
+
+_Point = tuple[int, float]  # tick, host_s
 
 
 @dataclass(frozen=True)
@@ -99,8 +101,10 @@ class ClockFit:
 
     def reset(self) -> None:
         """Forget everything: the board, or the simulation's clock, has started anew."""
-        self._bins: deque[tuple[int, float]] = deque(maxlen=_BINS)  # (tick, host_s), the quickest of its bin
-        self._best: tuple[int, float] | None = None
+        self._bins: deque[_Point] = deque(maxlen=_BINS)  # the quickest of each
+        self._hull: list[_Point] = []  # of the bins
+        self._bin_ticks = 0  # their sum
+        self._best: _Point | None = None
         self._late_s: deque[float] = deque(maxlen=200)
         self._round_trip_s: deque[float] = deque(maxlen=60)
         self._estimate: ClockEstimate | None = None
@@ -126,6 +130,8 @@ class ClockFit:
             self.estimate()
             self._bins.append(best)
             self._forget_before_a_step()
+            self._hull = _lower_hull(self._bins)
+            self._bin_ticks = sum(bin_tick for bin_tick, _ in self._bins)
             self._best, self._stale = (tick, host_s), True
         elif host_s - best[1] < (tick - best[0]) * slope_s:
             self._best = (tick, host_s)
@@ -162,16 +168,17 @@ class ClockFit:
             None before the first arrival.
         """
         if self._stale and self._best is not None:
-            self._estimate = self._fit([*self._bins, self._best])
+            self._estimate = self._fit(self._best)
             self._stale = False
         return self._estimate
 
-    def _fit(self, points: Sequence[tuple[int, float]]) -> ClockEstimate:
-        (tick, host_s), tick_s = points[-1], TICK_S
+    def _fit(self, newest: _Point) -> ClockEstimate:
+        (tick, host_s), tick_s = newest, TICK_S
         if self._estimate is not None:
             tick_s = self._estimate.tick_s
-        if points[-1][0] - points[0][0] >= _BIN_TICKS // 2:
-            left, right = _edge_below_the_middle(points)
+        if self._bins and tick - self._bins[0][0] >= _BIN_TICKS // 2:
+            mean_tick = (self._bin_ticks + tick) / (len(self._bins) + 1)
+            left, right = _edge_below(mean_tick, _lower_hull([newest], self._hull))
             tick_s = max((right[1] - left[1]) / (right[0] - left[0]), 1e-9)
             tick, host_s = left
         round_trip_s = min(self._round_trip_s, default=0.0)
@@ -194,11 +201,9 @@ class ClockFit:
             bins.popleft()
 
 
-def _edge_below_the_middle(
-    points: Sequence[tuple[int, float]],
-) -> tuple[tuple[int, float], tuple[int, float]]:
-    """Edge of the lower convex hull at the mean tick; points in the order of their ticks."""
-    hull: list[tuple[int, float]] = []
+def _lower_hull(points: Iterable[_Point], before: Sequence[_Point] = ()) -> list[_Point]:
+    """Lower convex hull of points in the order of their ticks, behind a hull of earlier ones."""
+    hull = list(before)
     for point in points:
         while len(hull) >= 2:
             (t0, s0), (t1, s1) = hull[-2], hull[-1]
@@ -209,8 +214,11 @@ def _edge_below_the_middle(
             hull[-1] = min(hull[-1], point)
         else:
             hull.append(point)
-    middle = sum(tick for tick, _ in points) / len(points)
+    return hull
+
+
+def _edge_below(tick: float, hull: Sequence[_Point]) -> tuple[_Point, _Point]:
     for left, right in itertools.pairwise(hull):
-        if right[0] >= middle:
+        if right[0] >= tick:
             return left, right
     return hull[-2], hull[-1]

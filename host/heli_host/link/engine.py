@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum, auto
 
@@ -22,6 +23,7 @@ from heli_host.declaration import (
     Channel,
     Event,
     EventMessage,
+    FollowingMessage,
     HelloMessage,
     MessageId,
     ParamsMessage,
@@ -35,9 +37,9 @@ from heli_host.declaration import (
     VoltagesMessage,
     WelcomeMessage,
 )
-from heli_host.errors import LinkLost, LinkVersionMismatch, fault_text
+from heli_host.errors import LinkError, LinkLost, LinkVersionMismatch, fault_text
 from heli_host.link.accounting import LinkCounters, TickAccount
-from heli_host.link.channels import declared
+from heli_host.link.channels import MODES, declared
 from heli_host.link.clock import ClockFit
 from heli_host.link.events import (
     BOARD_RESTARTED,
@@ -120,6 +122,11 @@ class Engine:
         Times that the board started anew.
     kept : SetpointMessage or None
         Setpoint that is sent again ten times a second while the board flies on setpoints.
+    permitted : callable returning bool
+        Asked whenever a setpoint or voltages are due, whoever streams them; the board misses those that are
+        not permitted.
+    stops : int
+        Times that `preempt` was called.
     """
 
     def __init__(self, session_number: int) -> None:
@@ -132,6 +139,8 @@ class Engine:
         self.latest_raw: npt.NDArray[np.int32] | None = None
         self.unreachable_since_s: float | None = None
         self.kept: SetpointMessage | None = None
+        self.permitted: Callable[[], bool] = lambda: True
+        self.stops = 0
         self._decoder = TelemetryDecoder()
         self._missed = MissedEvents()
         self._session_number = session_number
@@ -145,6 +154,7 @@ class Engine:
         self._request: Request | None = None
         self._setpoints = Stream[SetpointMessage](SETPOINT_INTERVAL_S)
         self._voltages = Stream[VoltagesMessage](VOLTAGES_INTERVAL_S)
+        self._following = Stream[FollowingMessage](VOLTAGES_INTERVAL_S)
         self._held: list[bytes] = []
         self._retries = 0
         self._reconnects = 0
@@ -159,8 +169,8 @@ class Engine:
         """Supervisor state in the newest sample; None before the first, and for one unknown to this host."""
         if self.latest_raw is None:
             return None
-        number = int(self.latest_raw[Channel.STATE])
-        return State(number) if number in State._value2member_map_ else None
+        state = State._value2member_map_.get(int(self.latest_raw[Channel.STATE]))
+        return state if isinstance(state, State) else None
 
     @property
     def speed(self) -> float:
@@ -258,15 +268,23 @@ class Engine:
             request.note_try(now_s, self._round_trip_s)
             out += self._frame(request.command, now_s)
         setpoint, voltages = self._setpoints.waiting, self._voltages.waiting
+        stale_s = now_s - self._setpoints.sent_s
+        flies = self.state in (State.CLOSED_LOOP, State.HOLD)
+        kept = self.kept if flies and stale_s >= KEEP_ALIVE_S / speed else None
+        if (setpoint or voltages or kept) and not self.permitted():
+            kept = None
+            self._setpoints.waiting = self._voltages.waiting = setpoint = voltages = None
+            self._following.waiting = None
         if setpoint is not None and self._setpoints.due(now_s, speed):
             out += self._frame(self._setpoints.release(setpoint, now_s), now_s)
         if voltages is not None and self._voltages.due(now_s, speed):
             out += self._frame(self._voltages.release(voltages, now_s), now_s)
-        stale_s = now_s - self._setpoints.sent_s
-        flies = self.state in (State.CLOSED_LOOP, State.HOLD)
-        if self.kept is not None and flies and stale_s >= KEEP_ALIVE_S / speed:
+        following = self._following.waiting
+        if following is not None and self._following.due(now_s, speed):
+            out += self._frame(self._following.release(following, now_s), now_s)
+        if kept is not None and setpoint is None:
             # Its tick may lie in the past: the board then goes on towards the same target.
-            out += self._frame(self._setpoints.release(self.kept, now_s), now_s)
+            out += self._frame(self._setpoints.release(kept, now_s), now_s)
         idle_s, unpinged_s = now_s - self._last_sent_s, now_s - self._last_ping_s
         if request is None and (idle_s >= HEARTBEAT_S / speed or unpinged_s >= CLOCK_PING_S / speed):
             self._last_ping_s = now_s
@@ -294,18 +312,51 @@ class Engine:
         self._request = Request(numbered, now_s + timeout_s, now_s)
         return self._request
 
-    def stream(self, message: SetpointMessage | VoltagesMessage) -> None:
+    @property
+    def preempted(self) -> bool:
+        """Whether a command that was put before all others still waits for its answer."""
+        request = self._request
+        return request is not None and request.urgent and not request.done
+
+    def preempt(self, command: Command, now_s: float, timeout_s: float) -> Request:
+        """Start a command before all others: one on its way is given up, none follows before the answer.
+
+        Parameters
+        ----------
+        command : Command
+            Any message with a reply; its request number is replaced.
+        now_s : float
+            Host time [s].
+        timeout_s : float
+            Time after which it is given up [s].
+
+        Returns
+        -------
+        Request
+            Done when answered or given up.
+        """
+        if self._request is not None and not self._request.done:
+            name = self._request.command.ID.name.lower()
+            self._request.error = LinkError(f"a stop came before the board answered {name}", "begin again")
+        self.stops += 1
+        request = self.ask(command, now_s, timeout_s)
+        request.urgent = True
+        return request
+
+    def stream(self, message: SetpointMessage | VoltagesMessage | FollowingMessage) -> None:
         """Put a streamed value in line: `outgoing` sends the newest, as often as the rate limit lets it.
 
         Parameters
         ----------
-        message : SetpointMessage or VoltagesMessage
+        message : SetpointMessage, VoltagesMessage or FollowingMessage
             The value; it replaces one of its kind that waits.
         """
         if isinstance(message, SetpointMessage):
             self._setpoints.put(message)
-        else:
+        elif isinstance(message, VoltagesMessage):
             self._voltages.put(message)
+        else:
+            self._following.put(message)
 
     def cut(self, now_s: float, wall_ns: int, reason: str) -> LinkEvent:
         """Note that the line is cut; greeting starts again when bytes flow again.
@@ -404,11 +455,8 @@ class Engine:
     def _take_telemetry(self, now_s: float, wall_ns: int, received: Received) -> None:
         ticks = self._decoder.decode(self._held)
         self._held.clear()
-        sound = declared(ticks.raw)
-        if not sound.all():
-            # Garbled before its CRC was made: nobody could say what it means. Each run of them counts as one.
-            self._malformed += int(np.count_nonzero(np.diff(sound.view(np.int8), prepend=np.int8(1)) < 0))
-            ticks = Ticks(ticks.tick[sound], ticks.raw[sound])
+        if self.latest_raw is None or (ticks.raw[:, MODES] != self.latest_raw[MODES]).any():
+            ticks = self._declared(ticks)
         accepted, jumped_back = self.account.take(ticks)
         if len(accepted):
             self.latest_raw = accepted.raw[-1]
@@ -418,6 +466,16 @@ class Engine:
                 self._insert_missed(message, wall_ns, received.events)
         if jumped_back:
             self._greet(now_s)
+
+    def _declared(self, ticks: Ticks) -> Ticks:
+        """Leave out what was garbled before its CRC was made: nobody could say what it means. Each run of
+        such samples counts as one malformed frame.
+        """
+        sound = declared(ticks.raw)
+        if sound.all():
+            return ticks
+        self._malformed += int(np.count_nonzero(np.diff(sound.view(np.int8), prepend=np.int8(1)) < 0))
+        return Ticks(ticks.tick[sound], ticks.raw[sound])
 
     def _insert_missed(self, message: EventMessage, wall_ns: int, events: list[LinkEvent]) -> None:
         """Put what telemetry told in place of a lost event before what happened later."""
@@ -442,7 +500,9 @@ class Engine:
     def _event(self, kind: str, text: str, wall_ns: int) -> LinkEvent:
         return LinkEvent((self.account.last or 0) & _TICK_MASK, wall_ns, kind, text)
 
-    def _frame(self, message: Command | SetpointMessage | VoltagesMessage, now_s: float) -> bytes:
+    def _frame(
+        self, message: Command | SetpointMessage | VoltagesMessage | FollowingMessage, now_s: float
+    ) -> bytes:
         self._last_sent_s = now_s
         self._seq = (self._seq + 1) & 0xFF
         return encode_frame(message.ID, self._seq, message.pack())

@@ -5,7 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from heli_host.declaration import Axes, Event, EventMessage, Excitation, Reset, Result, State, Trigger
+from heli_host.declaration import (
+    Axes,
+    Event,
+    EventMessage,
+    Excitation,
+    Reset,
+    Result,
+    State,
+    Takeover,
+    Trigger,
+)
 from heli_host.errors import fault_text
 
 LINK_LOST = "link_lost"
@@ -13,6 +23,7 @@ LINK_SILENT = "link_silent"
 LINK_RESTORED = "link_restored"
 BOARD_RESTARTED = "board_restarted"
 CALLBACK_FAILED = "callback_failed"
+LAW_SIGNALS = "law_signals"
 
 
 @dataclass(frozen=True)
@@ -27,11 +38,13 @@ class LinkEvent:
         Unix time at which this host learned of it [ns].
     kind : str
         Name of the board's event (``state``, ``fault``, ``setpoint_stale``, ...), or ``link_lost``,
-        ``link_silent``, ``link_restored``, ``board_restarted``, ``callback_failed``.
+        ``link_silent``, ``link_restored``, ``board_restarted``, ``callback_failed``, ``law_signals``.
     text : str
         One line for a person, with the reason.
     message : EventMessage or None
         The board's message, or what it was where telemetry told it; None for an event of the link.
+    names : tuple of str
+        Of ``law_signals``: what the channels ``signal_1``, ``signal_2``, ... hold from then on.
     """
 
     tick: int
@@ -39,6 +52,7 @@ class LinkEvent:
     kind: str
     text: str
     message: EventMessage | None = None
+    names: tuple[str, ...] = ()
 
 
 def event_text(message: EventMessage) -> str:
@@ -76,6 +90,10 @@ def event_text(message: EventMessage) -> str:
         case Event.ZEROED:
             axes = [axis.name.lower() for axis in Axes if axis.name and axis & detail]
             return f"zero taken: {', '.join(axes)}"
+        case Event.LAW_ENGAGED:
+            return f"the law of the link flies, a call each {value:.0f} ticks"
+        case Event.LAW_TAKEN_OVER:
+            return f"the board's own law took over ({_name(Takeover, detail)}; {value:.4g})"
         case _:
             return f"event {message.kind}, unknown to this host (detail {detail}, value {value:.4g})"
 
@@ -97,7 +115,7 @@ def event_kind(message: EventMessage) -> str:
 
 
 def _name(
-    kind: type[Event | Reset | State | Trigger | Excitation | Result], value: int, prefix: str = ""
+    kind: type[Event | Reset | State | Takeover | Trigger | Excitation | Result], value: int, prefix: str = ""
 ) -> str:
     try:
         return kind(value).name.lower()

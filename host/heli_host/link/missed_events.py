@@ -14,12 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from heli_host.declaration import Channel, Event, EventMessage, Fault
+from heli_host.link.channels import MODES
 from heli_host.link.telemetry import Ticks
 
 # Sixteen wait on the board at most.
 _TOLD = 64
 _TICK_MODULUS = 1 << 32
-_WATCHED = [Channel.STATE, Channel.TRIGGER, Channel.FAULT]
+_WATCHED = [channel - MODES.start for channel in (Channel.STATE, Channel.TRIGGER, Channel.FAULT)]
 
 
 class MissedEvents:
@@ -28,7 +29,7 @@ class MissedEvents:
     def __init__(self) -> None:
         self._told: deque[EventMessage] = deque(maxlen=_TOLD)
         self._tick: int | None = None
-        self._row: npt.NDArray[np.int32] = np.zeros(len(_WATCHED), np.int32)
+        self._row: npt.NDArray[np.int32] = np.zeros(MODES.stop - MODES.start, np.int32)
 
     def restart(self) -> None:
         """Forget everything: the board has started anew."""
@@ -55,13 +56,14 @@ class MissedEvents:
             value is nan. Of changes between two samples that arrived only the last can be known, at the tick
             of the second.
         """
-        rows = ticks.raw[:, _WATCHED]  # (n, watched)
+        modes = ticks.raw[:, MODES]  # (n, modes)
         if self._tick is None:
-            self._row = rows[0]
-        if (rows == self._row).all():
+            self._row = modes[0]
+        if (modes == self._row).all():
             self._tick = int(ticks.tick[-1])
             return []
-        before = np.vstack((self._row, rows[:-1]))
+        rows = modes[:, _WATCHED]  # (n, watched)
+        before = np.vstack((self._row[_WATCHED], rows[:-1]))
         missed: list[EventMessage] = []
         for index in np.flatnonzero((rows != before).any(axis=1)).tolist():
             tick = int(ticks.tick[index])
@@ -74,7 +76,7 @@ class MissedEvents:
             tripped = fault not in (fault_before, Fault.NONE)
             if tripped and not self._was_told(Event.FAULT, fault, since, tick):
                 missed.append(EventMessage(tick, Event.FAULT, fault, trigger, math.nan))
-        self._tick, self._row = int(ticks.tick[-1]), rows[-1]
+        self._tick, self._row = int(ticks.tick[-1]), modes[-1]
         return missed
 
     def _was_told(self, kind: Event, detail: int, since: int, tick: int) -> bool:

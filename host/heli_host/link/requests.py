@@ -45,6 +45,8 @@ class Request:
         How often it was sent.
     error : HeliError or None
         Why there will be none.
+    urgent : bool
+        Whether other commands wait until it is done.
     """
 
     command: Command
@@ -53,6 +55,7 @@ class Request:
     tries: int = 0
     reply: Frame | None = None
     error: HeliError | None = None
+    urgent: bool = False
 
     @property
     def done(self) -> bool:

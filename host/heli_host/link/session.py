@@ -19,12 +19,18 @@ import numpy.typing as npt
 from heli_host.declaration import (
     PARAMS,
     AckMessage,
+    ArmMessage,
+    ControlMessage,
+    ExciteMessage,
+    FollowingMessage,
     ParamsMessage,
     ParamsReadMessage,
     SetpointMessage,
     State,
     StatusMessage,
     StatusReadMessage,
+    StopMessage,
+    StreamMessage,
     VoltagesMessage,
     WelcomeMessage,
 )
@@ -35,7 +41,7 @@ from heli_host.link.driver import READ_TIMEOUT_S, Driver
 from heli_host.link.engine import Engine, Phase
 from heli_host.link.events import LinkEvent
 from heli_host.link.frames import Frame
-from heli_host.link.requests import Command
+from heli_host.link.requests import Command, Request
 from heli_host.link.subscribers import (
     EventCallback,
     StatusCallback,
@@ -43,7 +49,7 @@ from heli_host.link.subscribers import (
     TicksCallback,
     Unsubscribe,
 )
-from heli_host.link.telemetry import Ticks
+from heli_host.link.telemetry import EMPTY_TICKS, Ticks
 from heli_host.link.transport import Transport
 
 COMMAND_TIMEOUT_S = 2.0
@@ -55,6 +61,7 @@ _LOCKSTEP_STEP_S = 0.1
 _LOCKSTEP_REPLY_STEP_S = 0.002
 _FIRST_SAMPLE_TIMEOUT_S = 5.0
 _AHEAD_TICKS = 250
+_START_MOTORS = (ArmMessage, ControlMessage, ExciteMessage, StreamMessage)
 
 
 class Session:
@@ -87,6 +94,7 @@ class Session:
         self._subscribers = Subscribers()
         self._driver = Driver(transport, self._engine, self._subscribers, reconnect_timeout_s)
         self._one_command = threading.RLock()
+        self._latched = False
 
     def __enter__(self) -> Session:
         return self
@@ -214,13 +222,20 @@ class Session:
             raise LinkError("a callback cannot send a command while another is on its way", "send it later")
         try:
             self._driver.check()
-            with self._driver.lock:
-                pending = self._engine.ask(command, self.transport.now_s(), timeout_s)
+            pending: Request | None = None
+            while pending is None:
+                self.wait_for(lambda: not self._engine.preempted, step_s=_LOCKSTEP_REPLY_STEP_S)
+                with self._driver.lock:
+                    if self._latched and isinstance(command, _START_MOTORS):
+                        raise LinkError("a stop came before this command", "begin again")
+                    if not self._engine.preempted:
+                        pending = self._engine.ask(command, self.transport.now_s(), timeout_s)
             self._driver.send_due()
-            self.wait_for(lambda: pending.done, step_s=_LOCKSTEP_REPLY_STEP_S)
+            asked = pending
+            self.wait_for(lambda: asked.done, step_s=_LOCKSTEP_REPLY_STEP_S)
         finally:
             self._one_command.release()
-        return pending.answer()
+        return asked.answer()
 
     def command(self, command: Command, timeout_s: float = COMMAND_TIMEOUT_S) -> AckMessage:
         """Send a command that is answered by an ack; see `request`.
@@ -245,6 +260,62 @@ class Session:
             The board is gone.
         """
         return AckMessage.unpack(self.request(command, timeout_s).payload)
+
+    @property
+    def stops(self) -> int:
+        """How often `stop_now` was called."""
+        return self._engine.stops
+
+    def stop_now(self) -> None:
+        """Send stop at once, from any thread, and return without its answer; it is repeated until it has one.
+
+        It waits for no other command: one on its way is given up, and what could start the motors
+        is refused until `release_stop`: another thread may be about to send it.
+
+        Raises
+        ------
+        LinkError
+            The session is over.
+        """
+        with self._driver.lock:
+            self._latched = True
+            self._engine.kept = None
+            self._engine.preempt(StopMessage(0), self.transport.now_s(), COMMAND_TIMEOUT_S)
+        self._driver.send_due()
+        # After the bytes are out: an error that waits to be told must not come before them.
+        self._driver.check()
+
+    def release_stop(self, stops: int) -> bool:
+        """Take commands again after `stop_now`.
+
+        Parameters
+        ----------
+        stops : int
+            `stops` when the wish for more was heard.
+
+        Returns
+        -------
+        bool
+            False when another stop has come since: nothing is released.
+        """
+        with self._driver.lock:
+            if self._engine.stops != stops:
+                return False
+            self._latched = False
+            return True
+
+    def permit_streams(self, permitted: Callable[[], bool]) -> None:
+        """Have it asked before each setpoint and pair of voltages whether it may go, whoever streams it.
+
+        To the board those that may not are missing: it holds, then lands.
+
+        Parameters
+        ----------
+        permitted : callable returning bool
+            Asked with the link's lock held, tens of times a second: it must not wait.
+        """
+        with self._driver.lock:
+            self._engine.permitted = permitted
 
     def read_params(self) -> tuple[float, ...]:
         """Read all parameters.
@@ -286,15 +357,15 @@ class Session:
         """
         return StatusMessage.unpack(self.request(StatusReadMessage(0)).payload)
 
-    def stream(self, message: SetpointMessage | VoltagesMessage) -> None:
-        """Send a setpoint or a pair of voltages; not answered, the latest wins.
+    def stream(self, message: SetpointMessage | VoltagesMessage | FollowingMessage) -> None:
+        """Send a setpoint, a pair of voltages, or what a law follows; not answered, the latest wins.
 
         At most 200 setpoints and 500 pairs of voltages a second go out; what a later one replaced meanwhile
         is counted as skipped.
 
         Parameters
         ----------
-        message : SetpointMessage or VoltagesMessage
+        message : SetpointMessage, VoltagesMessage or FollowingMessage
             The value.
 
         Raises
@@ -447,6 +518,19 @@ class Session:
         """
         self._subscribers.on_event = (*self._subscribers.on_event, callback)
         return lambda: self._subscribers.remove(callback)
+
+    def tell(self, kind: str, text: str, names: tuple[str, ...] = ()) -> None:
+        """Have an event of the host's own handed over, in this thread, like those of board and link.
+
+        Parameters
+        ----------
+        kind, text, names
+            As in `heli_host.link.events.LinkEvent`.
+        """
+        newest = self.latest
+        tick = newest[0] if newest is not None else 0
+        event = LinkEvent(tick, self.transport.wall_ns(), kind, text, names=names)
+        self._subscribers.deliver(EMPTY_TICKS, [event], [])
 
     def subscribe_status(self, callback: StatusCallback) -> Unsubscribe:
         """Have the board's counters handed over, once a second, in the reading thread.

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from heli_host.declaration import SetpointMessage, VoltagesMessage
+from heli_host.declaration import FollowingMessage, SetpointMessage, VoltagesMessage
 
 SETPOINT_INTERVAL_S = 1.0 / 200.0
 VOLTAGES_INTERVAL_S = 1.0 / 500.0
 
-Streamed = TypeVar("Streamed", SetpointMessage, VoltagesMessage)
+Streamed = TypeVar("Streamed", SetpointMessage, VoltagesMessage, FollowingMessage)
 
 
 @dataclass
@@ -21,7 +21,7 @@ class Stream(Generic[Streamed]):
     ----------
     interval_s : float
         Shortest time between two of them [s].
-    waiting : SetpointMessage or VoltagesMessage or None
+    waiting : SetpointMessage, VoltagesMessage, FollowingMessage or None
         The newest, not yet sent.
     sent_s : float
         Host time at which the last was sent [s].
@@ -40,7 +40,7 @@ class Stream(Generic[Streamed]):
 
         Parameters
         ----------
-        message : SetpointMessage or VoltagesMessage
+        message : SetpointMessage, VoltagesMessage or FollowingMessage
             The value.
         """
         self.skipped += self.waiting is not None
@@ -68,14 +68,14 @@ class Stream(Generic[Streamed]):
 
         Parameters
         ----------
-        message : SetpointMessage or VoltagesMessage
+        message : SetpointMessage, VoltagesMessage or FollowingMessage
             The value.
         now_s : float
             Host time [s].
 
         Returns
         -------
-        SetpointMessage or VoltagesMessage
+        SetpointMessage, VoltagesMessage or FollowingMessage
             The same.
         """
         self.waiting, self.sent_s = None, now_s

@@ -401,6 +401,22 @@ def transport_label(transport: Transport) -> str:
     return str(getattr(transport, "label", ""))
 
 
+def transport_rig(transport: Transport) -> str:
+    """Say which rig a simulated board flies.
+
+    Parameters
+    ----------
+    transport : Transport
+        Any transport; one may say it in an attribute ``rig``.
+
+    Returns
+    -------
+    str
+        Name or file of the rig; empty where nothing is said.
+    """
+    return str(getattr(transport, "rig", ""))
+
+
 def transport_note(transport: Transport) -> str:
     """Say what the user should know about how a board was chosen.
 

@@ -22,7 +22,7 @@ from typing import Protocol
 
 from heli_host.errors import LogWriteError
 
-MOST_BYTES_PER_S = 120_000
+MOST_BYTES_PER_S = 125_000
 """A second of ticks that do not compress at all, with their index; a usual one is 15 to 20 kB."""
 QUEUED_BYTES = 32 * 1024 * 1024
 """What may wait for the disk: half an hour of a usual flight, 4 minutes of ticks that do not compress."""

@@ -87,12 +87,16 @@ def draw(flight: Flight, summary: FlightSummary) -> Figure:
 
     figure = Figure(figsize=(12.0, 9.2), layout="constrained")
     FigureCanvasAgg(figure)
-    heights = [0.62, *(3.0 for _ in AXES), 2.2]
+    signals = [name for name in flight.meta.get("law_signals", "").split(", ") if name in flight.extra]
+    heights = [0.62, *(3.0 for _ in AXES), *(2.2 for _ in signals[:1]), 2.2]
     rows = figure.subplots(len(heights), 1, sharex=True, gridspec_kw={"height_ratios": heights})
     band, *panels, volts = rows
+    own = panels[len(AXES) :]
     t_s = flight.t_s - flight.t_s[0] if len(flight) else flight.t_s
-    for index, panel in enumerate(panels):
+    for index, panel in enumerate(panels[: len(AXES)]):
         _draw_axis(panel, flight, t_s, index, summary)
+    for panel in own:
+        _draw_signals(panel, flight, t_s, signals)
     _draw_voltages(volts, flight, t_s)
     _draw_strips(band, (*panels, volts), flight, t_s)
     _draw_events((*panels, volts), flight)
@@ -170,6 +174,14 @@ def _draw_voltages(panel: Axes, flight: Flight, t_s: NDArray[np.float64]) -> Non
     panel.plot(*_thinned(t_s, flight.back_V), color=_BACK, lw=1.0, label="back", alpha=0.8, zorder=3)
     panel.set_ylabel("voltage [V]")
     panel.set_title("motor voltages that acted", fontsize=10, loc="left")
+    _finish(panel)
+
+
+def _draw_signals(panel: Axes, flight: Flight, t_s: NDArray[np.float64], signals: Sequence[str]) -> None:
+    for name, colour in zip(signals, (*_MEASURED.values(), _FRONT), strict=False):
+        panel.plot(*_thinned(t_s, flight.extra[name]), color=colour, lw=1.0, label=name, zorder=3)
+    panel.set_ylabel("signals")
+    panel.set_title("what the law of the link told", fontsize=10, loc="left")
     _finish(panel)
 
 

@@ -68,6 +68,17 @@ class Log:
             raise LogError(f"{self.path} holds a parameter that is no number", "copy it again") from error
 
     @property
+    def law_signals(self) -> dict[str, str]:
+        """What a law of one's own named its signals, by channel; empty when none flew."""
+        named = self.metadata.get("law", {})
+        taken = {*OWN_COLUMNS, *(spec.column for spec in CHANNELS)}
+        return {
+            channel: name
+            for channel, name in named.items()
+            if channel in _BY_FIELD and name.isidentifier() and name not in taken
+        }
+
+    @property
     def raw(self) -> NDArray[np.int32]:
         """Telemetry channels exactly as the board sent them, shape (n, channels)."""
         return raw_ticks(self.ticks)
@@ -84,8 +95,9 @@ class Log:
         Returns
         -------
         Flight
-            Angles computed from the exact counts, setpoints and voltages in the board's own resolution. Other
-            channels are in ``extra``, also those of a log by a version that has more of them.
+            Angles computed from the exact counts, setpoints and voltages in the board's own resolution. The
+            counts themselves and other channels are in ``extra``, also those of a log by a version that has
+            more of them.
 
         Raises
         ------
@@ -102,6 +114,8 @@ class Log:
         meta = {**session, **{f"result.{k}": v for k, v in self.metadata.get("result", {}).items()}}
         if self.notes:
             meta["notes"] = "\n".join(self.notes)
+        if self.law_signals:
+            meta["law_signals"] = ", ".join(self.law_signals.values())
         return Flight(
             t_s=np.ascontiguousarray(ticks["t_s"]),
             **{name: column for name, column in columns.items() if name in OWN_COLUMNS},
@@ -120,13 +134,16 @@ class Log:
         )
 
     def _columns(self) -> dict[str, NDArray[Any]]:
-        """Every field but the time, in its unit, by the name that tables give it."""
+        """Every field but the time, in its unit, by the name that tables give it; an encoder's counts too."""
         count_rad = rad_per_count(self.parameters)
         columns: dict[str, NDArray[Any]] = {}
+        named = self.law_signals
         for field_name in self.ticks.dtype.names or ():
             spec = _BY_FIELD.get(field_name)
             if spec is not None:
-                columns[spec.column] = self._column(spec, count_rad)
+                columns[named.get(spec.column, spec.column)] = self._column(spec, count_rad)
+                if spec.axis is not None:
+                    columns[spec.field] = self.ticks[field_name]
             elif field_name not in ("t_s", "tick", *_ANGLES):
                 columns[field_name] = np.ascontiguousarray(self.ticks[field_name])
         return columns

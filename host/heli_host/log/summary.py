@@ -1,10 +1,10 @@
 """What a flight was, in a dictionary: the same numbers for ``summary.json``, the figure and the last line
 printed.
 
-Tracking errors count from the end of take-off until landing begins, in closed loop only: measured angle less
-the setpoint that the control law used in that tick (after the board's slew limit). Pitch is compared with the
-setpoint that the travel loop asks for. A log without phases, of a flight by hand, counts all ticks in closed
-loop.
+Tracking errors count from the end of take-off until landing begins, in closed loop and where a law of the
+host's told the setpoints that it followed: measured angle less the setpoint that the control law used in that
+tick (after the board's slew limit). Pitch is compared with the setpoint that the travel loop asks for. A log
+without phases, of a flight by hand, counts all such ticks.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ TAKE_OFF, LANDING = "take-off", "landing"
 
 _MOST_COUNT = 2**63
 _LONGEST_COUNT = 24
+# A tenth of an encoder's count, far above the rounding of a setpoint in the log.
+_TOLD_RAD = 1.5e-4
 _TOLD = (DISK_BLOCKED, TICKS_DROPPED)
 
 
@@ -162,11 +164,18 @@ def summarise(log: Log) -> FlightSummary:
 
 
 def flown_rows(flight: Flight) -> NDArray[np.bool_]:
-    """Return which rows count as flown: closed loop, after take-off, before landing."""
+    """Return which rows count as flown: led by setpoints, after take-off, before landing."""
     if flight.state is None:
         return np.zeros(len(flight), np.bool_)
-    closed = [number for number, name in flight.state_names.items() if name == "closed_loop"]
-    rows = np.isin(flight.state, closed)
+    numbers = {name: number for number, name in flight.state_names.items()}
+    rows: NDArray[np.bool_] = np.asarray(flight.state == numbers.get("closed_loop", -1))
+    streamed = flight.state == numbers.get("streamed", -1)
+    # Where no law of the host's told its setpoints, the board logs the angles themselves.
+    setpoints_rad = flight.setpoints_rad
+    if streamed.any() and setpoints_rad is not None:
+        apart_rad = np.abs(flight.angles_rad[streamed] - setpoints_rad[streamed])
+        if apart_rad.max() > _TOLD_RAD:
+            rows = rows | streamed
     phases = [event for event in flight.events if event.name == PHASE_EVENT]
     flown = [event.t_s for event in phases if event.text not in (TAKE_OFF, LANDING)]
     if phases:

@@ -31,6 +31,7 @@ from heli_host.flight import (
 _FORMATS = {"t_s": "%.6f", "front_V": "%.6f", "back_V": "%.6f"} | dict.fromkeys(STATUS_COLUMNS, "%d")
 # Ten digits tell all numbers of 32 bits apart, whatever their scale.
 _FORMATS |= {spec.column: "%.10g" for spec in CHANNELS if spec.column not in OWN_COLUMNS}
+_FORMATS |= {spec.field: "%d" for spec in CHANNELS if spec.axis is not None}
 _NUMBER_FORMAT = "%.9f"
 _NOTE = re.compile(r"([\w .-]{1,40}):\s?(.*)")
 _PLAN_MARK = "plan|"

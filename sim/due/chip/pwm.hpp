@@ -59,7 +59,10 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
   };
 
   static std::size_t index(int channel) { return static_cast<std::size_t>(channel); }
-  bool synchronous(int channel) const;
+  // Any synchronous channel makes channel 0 one.
+  bool synchronous(int channel) const {
+    return ((sync_ >> channel) & 1U) != 0 || (channel == 0 && (sync_ & 0xFFU) != 0);
+  }
   const Channel& counter_of(int channel) const {
     return channels_[synchronous(channel) ? 0 : index(channel)];
   }
@@ -98,6 +101,7 @@ class Pwm final : public Peripheral, public PinDriver, public PinListener {
   void write_update(int channel, std::uint32_t offset, std::uint32_t value);
   void write_protection(std::uint32_t value);
   void write_sync_mode(std::uint32_t value);
+  void unlock_update(std::uint32_t value);
   void write_fault(std::uint32_t offset, std::uint32_t value);
   void plan();
   void update_irq();

@@ -93,7 +93,8 @@ void Pwm::write_update(int channel, std::uint32_t offset, std::uint32_t value) {
     own.update_since = system_.now();
   }
   // A channel that does not run takes the value at once.
-  if (!own.enabled && !synchronous(channel)) load_updates(channel);
+  if (synchronous(channel)) return;
+  if (!own.enabled) load_updates(channel);
   plan();
 }
 
@@ -199,9 +200,18 @@ std::uint32_t Pwm::read(std::uint32_t offset) {
   }
 }
 
+// Nothing changes before the period that runs has ended.
+void Pwm::unlock_update(std::uint32_t value) {
+  if ((value & 1U) == 0) return;
+  if (!update_unlocked_) unlocked_since_ = system_.now();
+  update_unlocked_ = true;
+  plan();
+}
+
 void Pwm::write(std::uint32_t offset, std::uint32_t value) {
   if (offset >= 0x200)
     return write_channel(static_cast<int>((offset - 0x200) / 32), offset % 32, value);
+  if (offset == 0x28) return unlock_update(value);
   integrate_all();
   switch (offset) {
     case 0x00:
@@ -222,11 +232,6 @@ void Pwm::write(std::uint32_t offset, std::uint32_t value) {
       break;
     case 0x20:
       if (check_group(2, offset)) write_sync_mode(value);
-      break;
-    case 0x28:
-      if ((value & 1U) == 0) break;
-      if (!update_unlocked_) unlocked_since_ = system_.now();
-      update_unlocked_ = true;
       break;
     case 0x2C:
       update_period_ = value & 0xFU;

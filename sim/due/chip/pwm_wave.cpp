@@ -13,11 +13,6 @@ constexpr std::uint32_t kInvertLow = 1U << 18;
 
 }  // namespace
 
-bool Pwm::synchronous(int channel) const {
-  // Any synchronous channel makes channel 0 one.
-  return ((sync_ >> channel) & 1U) != 0 || (channel == 0 && (sync_ & 0xFFU) != 0);
-}
-
 std::uint64_t Pwm::step_cycles(int channel) const {
   const std::uint32_t prescaler = counter_of(channel).mode & 0xFU;
   if (prescaler <= 10) return std::uint64_t{1} << prescaler;

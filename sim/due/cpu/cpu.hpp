@@ -177,6 +177,19 @@ class Cpu {
     }
     slow_store(address, value, sizeof(T));
   }
+  // Where some bytes of RAM are, at most 64 from a multiple of 4 on; null when they are elsewhere,
+  // and for the second when a write may change what was decoded.
+  const std::uint8_t* ram_at(std::uint32_t address, std::uint32_t bytes) const {
+    const std::uint32_t offset = address - kRamBase;
+    return offset <= kRamSize - bytes ? ram_ + offset : nullptr;
+  }
+  std::uint8_t* ram_without_code(std::uint32_t address, std::uint32_t bytes) {
+    const std::uint32_t offset = address - kRamBase;
+    if (offset > kRamSize - bytes) return nullptr;
+    const bool code =
+        memory_.ram_code[offset / 64] != 0 || memory_.ram_code[(offset + bytes - 1) / 64] != 0;
+    return code ? nullptr : ram_ + offset;
+  }
   // For LDM, LDRD and exclusives, which fault on any address that is not a multiple of 4.
   void require_aligned(std::uint32_t address, std::uint32_t size) const {
     if ((address & (size - 1)) != 0) throw_unaligned(address);

@@ -277,9 +277,8 @@ void Decoder::miscellaneous16(std::uint32_t w) {
     case 5:
       rn(13);
       ra(1);
-      out_.imm = field(w, 0, 8) | (field(w, 8, 1) << 14);
+      registers(field(w, 0, 8) | (field(w, 8, 1) << 14));
       if (out_.imm == 0) return undefined();
-      cycles(1U + static_cast<std::uint32_t>(__builtin_popcount(out_.imm)));
       return put<&ops::store_multiple<true>>();
     case 6:
       if ((w & 0xE8U) != 0x60U || in_it()) return undefined();
@@ -302,10 +301,8 @@ void Decoder::miscellaneous16(std::uint32_t w) {
     case 13:
       rn(13);
       ra(1);
-      out_.imm = field(w, 0, 8) | (field(w, 8, 1) << 15);
+      registers(field(w, 0, 8) | (field(w, 8, 1) << 15), 1U + (op == 13 ? taken_cycles(~0U) : 0U));
       if (out_.imm == 0 || (op == 13 && in_it() && !last_in_it())) return undefined();
-      cycles(1U + static_cast<std::uint32_t>(__builtin_popcount(out_.imm)) +
-             (op == 13 ? taken_cycles(~0U) : 0U));
       return put<&ops::load_multiple<false>>();
     case 14:
       out_.imm = field(w, 0, 8);
@@ -343,9 +340,8 @@ void Decoder::hints(std::uint32_t w) {
 
 void Decoder::multiple16(std::uint32_t w) {
   rn(field(w, 8, 3));
-  out_.imm = field(w, 0, 8);
+  registers(field(w, 0, 8));
   if (out_.imm == 0) return undefined();
-  cycles(1U + static_cast<std::uint32_t>(__builtin_popcount(out_.imm)));
   const bool in_list = ((out_.imm >> out_.rn) & 1U) != 0;
   if (field(w, 11, 1) != 0) {
     ra(in_list ? 0 : 1);

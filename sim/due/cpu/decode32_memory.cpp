@@ -43,17 +43,16 @@ void Decoder::multiple32(std::uint32_t a, std::uint32_t b) {
   const bool write_back = field(a, 5, 1) != 0;
   rn(field(a, 0, 4));
   ra(write_back ? 1 : 0);
-  out_.imm = b;
-  const auto count = static_cast<std::uint32_t>(__builtin_popcount(b));
   const bool base_in_list = ((b >> out_.rn) & 1U) != 0;
   const bool with_pc = (b & 0x8000U) != 0;
-  if ((op != 1 && op != 2) || out_.rn == 15 || count < 2 || (b & 0x2000U) != 0 ||
+  const bool single = (b & (b - 1U)) == 0;
+  registers(b, 1U + (with_pc ? taken_cycles(~0U) : 0U));
+  if ((op != 1 && op != 2) || out_.rn == 15 || single || (b & 0x2000U) != 0 ||
       (write_back && base_in_list)) {
     return undefined();
   }
   if (is_load ? (b & 0xC000U) == 0xC000U : with_pc) return undefined();
   if (with_pc && in_it() && !last_in_it()) return undefined();
-  cycles(1U + count + (with_pc ? taken_cycles(~0U) : 0U));
   if (is_load) {
     return op == 1 ? put<&ops::load_multiple<false>>() : put<&ops::load_multiple<true>>();
   }

@@ -49,6 +49,13 @@ std::uint8_t Decoder::taken_cycles(std::uint32_t target) const {
   return static_cast<std::uint8_t>(count);
 }
 
+void Decoder::registers(std::uint32_t list, std::uint32_t more) {
+  const auto count = static_cast<std::uint32_t>(__builtin_popcount(list));
+  out_.imm = list;
+  extra(4U * count);
+  cycles(count + more);
+}
+
 void Decoder::set_target(std::uint32_t target) {
   out_.imm = target;
   out_.step = static_cast<std::int32_t>(target - address_) / 2;

@@ -91,6 +91,8 @@ class Decoder {
   void rm(std::uint32_t value) { out_.rm = static_cast<std::uint8_t>(value); }
   void ra(std::uint32_t value) { out_.ra = static_cast<std::uint8_t>(value); }
   void extra(std::uint32_t value) { out_.extra = static_cast<std::uint8_t>(value); }
+  // What LDM and STM move, bit n for rn; they take a cycle for each, and `more`.
+  void registers(std::uint32_t list, std::uint32_t more = 1);
   void cycles(std::uint32_t value) { out_.cycles = static_cast<std::uint8_t>(value); }
 
   const Cpu& cpu_;

@@ -23,7 +23,7 @@ struct Insn {
   std::uint8_t length;  // in halfwords: 1 or 2
   std::uint8_t cycles;  // of the model in cpu/README.md
   std::uint8_t it;      // ITSTATE in front of this instruction; 0 outside of an IT block
-  std::uint8_t extra;   // shift amount, or the cycles that a taken branch adds
+  std::uint8_t extra;  // shift amount, cycles that a taken branch adds, or bytes of a register list
 };
 
 // Why the processor could not do an instruction: an ARMv7-M exception and what CFSR says of it.

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <cstring>
 
 #include "cpu/cpu.hpp"
 #include "cpu/ops_data.hpp"
@@ -101,24 +102,40 @@ const Insn* store_double(Cpu& c, const Insn* i) {
   return next(i);
 }
 
-// Register lists are in `imm`, bit n for rn. `ra` is 1 when the base register is written back.
+// Register lists are in `imm`, bit n for rn, and their bytes in `extra`. `ra` is 1 when the base
+// register is written back.
+template <bool kDecrementBefore>
+inline void write_back_multiple(Cpu& c, const Insn* i) {
+  c.r[i->rn] += kDecrementBefore ? 0U - i->extra : i->extra;
+  if (i->rn == 13) c.r[13] &= ~3U;
+}
+
 template <bool kDecrementBefore>
 const Insn* load_multiple(Cpu& c, const Insn* i) {
   const std::uint32_t list = i->imm;
-  const auto bytes = 4U * static_cast<std::uint32_t>(__builtin_popcount(list));
+  const std::uint32_t bytes = i->extra;
   const std::uint32_t base = c.r[i->rn];
   std::uint32_t address = kDecrementBefore ? base - bytes : base;
   c.require_aligned(address, 4);
+  if (const std::uint8_t* from = c.ram_at(address, bytes)) {
+    if (i->ra != 0) write_back_multiple<kDecrementBefore>(c, i);
+    for (std::uint32_t left = list & 0x7FFFU; left != 0; left &= left - 1) {
+      std::memcpy(&c.r[__builtin_ctz(left)], from, 4);
+      from += 4;
+    }
+    if ((list & 0x8000U) == 0) return next(i);
+    std::uint32_t target = 0;
+    std::memcpy(&target, from, 4);
+    return c.branch_exchange(target);
+  }
+  // Elsewhere a load may fault: nothing is written before all are done.
   std::uint32_t values[16];
   unsigned count = 0;
   for (std::uint32_t left = list; left != 0; left &= left - 1) {
     values[count++] = c.load<std::uint32_t>(address);
     address += 4;
   }
-  if (i->ra != 0) {
-    c.r[i->rn] = kDecrementBefore ? base - bytes : base + bytes;
-    if (i->rn == 13) c.r[13] &= ~3U;
-  }
+  if (i->ra != 0) write_back_multiple<kDecrementBefore>(c, i);
   count = 0;
   for (std::uint32_t left = list & 0x7FFFU; left != 0; left &= left - 1) {
     c.r[__builtin_ctz(left)] = values[count++];
@@ -129,18 +146,21 @@ const Insn* load_multiple(Cpu& c, const Insn* i) {
 
 template <bool kDecrementBefore>
 const Insn* store_multiple(Cpu& c, const Insn* i) {
-  const auto bytes = 4U * static_cast<std::uint32_t>(__builtin_popcount(i->imm));
   const std::uint32_t base = c.r[i->rn];
-  std::uint32_t address = kDecrementBefore ? base - bytes : base;
+  std::uint32_t address = kDecrementBefore ? base - i->extra : base;
   c.require_aligned(address, 4);
-  for (std::uint32_t left = i->imm; left != 0; left &= left - 1) {
-    c.store<std::uint32_t>(address, c.r[__builtin_ctz(left)]);
-    address += 4;
+  if (std::uint8_t* to = c.ram_without_code(address, i->extra)) {
+    for (std::uint32_t left = i->imm; left != 0; left &= left - 1) {
+      std::memcpy(to, &c.r[__builtin_ctz(left)], 4);
+      to += 4;
+    }
+  } else {
+    for (std::uint32_t left = i->imm; left != 0; left &= left - 1) {
+      c.store<std::uint32_t>(address, c.r[__builtin_ctz(left)]);
+      address += 4;
+    }
   }
-  if (i->ra != 0) {
-    c.r[i->rn] = kDecrementBefore ? base - bytes : base + bytes;
-    if (i->rn == 13) c.r[13] &= ~3U;
-  }
+  if (i->ra != 0) write_back_multiple<kDecrementBefore>(c, i);
   return next(i);
 }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Final
 
 import casadi as ca
@@ -22,13 +23,17 @@ from heli_lab.diagnose.spline_term import (
     spline_term,
 )
 from heli_lab.identify.functions import Floats
-from heli_lab.innovations import Linear, MapEvaluator, Trajectory
+from heli_lab.innovations import (
+    OWN_SUBSTEPS,
+    AlongCourse,
+    Linear,
+    OwnStates,
+    Trajectory,
+    known_directions,
+)
 
 _MIN_SPAN: Final = 1e-6
 """Range of a quantity, in its SI unit, below which it is constant and no curve over it is tried."""
-_OWN_SUBSTEPS: Final = 4
-"""Runge-Kutta steps of an effect's own states in each step of 10 ms: lags of a few milliseconds stay
-stable."""
 
 
 @dataclass(frozen=True)
@@ -82,16 +87,42 @@ class Candidate:
         return values
 
 
-class Regressors:
-    """Makes the regressors of candidates along a course."""
+class ChangeFunctions:
+    """The changes that candidates make in a `model`, as functions: those of all its flights are the same, and
+    making one takes longer than to evaluate it along a flight of a minute.
+    """
 
-    def __init__(self, linear: Linear) -> None:
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self._made: dict[str, ExtendedModel] = {}
+
+    def of(self, name: str, effect: Effect, linear: Sequence[str]) -> ExtendedModel:
+        """The change by an `effect`, known as `name`: for one unit of each of its `linear` parameters, or as
+        it is where there are none.
+        """
+        if name not in self._made:
+            self._made[name] = ExtendedModel(self.model, effect, linear)
+        return self._made[name]
+
+    @cached_property
+    def rates(self) -> AlongCourse:
+        """Rates of the model itself."""
+        model = self.model
+        x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
+        t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
+        return AlongCourse(ca.Function("rates", [x, u, t, p], [ca.densify(model.dynamics(x, u, p, t))]))
+
+
+class Regressors:
+    """Makes the regressors of candidates along a course, by `functions` of its model."""
+
+    def __init__(self, linear: Linear, functions: ChangeFunctions) -> None:
         self.linear = linear
         self.model = linear.model
-        self._functions: dict[str, _ExtendedModel] = {}
+        self._functions = functions
         self._channels: dict[str, tuple[Floats, Floats]] = {}
         self._quantities: dict[str, dict[str, Floats]] = {}
-        self._rates: MapEvaluator | None = None
+        self._directions: Floats = linear.course.directions[linear.course.rows]
 
     def spline_signals(self, candidate: Candidate) -> tuple[Floats, Floats | None]:
         """The same as `signals` for a spline term: its channel's influence times the B-spline basis.
@@ -106,10 +137,10 @@ class Regressors:
         effect = candidate.effect
         assert isinstance(effect, SplineTerm)
         if effect.channel not in self._channels:
-            values = {**effect.values, **dict.fromkeys(candidate.linear_parameters, 1.0)}
-            self._channels[effect.channel] = _ExtendedModel(self.model, effect, ()).run(
-                self.linear.trajectory, values
-            )
+            function = self._functions.of(f"spline:{effect.channel}", effect, ())
+            # Any term of the channel will do: with all coefficients 1 the bumps add up to 1.
+            values = {**function.effect.values, **dict.fromkeys(function.effect.priors, 1.0)}
+            self._channels[effect.channel] = function.run(self.linear.trajectory, values, self._directions)
         rates, measured = self._channels[effect.channel]
         where = "nodes" if effect.channel.startswith("measurement") else "middle"
         if where not in self._quantities:
@@ -131,28 +162,18 @@ class Regressors:
         """
         if candidate.is_spline:
             return self.spline_signals(candidate)
-        if candidate.id not in self._functions and not candidate.effect.delay:
-            self._functions[candidate.id] = _ExtendedModel(
-                self.model, candidate.effect, candidate.linear_parameters
-            )
         trajectory = self.linear.trajectory
         if candidate.effect.delay:
             return self._delayed(candidate), None
-        function = self._functions[candidate.id]
-        rates, measured = function.run(trajectory, candidate.effect.values)
+        function = self._functions.of(candidate.id, candidate.effect, candidate.linear_parameters)
+        rates, measured = function.run(trajectory, candidate.effect.values, self._directions)
         if not np.any(measured):
             return rates, None
         # Encoders are read at the beginning of a step.
-        return rates, function.run(self.linear.nodes, candidate.effect.values)[1]
+        return rates, function.run(self.linear.nodes, candidate.effect.values, self._directions)[1]
 
     def _delayed(self, candidate: Candidate) -> Floats:
         """What delayed voltages change: the model itself is the same."""
-        if self._rates is None:
-            model = self.model
-            x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
-            t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
-            function = ca.Function("rates", [x, u, t, p], [ca.densify(model.dynamics(x, u, p, t))])
-            self._rates = MapEvaluator(function, self.linear.rows)
         trajectory, record = self.linear.trajectory, self.linear.course.record
         delay_s = candidate.effect.values[candidate.effect.delay]
         middle_s = record.t_s - record.t_s[0] + 0.5 * record.step_s
@@ -162,15 +183,18 @@ class Regressors:
             np.column_stack([np.interp(trajectory.t_s - d, middle_s, v) for v in smooth])
             for d in (0.0, delay_s)
         )
-        (after,) = self._rates(replace(trajectory, volts_V=late))
-        (before,) = self._rates(replace(trajectory, volts_V=now))
+        (after,) = self._functions.rates(replace(trajectory, volts_V=late))
+        (before,) = self._functions.rates(replace(trajectory, volts_V=now))
         return after - before
 
 
-class _ExtendedModel:
-    """The change of rates and angles that one more effect makes in a model."""
+class ExtendedModel:
+    """The change of rates and angles that one more `effect` makes in a `model`, by its `linear` parameters,
+    or without any by itself.
+    """
 
     def __init__(self, model: Model, effect: Effect, linear: Sequence[str]) -> None:
+        effect = effect.along_measured()
         self.model, self.linear_parameters = model, linear
         self.more = type(model)((*model.effects, effect))
         self.effect = effect
@@ -200,53 +224,48 @@ class _ExtendedModel:
                 angles - model.measurement(x, u, p_base, t),
             ]
         self.state_count = len(own)
-        self._evaluator: tuple[int, MapEvaluator] | None = None
-        self._integrator: tuple[int, ca.Function] | None = None
         inputs = [ca.vertcat(x, z), u, t, p]
-        self.function = ca.Function("change", inputs, ca.cse([ca.densify(o) for o in outputs]))
+        self.change = AlongCourse(ca.Function("change", inputs, ca.cse([ca.densify(o) for o in outputs])))
         if own:
-            now = ca.Function("z", [z, x, u, t, p], [ca.vertcat(*(rates[i] for i in extra))])
-            reset = ca.Function("zs", [z, x, u, t, p], [ca.vertcat(*(after[i] for i in extra))])
-            h = ca.SX.sym("h")
-            k1 = now(z, x, u, t, p)
-            k2 = now(z + 0.5 * h * k1, x, u, t, p)
-            k3 = now(z + 0.5 * h * k2, x, u, t, p)
-            k4 = now(z + h * k3, x, u, t, p)
-            end = reset(z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), x, u, t + h, p)
-            self.step = ca.Function("step", [z, x, u, t, p, h], [end])
+            inputs = [z, t, x, u, p]
+            self.own = OwnStates(
+                ca.Function("rates", inputs, [ca.densify(ca.vertcat(*(rates[i] for i in extra)))]),
+                ca.Function("resets", inputs, [ca.densify(ca.vertcat(*(after[i] for i in extra)))]),
+            )
 
-    def run(self, trajectory: Trajectory, values: Mapping[str, float]) -> tuple[Floats, Floats]:
+    def run(
+        self, trajectory: Trajectory, values: Mapping[str, float], directions: Floats | None = None
+    ) -> tuple[Floats, Floats]:
+        """Evaluate along a `trajectory`, with `values` of the effect's parameters, and the `directions` that
+        its axes were last seen to turn in, (n, 3), where it asks for them: changes of the rates,
+        (n, states, g), and of the measured angles, (n, 3, g).
+        """
         parameters = np.empty(len(self.more.parameters))
         parameters[self.places] = trajectory.parameters
         for name, place in self.own_places.items():
             parameters[place] = values[name]
         state = trajectory.state
         if self.state_count:
-            state = np.column_stack((state, self._own_states(trajectory, parameters)))
-        if self._evaluator is None or self._evaluator[0] != len(state):
-            self._evaluator = len(state), MapEvaluator(self.function, len(state))
-        rates, measured = self._evaluator[1](
+            own = self._own_states(trajectory, parameters)
+            for place, axis in known_directions([self.effect]):
+                if directions is not None:
+                    own[:, place] = directions[:, axis]
+            state = np.column_stack((state, own))
+        rates, measured = self.change(
             Trajectory(trajectory.t_s, state, trajectory.volts_V, trajectory.step_s, parameters)
         )
         return rates, measured
 
     def _own_states(self, trajectory: Trajectory, parameters: Floats) -> Floats:
         """Own states in the middle of each step, from rest at the beginning of the flight."""
-        n = len(trajectory.t_s)
-        substeps = _OWN_SUBSTEPS
-        h = trajectory.step_s / substeps
-        if self._integrator is None or self._integrator[0] != n:
-            self._integrator = n, self.step.mapaccum("integrated", n * substeps)
-        result = self._integrator[1](
-            np.zeros(self.state_count),
-            np.repeat(trajectory.state, substeps, axis=0).T,
-            np.repeat(trajectory.volts_V, substeps, axis=0).T,
-            (np.repeat(trajectory.t_s, substeps) + h * np.tile(np.arange(substeps) - 2.0, n))[None],
-            np.broadcast_to(parameters[:, None], (len(parameters), n * substeps)),
-            np.full((1, n * substeps), h),
+        return self.own.integrate(
+            [trajectory.state, trajectory.volts_V],
+            trajectory.t_s,
+            parameters,
+            trajectory.step_s,
+            OWN_SUBSTEPS,
+            OWN_SUBSTEPS // 2 - 1,
         )
-        found: Floats = np.asarray(result).T.reshape(n, substeps, self.state_count)[:, substeps // 2 - 1]
-        return found
 
 
 def effect_candidates(kind: EffectKind, seconds: float) -> list[Candidate]:

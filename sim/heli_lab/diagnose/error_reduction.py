@@ -33,8 +33,8 @@ class ErrorReduction:
 
     @property
     def ratio(self) -> float:
-        """After over before."""
-        return self.after_deg / self.before_deg
+        """After over before; 1 where an axis that hung still left no error to reduce."""
+        return self.after_deg / self.before_deg if self.before_deg > 0.0 else 1.0
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,8 @@ def error_reduction(
     count = len(rows)
     random = np.random.default_rng(seed)
     weights = random.multinomial(count, np.full(count, 1.0 / count), _RESAMPLES)
-    ratios = np.sqrt((weights @ squares_after) / np.maximum(weights @ squares_before, 1e-30))
+    total = weights @ squares_before
+    ratios = np.sqrt(np.where(total > 0.0, weights @ squares_after, 1.0) / np.where(total > 0.0, total, 1.0))
     low, high = np.quantile(ratios, [0.025, 0.975], axis=0)
     rms_before = np.rad2deg(np.sqrt(squares_before.sum(axis=0) / rows.sum()))
     rms_after = np.rad2deg(np.sqrt(squares_after.sum(axis=0) / rows.sum()))

@@ -5,17 +5,16 @@ Margins are set by hand: matplotlib's own layout takes as long as everything els
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose.error_reduction import ErrorReduction
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.search_record import Round
 from heli_lab.diagnose.spline_curve import SplineCurve
-from heli_lab.diagnose.spline_term import readable_id
+from heli_lab.diagnose.words import channel_in_words, quantity_in_words, readable_id
 from heli_lab.identify import Fit, Trace, trace
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import Estimate
@@ -24,8 +23,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_BEFORE, _AFTER = "#d1495b", "#0b5fa5"
-_MEASURED: Final = "#b9bec4"
+BEFORE, AFTER = "#d1495b", "#0b5fa5"
+MEASURED: Final = "#30343a"
+"""Baseline, extended model and measurement wherever they are drawn."""
+MOST_ROUNDS: Final = 4
+"""Rounds that are drawn: the rest is in the table."""
 _MOST_POINTS: Final = 5000
 _EQUATION_POINTS: Final = 12.0
 
@@ -37,17 +39,17 @@ def figure_of_flight(before: Fit, after: Fit) -> Figure:
     old, new = trace(before), trace(after)
     figure = Figure(figsize=(11, 9))
     panels = figure.subplots(6, 1, sharex=True, height_ratios=[2, 1.2, 2, 1.2, 2, 1.2])
-    figure.subplots_adjust(0.06, 0.06, 0.87, 0.95, hspace=0.12)
+    figure.subplots_adjust(0.075, 0.06, 0.87, 0.95, hspace=0.12)
     keep = slice(None, None, max(1, len(old.t_s) // _MOST_POINTS))
     for axis in range(3):
         above, below = panels[2 * axis], panels[2 * axis + 1]
         above.plot(
-            old.t_s[keep], _deg(old.measured_rad, axis, keep), color=_MEASURED, lw=3.5, label="measured"
+            old.t_s[keep], _deg(old.measured_rad, axis, keep), ".", ms=1.8, color=MEASURED, label="measured"
         )
-        above.plot(*_broken(old, axis), color=_BEFORE, lw=1.0, label="simulated before")
-        above.plot(*_broken(new, axis), color=_AFTER, lw=1.0, label="simulated after")
+        above.plot(*_broken(old, axis), color=BEFORE, lw=1.0, label="simulated before")
+        above.plot(*_broken(new, axis), color=AFTER, lw=1.0, label="simulated after")
         above.set_ylabel(f"{AXES[axis]} [deg]")
-        for one, color in ((old, _BEFORE), (new, _AFTER)):
+        for one, color in ((old, BEFORE), (new, AFTER)):
             error = np.rad2deg(one.residual[:, axis] * one.sigma_rad[axis])
             below.plot(one.t_s[keep], error[keep], color=color, lw=0.7, label=f"rms {_rms(error):.3g}")
         below.set_ylabel("error [deg]")
@@ -55,7 +57,7 @@ def figure_of_flight(before: Fit, after: Fit) -> Figure:
         for panel in (above, below):
             panel.grid(alpha=0.25)
     _beside(panels[0])
-    panels[-1].set_xlabel("time [s]; every 2 s the simulation starts anew from the measured state")
+    panels[-1].set_xlabel("time [s]; every 2 s the simulation starts anew, from the state that fits best")
     figure.suptitle(f"{old.label}: measured against simulated", fontsize=11)
     return figure
 
@@ -73,9 +75,11 @@ def figure_of_windows(before: Fit, after: Fit) -> Figure:
     for axis, panel in enumerate(panels):
         worst = max(old.windows, key=lambda part: float(np.mean(old.residual[part, axis] ** 2)))
         t_s = old.t_s[worst]
-        panel.plot(t_s, np.rad2deg(old.measured_rad[worst, axis]), color=_MEASURED, lw=4, label="measured")
-        panel.plot(t_s, np.rad2deg(old.predicted_rad[worst, axis]), color=_BEFORE, lw=1.3, label="before")
-        panel.plot(t_s, np.rad2deg(new.predicted_rad[worst, axis]), color=_AFTER, lw=1.3, label="after")
+        panel.plot(
+            t_s, np.rad2deg(old.measured_rad[worst, axis]), ".", ms=3, color=MEASURED, label="measured"
+        )
+        panel.plot(t_s, np.rad2deg(old.predicted_rad[worst, axis]), color=BEFORE, lw=1.3, label="before")
+        panel.plot(t_s, np.rad2deg(new.predicted_rad[worst, axis]), color=AFTER, lw=1.3, label="after")
         errors_deg = [np.rad2deg(_rms(one.residual[worst, axis]) * one.sigma_rad[axis]) for one in (old, new)]
         title = f"{AXES[axis]}: rms {errors_deg[0]:.3g} deg before, {errors_deg[1]:.3g} after"
         panel.set_title(title, fontsize=9)
@@ -84,35 +88,6 @@ def figure_of_windows(before: Fit, after: Fit) -> Figure:
     panels[0].set_ylabel("angle [deg]")
     lines, names = panels[0].get_legend_handles_labels()
     figure.legend(lines, names, loc="lower center", ncols=3, fontsize=8, frameon=False)
-    return figure
-
-
-def figure_of_horizons(horizons: Mapping[str, Mapping[str, ErrorReduction]]) -> Figure:
-    """Draw the errors before and after over the horizon, a panel an axis, with the ratios and their
-    intervals.
-    """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 3.2))
-    panels = figure.subplots(1, 3)
-    figure.subplots_adjust(0.06, 0.17, 0.98, 0.9, wspace=0.2)
-    place = np.arange(len(horizons))
-    for axis, panel in zip(AXES, panels, strict=True):
-        measured = [one[axis] for one in horizons.values()]
-        for offset, color, label, errors_deg in (
-            (-0.18, _BEFORE, "before", [one.before_deg for one in measured]),
-            (0.18, _AFTER, "after", [one.after_deg for one in measured]),
-        ):
-            panel.bar(place + offset, errors_deg, 0.32, color=color, label=label)
-        for where, one in zip(place, measured, strict=True):
-            text = "{:.2f}\n({:.2f} to {:.2f})".format(one.ratio, *one.interval95)
-            highest_deg = max(one.before_deg, one.after_deg)
-            panel.text(where, highest_deg, text, ha="center", va="bottom", fontsize=8)
-        panel.set_ylim(0.0, 1.3 * max(max(one.before_deg, one.after_deg) for one in measured))
-        panel.set_xticks(place, [f"{key} s" for key in horizons])
-        panel.set_title(f"{axis} [deg rms]", fontsize=9)
-        panel.set_xlabel("horizon; above each the ratio, after over before", fontsize=8)
-    panels[0].legend(loc="upper left", fontsize=8, frameon=False)
     return figure
 
 
@@ -127,16 +102,16 @@ def figure_of_torque(diagnosis: Diagnosis) -> Figure:
     panels = figure.subplots(3, 2, width_ratios=[2.4, 1])
     figure.subplots_adjust(0.07, 0.08, 0.98, 0.91, wspace=0.12, hspace=0.35)
     for axis in range(3):
-        for (t_s, torque_Nm), color, label in ((before, _BEFORE, "before"), (after, _AFTER, "after")):
+        for (t_s, torque_Nm), color, label in ((before, BEFORE, "before"), (after, AFTER, "after")):
             value_mNm = 1e3 * torque_Nm[:, axis]
             text = f"{label}: rms {_rms(value_mNm):.3g} mN m"
-            panels[axis, 0].plot(t_s, value_mNm, color=color, lw=0.7, label=text)
+            panels[axis, 0].plot(*_with_gaps(t_s, value_mNm), color=color, lw=0.7, label=text)
             panels[axis, 1].loglog(*_spectrum(t_s, value_mNm), color=color, lw=0.9)
         panels[axis, 0].set_ylabel(f"{AXES[axis]} [mN m]")
         _above(panels[axis, 0])
         for panel in panels[axis]:
             panel.grid(alpha=0.25)
-    figure.suptitle("torque that the model lacks, over the flight fitted, and its spectrum", fontsize=11)
+    figure.suptitle("torque about each axis that the model lacks, and its spectrum", fontsize=11)
     panels[0, 1].set_title("[mN m / sqrt(Hz)]", fontsize=8)
     panels[2, 0].set_xlabel("time [s]")
     panels[2, 1].set_xlabel("frequency [Hz]")
@@ -149,13 +124,14 @@ def figure_of_ranking(rounds: tuple[Round, ...]) -> Figure:
     """
     from matplotlib.figure import Figure
 
-    shown = rounds[:4]
+    shown = rounds[:MOST_ROUNDS]
     height = 2.9 * len(shown)
     figure = Figure(figsize=(11, height))
     panels: Floats = np.atleast_1d(figure.subplots(len(shown), 1))
-    figure.subplots_adjust(0.3, 0.5 / height, 0.98, 1.0 - 0.3 / height, hspace=0.4)
+    figure.subplots_adjust(0.32, 0.5 / height, 0.98, 1.0 - 0.3 / height, hspace=0.4)
     for number, (one, panel) in enumerate(zip(shown, panels, strict=True), 1):
         _rank(one, number, panel)
+    panels[-1].set_xlabel("log-likelihood ratio [nats]; grey: score test, blue: refitted", fontsize=9)
     return figure
 
 
@@ -169,7 +145,7 @@ def _rank(one: Round, number: int, panel: Axes) -> None:
     for row, scored in enumerate(every):
         refit = refits.get(scored.candidate.id)
         if refit is not None:
-            color = _AFTER if scored.candidate.id == one.taken else "#8fb3d1"
+            color = AFTER if scored.candidate.id == one.taken else "#8fb3d1"
             panel.barh(row, max(refit.gain, 0.1), height=0.4, color=color)
             text = f"  {refit.gain:.0f} refitted"
             panel.text(
@@ -180,11 +156,11 @@ def _rank(one: Round, number: int, panel: Axes) -> None:
                 fontsize=7,
             )
     panel.set_xscale("log")
-    panel.set_xlim(1.0, max(10.0, 5.0 * max(gains)))
+    most = max([*gains, *(refit.gain for refit in refits.values())])
+    panel.set_xlim(1.0, max(10.0, 5.0 * most))
     panel.set_yticks(place, names, fontsize=8)
     taken = f"taken: {readable_id(one.taken)}" if one.taken else "nothing taken"
     panel.set_title(f"round {number}: {taken}", fontsize=10, loc="left")
-    panel.set_xlabel("log likelihood ratio; grey: score test, blue: refitted", fontsize=8)
 
 
 def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
@@ -227,10 +203,10 @@ def figure_of_curves(curves: Sequence[SplineCurve]) -> Figure:
     figure.subplots_adjust(0.08, 0.16, 0.98, 0.92, wspace=0.25)
     for curve, panel in zip(curves, panels, strict=True):
         low, high = curve.value - 2.0 * curve.std, curve.value + 2.0 * curve.std
-        panel.fill_between(curve.place, low, high, color=_AFTER, alpha=0.2, lw=0)
-        panel.plot(curve.place, curve.value, color=_AFTER)
-        panel.set_xlabel(f"{curve.on} [{curve.place_unit}]")
-        panel.set_ylabel(f"{curve.channel} [{curve.value_unit}]")
+        panel.fill_between(curve.place, low, high, color=AFTER, alpha=0.2, lw=0)
+        panel.plot(curve.place, curve.value, color=AFTER)
+        panel.set_xlabel(f"{quantity_in_words(curve.on)} [{curve.place_unit}]")
+        panel.set_ylabel(f"{channel_in_words(curve.channel)} [{curve.value_unit}]", fontsize=9)
         panel.grid(alpha=0.25)
     return figure
 
@@ -285,8 +261,16 @@ def _broken(one: Trace, axis: int) -> tuple[Floats, Floats]:
 
 def _torque(estimate: Estimate) -> tuple[Floats, Floats]:
     """Times and torques by chance about the three axes of the first flight fitted."""
-    t_s, torque_Nm, _ = estimate.filtered.smoothed_torques(estimate.weather, np.zeros(len(estimate.theta)))[0]
+    t_s, torque_Nm, _ = estimate.filtered().smoothed_torques(estimate.weather, np.zeros(len(estimate.theta)))[
+        0
+    ]
     return t_s, torque_Nm
+
+
+def _with_gaps(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:
+    """The same with a break wherever time is missing."""
+    after = np.flatnonzero(np.diff(t_s) > 1.5 * np.median(np.diff(t_s))) + 1
+    return np.insert(t_s, after, np.nan), np.insert(value, after, np.nan)
 
 
 def _spectrum(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:

@@ -89,7 +89,12 @@ class FreeRun:
 
 
 def free_run(
-    model: Model, rig: Rig, values: Mapping[str, float], record: Record, calibrate_s: float = CALIBRATE_s
+    model: Model,
+    rig: Rig,
+    values: Mapping[str, float],
+    record: Record,
+    calibrate_s: float = CALIBRATE_s,
+    threads: int | None = None,
 ) -> FreeRun:
     """Calibrate a flight's constants on its beginning, and predict the rest.
 
@@ -106,6 +111,8 @@ def free_run(
         The flight.
     calibrate_s : float
         Free flight to calibrate on; 0 judges the whole flight with the values as they are.
+    threads : int, optional
+        Threads of the predictions; see `Problem`.
     """
     names = [quantity.name for quantity in model.parameters]
     known = {**dict(zip(names, map(float, model.parameter_values(rig)), strict=True)), **values}
@@ -113,12 +120,12 @@ def free_run(
     priors = flight_constants(model, rig, known)
     found: dict[str, tuple[float, float]] = {}
     if first.segments:
-        fit = solve(_problem(model, rig, known, first, priors), robust=False, scatter=False)
+        fit = solve(_problem(model, rig, known, first, priors, threads), robust=False, scatter=False)
         found = {name: (value, fit.std[name]) for name, value in fit.values.items()}
         known |= fit.values
     # Bounds without room between them: with the constants among the free, their kernel serves again.
     held = {name: Prior(known[name], one.std, known[name], known[name]) for name, one in priors.items()}
-    problem = _problem(model, rig, known, rest, held)
+    problem = _problem(model, rig, known, rest, held, threads)
     windows = [rows for _, rows in problem.windows(0)]
     fits = {
         key: solve(problem.with_split_windows(parts), robust=False, scatter=False)
@@ -146,13 +153,22 @@ def free_runs(
     own = [problem.parameters(fit.theta, index) for index in range(len(problem.records))]
     if not validation:
         return tuple(
-            free_run(problem.model, problem.rig, dict(zip(names, map(float, one), strict=True)), record, 0.0)
+            free_run(
+                problem.model,
+                problem.rig,
+                dict(zip(names, map(float, one), strict=True)),
+                record,
+                0.0,
+                problem.threads,
+            )
             for one, record in zip(own, problem.records, strict=True)
         )
     # What each of several flights has of its own, another one has on average.
     values = dict(zip(names, map(float, np.mean(own, axis=0)), strict=True))
     return tuple(
-        free_run(problem.model, problem.rig, values, record, calibration_s(record, calibrate_s))
+        free_run(
+            problem.model, problem.rig, values, record, calibration_s(record, calibrate_s), problem.threads
+        )
         for record in validation
     )
 
@@ -181,7 +197,12 @@ def calibration_s(record: Record, asked_s: float | None = None) -> float:
 
 
 def _problem(
-    model: Model, rig: Rig, values: Mapping[str, float], record: Record, priors: Mapping[str, Prior]
+    model: Model,
+    rig: Rig,
+    values: Mapping[str, float],
+    record: Record,
+    priors: Mapping[str, Prior],
+    threads: int | None,
 ) -> Problem:
     return Problem(
         model,
@@ -193,6 +214,7 @@ def _problem(
         step_s=_STEP_s,
         priors=priors,
         values=values,
+        threads=threads,
     )
 
 

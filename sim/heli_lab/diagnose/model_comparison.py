@@ -12,7 +12,9 @@ from heli_sim.model.base import Model
 from heli_sim.rig import Rig
 
 from heli_lab.diagnose.candidate import Candidate
+from heli_lab.diagnose.kept_estimates import KeptEstimates, key_of
 from heli_lab.identify import Record
+from heli_lab.identify.functions import Floats
 from heli_lab.innovations import (
     BLOCK_s,
     Course,
@@ -77,12 +79,27 @@ class Comparison:
         Flights on which what was chosen is judged.
     seed : int
         Seed of the bootstrap behind the intervals.
+    kept : KeptEstimates, optional
+        Estimates that were worked out before.
+
+    Attributes
+    ----------
+    fits : int
+        Refits so far, whether their estimates were kept or not; one that is asked for again is none.
     """
 
     def __init__(
-        self, model: Model, rig: Rig, train: Sequence[Record], held_out: Sequence[Record], *, seed: int = 0
+        self,
+        model: Model,
+        rig: Rig,
+        train: Sequence[Record],
+        held_out: Sequence[Record],
+        *,
+        seed: int = 0,
+        kept: KeptEstimates | None = None,
     ) -> None:
         self.model, self.rig, self.seed = model, rig, seed
+        self._kept = kept or KeptEstimates()
         self.train, self.held_out = tuple(train), tuple(held_out)
         self.fits = 0
         self._best: dict[frozenset[str], Hypothesis] = {}
@@ -112,7 +129,7 @@ class Comparison:
         for _ in range(_FOLLOWED):
             found = estimate(unknowns, courses, functions, theta, weather)
             weather, theta = found.weather, found.theta
-            courses = tuple(found.filtered.followed(weather))
+            courses = tuple(found.filtered().followed(weather))
         return courses
 
     def refit(
@@ -133,6 +150,7 @@ class Comparison:
             A hypothesis whose parameters and weather to start from. Where this one contains it, it is never
             less likely: else the estimate begins again from there.
         """
+        asked = len(self._kept.asked)
         found = self._estimate(candidates, start or {}, near)
         if near is not None and not set(near.ids) <= {candidate.id for candidate in candidates}:
             # Fewer effects than before: what these were once with is the better place to begin.
@@ -147,7 +165,7 @@ class Comparison:
                     neutral |= candidate.neutral
             again = self._estimate(candidates, neutral, near)
             found = max(found, again, key=lambda one: one.log_likelihood)
-        self.fits += 1
+        self.fits += len(self._kept.asked) > asked
         key = frozenset(candidate.id for candidate in candidates)
         best = self._best.get(key)
         if (
@@ -167,6 +185,7 @@ class Comparison:
     def _estimate(
         self, candidates: Sequence[Candidate], start: Mapping[str, float], near: Hypothesis | None
     ) -> Estimate:
+        key = key_of("train", candidates, start, near.estimate if near else None)
         model = type(self.model)((*self.model.effects, *(candidate.effect for candidate in candidates)))
         unknowns = Unknowns(model, self.rig, self.train)
         functions = ModelFunctions(model, unknowns.quantities)
@@ -175,13 +194,26 @@ class Comparison:
             [known.get(one.name, value) for one, value in zip(unknowns.free, unknowns.start, strict=True)]
         )
         theta = np.clip(theta, *unknowns.bounds)
+        return self._kept.estimate(
+            key,
+            unknowns,
+            self.courses,
+            functions,
+            lambda: self._worked_out(unknowns, functions, theta, near),
+        )
+
+    def _worked_out(
+        self, unknowns: Unknowns, functions: ModelFunctions, theta: Floats, near: Hypothesis | None
+    ) -> Estimate:
         if near is None:
             return estimate(unknowns, self.courses, functions, theta)
         found = estimate(unknowns, self.courses, functions, theta, near.estimate.weather)
         if found.log_likelihood > near.log_likelihood + _OTHER_WEATHER_NATS:
             # What was missing had passed for weather: the likelihood may have another maximum now.
-            again = estimate(unknowns, self.courses, functions, found.theta)
-            return max(found, again, key=lambda one: one.log_likelihood)
+            other = found.other_weather()
+            if other is not None:
+                again = estimate(unknowns, self.courses, functions, found.theta, other)
+                return max(found, again, key=lambda one: one.log_likelihood)
         return found
 
     def held_out_estimate(self, hypothesis: Hypothesis) -> Estimate:
@@ -197,7 +229,13 @@ class Comparison:
         unknowns = Unknowns(own.unknowns.model, self.rig, self.held_out, fixed=shared)
         functions = ModelFunctions(own.unknowns.model, unknowns.quantities)
         weather = replace(own.weather, curvature=None)
-        return estimate(unknowns, self.held_out_courses, functions, unknowns.start, weather)
+        return self._kept.estimate(
+            key_of("held out", hypothesis.candidates, shared, own),
+            unknowns,
+            self.held_out_courses,
+            functions,
+            lambda: estimate(unknowns, self.held_out_courses, functions, unknowns.start, weather),
+        )
 
 
 def _grids(candidates: Sequence[Candidate]) -> list[tuple[str, tuple[tuple[str, float], ...]]]:

@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from heli_lab.diagnose import figures
-from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
-from heli_lab.diagnose.result import Diagnosis
-from heli_lab.diagnose.serialize import to_json
-from heli_lab.diagnose.summary import summary
-from heli_lab.identify.result import rounded
-from heli_lab.page import escaped, folder_with, image, table, write_page
+import numpy as np
+from heli_sim.model.parts import AXES
 
-_TITLES: Final = {
-    "explained": "Nothing is missing",
-    "cause_found": "Cause found",
-    "ambiguous": "Cause found, but not told apart from others",
-    "unexplained": "Something is missing, and it is none of what is known",
-}
+from heli_lab.diagnose import figures, law_figures
+from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
+from heli_lab.diagnose.missing_law import MissingLaw, missing_laws
+from heli_lab.diagnose.result import Diagnosis
+from heli_lab.diagnose.result_figures import figure_of_gain, figure_of_laws, figure_of_prediction
+from heli_lab.diagnose.serialize import to_json
+from heli_lab.diagnose.summary import summary, title, weather_of
+from heli_lab.diagnose.words import SHOWN, curve_in_words, readable_id
+from heli_lab.identify import trace
+from heli_lab.identify.result import rounded
+from heli_lab.page import folder_with, kept_figure, write_page
+
 _WHEN: Final = ("before", "after")
+_PAGE: Final = Path(__file__).with_name("report.html")
+_DOTS: Final = (
+    "Each grey dot is 40 ms of the flights fitted, black ones are means. The torque is what a Kalman "
+    "smoother puts in the place of a cause that is taken out of the model while every other number stays; "
+    "the law that was found had no part in that."
+)
+_POINTS: Final = (
+    "Points are the smooth curve that the flights ask for in the place of the cause, with two standard "
+    "errors; the law that was found had no part in them."
+)
+_NOTHING_FLEW: Final = Path(__file__).with_name("insufficient_excitation.html")
 
 
 def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
@@ -31,38 +43,64 @@ def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
     folder = folder_with(numbers, folder)
     before, after = diagnosis.judgement.before[0].fit, diagnosis.judgement.after[0].fit
     size = figures.figure_of_size(diagnosis)
-    judged = "a flight that no fit saw" if diagnosis.after.held_out_fit else "the flight that was fitted"
-    label = diagnosis.verdict.label
-    sections = [
-        f"<h1>{_TITLES[label]}</h1>",
-        f'<p class="verdict {label}">{escaped(summary(diagnosis))}{escaped(_gained(diagnosis))}</p>',
-        f"<h2>Measured against simulated, on {judged}</h2>",
-        _gain(numbers["gain"]),
-        image(
-            figures.figure_of_horizons(diagnosis.judgement.horizons),
-            folder / "horizons.png",
-            "errors over the horizon",
-        ),
-        _calibration(numbers["gain"]["calibration"]),
-        image(figures.figure_of_windows(before, after), folder / "windows.png", "worst windows"),
-        image(figures.figure_of_flight(before, after), folder / "flight.png", "measured against simulated"),
-        "<h2>What was found</h2>",
-        _causes(numbers["causes"], folder),
-        *([image(size, folder / "size.png", "acceleration by each cause")] if size is not None else []),
-        "<h2>What is left over</h2>",
-        _residual(numbers["residual"]),
-        image(figures.figure_of_torque(diagnosis), folder / "torque.png", "torque that the model lacks"),
-        _remains(diagnosis, numbers, folder),
-        "<h2>What was tried</h2>",
-        image(
-            figures.figure_of_ranking(diagnosis.search.rounds), folder / "ranking.png", "candidates by score"
-        ),
-        _ranking(numbers["ranking"]),
-        *_next(numbers["next_flight"]),
-        "<h2>What was used</h2>",
-        _used(numbers),
-    ]
-    return write_page(folder, f"Diagnosis: {_TITLES[label]}", sections)
+    laws = missing_laws(diagnosis)
+    curves = diagnosis.curves
+    extended = before is not after
+
+    def kept(name: str, figure: Any) -> str | None:
+        return None if figure is None else kept_figure(figure, folder / f"{name}.png")
+
+    if diagnosis.proposed_law is not None:
+        write_effect_file(diagnosis, folder)
+    return write_page(
+        folder,
+        _PAGE,
+        title=title(diagnosis),
+        label=diagnosis.label,
+        extended=extended,
+        sentence=numbers["sentence"],
+        cautions=[_sentence(one) for one in numbers["cautions"]],
+        cause=_cause(laws, folder),
+        judged="a flight that no fit saw" if diagnosis.after.held_out_fit else "the flight that was fitted",
+        prediction=kept("prediction", figure_of_prediction(before, after, _axis(diagnosis, laws))),
+        gain={
+            "address": kept("gain", figure_of_gain(diagnosis.judgement.horizons, extended)),
+            "rows": _gain(numbers["gain"]["axis"]),
+        },
+        causes=[_found(one, folder) for one in numbers["causes"]],
+        unknown=_unknown(numbers["unexplained"]),
+        curves=kept("curves", figures.figure_of_curves(curves)) if curves else None,
+        weather=_weather(diagnosis, numbers),
+        law=_law(diagnosis, folder),
+        regimes=kept("regimes", law_figures.figure_of_failing_regimes(diagnosis.failing)),
+        torque=kept("torque", figures.figure_of_torque(diagnosis)),
+        ranking={
+            "address": kept("ranking", figures.figure_of_ranking(diagnosis.search.rounds)),
+            "rows": _ranking(numbers["ranking"]),
+            "more": _more_rounds(diagnosis),
+        },
+        next_flight=numbers["next_flight"],
+        windows=kept("windows", figures.figure_of_windows(before, after)),
+        flight=kept("flight", figures.figure_of_flight(before, after)),
+        size=kept("size", size),
+        calibration=_calibration(numbers["gain"]["calibration"]),
+        residual=_residual(numbers["residual"]),
+        used=_used(numbers["flights"]),
+        took=f"It took {numbers['refits']} refits of the model, {numbers['seconds_taken']:.0f} s here.",
+    )
+
+
+def write_effect_file(diagnosis: Diagnosis, folder: str | Path) -> Path:
+    """Write the proposed law, which there must be, as ``proposed.py`` into a `folder`, made if it is missing;
+    return the file.
+    """
+    assert diagnosis.proposed_law is not None
+    labels = ", ".join(record.label for record in diagnosis.after.fit.problem.records)
+    head = f"A law that heli-host diagnose proposes from {labels}: what no effect of the list explains."
+    path = Path(folder) / "proposed.py"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(diagnosis.proposed_law.effect_file(head), encoding="utf-8")
+    return path
 
 
 def write_insufficient_excitation(result: InsufficientExcitation, folder: str | Path) -> Path:
@@ -70,21 +108,81 @@ def write_insufficient_excitation(result: InsufficientExcitation, folder: str | 
     return the page.
     """
     numbers = to_json(result)
-    folder = folder_with(numbers, folder)
-    title = "These flights excite nothing"
-    sections = [
-        f"<h1>{title}</h1>",
-        f'<p class="verdict ambiguous">{escaped(summary(result))}</p>',
-        "<h2>What cannot be known from them</h2>",
-        f"<p>Any of these effects, or none, may be there: {escaped(', '.join(result.undetectable))}.</p>",
-        f"<p>Parameters that they do not identify: {escaped(', '.join(result.unidentifiable))}.</p>",
-        *_next(numbers["next_flight"]),
-    ]
-    return write_page(folder, f"Diagnosis: {title}", sections)
+    return write_page(
+        folder_with(numbers, folder),
+        _NOTHING_FLEW,
+        title="These flights excite nothing",
+        sentence=summary(result),
+        undetectable=result.undetectable,
+        unidentifiable=result.unidentifiable,
+        next_flight=numbers["next_flight"],
+    )
 
 
-def _gain(gain: dict[str, Any]) -> str:
-    rows = [
+def _axis(diagnosis: Diagnosis, laws: Sequence[MissingLaw]) -> str:
+    """The axis whose angle is drawn: where the eye sees the gain, or where something is missing."""
+    seen = trace(diagnosis.judgement.before[0].fit)
+    ranges_deg = dict(zip(AXES, np.rad2deg(np.ptp(seen.measured_rad, axis=0)), strict=True))
+
+    def shows(axis: str) -> float:
+        """What the eye sees of the gain, or where there is none of the error: as a share of the picture."""
+        one = diagnosis.gains[axis]
+        after_deg = one.after_deg if diagnosis.extended.candidates else 0.0
+        return float((one.before_deg - after_deg) / max(ranges_deg[axis], 1e-9))
+
+    return laws[0].axis if laws and not diagnosis.extended.candidates else max(AXES, key=shows)
+
+
+def _cause(laws: Sequence[MissingLaw], folder: Path) -> dict[str, str] | None:
+    if not laws:
+        return None
+    return {
+        "address": kept_figure(figure_of_laws(laws), folder / "cause.png"),
+        "meaning": "; ".join(f"missing {law.what} about {law.axis} against {law.on}" for law in laws),
+        "caption": " ".join(
+            [
+                *(_caption(law) for law in laws),
+                _DOTS if any(law.what == "torque" for law in laws) else _POINTS,
+            ]
+        ),
+    }
+
+
+def _caption(law: MissingLaw) -> str:
+    name = readable_id(law.id)
+    return f"{name}: the law accounts for {100 * max(law.share, 0.0):.0f} % of the variance."
+
+
+def _law(diagnosis: Diagnosis, folder: Path) -> dict[str, Any] | None:
+    """The law that is proposed, with its figure."""
+    proposed = diagnosis.proposed_law
+    if proposed is None:
+        return None
+    numbers, discovery = proposed.to_json(), proposed.discovery
+    confirmed = (
+        "no other flight confirms it"
+        if discovery.held_out is None
+        else f"{discovery.held_out:.0f} on the flights held out"
+    )
+    return {
+        "sentence": proposed.sentence,
+        "evidence": f"Confidence {proposed.confidence:.2f}: log-likelihood ratio {discovery.train:.0f} nats "
+        f"on the flights fitted, {confirmed}, the best of {discovery.tried} terms.",
+        "address": kept_figure(law_figures.figure_of_law(proposed), folder / "law.png"),
+        "rows": [
+            # A plain number in an expression is no share of anything.
+            [name, f"{one['value']:g}", ""]
+            if one["unit"] == "1" and not one["std"]
+            else [name, _plus_minus(one, one["unit"]), _shown_unit(one["unit"])]
+            for name, one in numbers["numbers"].items()
+        ],
+        "rivals": [[one.key, f"{one.log_likelihood_ratio:.0f}"] for one in discovery.rivals],
+        "gain": _gain(numbers["gain"]),
+    }
+
+
+def _gain(gain: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
+    return [
         [
             axis,
             f"{one['before']:.3g}",
@@ -92,95 +190,71 @@ def _gain(gain: dict[str, Any]) -> str:
             f"{one['ratio']:.2f}",
             f"{one['interval95'][0]:.2f} to {one['interval95'][1]:.2f}",
         ]
-        for axis, one in gain["axis"].items()
+        for axis, one in gain.items()
     ]
-    heads = ["axis", "before [deg]", "after [deg]", "ratio", "95 % interval of the ratio"]
-    return (
-        table(heads, rows)
-        + f'<p class="note">{escaped(gain["metric"])}; bootstrap intervals, windows resampled.</p>'
-    )
 
 
-def _calibration(flights: Sequence[dict[str, Any]]) -> str:
+def _calibration(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """What was found from the beginning of each validation flight."""
-    parts = []
-    for one in flights:
-        if not one["after"]:
-            continue
-        rows = [
-            [
-                name,
-                f"{rounded(after['prior']['value'], after['prior']['std'])} ± {after['prior']['std']:.2g}",
-                *(
-                    f"{rounded(n['value'], n['std'])} ± {rounded(n['std'], n['std'])}"
-                    for n in (before, after)
-                ),
-                after["unit"],
-            ]
-            for (name, after), before in zip(one["after"].items(), one["before"].values(), strict=True)
-        ]
-        parts.append(
-            table(["of this flight alone", "beforehand, after", "found, before", "after", "unit"], rows)
-            + f'<p class="note">{escaped(one["flight"])}: zeros and constant torques from its first '
-            f"{one['calibrated_s']:.1f} s of free flight; the {one['judged_s']:.1f} s after them are judged. "
-            "Windows of each horizon start from the state that fits them best.</p>"
-        )
-    return "".join(parts)
+    return [
+        {
+            "rows": [
+                [
+                    name,
+                    *(
+                        _plus_minus(n, n["unit"])
+                        for m in (one["before"], one["after"])
+                        for n in _pair(m[name])
+                    ),
+                    _shown_unit(number["unit"]),
+                ]
+                for name, number in one["after"].items()
+            ],
+            "note": f"{one['flight']}: zeros and constant torques from its first "
+            f"{one['calibrated_s']:.1f} s of free flight; the {one['judged_s']:.1f} s after them are judged.",
+        }
+        for one in flights
+        if one["after"]
+    ]
 
 
-def _gained(diagnosis: Diagnosis) -> str:
-    """What the extension gains on the axis that gains most, as a sentence."""
-    if not diagnosis.extended.candidates:
-        return ""
-    axis, best = min(diagnosis.gains.items(), key=lambda one: one[1].ratio)
-    low, high = best.interval95
-    where = "on flights that no fit saw" if diagnosis.after.held_out_fit else "on the flights fitted"
-    return (
-        f" With it the 2 s free run is off by {best.after_deg:.2g} deg in {axis} instead of "
-        f"{best.before_deg:.2g} {where}: {best.ratio:.2f} times as much ({low:.2f} to {high:.2f})."
+def _pair(number: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    return {**number["prior"], "unit": number["unit"]}, number
+
+
+def _plus_minus(number: Mapping[str, Any], unit: str) -> str:
+    factor, _ = SHOWN.get(unit, (1.0, unit))
+    value, std = factor * number["value"], factor * number["std"]
+    return f"{rounded(value, std)} ± {rounded(std, std) if std else 'fixed'}"
+
+
+def _shown_unit(unit: str) -> str:
+    return SHOWN.get(unit, (1.0, unit))[1]
+
+
+def _found(one: dict[str, Any], folder: Path) -> dict[str, Any]:
+    others = ", ".join(one["ambiguous_with"])
+    evidence = ", ".join(
+        f"{name.replace('_', ' ')} {value:.3g}"
+        for name, value in one["evidence"].items()
+        if isinstance(value, float)
     )
+    equation = figures.figure_of_equation(one["equation"])
+    return {
+        "effect": one["effect"],
+        "confidence": f"{one['confidence']:.2f}",
+        "sentence": _capital(one["sentence"]),
+        "unclear": f" It could as well be {others}." if others else "",
+        "latex": one["equation"],
+        "equation": kept_figure(equation, folder / f"equation-{one['effect']}.png") if equation else None,
+        "rows": [
+            [name, _plus_minus(n, n["unit"]), _shown_unit(n["unit"])] for name, n in one["parameters"].items()
+        ],
+        "evidence": f"Evidence: {evidence}.",
+    }
 
 
-def _equation(latex: str, path: Path) -> str:
-    figure = figures.figure_of_equation(latex)
-    if figure is None:
-        return f"<p>Equation: <code>{escaped(latex)}</code></p>"
-    return image(figure, path, latex)
-
-
-def _causes(causes: Sequence[dict[str, Any]], folder: Path) -> str:
-    if not causes:
-        return "<p>No effect of the catalogue.</p>"
-    parts = []
-    for one in causes:
-        sentence = one["sentence"][:1].upper() + one["sentence"][1:]
-        rows = [_number(name, n) for name, n in one["parameters"].items()]
-        unclear = (
-            f" It could as well be {escaped(', '.join(one['ambiguous_with']))}."
-            if one["ambiguous_with"]
-            else ""
-        )
-        evidence = ", ".join(
-            f"{escaped(name.replace('_', ' '))} {value:.3g}"
-            for name, value in one["evidence"].items()
-            if isinstance(value, float)
-        )
-        parts.append(
-            f"<h3>{escaped(one['effect'])}</h3><p><b>{escaped(sentence)}.</b> Confidence "
-            f"{one['confidence']:.2f}.{unclear}</p>"
-            + _equation(one["equation"], folder / f"equation-{one['effect']}.png")
-            + table(["parameter", "value ± std", "unit"], rows)
-            + f'<p class="note">Evidence: {evidence}.</p>'
-        )
-    return "".join(parts)
-
-
-def _number(name: str, number: dict[str, Any]) -> list[str]:
-    value, std = number["value"], number["std"]
-    return [name, f"{rounded(value, std)} ± {rounded(std, std) if std else 'fixed'}", number["unit"]]
-
-
-def _residual(residual: dict[str, Any]) -> str:
+def _residual(residual: dict[str, Any]) -> dict[str, Any]:
     role = "held_out" if "held_out" in residual["white"] else "train"
     correlation = residual["correlation"][role]
     rows = [
@@ -196,66 +270,54 @@ def _residual(residual: dict[str, Any]) -> str:
     rows.append(["all", *(f"{whole[when]:.3f}" for when in _WHEN), "", "", ""])
     rows.append(["all, held out", *(f"{whole[f'held_out_{when}']:.3f}" for when in _WHEN), "", "", ""])
     where = "held out" if role == "held_out" else "fitted"
-    note = (
-        "Root mean square error of the flight fitted in standard deviations of the quantisation: 1 when "
-        f"nothing is left. Autocorrelation over 0.1 s in the flight {where}; white when it is "
-        "within three standard deviations of that of white noise."
-    )
-    heads = ["axis", "before", "after", "autocorrelation before", "after", "white after"]
-    return table(heads, rows) + f'<p class="note">{note}</p>'
-
-
-def _remains(diagnosis: Diagnosis, numbers: dict[str, Any], folder: Path) -> str:
-    missing = numbers["unexplained"]
-    curves = diagnosis.curves
-    text = ""
-    if missing is not None:
-        depends = "".join(f"<li>{escaped(one)}</li>" for one in missing["correlates_with"])
-        text = (
-            f"<p>No effect explains what foretells the motion about {escaped(missing['axis'])}: "
-            f"log-likelihood ratio {missing['log_likelihood_gain']:.0f} nats. The strongest first:</p>"
-            f"<ul>{depends}</ul>"
-        )
-    if curves:
-        said = "; ".join(curve.what for curve in curves)
-        text += (
-            f"<p>In its place the model was given a plain curve: {escaped(said)}. It is in no rig. "
-            "With it the free run would be off by this much:</p>"
-            + _gain({"axis": missing["gain_with_splines"], "metric": numbers["gain"]["metric"]})
-            + image(
-                figures.figure_of_curves(curves), folder / "curves.png", "curve in the place of the cause"
-            )
-        )
-    rows = [
-        [
-            axis,
-            f"{1e3 * one['gust_Nm']:.2g}",
-            f"{one['memory_s']:.2g}",
-            f"{1e3 * one['drift_Nm']:.2g}",
-            f"{one['log_likelihood_ratio']:.0f}",
-        ]
-        for axis, one in numbers["weather"].items()
-    ]
-    heads = ["axis", "gusts [mN m]", "that last [s]", "drift [mN m]", "log-likelihood ratio over none"]
-    innovations = numbers["residual"]["innovations"]
+    innovations = residual["innovations"]
     worst = max(abs(value) for values in innovations["autocorrelation"].values() for value in values)
-    return (
-        text
-        + "<p>Weather, torques by chance that no model foretells:</p>"
-        + table(heads, rows)
-        + '<p class="note">Innovations, what each measurement shows that those before it did not '
-        f"foretell, are correlated by {worst:.2f} at most over {innovations['lags_s'][0]:.2g} to "
-        f"{innovations['lags_s'][-1]:.2g} s; white noise would stay below {innovations['bound']:.2f}.</p>"
-    )
+    return {
+        "rows": rows,
+        "note": "Root mean square error of the flight fitted in standard deviations of the quantisation: 1 "
+        f"when nothing is left. Autocorrelation over 0.1 s in the flight {where}; white when it is within "
+        "three standard deviations of that of white noise. Innovations, what each measurement shows that "
+        f"those before it did not foretell, are correlated by {worst:.2f} at most over "
+        f"{innovations['lags_s'][0]:.2g} to {innovations['lags_s'][-1]:.2g} s; white noise would stay below "
+        f"{innovations['bound']:.2f}.",
+    }
 
 
-def _ranking(ranking: Sequence[dict[str, Any]]) -> str:
+def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
+    if missing is None:
+        return None
+    return {
+        "said": f"Something foretells the motion about {missing['axis']} that no effect of the catalogue "
+        f"explains: log-likelihood ratio {missing['log_likelihood_gain']:.0f} nats. Any smooth curve of "
+        "these would do, the strongest first:",
+        "depends": [_capital(curve_in_words(one)) for one in missing["correlates_with"]],
+        "gain": _gain(missing.get("gain_with_splines", {})),
+    }
+
+
+def _weather(diagnosis: Diagnosis, numbers: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "said": f"Weather, torques by chance that no model foretells: {weather_of(diagnosis)}.",
+        "rows": [
+            [
+                axis,
+                f"{1e3 * one['gust_Nm']:.2g}",
+                f"{one['memory_s']:.2g}",
+                f"{1e3 * one['drift_Nm']:.2g}",
+                f"{one['log_likelihood_ratio']:.0f}",
+            ]
+            for axis, one in numbers["weather"].items()
+        ],
+    }
+
+
+def _ranking(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
     def cell(value: float | None) -> str:
         return "" if value is None else f"{value:.0f}"
 
-    rows = [
+    return [
         [
-            f"{one['round']}: {one['candidate']}{' (taken)' if one['taken'] else ''}",
+            f"{one['round']}: {readable_id(one['candidate'])}{' (taken)' if one['taken'] else ''}",
             cell(one["score"]),
             cell(one["train"]),
             cell(one["penalty"]),
@@ -263,37 +325,31 @@ def _ranking(ranking: Sequence[dict[str, Any]]) -> str:
         for one in ranking
         if one["train"] is not None or one["score"] > 3.0
     ]
-    note = (
-        "Log-likelihood ratios, nats. The penalty (BIC) is for parameters and for the number of candidates."
-    )
-    return (
-        table(["round: candidate", "screened", "refitted", "penalty"], rows) + f'<p class="note">{note}</p>'
-    )
 
 
-def _next(flight: dict[str, str] | None) -> list[str]:
-    if flight is None:
-        return []
-    return [
-        "<h2>The flight that would tell more</h2>",
-        f"<p>{escaped(flight['why'])}</p><pre>{escaped(flight['plan'])}</pre>",
-    ]
+def _more_rounds(diagnosis: Diagnosis) -> str:
+    more = len(diagnosis.search.rounds) - figures.MOST_ROUNDS
+    return f" {more} later rounds are in the table." if more > 0 else ""
 
 
-def _used(numbers: dict[str, Any]) -> str:
-    parts = []
-    for one in numbers["flights"]:
+def _used(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    used = []
+    for one in flights:
         role = "fitted" if one["role"] == "train" else "held out"
         spans = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in one["used"])
-        notes = "".join(f" {escaped(note)}." for note in one["notes"])
-        parts.append(
-            f"<p>{escaped(one['flight'])}, {role}: {one['seconds_used']:.1f} s used ({spans}).{notes}</p>"
+        notes = "".join(f" {note}." for note in one["notes"])
+        used.append(
+            {
+                "said": f"{one['flight']}, {role}: {one['seconds_used']:.1f} s used ({spans}).{notes}",
+                "left_out": [[f"{c['from_s']:.2f}", f"{c['to_s']:.2f}", c["why"]] for c in one["left_out"]],
+            }
         )
-        rows = [[f"{c['from_s']:.2f}", f"{c['to_s']:.2f}", c["why"]] for c in one["left_out"]]
-        if rows:
-            parts.append(table(["left out from [s]", "to [s]", "because"], rows))
-    parts += [
-        f"<p><b>{escaped(caution[:1].upper() + caution[1:])}.</b></p>" for caution in numbers["cautions"]
-    ]
-    parts.append(f"<p>It took {numbers['seconds_taken']:.1f} s.</p>")
-    return "".join(parts)
+    return used
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _sentence(text: str) -> str:
+    return f"{_capital(text)}."

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -16,10 +17,13 @@ from heli_sim.model.parts import AXES
 from heli_sim.rig import Number, Rig
 
 from heli_lab.diagnose.absent_terms import AbsentTerm
+from heli_lab.diagnose.equation_discovery import ProposedLaw
 from heli_lab.diagnose.error_reduction import ErrorReduction, Judgement
 from heli_lab.diagnose.experiment_design import ExperimentDesign
+from heli_lab.diagnose.failing_regimes import FailingRegimes, failing_regimes
 from heli_lab.diagnose.model_comparison import Hypothesis
 from heli_lab.diagnose.prediction import Prediction
+from heli_lab.diagnose.prior_pull import PriorPull, prior_pulls
 from heli_lab.diagnose.residual_analysis import ResidualAnalysis
 from heli_lab.diagnose.search_record import Cause, Search
 from heli_lab.diagnose.spline_curve import SplineCurve, spline_curve_of
@@ -63,6 +67,10 @@ class Diagnosis:
         Time taken.
     calibrate_s : float or None
         Free flight of each validation flight to calibrate on, where it was asked for.
+    refits : int
+        Refits of the model: the work that it took, on any computer.
+    proposed_law : ProposedLaw or None
+        The law of what no effect of the catalogue explains, where one was found and confirmed.
     """
 
     search: Search
@@ -81,6 +89,8 @@ class Diagnosis:
     next_flight: ExperimentDesign | None
     seconds: float
     calibrate_s: float | None = None
+    refits: int = 0
+    proposed_law: ProposedLaw | None = None
 
     def values(self, found: Cause) -> dict[str, tuple[float, float, str]]:
         """Parameters of a cause by full name: value, standard error and unit."""
@@ -102,6 +112,23 @@ class Diagnosis:
             {name: value for name, (value, _, _) in numbers.items()},
             {name: std for name, (_, std, _) in numbers.items()},
         )
+
+    @cached_property
+    def failing(self) -> FailingRegimes:
+        """Where the refitted baseline fails, and where the model with the causes does; with a proposed law
+        where the model with the causes fails, and where it does with the law.
+        """
+        proposed = self.proposed_law
+        splines = [one.candidate.id.split(":") for one in self.search.rounds[0].splines]
+        best = [(channel, on) for _, channel, on in splines if channel.startswith("torque")]
+        channel, on = best[0] if best else (f"torque.{self.residual_analysis.axis}", "")
+        if proposed is not None:
+            law = proposed.discovery
+            return failing_regimes(
+                law.base.estimate, law.hypothesis.estimate, proposed.course.axis, proposed.course.on
+            )
+        axis = channel.partition(".")[2]
+        return failing_regimes(self.search.baseline.estimate, self.extended.estimate, axis, on)
 
     @property
     def gains(self) -> Mapping[str, ErrorReduction]:
@@ -138,6 +165,11 @@ class Diagnosis:
         }
 
     @property
+    def pulled(self) -> tuple[PriorPull, ...]:
+        """Numbers of the rig that the extended model has far from what its file says."""
+        return prior_pulls(self.after.fit)
+
+    @property
     def cautions(self) -> list[str]:
         """What weakens the result, a line each; empty when nothing does."""
         cautions = [f"left out: {why}" for why in self.skipped]
@@ -146,6 +178,7 @@ class Diagnosis:
             cautions.append("no flight was held out: nothing here is confirmed; give one to --validate")
         else:
             cautions += self._cautions_of_judgement(sum(one.used_s for one in held_out.problem.records))
+        cautions += [one.sentence for one in self.pulled]
         if not self.search.complete:
             cautions.append("the work allowed ran out before everything was tried; give more with --budget")
         return cautions
@@ -166,10 +199,13 @@ class Diagnosis:
         ]
         return cautions
 
-    def rig(self, name: str) -> Rig:
+    def rig(self, name: str, with_law: bool = False) -> Rig:
         """Make the extended rig `name`, of the refitted parameters and the causes with theirs, ready for
-        `heli-host sil|fly --rig`.
+        `heli-host sil|fly --rig`; `with_law` adds the proposed law where there is one, whose effect file has
+        to be given beside it.
         """
+        if with_law and self.proposed_law is not None:
+            return self._rig_with_law(name, self.proposed_law)
         found = Identification(self.after.fit, (), (), (), ()).rig(name)
         labels = ", ".join(record.label for record in self.after.fit.problem.records)
         source = f"found by heli-host diagnose from {labels}"
@@ -191,6 +227,25 @@ class Diagnosis:
                 {key: 2.0 * std for key, (_, std, _) in numbers.items()},
                 source,
             )
+        return Rig(found.name, found.description, found.numbers, effects, found.model)
+
+    def _rig_with_law(self, name: str, proposed: ProposedLaw) -> Rig:
+        found = Identification(proposed.prediction.fit, (), (), (), ()).rig(name)
+        labels = ", ".join(record.label for record in self.after.fit.problem.records)
+        source = f"found by heli-host diagnose from {labels}"
+        effects: dict[str, Mapping[str, Number]] = dict(found.effects)
+        fit = proposed.prediction.fit
+        std = stds(fit)
+        for candidate in proposed.discovery.hypothesis.candidates[:-1]:
+            kind = self.kinds[candidate.id]
+            known = {q.name: fit.values.get(q.name, candidate.effect.values[q.name]) for q in kind.parameters}
+            effects[candidate.id] = effect_numbers(
+                kind, known, {n: 2.0 * std.get(n, 0.0) for n in known}, source
+            )
+        effects[proposed.discovery.effect.name] = {
+            what: Number(value, unit, 2.0 * error, source)
+            for what, (value, error, unit) in proposed.discovery.values.items()
+        }
         return Rig(found.name, found.description, found.numbers, effects, found.model)
 
     @property

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from heli_host.flight import Flight
@@ -12,8 +14,9 @@ from heli_sim.model.base import Model
 from heli_sim.model.effects import EffectKind, catalogue
 from heli_sim.rig import Rig
 
-from heli_lab.diagnose.absent_terms import absent_terms
+from heli_lab.diagnose.absent_terms import AbsentTerm, absent_terms
 from heli_lab.diagnose.detectability import undetectable_effects, unidentifiable_parameters
+from heli_lab.diagnose.equation_discovery import ProposedLaw, propose_law
 from heli_lab.diagnose.error_reduction import ErrorReduction, judgement
 from heli_lab.diagnose.experiment_design import (
     ExperimentDesign,
@@ -23,9 +26,10 @@ from heli_lab.diagnose.experiment_design import (
     informative_experiment,
 )
 from heli_lab.diagnose.free_run import calibration_s, free_runs
+from heli_lab.diagnose.kept_estimates import KeptEstimates, digest_of
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
-from heli_lab.diagnose.prediction import predict
-from heli_lab.diagnose.residual_analysis import residual_analysis
+from heli_lab.diagnose.prediction import Prediction, predict
+from heli_lab.diagnose.residual_analysis import ResidualAnalysis, residual_analysis
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.screening import Screening
 from heli_lab.diagnose.search import search
@@ -51,6 +55,8 @@ def diagnose(
     seed: int = 0,
     refits: float = math.inf,
     calibrate_s: float | None = None,
+    threads: int | None = None,
+    resume: Path | None = None,
     say: Callable[[str, float], None] | None = None,
 ) -> Diagnosis:
     """Find what a model lacks.
@@ -75,6 +81,11 @@ def diagnose(
     calibrate_s : float, optional
         Free flight of each validation flight that its zeros and torques are estimated from before the rest is
         judged, at most a third of it; `CALIBRATE_s` where not given.
+    threads : int, optional
+        Threads of the free runs, see `Problem`; nothing else uses more than one.
+    resume : Path, optional
+        File that keeps what was worked out; a search that ended early goes on from it, and ends as one that
+        never stopped.
     say : callable, optional
         Called with what is being done, and the share of the work that is done, 0 to 1.
 
@@ -84,7 +95,8 @@ def diagnose(
         When nothing flies in the flights to fit; `insufficient_excitation` makes the result for it.
     IdentifyError
         When a flight cannot be used, or is given both to fit and to validate, or `calibrate_s` leaves
-        nothing of one to judge.
+        nothing of one to judge, or the file to `resume` is of
+        another search.
     """
     started_s = time.perf_counter()
     tell = say or (lambda _what, _share: None)
@@ -97,50 +109,94 @@ def diagnose(
     _refuse_twins(train, held_out)
     for record in held_out:
         calibration_s(record, calibrate_s)
-    comparison = Comparison(model, rig, train, held_out, seed=seed)
+    kept = KeptEstimates(resume, digest_of(model, rig, [*train, *held_out])) if resume else None
+    comparison = Comparison(model, rig, train, held_out, seed=seed, kept=kept)
     known = {effect.name for effect in model.effects}
     tried = {id_: kind for id_, kind in every.items() if _candidate(kind, model, known)}
-    found = search(comparison, tried, removable=tuple(every.values()), say=tell, refits=refits)
-    tell("looking at what remains", 0.9)
-    screening = found.screening
-    # Numbers from a few seconds are too uncertain to be held against another flight.
-    enough = bool(held_out) and sum(record.used_s for record in train) > SHORT_s
-    judged = [Screening(comparison.held_out_estimate(found.final))] if enough else []
-    remaining = residual_analysis([screening, *judged])
-    extended = _extended(comparison, found)
-    before = predict((), found.baseline.estimate, train, held_out)
-    after = (
-        before
-        if extended is found.baseline
-        else predict(extended.candidates, extended.estimate, train, held_out)
-    )
-    absent = absent_terms(after.fit, rig, every)
-    verdict = judge(found, remaining, after, every, bool(absent))
+    reached = _searched(comparison, tried, every, every.values(), tell, refits, threads)
+    if reached.verdict.label == "unexplained" and any(
+        one.candidate.id in every and every[one.candidate.id].override for one in reached.verdict.causes
+    ):
+        # What is missing takes the place of a term that the rig states closely: where something is, no such
+        # term is said to be absent.
+        reached = _searched(comparison, tried, every, (), tell, refits, threads)
+    found, verdict = reached.search, reached.verdict
+    before, after = reached.before, reached.after
     undetectable = undetectable_effects(found.rounds[-1].screened, every)
     runs_before = free_runs(before.fit, held_out, calibrate_s)
     runs_after = runs_before if after is before else free_runs(after.fit, held_out, calibrate_s)
     spline_gains: Mapping[str, ErrorReduction] = {}
     if verdict.off_list:
-        final = predict(found.final.candidates, found.final.estimate, train, held_out)
+        final = predict(found.final.candidates, found.final.estimate, train, held_out, threads)
         spline_gains = judgement(runs_before, free_runs(final.fit, held_out, calibrate_s), seed).horizons["2"]
+    proposed: ProposedLaw | None = None
+    if verdict.label == "unexplained" and comparison.fits < refits:
+        tell("looking for the law of what is missing", 0.92)
+        curve = found.final if verdict.off_list else None
+        proposed = propose_law(
+            comparison, reached.extended, curve, runs_before, calibrate_s, seed, refits, tell
+        )
     return Diagnosis(
         found,
         verdict,
-        remaining,
-        extended,
+        reached.remaining,
+        reached.extended,
         before,
         after,
         judgement(runs_before, runs_after, seed),
         spline_gains,
-        absent,
+        reached.absent,
         every,
         undetectable,
         tuple(unidentifiable_parameters(found.baseline.estimate)),
         tuple(str(one) for one in (*lost, *lost_held)),
-        _next(comparison, verdict, found, extended, every, undetectable),
+        _next(comparison, verdict, found, reached.extended, every, undetectable),
         time.perf_counter() - started_s,
         calibrate_s,
+        comparison.fits,
+        proposed,
     )
+
+
+@dataclass(frozen=True)
+class _Reached:
+    """What a search found, and what the verdict rests on."""
+
+    search: Search
+    remaining: ResidualAnalysis
+    extended: Hypothesis
+    before: Prediction
+    after: Prediction
+    absent: tuple[AbsentTerm, ...]
+    verdict: Verdict
+
+
+def _searched(
+    comparison: Comparison,
+    tried: Mapping[str, EffectKind],
+    every: Mapping[str, EffectKind],
+    removable: Iterable[EffectKind],
+    tell: Callable[[str, float], None],
+    refits: float,
+    threads: int | None,
+) -> _Reached:
+    found = search(comparison, tried, removable=tuple(removable), say=tell, refits=refits)
+    tell("looking at what remains", 0.9)
+    train, held_out = comparison.train, comparison.held_out
+    # Numbers from a few seconds are too uncertain to be held against another flight.
+    enough = bool(held_out) and sum(record.used_s for record in train) > SHORT_s
+    judged = [Screening(comparison.held_out_estimate(found.final))] if enough else []
+    remaining = residual_analysis([found.screening, *judged])
+    extended = _extended(comparison, found)
+    before = predict((), found.baseline.estimate, train, held_out, threads)
+    after = (
+        before
+        if extended is found.baseline
+        else predict(extended.candidates, extended.estimate, train, held_out, threads)
+    )
+    absent = tuple(absent_terms(after.fit, comparison.rig, every))
+    verdict = judge(found, remaining, after, every, bool(absent))
+    return _Reached(found, remaining, extended, before, after, absent, verdict)
 
 
 def _candidate(kind: EffectKind, model: Model, known: set[str]) -> bool:

@@ -10,13 +10,21 @@ import numpy as np
 from heli_sim.model.effects.kind import EffectKind
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose.candidate import Candidate, Regressors, effect_candidates, spline_candidates
+from heli_lab.diagnose.candidate import (
+    Candidate,
+    ChangeFunctions,
+    Regressors,
+    effect_candidates,
+    spline_candidates,
+)
 from heli_lab.diagnose.spline_term import KNOTS
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import Estimate
+from heli_lab.innovations.bordered import solve_bordered
 
-_BATCH: Final = 64
-"""Regressors that are filtered together; the result does not depend on it, memory and time do."""
+_BATCH_NUMBERS: Final = 2_500_000
+"""Numbers of the regressors that are filtered together, 20 MB: 64 of them in a flight of a minute. The result
+does not depend on it, memory and time do."""
 _PEAKS: Final = 4
 """Frequencies that are tried on each axis: the highest peaks of the missing torque's spectrum. Fewer: a
 periodic torque beside larger disturbances is lost. More: time."""
@@ -62,17 +70,20 @@ class Screening:
 
     def __init__(self, estimate: Estimate) -> None:
         self.estimate = estimate
-        filtered, weather = estimate.filtered, estimate.weather
-        self.regressors = tuple(Regressors(linear) for linear in filtered.linears)
+        self.filtered = filtered = estimate.filtered()
+        weather = estimate.weather
+        functions = ChangeFunctions(filtered.linears[0].model)
+        self.regressors = tuple(Regressors(linear, functions) for linear in filtered.linears)
         self.seconds = max(float(one.trajectory.t_s[-1]) for one in filtered.linears)
-        innovations, _ = filtered.innovations(weather)
+        rows = max(one.rows for one in filtered.linears)
+        self.batch = max(KNOTS, _BATCH_NUMBERS // (rows * filtered.linears[0].states))
+        """Regressors that are filtered together, one flight after the other."""
+        self._innovations = innovations = filtered.innovations_by_flight(weather)
         unknowns = estimate.unknowns
-        self.measurements = len(innovations)
-        self._nuisance = innovations[:, 1:]
-        self._covariance = np.linalg.inv(self._nuisance.T @ self._nuisance + np.diag(unknowns.std**-2.0))
+        self.measurements = sum(len(one) for one in innovations.flights)
+        self._bordered = innovations.information() + np.diag(unknowns.std**-2.0), innovations.own
         offset = unknowns.std**-2.0 * (estimate.theta - unknowns.mean)
-        move = self._covariance @ (self._nuisance.T @ innovations[:, 0] - offset)
-        self._error = innovations[:, 0] - self._nuisance @ move
+        self._error = innovations.left(self._solved(innovations.score() - offset))
 
     def effects(self, kinds: Iterable[EffectKind]) -> list[Scored]:
         """Score effects of the catalogue, each at the best point of its grid, the highest score first."""
@@ -88,7 +99,7 @@ class Screening:
 
     def splines(self, number: int = 0) -> list[Scored]:
         """Score every spline term, the highest score first; `number` distinguishes those of one model."""
-        candidates = spline_candidates(self.estimate.filtered.linears, number)
+        candidates = spline_candidates(self.filtered.linears, number)
         found = [
             Scored(candidate, *score, 1)
             for candidate, score in zip(candidates, self.score(candidates), strict=True)
@@ -102,7 +113,7 @@ class Screening:
         width = 0
         for candidate in [*candidates, None]:
             size = 0 if candidate is None else max(1, len(candidate.linear_parameters))
-            if group and (candidate is None or width + size > _BATCH):
+            if group and (candidate is None or width + size > self.batch):
                 results += self._score_group(group)
                 group, width = [], 0
             if candidate is not None:
@@ -111,13 +122,13 @@ class Screening:
         return results
 
     def score_signals(
-        self, signals: Sequence[tuple[Floats, Floats | None]], sizes: Sequence[int], priors: Sequence[Floats]
+        self, signals: Iterable[tuple[Floats, Floats | None]], sizes: Sequence[int], priors: Sequence[Floats]
     ) -> list[Score]:
         """Gain, coefficients and their standard errors of regressors that are given.
 
         Parameters
         ----------
-        signals : sequence of (ndarray, ndarray or None)
+        signals : iterable of (ndarray, ndarray or None)
             For each flight the change of the rates, (n, states, s), and of the measured angles, (n, 3, s),
             all candidates side by side.
         sizes : sequence of int
@@ -130,42 +141,62 @@ class Screening:
         ]
 
     def information(
-        self, signals: Sequence[tuple[Floats, Floats | None]], sizes: Sequence[int]
+        self, signals: Iterable[tuple[Floats, Floats | None]], sizes: Sequence[int]
     ) -> list[tuple[Floats, Floats]]:
         """Fisher information and score of the coefficients of regressors, the free parameters projected out;
         those of several flights add up.
 
         Parameters
         ----------
-        signals : sequence of (ndarray, ndarray or None)
+        signals : iterable of (ndarray, ndarray or None)
             As in `score_signals`.
         sizes : sequence of int
             Regressors of each candidate.
         """
-        only = self.estimate.filtered.regressors(self.estimate.weather, signals)
-        rest = only - self._nuisance @ (self._covariance @ (self._nuisance.T @ only))
-        found = []
-        low = 0
-        for size in sizes:
-            own, raw = rest[:, low : low + size], only[:, low : low + size]
-            low += size
-            information = raw.T @ own
-            found.append((0.5 * (information + information.T), own.T @ self._error))
-        return found
+        return self.projected(self.filtered.regressors(self.estimate.weather, signals), sizes)
+
+    def projected(self, regressors: Iterable[Floats], sizes: Sequence[int]) -> list[tuple[Floats, Floats]]:
+        """The same of what `regressors` take off each flight's innovations, shape (m, s) for each in
+        turn, all candidates side by side, `sizes` of them each.
+        """
+        parts = [slice(high - size, high) for size, high in zip(sizes, np.cumsum(sizes), strict=True)]
+        width = sum(sizes)
+        raw = [np.zeros((size, size)) for size in sizes]
+        score, own_score = np.zeros(width), np.zeros(self._innovations.size)
+        mixed = np.zeros((self._innovations.size, width))
+        for only, nuisance, columns, error in zip(
+            regressors, self._innovations.flights, self._innovations.columns, self._error, strict=True
+        ):
+            mixed[columns] += nuisance[:, 1:].T @ only
+            own_score[columns] += nuisance[:, 1:].T @ error
+            score += only.T @ error
+            for number, part in enumerate(parts):
+                raw[number] += only[:, part].T @ only[:, part]
+        taken = self._solved(mixed)
+        score -= taken.T @ own_score
+        results = []
+        for total, part in zip(raw, parts, strict=True):
+            information = total - mixed[:, part].T @ taken[:, part]
+            results.append((0.5 * (information + information.T), score[part]))
+        return results
+
+    def _solved(self, right: Floats) -> Floats:
+        """Moves of the free parameters that the `right` side of their normal equations asks for."""
+        return solve_bordered(self._bordered[0], right, self._bordered[1])
 
     def spline_information(self, candidates: Sequence[Candidate]) -> list[tuple[Floats, Floats]]:
         """The same of spline terms."""
         found: list[tuple[Floats, Floats]] = []
-        every = _BATCH // KNOTS
+        every = self.batch // KNOTS
         for low in range(0, len(candidates), every):
             group = candidates[low : low + every]
-            signals = [signals_of(maker, group) for maker in self.regressors]
+            signals = (signals_of(maker, group) for maker in self.regressors)
             found += self.information(signals, [len(one.linear_parameters) for one in group])
         return found
 
     def _score_group(self, candidates: Sequence[Candidate]) -> list[Score]:
         sizes = [max(1, len(candidate.linear_parameters)) for candidate in candidates]
-        signals = [signals_of(maker, candidates) for maker in self.regressors]
+        signals = (signals_of(maker, candidates) for maker in self.regressors)
         return self.score_signals(signals, sizes, [coefficient_std(candidate) for candidate in candidates])
 
     def _best(
@@ -244,8 +275,7 @@ class Screening:
     def _peaks(self, axis: str) -> tuple[float, ...]:
         """Frequencies of the highest peaks of the torque's spectrum about an axis that weather stands for."""
         index = AXES.index(axis)
-        filtered = self.estimate.filtered
-        t_s, torque_Nm, _ = filtered.smoothed_torques(
+        t_s, torque_Nm, _ = self.filtered.smoothed_torques(
             self.estimate.weather, np.zeros(len(self.estimate.theta))
         )[0]
         value = torque_Nm[:, index]

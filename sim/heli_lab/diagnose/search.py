@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from heli_sim.model.effect import Stage
@@ -22,6 +23,9 @@ from heli_lab.diagnose.candidate import Candidate
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.diagnose.screening import Scored, Screening
 from heli_lab.diagnose.search_record import Alternative, Cause, Refit, Round, Search
+
+_SEARCH_SHARE: Final = 0.9
+"""Share of a diagnosis at which its search has ended."""
 
 
 @dataclass
@@ -124,7 +128,7 @@ class _Searcher:
                 Round(tuple(screened), tuple(splines), tuple(refits), taken.candidate.id if taken else "")
             )
             if taken is None:
-                return hypothesis, screening, not full
+                return hypothesis, screening, not full and self.refits_left()
             hypothesis = taken.hypothesis
 
     def choice(
@@ -145,9 +149,13 @@ class _Searcher:
             > self.penalty(one.candidate, one.tried) + thresholds.MIN_MARGIN
             and one.log_likelihood_gain >= thresholds.SHORTLIST_SHARE * best_score
         ][: thresholds.SHORTLIST]
-        refits = [refit(one) for one in likely]
+        refits = [refit(one) for one in likely if self.refits_left()]
         for gone, start, score in closely_stated_terms(self.comparison, self.removable, screening):
-            if gone.id not in base.ids and score > thresholds.SHORTLIST_SHARE * best_score:
+            if (
+                self.refits_left()
+                and gone.id not in base.ids
+                and score > thresholds.SHORTLIST_SHARE * best_score
+            ):
                 less = self.comparison.refit([*base.candidates, gone], start, base)
                 refits.append(
                     Refit(less, less.log_likelihood - base.log_likelihood, self.penalty(gone), score)
@@ -156,7 +164,8 @@ class _Searcher:
         best = max(accepted, key=lambda one: one.margin, default=None)
         curve = splines[0] if splines else None
         needed = max(thresholds.SPLINE_MIN, best.margin if best else 0.0)
-        if curve is not None and thresholds.EXPECTED_REFIT_GAIN * curve.log_likelihood_gain > needed:
+        promised = thresholds.EXPECTED_REFIT_GAIN * curve.log_likelihood_gain if curve else 0.0
+        if curve is not None and promised > needed and self.refits_left():
             # An effect of the list is not displaced before its like was refitted over its grid.
             channel = curve.candidate.id.split(":")[1]
             known = {one.candidate.id for one in likely}
@@ -168,7 +177,9 @@ class _Searcher:
             spline = refit(curve)
             if spline.margin > needed:
                 more = [
-                    refit(one) for one in like[: thresholds.LIKE_REFITTED] if one.log_likelihood_gain > 0.0
+                    refit(one)
+                    for one in like[: thresholds.LIKE_REFITTED]
+                    if one.log_likelihood_gain > 0.0 and self.refits_left()
                 ]
                 refits += more
                 accepted += [one for one in more if self._accepted(one)]
@@ -216,6 +227,9 @@ class _Searcher:
             without[candidate.id] = less
             number += 1
         held_out = self._held_out(final, without)
+        against = min(held_out, key=lambda id_: held_out[id_], default=None)
+        if against is not None and held_out[against] < thresholds.HELD_OUT_AGAINST:
+            return self.backward(without[against])
         found = [
             Cause(
                 candidate,
@@ -320,8 +334,17 @@ def search(
     say : callable, optional
         Called with what is being done, and the share of the work that is done, 0 to 1.
     refits : float
-        Refits after which no further one is begun.
+        Refits after which no further cause is tried, those of the elimination that follows included: each
+        cause taken is refitted without once.
     """
-    return _Searcher(
-        comparison, kinds, say or (lambda _what, _share: None), lambda: comparison.fits < refits, removable
-    ).run()
+
+    def tell(what: str, share: float) -> None:
+        # Of the work allowed, what is done is done: whoever reckons the time left finds no more than that.
+        if say is not None:
+            say(what, max(share, _SEARCH_SHARE * min(1.0, comparison.fits / max(refits, 1.0))))
+
+    def left() -> bool:
+        return comparison.fits + sum(bool(one.taken) for one in searcher.rounds) < refits
+
+    searcher = _Searcher(comparison, kinds, tell, left, removable)
+    return searcher.run()

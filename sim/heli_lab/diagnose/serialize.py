@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose.error_reduction import ErrorReduction
+from heli_lab.diagnose.findings import causes, gains, unexplained, weather
 from heli_lab.diagnose.free_run import HORIZONS, FreeRun
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
-from heli_lab.diagnose.residual_analysis import ResidualAnalysis, correlates
+from heli_lab.diagnose.residual_analysis import ResidualAnalysis
 from heli_lab.diagnose.result import METRIC, Diagnosis
-from heli_lab.diagnose.thresholds import CONFIDENCE_BESIDE_UNKNOWN, CONFIDENCE_GUST
-from heli_lab.diagnose.verdict import ambiguous_with, confidence
+from heli_lab.diagnose.summary import summary
 from heli_lab.identify import check
 
 
@@ -26,17 +24,33 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
     asked = result.next_flight
     return {
         "verdict": result.label,
+        "sentence": summary(result),
         "causes": causes(result),
+        "rig": rig_numbers(result),
         "residual": _residual(result),
         "weather": weather(result.residual_analysis),
         "gain": _gain(result),
         "unexplained": unexplained(result),
+        "proposed_law": result.proposed_law.to_json() if result.proposed_law else None,
+        "where_the_model_fails": result.failing.to_json(),
         "next_flight": {"why": asked.why, "plan": asked.plan} if asked else None,
         "undetectable": list(result.undetectable),
         "unidentifiable": list(result.unidentifiable),
+        "pulled": [
+            {
+                "parameter": one.name,
+                "value": one.value,
+                "std": one.std,
+                "prior": {"value": one.prior.mean, "std": one.prior.std},
+                "deviations": one.deviations,
+                "unit": one.unit,
+            }
+            for one in result.pulled
+        ],
         "cautions": result.cautions,
         "flights": _flights(result),
         "ranking": _ranking(result),
+        "refits": result.refits,
         "seconds_taken": result.seconds,
         "complete": result.search.complete,
     }
@@ -47,7 +61,9 @@ def _of_insufficient_excitation(result: InsufficientExcitation) -> dict[str, Any
     gains = {axis: {**unknown, "ratio": None, "interval95": None} for axis in AXES}
     return {
         "verdict": result.label,
+        "sentence": summary(result),
         "causes": [],
+        "rig": None,
         "residual": {"axis": dict.fromkeys(AXES, unknown), "normalised": unknown, "white": {}},
         "gain": {
             "metric": METRIC,
@@ -56,10 +72,13 @@ def _of_insufficient_excitation(result: InsufficientExcitation) -> dict[str, Any
             "calibration": [],
         },
         "unexplained": None,
+        "proposed_law": None,
+        "where_the_model_fails": None,
         "next_flight": {"why": result.next_flight.why, "plan": result.next_flight.plan},
         "why": result.why,
         "undetectable": list(result.undetectable),
         "unidentifiable": list(result.unidentifiable),
+        "pulled": [],
         "cautions": [],
         "flights": [],
         "ranking": [],
@@ -67,66 +86,24 @@ def _of_insufficient_excitation(result: InsufficientExcitation) -> dict[str, Any
     }
 
 
-def causes(found: Diagnosis) -> list[dict[str, Any]]:
-    """Effect, parameters, confidence, sentence, equation, evidence and alternatives of each cause, strongest
-    first.
-    """
-    causes: list[dict[str, Any]] = []
-    unexplained = found.verdict.label == "unexplained"
-    beside = CONFIDENCE_BESIDE_UNKNOWN if unexplained else 1.0
-    for one in found.verdict.causes:
-        causes.append(
-            {
-                "effect": one.candidate.id,
-                "parameters": _parameters(found.values(one)),
-                "confidence": round(confidence(one, unexplained), 3),
-                "sentence": found.sentence(one),
-                "equation": found.kinds[one.candidate.id].equation,
-                "evidence": {
-                    "log_likelihood_ratio_train": one.train,
-                    "log_likelihood_ratio_held_out": one.held_out,
-                    "penalty": one.penalty,
-                    "alternatives": {other.id: other.log_likelihood_ratio for other in one.alternatives},
-                },
-                "ambiguous_with": ambiguous_with(one),
+def rig_numbers(found: Diagnosis) -> dict[str, Any]:
+    """Numbers of the extended rig that all flights share, with what was known of each beforehand."""
+    estimate = found.extended.estimate
+    std = estimate.covariance.diagonal() ** 0.5
+    return {
+        "name": estimate.unknowns.rig.name,
+        "model": estimate.unknowns.model.name,
+        "numbers": {
+            one.name: {
+                "value": float(value),
+                "std": float(error),
+                "prior": {"value": one.prior.mean, "std": one.prior.std},
+                "unit": one.unit,
             }
-        )
-    if found.verdict.gust:
-        id_ = f"random_torque.{found.residual_analysis.axis}"
-        causes.append(
-            {
-                "effect": id_,
-                "parameters": _parameters(found.random_torque),
-                "confidence": CONFIDENCE_GUST,
-                "sentence": found.kinds[id_].describe(
-                    {key: value for key, (value, _, _) in found.random_torque.items()},
-                    {key: std for key, (_, std, _) in found.random_torque.items()},
-                ),
-                "equation": found.kinds[id_].equation,
-                "evidence": {
-                    "log_likelihood_ratio": float(found.residual_analysis.gains.max()),
-                },
-                "ambiguous_with": [],
-            }
-        )
-    for term in found.absent:
-        kind = found.kinds[term.id]
-        (name,) = kind.size
-        causes.append(
-            {
-                "effect": term.id,
-                "parameters": _parameters({name: (term.share, term.std, "1")}),
-                "confidence": round(term.confidence * beside, 3),
-                "sentence": kind.describe({name: term.share}, {name: term.std}),
-                "equation": kind.equation,
-                "evidence": {
-                    "standard_errors_from_zero": term.z_from_zero,
-                    "standard_errors_from_rig": term.z_from_rig,
-                },
-                "ambiguous_with": [],
-            }
-        )
-    return causes
+            for one, value, error in zip(estimate.unknowns.free, estimate.theta, std, strict=True)
+            if one.record is None
+        },
+    }
 
 
 def _residual(found: Diagnosis) -> dict[str, Any]:
@@ -158,52 +135,6 @@ def _residual(found: Diagnosis) -> dict[str, Any]:
         "white": white,
         "correlation": correlation,
         "innovations": _innovations(found.residual_analysis),
-    }
-
-
-def unexplained(found: Diagnosis) -> dict[str, Any] | None:
-    """Axis, correlates and share of what no effect explains; None when nothing is."""
-    if found.verdict.label != "unexplained":
-        return None
-    if not found.verdict.off_list:
-        # A quantity may stand there as a curve and as a straight line.
-        named = list(dict.fromkeys(one.what for one in found.residual_analysis.dependences))
-        channel = named[0].split(" on ")[0].rpartition(".")[2]
-        axis = channel if channel in AXES else found.residual_analysis.axis
-        return {
-            "axis": axis,
-            "correlates_with": named,
-            "share_of_variance": round(found.residual_analysis.share_foretold, 4),
-            "log_likelihood_gain": found.residual_analysis.dependences[0].log_likelihood_gain,
-        }
-    strongest = found.verdict.off_list[0]
-    _, channel, on = strongest.candidate.id.split(":")
-    first = next(r for r in found.search.rounds if r.taken == strongest.candidate.id)
-    others = [name for name in correlates(first.splines) if name != f"{channel} on {on}"]
-    where = channel.rpartition(".")[2]
-    axis = where if where in AXES else ("pitch" if where == "difference" else "elevation")
-    return {
-        "axis": axis,
-        "channel": channel,
-        "correlates_with": [f"{channel} on {on}", *others],
-        "share_of_variance": round(max(0.0, 1.0 - found.spline_gains[axis].ratio ** 2), 4),
-        "log_likelihood_gain": strongest.train,
-        "splines": [one.candidate.id.removeprefix("spline:") for one in found.verdict.off_list],
-        "gain_with_splines": _gains(found.spline_gains),
-    }
-
-
-def weather(left: ResidualAnalysis) -> dict[str, dict[str, float]]:
-    """Torques by chance about each axis: size and memory of gusts, size of the drift, evidence."""
-    weather = left.weather
-    return {
-        axis: {
-            "gust_Nm": float(weather.gust_Nm[i]),
-            "memory_s": float(weather.memory_s[i]),
-            "drift_Nm": float(weather.drift_Nm[i]),
-            "log_likelihood_ratio": float(left.gains[i]),
-        }
-        for i, axis in enumerate(AXES)
     }
 
 
@@ -256,17 +187,13 @@ def _ranking(found: Diagnosis) -> list[dict[str, Any]]:
     return rows
 
 
-def _parameters(values: Mapping[str, tuple[float, float, str]]) -> dict[str, dict[str, float | str]]:
-    return {name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in values.items()}
-
-
 def _gain(found: Diagnosis) -> dict[str, Any]:
     """Free-run errors before and after at each horizon, and what was calibrated for them."""
     judged = found.judgement
     return {
         "metric": found.metric,
-        "axis": _gains(found.gains),
-        "horizons": {key: {"axis": _gains(one)} for key, one in judged.horizons.items()},
+        "axis": gains(found.gains),
+        "horizons": {key: {"axis": gains(one)} for key, one in judged.horizons.items()},
         "calibration": [
             {
                 "flight": after.label,
@@ -291,17 +218,4 @@ def _constants(run: FreeRun) -> dict[str, dict[str, Any]]:
             "unit": units[name],
         }
         for name, (value, std) in run.constants.items()
-    }
-
-
-def _gains(measured: Mapping[str, ErrorReduction]) -> dict[str, dict[str, Any]]:
-    """Free-run errors before and after, ratio and interval95 of each axis."""
-    return {
-        axis: {
-            "before": one.before_deg,
-            "after": one.after_deg,
-            "ratio": one.ratio,
-            "interval95": list(one.interval95),
-        }
-        for axis, one in measured.items()
     }

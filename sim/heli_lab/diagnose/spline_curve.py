@@ -8,17 +8,12 @@ from typing import Final
 import numpy as np
 
 from heli_lab.diagnose.spline_term import KNOTS, QUANTITIES, SplineTerm, bspline_basis
+from heli_lab.diagnose.words import SHOWN, channel_in_words, quantity_in_words
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import Estimate
 
 _DRAWN: Final = 200
 """Points that a curve is drawn with."""
-_SHOWN: Final = {
-    "rad": (180.0 / np.pi, "deg"),
-    "rad/s": (180.0 / np.pi, "deg/s"),
-    "N m": (1e3, "mN m"),
-    "1": (100.0, "%"),
-}
 
 
 @dataclass(frozen=True)
@@ -48,9 +43,10 @@ class SplineCurve:
     @property
     def what(self) -> str:
         """The curve in words with its range and its values."""
+        where = f"{channel_in_words(self.channel)} by {quantity_in_words(self.on)}"
         return (
-            f"{self.channel} on {self.on}, seen from {self.place[0]:.3g} to {self.place[-1]:.3g} "
-            f"{self.place_unit}: {self.value.min():.2g} to {self.value.max():.2g} {self.value_unit}"
+            f"{where}, seen from {self.place[0]:.3g} to {self.place[-1]:.3g} {self.place_unit}: "
+            f"{self.value.min():.2g} to {self.value.max():.2g} {self.value_unit}"
         )
 
 
@@ -67,8 +63,8 @@ def spline_curve_of(effect: SplineTerm, estimate: Estimate) -> SplineCurve:
     variance = np.einsum("ni,ij,nj->n", weights, covariance, weights)
     unit = next(q.unit for q in effect.parameters if q.name == f"{effect.name}_0")
     on_unit = QUANTITIES[effect.on][1]
-    factor, value_unit = _SHOWN.get(unit, (1.0, unit))
-    on_factor, place_unit = _SHOWN.get(on_unit, (1.0, on_unit))
+    factor, value_unit = SHOWN.get(unit, (1.0, unit))
+    on_factor, place_unit = SHOWN.get(on_unit, (1.0, on_unit))
     return SplineCurve(
         effect.channel,
         effect.on,

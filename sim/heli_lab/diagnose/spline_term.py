@@ -20,7 +20,7 @@ from heli_sim.model.parts import thrust_N as static_thrust_N
 from heli_sim.rig.quantity import Prior, Quantity
 
 from heli_lab.identify.functions import Floats
-from heli_lab.innovations import MapEvaluator, Trajectory
+from heli_lab.innovations import AlongCourse, Trajectory
 
 KNOTS: Final = 8
 """Basis functions of a curve. By judgement: fewer follow no kink or bump, more pay a higher penalty."""
@@ -79,8 +79,10 @@ class SplineTerm(Effect):
 
     Parameters
     ----------
-    name, parameters, values, states, priors, delay, stage, noise_inputs, measured_as, multimodal
+    name, parameters, values, states, priors, delay, stage
         Inherited from `Effect`; `spline_term` makes them.
+    noise_inputs, measured_as, direction_of, multimodal
+        Inherited too, empty.
     channel : str
         One of `CHANNELS`; ``torque`` in N m, ``thrust`` as a share of itself, ``measurement`` in rad.
     on : str
@@ -191,26 +193,18 @@ def quantity_values(model: Model, trajectory: Trajectory) -> dict[str, Floats]:
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
     at = model.operands(x, u, p, t)
     values = ca.vertcat(*(evaluation(at) for evaluation, _ in QUANTITIES.values()))
-    (result,) = MapEvaluator(
-        ca.Function("quantities", [x, u, t, p], [ca.densify(values)]), len(trajectory.t_s)
-    )(trajectory)
+    (result,) = AlongCourse(ca.Function("quantities", [x, u, t, p], [ca.densify(values)]))(trajectory)
     return dict(zip(QUANTITIES, result[:, :, 0].T, strict=True))
 
 
 def channel_quantity_pairs() -> list[tuple[str, str]]:
     """Every spline term that is tried, as channel and quantity."""
+
     # The controller feeds the quantisation error back, so voltages are correlated with it in any flight: a
-    # measurement that depends on thrust would always be found.
-    return [
-        (channel, on)
-        for channel, on in itertools.product(CHANNELS, QUANTITIES)
-        if not (channel.startswith("measurement") and "thrust" in on)
-    ]
+    # measurement that depends on thrust would always be found. One that depends on its own axis' rate is read
+    # late or early: half a sample of that is in any log.
+    def tried(channel: str, on: str) -> bool:
+        _, _, axis = channel.partition("measurement.")
+        return not axis or not ("thrust" in on or on == f"{axis}_rate")
 
-
-def readable_id(candidate: str) -> str:
-    """Write the id of a `candidate` for people: ``a curve: CHANNEL on QUANTITY`` for a spline term, an
-    effect's id as it is.
-    """
-    kind, _, rest = candidate.partition(":")
-    return f"a curve: {rest.replace(':', ' on ')}" if kind == "spline" else candidate
+    return [pair for pair in itertools.product(CHANNELS, QUANTITIES) if tried(*pair)]

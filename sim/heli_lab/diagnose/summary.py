@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Final
 
-from heli_lab.diagnose import serialize
+from heli_lab.diagnose import findings
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.result import Diagnosis
+from heli_lab.diagnose.words import curve_in_words
 
 _WORTH_A_LINE: Final = 0.9
 """Ratio of errors below which a spline term's gain is told."""
@@ -16,8 +17,19 @@ _WEATHER_MIN: Final = 6.0
 """Log-likelihood ratio, nats, from which on the weather about an axis is told."""
 
 
+def title(result: Diagnosis) -> str:
+    """The verdict in a line, no surer than the sentence under it."""
+    named = [one["effect"] for one in findings.causes(result)]
+    return {
+        "explained": "Nothing is missing that these flights show",
+        "cause_found": f"Cause{'s' if len(named) > 1 else ''} found: {', '.join(named)}",
+        "ambiguous": "Cause found, but not told apart from others",
+        "unexplained": "Something unknown is missing" + (", perhaps beside known causes" if named else ""),
+    }[result.label]
+
+
 def summary(result: Diagnosis | InsufficientExcitation) -> str:
-    """What was found, in a sentence or two."""
+    """What was found, in a sentence or two: the same on the page, on a terminal and in the JSON."""
     if isinstance(result, InsufficientExcitation):
         return f"Nothing can be said of what the model lacks: {result.why}."
     cut = "" if result.search.complete else " The work allowed ran out before everything was tried."
@@ -26,9 +38,8 @@ def summary(result: Diagnosis | InsufficientExcitation) -> str:
 
 def _found(result: Diagnosis) -> str:
     label = result.label
+    causes = findings.causes(result)
     where = "flights that no fit saw" if result.after.held_out_fit else "the flights that were fitted"
-    text = "; ".join(one["sentence"] for one in serialize.causes(result))
-    text = text[:1].upper() + text[1:]
     weather = f" What remains is weather: {weather_of(result)}." if label != "unexplained" else ""
     if label == "explained":
         return (
@@ -36,21 +47,27 @@ def _found(result: Diagnosis) -> str:
             f"{where} cannot be foretold.{weather}"
         )
     if label in ("cause_found", "ambiguous"):
-        return f"{text}.{weather}"
-    missing = serialize.unexplained(result) or {}
-    depends = missing["correlates_with"][0]
-    first = f"{text}. Besides, something" if text else "Something"
-    return (
-        f"{first} is missing that no effect of the catalogue explains: a curve of {depends} foretells the "
-        f"motion about {missing['axis']} (log-likelihood ratio {missing['log_likelihood_gain']:.0f} nats)."
+        text = "; ".join(one["sentence"] for one in causes)
+        others = sorted({other for one in causes for other in one["ambiguous_with"]})
+        unclear = f" These flights do not tell it from {', '.join(others)}." if others else ""
+        return f"{text[:1].upper()}{text[1:]}.{unclear}{weather}"
+    missing = findings.unexplained(result) or {}
+    text = (
+        "Something is missing that no effect of the catalogue explains: "
+        f"{curve_in_words(missing['correlates_with'][0])} foretells the motion about {missing['axis']} "
+        f"(log-likelihood ratio {missing['log_likelihood_gain']:.0f} nats)."
     )
+    if causes:
+        perhaps = "; ".join(f"{one['sentence']} (confidence {one['confidence']:.2f})" for one in causes)
+        text += f" Beside it, perhaps: {perhaps}."
+    return text
 
 
 def weather_of(result: Diagnosis) -> str:
     """The torques by chance about each axis in words."""
     parts = [
         f"gusts of {1e3 * one['gust_Nm']:.2g} mN m about {axis} that last {one['memory_s']:.1g} s"
-        for axis, one in serialize.weather(result.residual_analysis).items()
+        for axis, one in findings.weather(result.residual_analysis).items()
         if one["log_likelihood_ratio"] > _WEATHER_MIN
     ]
     return ", ".join(parts) or "none that shows"
@@ -65,7 +82,7 @@ def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
             f"next flight: {result.next_flight.why}",
         ]
     lines = []
-    for cause in serialize.causes(result):
+    for cause in findings.causes(result):
         others = cause["ambiguous_with"]
         unclear = f"; could as well be {', '.join(others)}" if others else ""
         lines.append(f"{cause['effect']} (confidence {cause['confidence']:.2f}{unclear})")
@@ -81,6 +98,10 @@ def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
     for axis, one in result.spline_gains.items():
         if one.ratio < _WORTH_A_LINE:
             lines.append(f"  with it {axis} is off by {one.after_deg:.3g} deg, ratio {one.ratio:.2f}")
+    if result.proposed_law is not None:
+        lines += result.proposed_law.lines()
+    elif result.label == "unexplained":
+        lines.append("no law of a few terms explains it so that another flight confirms it")
     if result.next_flight is not None:
         lines.append(f"next flight: {result.next_flight.why}")
     elif result.undetectable:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Final
@@ -17,7 +16,8 @@ from typing_extensions import override
 from heli_lab.identify.functions import Floats, Functions, Inputs
 from heli_lab.identify.windows import Kernel
 
-THREADS: Final = 1 if os.environ.get("OMP_NUM_THREADS") == "1" else 2
+_WORTH_THREADS_ROWS: Final = 500
+"""Steps from which on a second thread saves more than it costs to start."""
 
 _C: Final = """
 #include <string.h>
@@ -236,12 +236,14 @@ def driver(functions: Functions) -> str:
 
 
 class CompiledKernel(Kernel):
-    """Windows run by compiled code, on two threads; on one where OMP_NUM_THREADS is 1.
+    """Windows run by compiled code.
 
     Parameters
     ----------
     library : str
         Path of the shared library.
+    threads : int
+        Threads that share out the windows, 1 or more.
 
     Raises
     ------
@@ -249,7 +251,8 @@ class CompiledKernel(Kernel):
         When the library does not load.
     """
 
-    def __init__(self, functions: Functions, library: str) -> None:
+    def __init__(self, functions: Functions, library: str, threads: int = 1) -> None:
+        self._threads = threads
         self._sizes = functions.state_count, functions.state_count + len(functions.free_index)
         self._shaping = functions.shaping
         try:
@@ -325,13 +328,14 @@ class CompiledKernel(Kernel):
                 None if normal_matrix is None else ctypes.c_void_p(normal_matrix[low:].ctypes.data),
             )
 
-        # The call releases Python's lock. Threads pay from a few hundred steps on.
-        half = int(np.searchsorted(np.cumsum(steps), inputs.rows / 2)) + 1
-        if THREADS == 1 or windows < 2 or half >= windows or inputs.rows < 500:
+        # The call releases Python's lock.
+        if self._threads == 1 or windows < 2 or inputs.rows < _WORTH_THREADS_ROWS:
             part(0, windows)
-        else:
-            with ThreadPoolExecutor(1) as pool:
-                other = pool.submit(part, half, windows)
-                part(0, half)
-                other.result()
+            return angles, end
+        shares = inputs.rows * np.arange(1, self._threads) / self._threads
+        inner = np.minimum(np.searchsorted(np.cumsum(steps), shares) + 1, windows)
+        edges = [0, *(int(edge) for edge in np.unique(inner) if edge < windows), windows]
+        with ThreadPoolExecutor(len(edges) - 1) as pool:
+            # Waited for, and what one of them raised is raised here.
+            list(pool.map(part, edges[:-1], edges[1:]))
         return angles, end

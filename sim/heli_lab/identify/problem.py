@@ -6,6 +6,7 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from heli_host.flight import Flight
@@ -69,6 +70,8 @@ class Problem:
     state_std : Mapping[str, float], optional
         Prior standard deviation of an effect's state at the beginning of a window about what a free run over
         the flight before it gives, in the state's unit; else that of `thresholds.STATE_STD`.
+    threads : int, optional
+        Threads of the predictions; `usual_threads` where not given. The result does not depend on it.
 
     Raises
     ------
@@ -90,6 +93,7 @@ class Problem:
         priors: Mapping[str, Prior] | None = None,
         values: Mapping[str, float] | None = None,
         state_std: Mapping[str, float] | None = None,
+        threads: int | None = None,
     ) -> None:
         self.model = model
         self.rig = rig
@@ -136,12 +140,22 @@ class Problem:
             self.base[names.index(name)] = value
         self._place = np.array([names.index(one.quantity) for one in self.free], int)
         self._delay = names.index(model.delay) if model.delay else None
-        self.kernel = kernel(model, tuple(one.quantity for one in (*shared, *local)))
+        self._kernel_free = tuple(one.quantity for one in (*shared, *local))
+        self.threads = threads
+        self.kernel = kernel(model, self._kernel_free, threads)
         self._one_way = "reverse_thrust" not in names or not self.base[names.index("reverse_thrust")]
         self._one_way &= "reverse_thrust" not in self.names
         self._one_way &= not any(effect.pushes_below_dead_zone for effect in model.effects)
         self._dead_zone = names.index("dead_zone")
         self._grids: dict[tuple[int, bool], tuple[object, Grid]] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The kernel is code of this machine, the grids follow from the records: both are made again.
+        return {**self.__dict__, "kernel": None, "_grids": {}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.kernel = kernel(self.model, self._kernel_free, self.threads)
 
     @property
     def names(self) -> tuple[str, ...]:

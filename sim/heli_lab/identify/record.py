@@ -112,7 +112,7 @@ def prepare(
     """
     angles, volts, t_s = flight.angles_rad, flight.voltages_V, flight.t_s
     step_s = _step_s(flight, label)
-    count_rad, notes = _counts(angles, rig)
+    count_rad, notes = encoder_counts(angles, rig)
     _refuse_dead_columns(flight, label, count_rad)
     _refuse_duties(flight, label, rig)
 
@@ -123,7 +123,9 @@ def prepare(
     if flight.state is not None and flight.state_names:
         off = [number for number, name in flight.state_names.items() if name in ON_GROUND]
         reasons.append((np.isin(flight.state, off), "motors off"))
-    reasons.append((_near_table(flight, rig, step_s), "table, take-off or landing"))
+    near_table = _near_table(flight, rig, step_s)
+    near_table |= _last_descent(flight, near_table, step_s)
+    reasons.append((near_table, "table, take-off or landing"))
     for axis, at_stop, note in _stops(angles, rig, step_s):
         reasons.append((at_stop, f"stop of the {axis}"))
         notes += note
@@ -188,7 +190,10 @@ def _refuse_jumps(flight: Flight, label: str, segments: tuple[tuple[int, int], .
                 )
 
 
-def _counts(angles_rad: Floats, rig: Rig) -> tuple[Floats, list[str]]:
+def encoder_counts(angles_rad: Floats, rig: Rig) -> tuple[Floats, list[str]]:
+    """Find one count of each encoder [rad], shape (3,), in `angles_rad`, shape (n, 3); the rig's where they
+    are not in whole counts, and a note of that.
+    """
     counts, notes = [], []
     for index, axis in enumerate(AXES):
         moves = np.abs(np.diff(angles_rad[:, index]))
@@ -270,6 +275,34 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> npt.NDArray[np.bool_
             before = np.flatnonzero(up[: edge + 1])
             cut[int(before[-1]) if before.size else 0 : edge + 1] = True
     return cut
+
+
+def _last_descent(flight: Flight, near_table: npt.NDArray[np.bool_], step_s: float) -> npt.NDArray[np.bool_]:
+    """Rows of the descent at the end of a flight whose voltages were taken back, whether or not the log goes
+    on until the table.
+    """
+    descent = np.zeros(len(flight), bool)
+    flying = ~near_table
+    tail = max(1, round(thresholds.LANDING_TAIL_S / step_s))
+    if int(flying.sum()) < 4 * tail:
+        return descent
+    total_V = flight.front_V + flight.back_V
+    smooth_V = np.convolve(total_V, np.ones(tail) / tail, mode="same")
+    usual_V = float(np.median(total_V[flying]))
+    below_rad = float(np.median(flight.elevation_rad[flying])) - math.radians(thresholds.LANDING_DEG)
+    if (
+        float(total_V[-tail:].mean()) > thresholds.TAKEN_BACK * usual_V
+        or flight.elevation_rad[-1] > below_rad
+    ):
+        return descent
+    held = np.flatnonzero(smooth_V >= thresholds.TAKEN_BACK_FROM * usual_V)
+    above = np.flatnonzero(flight.elevation_rad > below_rad)
+    if held.size and above.size:
+        # A gust of voltage on the way down does not make it a flight again.
+        last = int(above[-1])
+        before = held[held <= last]
+        descent[int(before[-1]) if before.size else last :] = True
+    return descent
 
 
 def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, npt.NDArray[np.bool_], list[str]]]:

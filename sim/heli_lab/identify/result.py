@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from heli_sim.rig import Number, Rig
 
 from heli_lab.identify.check import Check, Trace
 from heli_lab.identify.fit import Fit
+from heli_lab.identify.free import PER_FLIGHT
 from heli_lab.identify.thresholds import STRONG_CORRELATION
 from heli_lab.identify.uncertainty import Combination, combinations, uninformed_parameters
 
@@ -53,18 +55,25 @@ class Identification:
     def rig(self, name: str) -> Rig:
         """Make the rig that was found, called `name`: the identified numbers with twice their standard errors
         as tolerances; everything else as it was. It names the model that was fitted, and has that model's
-        effects. Numbers that each of several flights has its own value of stay as they were.
+        effects. Of numbers that each of several flights has its own value of, torques are the flights' mean,
+        with their scatter in the tolerance, and zeros stay as they were: those of another flight will differ.
         """
         old = self.fit.problem.rig
         labels = ", ".join(record.label for record in self.fit.problem.records)
         numbers = dict(old.numbers)
         several = len(self.fit.problem.records) > 1
+        found: dict[str, list[tuple[float, float]]] = {}
         for one, value, std in zip(self.fit.problem.free, self.fit.theta, self.fit.std.values(), strict=True):
-            if one.quantity not in numbers or (several and one.record is not None):
+            if one.quantity not in numbers or (several and one.quantity in PER_FLIGHT):
                 continue
-            was = numbers[one.quantity]
+            found.setdefault(one.quantity, []).append((float(value), std))
+        for quantity, estimates in found.items():
+            was = numbers[quantity]
+            values, errors = np.array(estimates).T
+            scatter = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
+            tolerance = 2.0 * math.hypot(float(np.sqrt(np.mean(errors**2))), scatter)
             source = f"identified from {labels}; before: {was.value:g} +- {was.tolerance:g}"
-            numbers[one.quantity] = Number(float(value), was.unit, 2.0 * std, source)
+            numbers[quantity] = Number(float(np.mean(values)), was.unit, tolerance, source)
         return Rig(
             name,
             f"{old.name} as identified from {labels}",

@@ -36,6 +36,7 @@ def identify(
     stop_s: float | None = None,
     window_s: float = 2.0,
     seconds: float = float("inf"),
+    threads: int | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Identification:
     """Estimate a model's parameters from flights, and validate them on others.
@@ -54,6 +55,8 @@ def identify(
         Length of the windows that are predicted freely.
     seconds : float
         Most time for the fit.
+    threads : int, optional
+        Threads of the predictions; see `Problem`.
     on_progress : callable, optional
         Told where the work is.
 
@@ -71,7 +74,7 @@ def identify(
         raise IdentifyError("a flight is both fitted and validated on", "give another to --validate")
     say(Progress("compiling the model, once for each", 0.05, 0.0))
     names = estimated_names(model, rig, free, fixed)
-    problem = Problem(model, rig, records, free=names, window_s=window_s)
+    problem = Problem(model, rig, records, free=names, window_s=window_s, threads=threads)
     fit = solve(
         problem,
         start=_start_values(problem),

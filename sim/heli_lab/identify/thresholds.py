@@ -19,6 +19,16 @@ TAKE_OFF_DEG: Final = 10.0
 of air near the table is fitted as lift; higher, slow climbs are lost."""
 TAKE_OFF_TAIL_S: Final = 1.0
 """Cut after a take-off is over, s. Set by judgement: several times the rotors' lag of 0.1 s."""
+TAKEN_BACK: Final = 0.6
+"""Share of the usual sum of the voltages below which the last moments of a flight are a landing. A measured
+log that ends in the air ends with 0.04 of it; the others' last moments hold 0.7 and more."""
+TAKEN_BACK_FROM: Final = 0.85
+"""Share of it from which on the descent before those moments is counted as part of the landing. Set by
+judgement: lower leaves the first of it in, higher cuts flight away."""
+LANDING_TAIL_S: Final = 0.3
+"""What these shares are means over, s: three times the rotors' lag."""
+LANDING_DEG: Final = 5.0
+"""How far below the usual elevation a flight must end to have landed in the air, deg. Set by judgement."""
 ROTOR_m: Final = 0.1
 """How far a rotor reaches beyond its axle, m: propellers of rigs of this kind are 0.2 m and more across.
 Found on measured flights, two of which strike the table with a leaning arm; 0 takes those strikes for

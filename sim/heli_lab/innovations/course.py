@@ -14,12 +14,20 @@ from typing import Final
 import numpy as np
 
 from heli_lab.identify import Record
-from heli_lab.identify.functions import Floats, Integers
+from heli_lab.identify.functions import Flags, Floats, Integers
 from heli_lab.innovations import _kalman
 
 STEP_s: Final = 0.01
 """Longest step of the course. By the midpoint rule it costs (w h)^2 / 24 of an acceleration: 0.04 % where an
 axis swings with 10 rad/s. Longer: thrust that changes within a step is blurred. Shorter: time."""
+
+REST_s: Final = 0.3
+"""Time over which the count of an axis must stay the same for it to be at rest. Set with `REST_EDGE_s` on
+eight simulated flights with dry friction (2026-11). Shorter: an axis that moves slowly passes for held. Much
+longer: one that dry friction holds between two moves passes for moving."""
+REST_EDGE_s: Final = 0.06
+"""Share of such a time at its beginning and at its end that is not rest: within a count an axis sets off and
+slows down unseen. Half of it or none: friction comes out up to 7 standard errors too small."""
 
 # Each axis pushed by chance alone, for the first smoothing: far more than rigs of this kind accelerate.
 _ACCELERATION_STD_rad_s2: Final = 5.0
@@ -46,6 +54,12 @@ class Course:
         Angles and rates at the beginning of each step, before and after its measurement.
     windows : tuple of slice
         Steps of each part in free flight.
+    at_rest : ndarray (n, 3)
+        Whether each axis is at rest. Its rates are zero there: by which side of zero the errors of an encoder
+        at rest put them, dry friction would act now to one side and now to the other.
+    directions : ndarray (n, 3)
+        In which direction each axis has moved last, -1 to 1: while its count stays the same between two
+        moves of opposite direction it goes from one to the other.
     """
 
     record: Record
@@ -55,6 +69,8 @@ class Course:
     predicted: Floats
     filtered: Floats
     windows: tuple[slice, ...]
+    at_rest: Flags
+    directions: Floats
 
     @property
     def step_s(self) -> float:
@@ -68,7 +84,7 @@ class Course:
 
     def followed(self, predicted: Floats, filtered: Floats) -> Course:
         """Keep everything but the states `predicted` and `filtered` by a better filter, shape (n, 6) each."""
-        return replace(self, predicted=predicted, filtered=filtered)
+        return replace(self, predicted=_held(predicted, self.at_rest), filtered=_held(filtered, self.at_rest))
 
 
 def follow(record: Record, step_s: float = STEP_s) -> Course:
@@ -93,9 +109,55 @@ def follow(record: Record, step_s: float = STEP_s) -> Course:
         for start, stop in record.segments
         if stop // every - -(-start // every) > 1
     )
+    before, after = _kinematic(measured, variance, record.step_s * every)
+    at_rest = _at_rest(record, nodes)
     return Course(
-        record, every, measured, variance, *_kinematic(measured, variance, record.step_s * every), windows
+        record,
+        every,
+        measured,
+        variance,
+        _held(before, at_rest),
+        _held(after, at_rest),
+        windows,
+        at_rest,
+        _directions(record, nodes),
     )
+
+
+def _changed(record: Record) -> Flags:
+    """Whether each axis' count, shape (n - 1, 3), changes from a row to the next."""
+    changed: Flags = np.abs(np.diff(record.angles_rad, axis=0)) > 0.5 * record.count_rad
+    return changed
+
+
+def _directions(record: Record, nodes: Integers) -> Floats:
+    """In which direction each axis has moved last, shape (n, 3), in these rows of a flight."""
+    found, changed = np.zeros((len(nodes), 3)), _changed(record)
+    for axis in range(3):
+        moves = np.flatnonzero(changed[:, axis])
+        if len(moves):
+            signs = np.sign(np.diff(record.angles_rad[:, axis])[moves])
+            found[:, axis] = np.interp(nodes, moves + 0.5, signs)
+    return found
+
+
+def _at_rest(record: Record, nodes: Integers) -> Flags:
+    """Whether each axis, shape (n, 3), is at rest in these rows of a flight."""
+    changed = _changed(record)
+    found = np.zeros((len(nodes), 3), bool)
+    for axis in range(3):
+        edges = np.concatenate(([0], np.flatnonzero(changed[:, axis]) + 1, [len(record.angles_rad)]))
+        run = np.searchsorted(edges, nodes, side="right") - 1
+        first, last = edges[run], edges[run + 1]
+        margin = REST_EDGE_s / record.step_s
+        long = (last - first) * record.step_s >= REST_s
+        found[:, axis] = long & (nodes >= first + margin) & (nodes < last - margin)
+    return found
+
+
+def _held(states: Floats, at_rest: Flags) -> Floats:
+    rates: Floats = np.where(at_rest, 0.0, states[:, 3:])
+    return np.hstack((states[:, :3], rates))
 
 
 def _kinematic(measured_rad: Floats, variance_rad2: Floats, step_s: float) -> tuple[Floats, Floats]:
@@ -107,7 +169,7 @@ def _kinematic(measured_rad: Floats, variance_rad2: Floats, step_s: float) -> tu
     relative = measured_rad - measured_rad[0]
     before, after = _kalman.track(
         np.broadcast_to(transition, (count, 6, 6)).copy(),
-        np.broadcast_to(push, (count, 6, 3)).copy(),
+        np.broadcast_to(push, (1, count, 6, 3)).copy(),
         np.broadcast_to(measurement, (count, 3, 6)).copy(),
         np.ascontiguousarray(variance_rad2),
         np.full(3, np.exp(-step_s / _ACCELERATION_MEMORY_s)),

@@ -9,7 +9,7 @@ and Jorgensen, Automatica 40 (2004) 225, and Ljung, System Identification, chapt
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,8 +17,9 @@ import numpy as np
 
 from heli_lab.identify.functions import Floats, Integers
 from heli_lab.innovations import _kalman
+from heli_lab.innovations.bordered import inverse_bordered, own_columns, solve_bordered
 from heli_lab.innovations.course import Course
-from heli_lab.innovations.linear import Linear, ModelFunctions
+from heli_lab.innovations.linear import Blocks, Linear, ModelFunctions
 from heli_lab.innovations.unknowns import Unknowns
 from heli_lab.innovations.weather import Weather, maximise
 
@@ -27,29 +28,67 @@ from heli_lab.innovations.weather import Weather, maximise
 _ANGLE_STD_rad: Final = 0.02
 _RATE_STD_rad_s: Final = 0.3
 _OWN_STD: Final = 0.3
-BLOCK_s: Final = 0.04
-"""Time from one measurement of the filter to the next. Encoders at rest repeat a count for tens of
-milliseconds: taken every 10 ms their errors are correlated (0.15 to 0.43 from one to the next on simulated
-flights, 2026-11), and weather of no memory is found; every 40 ms they are white to 0.05. Longer: rotor
-lags and delays blur."""
 _MAX_MOVES: Final = 15
-_HALVINGS: Final = 5
+_HALVINGS: Final = 4
+_LEAST_GAIN: Final = 0.02
+"""Share of the gain that derivatives promise that a move must bring."""
 _FIRST_TURNS: Final = 2
 _TURN_NATS: Final = 0.1
 """Gain of one more turn of parameters and weather below which the estimate counts as converged."""
+_WEATHER_SHARE: Final = 0.05
+"""Share of what the parameters' next move promises to which the weather is sought before it."""
 _CONVERGED_NATS: Final = 0.02
 """Gain that one more move of the parameters may promise before the estimate counts as converged."""
 
 
 @dataclass(frozen=True)
-class _Blocks:
-    """A window in steps of a block: transition, and the torques' input by each step in it."""
+class Innovations:
+    """Innovations of several flights.
 
-    rows: Integers
-    transition: Floats
-    input: Floats
-    measurement: Floats
-    variance_rad2: Floats
+    Parameters
+    ----------
+    flights : tuple of ndarray (m, 1 + k)
+        For each flight the error's innovations first, then what one unit of each parameter takes off them
+        that the flight depends on; in their standard deviations, the axes of a step one after the other.
+    columns : tuple of ndarray (k,)
+        For each flight, which parameters these are.
+    size : int
+        Number of parameters.
+    log_variances : ndarray (3,)
+        Sum of the logarithms of the variances of each axis.
+    """
+
+    flights: tuple[Floats, ...]
+    columns: tuple[Integers, ...]
+    size: int
+    log_variances: Floats
+
+    @property
+    def own(self) -> Integers:
+        """Parameters that each flight has of its own, shape (flights, k)."""
+        return own_columns(self.columns, self.size)
+
+    def information(self) -> Floats:
+        """Fisher information of the parameters, shape (f, f)."""
+        found = np.zeros((self.size, self.size))
+        for one, own in zip(self.flights, self.columns, strict=True):
+            found[np.ix_(own, own)] += one[:, 1:].T @ one[:, 1:]
+        return found
+
+    def score(self) -> Floats:
+        """Derivatives of the log-likelihood by the parameters, shape (f,)."""
+        found = np.zeros(self.size)
+        for one, own in zip(self.flights, self.columns, strict=True):
+            found[own] += one[:, 1:].T @ one[:, 0]
+        return found
+
+    def left(self, move: Floats) -> list[Floats]:
+        """Innovations of the error of each flight, shape (m,), when the parameters have moved by `move`,
+        shape (f,), to first order.
+        """
+        return [
+            one[:, 0] - one[:, 1:] @ move[own] for one, own in zip(self.flights, self.columns, strict=True)
+        ]
 
 
 class Filtered:
@@ -66,64 +105,15 @@ class Filtered:
     """
 
     def __init__(self, linears: Sequence[Linear], columns: Sequence[Integers], size: int) -> None:
-        self.linears = tuple(linears)
-        self.size = size
-        self.block = max(1, round(BLOCK_s / linears[0].course.step_s))
-        self._windows = [[self._compose(one, window) for window in one.windows] for one in linears]
-        self._own: list[list[tuple[Floats, Floats]]] = []
-        for number, (one, own) in enumerate(zip(linears, columns, strict=True)):
-            nx = one.Phi.shape[1]
-            rates = np.zeros((one.rows, nx, size + 1))
-            angles = np.zeros((one.rows, 3, size + 1))
-            # With the opposite sign the filter gives what a parameter takes off the innovations.
-            rates[:, :, 1 + own] = -one.by_parameters
-            angles[:, :, 1 + own] = one.angles_by_parameters
-            driven = one.Gamma @ rates
-            driven[:, :, 0] = self._error_drive(one)
-            angles[:, :, 0] = one.angle_error_rad
-            self._own.append(self._over_blocks(number, driven, angles))
+        self.linears, self.columns, self.size = tuple(linears), tuple(columns), size
 
-    @staticmethod
-    def _error_drive(one: Linear) -> Floats:
-        drive: Floats = np.einsum("nij,nj->ni", one.Gamma, one.defect)
-        drive += np.einsum("nij,nj->ni", one.Phi, one.surprise)
-        return drive
-
-    def _compose(self, one: Linear, window: slice) -> _Blocks:
-        count = (window.stop - window.start) // self.block
-        rows = window.start + self.block * np.arange(count)
-        transition = np.broadcast_to(np.eye(one.Phi.shape[1]), (count, *one.Phi.shape[1:])).copy()
-        parts: list[Floats] = []
-        for step in range(self.block):
-            phi = one.Phi[rows + step]
-            transition = np.asarray(phi @ transition, float)
-            parts = [phi @ part for part in parts]
-            parts.append(one.Gamma[rows + step] @ one.by_torque[rows + step])
-        return _Blocks(
-            rows, transition, np.array(parts), np.ascontiguousarray(one.C[rows]), one.variance_rad2[rows]
-        )
-
-    def _over_blocks(self, number: int, driven: Floats, angles: Floats) -> list[tuple[Floats, Floats]]:
-        """Signals of a flight in steps of a block, for each window."""
-        one, found = self.linears[number], []
-        for blocks in self._windows[number]:
-            together = driven[blocks.rows].copy()
-            for step in range(1, self.block):
-                together = one.Phi[blocks.rows + step] @ together + driven[blocks.rows + step]
-            found.append((together, np.ascontiguousarray(angles[blocks.rows])))
-        return found
-
-    def innovations(
-        self, weather: Weather, error: Sequence[Sequence[tuple[Floats, Floats]]] | None = None
-    ) -> tuple[Floats, Floats]:
+    def innovations(self, weather: Weather) -> tuple[Floats, Floats]:
         """Filter: the error's innovations first, then what one unit of each parameter takes off them.
 
         Parameters
         ----------
         weather : Weather
             Torques by chance and quantisation.
-        error : sequence, optional
-            Other signals in their place, as `moved` gives them.
 
         Returns
         -------
@@ -132,36 +122,86 @@ class Filtered:
         log_variances : ndarray (3,)
             Sum of the logarithms of the variances of each axis.
         """
-        found, total = [], np.zeros(3)
-        for number, signals in enumerate(self._own if error is None else error):
-            for blocks, (drive, measured) in zip(self._windows[number], signals, strict=True):
-                value, log_variances = _kalman.filter(*self._system(blocks, weather), drive, measured)
-                found.append(value.reshape(-1, drive.shape[2]))
-                total += np.array(log_variances)
-        return np.concatenate(found), total
+        by_flight = self.innovations_by_flight(weather)
+        every = np.zeros((sum(len(one) for one in by_flight.flights), 1 + self.size))
+        low = 0
+        for one, own in zip(by_flight.flights, self.columns, strict=True):
+            every[low : low + len(one), np.concatenate(([0], 1 + own))] = one
+            low += len(one)
+        return every, by_flight.log_variances
 
-    def regressors(self, weather: Weather, signals: Sequence[tuple[Floats, Floats | None]]) -> Floats:
-        """What one unit of further signals takes off the innovations, shape (m, s).
+    def innovations_by_flight(self, weather: Weather) -> Innovations:
+        """Filter: the same, of each flight by the parameters alone that it depends on."""
+        found, total = [], np.zeros(3)
+        for one in self.linears:
+            parts = []
+            for blocks in one.blocks:
+                value, log_variances = self._filter(one, blocks, weather, blocks.drive, blocks.measured_rad)
+                parts.append(value)
+                total += log_variances
+            found.append(np.concatenate(parts))
+        return Innovations(tuple(found), self.columns, self.size, total)
+
+    def regressors(
+        self, weather: Weather, signals: Iterable[tuple[Floats, Floats | None]]
+    ) -> Iterator[Floats]:
+        """What one unit of further signals takes off the innovations, shape (m, s) for each flight in turn.
 
         Parameters
         ----------
         weather : Weather
             Torques by chance and quantisation.
-        signals : sequence of (ndarray, ndarray or None)
-            For each flight changes of the rates, (n, states, s), and of the measured angles, (n, 3, s).
+        signals : iterable of (ndarray, ndarray or None)
+            For each flight changes of the rates, (n, states, s), and of the measured angles, (n, 3, s). Made
+            one by one, they need the memory of one.
         """
-        every = []
-        for number, (one, (rates, angles)) in enumerate(zip(self.linears, signals, strict=True)):
-            seen = np.zeros((one.rows, 3, rates.shape[2])) if angles is None else angles
-            every.append(self._over_blocks(number, -(one.Gamma @ rates), seen))
-        return self.innovations(weather, every)[0]
+        for one, (rates, angles) in zip(self.linears, signals, strict=True):
+            found = []
+            for blocks, moved in zip(one.blocks, one.over_blocks(rates), strict=True):
+                seen = np.zeros((len(moved), 3, moved.shape[2])) if angles is None else angles[blocks.rows]
+                found.append(self._filter(one, blocks, weather, -moved, seen)[0])
+            yield np.concatenate(found)
+
+    def torque_regressors(
+        self, weather: Weather, axis: int, torques_Nm: Sequence[Floats]
+    ) -> Iterator[Floats]:
+        """What torques about one axis take off the innovations, shape (m, s) for each flight in turn: as
+        `regressors`, at a fourth of the cost.
+
+        Parameters
+        ----------
+        weather : Weather
+            Torques by chance and quantisation.
+        axis : int
+            Number of the axis.
+        torques_Nm : sequence of ndarray (n, s)
+            For each flight each torque in the steps.
+        """
+        for one, values in zip(self.linears, torques_Nm, strict=True):
+            found = []
+            for blocks in one.blocks:
+                moved = np.zeros((len(blocks.rows), blocks.transition.shape[1], values.shape[1]))
+                for part, at_end in enumerate(blocks.part_input):
+                    moved -= at_end[:, :, axis, None] * values[blocks.rows + part][:, None, :]
+                seen = np.zeros((len(moved), 3, values.shape[1]))
+                found.append(self._filter(one, blocks, weather, moved, seen)[0])
+            yield np.concatenate(found)
+
+    def _filter(
+        self, one: Linear, blocks: Blocks, weather: Weather, drive: Floats, measured: Floats
+    ) -> tuple[Floats, Floats]:
+        value, log_variances = _kalman.filter(*self._system(one, blocks, weather), drive, measured)
+        return value.reshape(-1, drive.shape[2]), np.array(log_variances)
 
     def moved(self, move: Floats) -> list[list[tuple[Floats, Floats]]]:
         """Errors of each flight when the parameters have moved by `move`, shape (f,), to first order."""
-        weight = np.concatenate(([1.0], -move))
         return [
-            [((drive @ weight)[:, :, None], (measured @ weight)[:, :, None]) for drive, measured in flight]
-            for flight in self._own
+            [
+                ((blocks.drive @ weight)[:, :, None], (blocks.measured_rad @ weight)[:, :, None])
+                for blocks in one.blocks
+            ]
+            for one, own in zip(self.linears, self.columns, strict=True)
+            for weight in [np.concatenate(([1.0], -move[own]))]
         ]
 
     def smoothed_torques(self, weather: Weather, move: Floats) -> list[tuple[Floats, Floats, Floats]]:
@@ -182,36 +222,52 @@ class Filtered:
         found = []
         for number, signals in enumerate(self.moved(move)):
             times, values, errors = [], [], []
-            for blocks, (drive, measured) in zip(self._windows[number], signals, strict=True):
+            one = self.linears[number]
+            for blocks, (drive, measured) in zip(one.blocks, signals, strict=True):
                 nx = blocks.transition.shape[1]
-                mean, variance = _kalman.smooth(*self._system(blocks, weather), drive, measured)
-                times.append(self.linears[number].nodes.t_s[blocks.rows])
+                mean, variance = _kalman.smooth(*self._system(one, blocks, weather), drive, measured)
+                times.append(one.nodes.t_s[blocks.rows])
                 values.append(mean[:, nx : nx + 3] + mean[:, nx + 3 :])
                 errors.append(np.sqrt(variance[:, nx : nx + 3] + variance[:, nx + 3 :]))
             found.append((np.concatenate(times), np.concatenate(values), np.concatenate(errors)))
         return found
 
-    def _system(self, blocks: _Blocks, weather: Weather) -> tuple[Floats, ...]:
-        nx = blocks.transition.shape[1]
-        step_s = self.linears[0].course.step_s
-        memory = weather.memory(step_s)
-        power = memory[None, :] ** np.arange(self.block)[:, None]
-        torque_input = np.concatenate(
-            (
-                np.einsum("b...a,ba->...a", blocks.input, power[:, :3]),
-                np.einsum("b...a,ba->...a", blocks.input, power[:, 3:]),
-            ),
-            axis=2,
-        )
+    def _system(self, one: Linear, blocks: Blocks, weather: Weather) -> tuple[Floats, ...]:
         return (
             blocks.transition,
-            np.ascontiguousarray(torque_input),
+            blocks.part_input,
             blocks.measurement,
             np.ascontiguousarray(blocks.variance_rad2 * weather.quantisation),
-            memory**self.block,
+            weather.memory(one.course.step_s),
             weather.variance_N2m2,
-            _initial_variance(nx),
+            _initial_variance(blocks.transition.shape[1]),
         )
+
+    def log_likelihoods(
+        self, weathers: Sequence[Weather], error: Sequence[Sequence[tuple[Floats, Floats]]]
+    ) -> Floats:
+        """Log-likelihood of each axis' innovations of an `error`, as `moved` gives it, under each of several
+        weathers, nats, without its constant; shape (w, 3).
+        """
+        variance = np.array([one.variance_N2m2 for one in weathers])
+        scale = np.array([one.quantisation for one in weathers])
+        total = np.zeros((len(weathers), 3))
+        for one, signals in zip(self.linears, error, strict=True):
+            memory = np.array([weather.memory(one.course.step_s) for weather in weathers])
+            for blocks, (drive, measured) in zip(one.blocks, signals, strict=True):
+                total += _kalman.log_likelihoods(
+                    blocks.transition,
+                    blocks.part_input,
+                    blocks.measurement,
+                    blocks.variance_rad2,
+                    memory,
+                    variance,
+                    scale,
+                    _initial_variance(blocks.transition.shape[1]),
+                    drive,
+                    measured,
+                )
+        return total
 
     def followed(self, weather: Weather) -> list[Course]:
         """Courses as this model's filter follows them, every step measured."""
@@ -219,19 +275,19 @@ class Filtered:
         for one in self.linears:
             course = one.course
             predicted, filtered = course.predicted.copy(), course.filtered.copy()
-            drive = self._error_drive(one)
-            torque_input = one.Gamma @ np.tile(one.by_torque, (1, 1, 2))
+            steps = one.steps
+            torque_input = steps.Gamma @ steps.by_torque
             for window, rows in zip(one.windows, course.windows, strict=True):
                 before, after = _kalman.track(
-                    np.ascontiguousarray(one.Phi[window]),
-                    np.ascontiguousarray(torque_input[window]),
-                    np.ascontiguousarray(one.C[window]),
+                    steps.Phi[window],
+                    np.ascontiguousarray(torque_input[window])[None],
+                    steps.C[window],
                     np.ascontiguousarray(one.variance_rad2[window] * weather.quantisation),
                     weather.memory(course.step_s),
                     weather.variance_N2m2,
-                    _initial_variance(one.Phi.shape[1]),
-                    np.ascontiguousarray(drive[window])[:, :, None],
-                    np.ascontiguousarray(one.angle_error_rad[window])[:, :, None],
+                    _initial_variance(one.states),
+                    steps.drive[window],
+                    steps.angle_error_rad[window],
                 )
                 predicted[rows] = course.predicted[rows] + before[:, :6]
                 filtered[rows] = course.predicted[rows] + after[:, :6]
@@ -256,10 +312,12 @@ class Estimate:
         Their covariance.
     log_likelihood : float
         In nats, up to a constant that all models of the same courses share; priors included.
-    filtered : Filtered
-        The model linearised at `theta`.
     converged : bool
         Whether the last move promised next to nothing.
+    courses : tuple of Course
+        The flights.
+    functions : ModelFunctions
+        The model's equations.
     """
 
     unknowns: Unknowns
@@ -267,13 +325,26 @@ class Estimate:
     covariance: Floats
     log_likelihood: float
     weather: Weather
-    filtered: Filtered
     converged: bool
+    courses: tuple[Course, ...]
+    functions: ModelFunctions
+
+    def filtered(self) -> Filtered:
+        """Linearise the model at `theta`; not kept, because of every flight it takes megabytes a minute."""
+        return _linearised(self.unknowns, self.courses, self.functions, self.theta)
+
+    def other_weather(self) -> Weather | None:
+        """Look for the weather afresh with the parameters as they are; None where it is none that is likelier
+        than what was found.
+        """
+        filtered = self.filtered()
+        error = filtered.moved(np.zeros(len(self.theta)))
+        other = estimate_weather(filtered, error, Weather.start())
+        now, then = filtered.log_likelihoods([self.weather, other], error).sum(axis=1)
+        return other if then > now + _TURN_NATS else None
 
 
-def solve(
-    unknowns: Unknowns, theta: Floats, innovations: Floats, log_variances: Floats
-) -> tuple[Floats, Floats, float]:
+def solve(unknowns: Unknowns, theta: Floats, innovations: Innovations) -> tuple[Floats, Floats, float]:
     """Solve for the move of the parameters that maximises the posterior.
 
     Parameters
@@ -282,10 +353,6 @@ def solve(
         Priors and bounds.
     theta : ndarray (f,)
         Parameters at which the model is linearised.
-    innovations : ndarray (m, 1 + f)
-        As `Filtered.innovations` gives them.
-    log_variances : ndarray (3,)
-        Sums of the logarithms of the innovations' variances.
 
     Returns
     -------
@@ -296,41 +363,48 @@ def solve(
     value : float
         Logarithm of the posterior at `theta`, nats.
     """
-    error, sensitivity = innovations[:, 0], innovations[:, 1:]
-    precision = unknowns.std**-2.0
+    precision, own = unknowns.std**-2.0, innovations.own
     offset = theta - unknowns.mean
-    information = sensitivity.T @ sensitivity + np.diag(precision)
-    gradient = sensitivity.T @ error - precision * offset
-    value = -0.5 * (error @ error + offset @ (precision * offset) + log_variances.sum())
+    information = innovations.information() + np.diag(precision)
+    gradient = innovations.score() - precision * offset
+    squares = sum(float(one[:, 0] @ one[:, 0]) for one in innovations.flights)
+    value = -0.5 * (squares + offset @ (precision * offset) + innovations.log_variances.sum())
     low, high = unknowns.bounds
     move = np.zeros(len(theta))
     free = np.ones(len(theta), bool)
     for _ in range(len(theta) + 1):
         rest = gradient - information[:, ~free] @ move[~free]
-        move[free] = np.linalg.solve(information[np.ix_(free, free)], rest[free])
+        # What is held meets nothing, and moves by nothing.
+        held = np.where(free[:, None] & free, information, np.diag(np.where(free, 0.0, 1.0)))
+        move[free] = solve_bordered(held, np.where(free, rest, 0.0), own)[free]
         over = free & ((theta + move < low) | (theta + move > high))
         if not over.any():
             break
         move[over] = (np.clip(theta + move, low, high) - theta)[over]
         free &= ~over
-    covariance = np.asarray(np.linalg.inv(information), float)
+    covariance = inverse_bordered(information, own)
     return move, covariance, float(value)
 
 
 def estimate_weather(
-    filtered: Filtered, error: Sequence[Sequence[tuple[Floats, Floats]]], start: Weather
+    filtered: Filtered,
+    error: Sequence[Sequence[tuple[Floats, Floats]]],
+    start: Weather,
+    enough_nats: float = _CONVERGED_NATS,
 ) -> Weather:
     """Maximise the likelihood of the innovations of an `error`, as `Filtered.moved` gives it, over the
-    weather, from `start` on.
+    weather, from `start` on, to `enough_nats`.
     """
+    return maximise(lambda weathers: filtered.log_likelihoods(weathers, error), start, enough_nats)
 
-    def value(at: Weather) -> Floats:
-        found, log_variances = filtered.innovations(at, error)
-        squares = (found[:, 0].reshape(-1, 3) ** 2).sum(axis=0)
-        result: Floats = -0.5 * (squares + log_variances)
-        return result
 
-    return maximise(value, start)
+def _linearised(
+    unknowns: Unknowns, courses: Sequence[Course], functions: ModelFunctions, theta: Floats
+) -> Filtered:
+    linears = [
+        Linear(course, functions, unknowns.parameters(theta, index)) for index, course in enumerate(courses)
+    ]
+    return Filtered(linears, unknowns.columns, len(theta))
 
 
 @dataclass
@@ -353,18 +427,15 @@ class _Ascent:
         self.unknowns, self.courses, self.functions = unknowns, courses, functions
 
     def linearised(self, theta: Floats) -> Filtered:
-        linears = [
-            Linear(course, self.functions, self.unknowns.parameters(theta, index))
-            for index, course in enumerate(self.courses)
-        ]
-        return Filtered(linears, self.unknowns.columns, len(theta))
+        return _linearised(self.unknowns, self.courses, self.functions, theta)
 
     def at(self, theta: Floats, weather: Weather, filtered: Filtered) -> _Point:
-        innovations, log_variances = filtered.innovations(weather)
-        move, covariance, value = solve(self.unknowns, theta, innovations, log_variances)
-        left = innovations[:, 0] - innovations[:, 1:] @ move
+        innovations = filtered.innovations_by_flight(weather)
+        move, covariance, value = solve(self.unknowns, theta, innovations)
+        squares = sum(float(left @ left) for left in innovations.left(move))
         offset = theta + move - self.unknowns.mean
-        after = -0.5 * (left @ left + offset @ (self.unknowns.std**-2.0 * offset) + log_variances.sum())
+        prior = offset @ (self.unknowns.std**-2.0 * offset)
+        after = -0.5 * (squares + prior + innovations.log_variances.sum())
         return _Point(theta, weather, filtered, move, covariance, value, float(after) - value)
 
     def begun(self, theta: Floats, weather: Weather | None) -> _Point:
@@ -383,10 +454,16 @@ class _Ascent:
         for _ in range(_HALVINGS):
             theta = point.theta + share * point.move
             after = self.at(theta, point.weather, self.linearised(theta))
-            if after.value > point.value - _CONVERGED_NATS:
+            if after.value > point.value + _LEAST_GAIN * share * point.promised:
                 return after
             share *= 0.3
         return None
+
+    def weathered(self, point: _Point, enough_nats: float) -> _Point:
+        """The weather as likely as it can be, to `enough_nats`."""
+        own = point.filtered.moved(np.zeros(len(point.theta)))
+        weather = estimate_weather(point.filtered, own, point.weather, enough_nats)
+        return self.at(point.theta, weather, point.filtered)
 
     def run(self, point: _Point) -> tuple[_Point, bool]:
         last = -np.inf
@@ -394,12 +471,10 @@ class _Ascent:
             if point.promised > _CONVERGED_NATS:
                 after = self.moved(point)
                 if after is None:
-                    return point, False
+                    return self.weathered(point, _CONVERGED_NATS), False
                 point = after
             # While parameters still move far the weather follows roughly; then to the end.
-            own = point.filtered.moved(np.zeros(len(point.theta)))
-            weather = estimate_weather(point.filtered, own, point.weather)
-            point = self.at(point.theta, weather, point.filtered)
+            point = self.weathered(point, max(_CONVERGED_NATS, _WEATHER_SHARE * point.promised))
             if point.promised < _CONVERGED_NATS and point.value - last < _TURN_NATS:
                 return point, True
             last = point.value
@@ -431,5 +506,12 @@ def estimate(
     ascent = _Ascent(unknowns, courses, functions)
     point, converged = ascent.run(ascent.begun(theta, weather))
     return Estimate(
-        unknowns, point.theta, point.covariance, point.value, point.weather, point.filtered, converged
+        unknowns,
+        point.theta,
+        point.covariance,
+        point.value,
+        point.weather,
+        converged,
+        tuple(courses),
+        functions,
     )

@@ -14,21 +14,29 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import casadi as ca
 import numpy as np
-from heli_sim.model.base import Model
+from heli_sim.model.base import Effect, Model
 from heli_sim.model.parts import AXES
 
-from heli_lab.identify.functions import Floats
+from heli_lab.identify.functions import Floats, Integers
 from heli_lab.identify.grid import make_grid
+from heli_lab.innovations import _kalman
 from heli_lab.innovations.course import Course
-from heli_lab.innovations.evaluate import MapEvaluator, Trajectory
+from heli_lab.innovations.evaluate import OWN_SUBSTEPS, AlongCourse, OwnStates, Trajectory
 
-_OWN_SUBSTEPS: Final = 4
-"""Runge-Kutta steps of an effect's own states in each step of 10 ms: lags of a few milliseconds stay
-stable."""
+BLOCK_s: Final = 0.04
+"""Time from one measurement of the filter to the next. Encoders at rest repeat a count for tens of
+milliseconds: taken every 10 ms their errors are correlated (0.15 to 0.43 from one to the next on simulated
+flights, 2026-11), and weather of no memory is found; every 40 ms they are white to 0.05. Longer: rotor
+lags and delays blur."""
+_TOGETHER: Final = 4096
+"""Steps that are linearised together: derivatives by all parameters take 2 kB each. The result does not
+depend on it, memory does."""
 
 
 class ModelFunctions:
@@ -37,7 +45,8 @@ class ModelFunctions:
     """
 
     def __init__(self, model: Model, free: Sequence[str]) -> None:
-        self.model, self.free = model, tuple(free)
+        self.model = model = along_measured(model)
+        self.free = tuple(free)
         names = [quantity.name for quantity in model.parameters]
         self.names = names
         self.places = [names.index(name) for name in free]
@@ -51,60 +60,149 @@ class ModelFunctions:
                 return ca.SX(value.numel(), 0)
             return ca.jacobian(value, ca.vertcat(*(p[i] for i in self.places)))
 
+        # With the opposite sign the filter gives what a parameter takes off the innovations.
         wanted = [
-            rates,
+            ca.horzcat(rates, -by_free(rates)),
             ca.jacobian(rates, x),
-            by_free(rates),
             ca.jacobian(rates, ca.vertcat(*(p[i] for i in torques))),
             ca.jacobian(rates, u),
-            angles,
+            ca.horzcat(angles, by_free(angles)),
             ca.jacobian(angles, x),
-            by_free(angles),
         ]
-        self.function = ca.Function("along", [x, u, t, p], ca.cse([ca.densify(w) for w in wanted]))
-        self.evaluators: dict[int, MapEvaluator] = {}
+        self.along = AlongCourse(ca.Function("along", [x, u, t, p], ca.cse([ca.densify(w) for w in wanted])))
         self.own_states = len(model.states) - 6
         if self.own_states:
-            z, y, h = ca.SX.sym("z", self.own_states), ca.SX.sym("y", 6), ca.SX.sym("h")
-            both = ca.vertcat(y, z)
-            now = ca.Function("z", [z, y, u, t, p], [model.dynamics(both, u, p, t)[6:]])
-            reset = ca.Function("r", [z, y, u, t, p], [model.reset_map(both, u, p, t)[6:]])
-            k1 = now(z, y, u, t, p)
-            k2 = now(z + 0.5 * h * k1, y, u, t, p)
-            k3 = now(z + 0.5 * h * k2, y, u, t, p)
-            k4 = now(z + h * k3, y, u, t, p)
-            end = reset(z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), y, u, t + h, p)
-            self.step = ca.Function("step", [z, y, u, t, p, h], [end])
-            self.integrators: dict[int, ca.Function] = {}
+            z, y = ca.SX.sym("z", self.own_states), ca.SX.sym("y", 6)
+            both, inputs = ca.vertcat(y, z), [z, t, y, u, p]
+            self.own = OwnStates(
+                ca.Function("rates", inputs, [ca.densify(model.dynamics(both, u, p, t)[6:])]),
+                ca.Function("resets", inputs, [ca.densify(model.reset_map(both, u, p, t)[6:])]),
+            )
 
-    def evaluate(self, trajectory: Trajectory) -> list[Floats]:
-        """Evaluate in each step of a trajectory."""
-        count = len(trajectory.t_s)
-        if count not in self.evaluators:
-            self.evaluators[count] = MapEvaluator(self.function, count)
-        return self.evaluators[count](trajectory)
+    def __reduce__(self) -> tuple[type[ModelFunctions], tuple[Model, tuple[str, ...]]]:
+        # Compiled programs do not pickle; they are made again.
+        return ModelFunctions, (self.model, self.free)
 
-    def integrate(self, trajectory: Trajectory) -> Floats:
-        """Integrate the effects' own states along a course from rest, shape (n + 1, own states): at the
-        beginning of each step, and at the end of the last.
+    def integrate(self, trajectory: Trajectory, directions: Floats) -> Floats:
+        """Integrate the effects' own states along a course from rest.
+
+        Parameters
+        ----------
+        trajectory : Trajectory
+            The course.
+        directions : ndarray (n, 3)
+            Direction in which each axis has moved last, at the beginning of each step.
+
+        Returns
+        -------
+        ndarray (n + 1, own states)
+            At the beginning of each step, and at the end of the last.
         """
-        count, substeps = len(trajectory.t_s), _OWN_SUBSTEPS
-        if count not in self.integrators:
-            self.integrators[count] = self.step.mapaccum("integrated", count * substeps)
-        h = trajectory.step_s / substeps
-        late_s = h * (np.tile(np.arange(substeps), count) - substeps / 2)
-        parameters = trajectory.parameters
-        result = self.integrators[count](
-            np.zeros(self.own_states),
-            np.repeat(trajectory.state[:, :6], substeps, axis=0).T,
-            np.repeat(trajectory.volts_V, substeps, axis=0).T,
-            (np.repeat(trajectory.t_s, substeps) + late_s)[None],
-            np.broadcast_to(parameters[:, None], (len(parameters), count * substeps)),
-            np.full((1, count * substeps), h),
+        ends = self.own.integrate(
+            [trajectory.state[:, :6], trajectory.volts_V],
+            trajectory.t_s,
+            trajectory.parameters,
+            trajectory.step_s,
+            OWN_SUBSTEPS,
         )
-        ends = np.asarray(result).T[substeps - 1 :: substeps]
         every: Floats = np.vstack((np.zeros(self.own_states), ends))
+        for place, axis in known_directions(self.model.effects):
+            every[:, place] = np.append(directions[:, axis], directions[-1, axis])
         return every
+
+
+def along_measured(model: Model) -> Model:
+    """The same model where the angles of a flight have been measured."""
+    return type(model)(tuple(effect.along_measured() for effect in model.effects))
+
+
+def known_directions(effects: Sequence[Effect]) -> list[tuple[int, int]]:
+    """Those of the effects' own states, counted from the first, that are directions of an axis, and which."""
+    names = [state.name for effect in effects for state in effect.states]
+    axes = {name: axis for effect in effects for name, axis in effect.direction_of.items()}
+    return [(names.index(name), AXES.index(axis)) for name, axis in axes.items()]
+
+
+@dataclass(frozen=True)
+class Derivatives:
+    """A model linearised in some steps of a course.
+
+    Parameters
+    ----------
+    Phi, Gamma : ndarray (n, states, states)
+        Transition of the deviation over a step, and its response to rates changed during it.
+    rates : ndarray (n, states, 1 + f)
+        The model's error first: rates that it adds to those of the course. Then what a unit of each free
+        parameter takes off them.
+    by_torque : ndarray (n, states, 3)
+        Derivatives of the rates by torques about the axes.
+    C : ndarray (n, 3, states)
+        Derivatives of the measured angles by the state.
+    angles_rad : ndarray (n, 3, 1 + f)
+        Measured angles minus those of the course first, then what a unit of each free parameter takes off
+        that.
+    """
+
+    Phi: Floats
+    Gamma: Floats
+    rates: Floats
+    by_torque: Floats
+    C: Floats
+    angles_rad: Floats
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """A window in steps of a block.
+
+    Parameters
+    ----------
+    rows : ndarray (m,)
+        First step of each block.
+    transition : ndarray (m, states, states)
+        Of the deviation over a block.
+    part_input : ndarray (steps of a block, m, states, 3)
+        What a torque about each axis during one step of the block has moved at its end.
+    measurement : ndarray (m, 3, states)
+        Derivatives of the measured angles by the state.
+    variance_rad2 : ndarray (m, 3)
+        Of the measurements' quantisation.
+    drive : ndarray (m, states, 1 + f)
+        What moves the deviation over a block: the model's error first, then what a unit of each free
+        parameter takes off it.
+    measured_rad : ndarray (m, 3, 1 + f)
+        The same of the measured angles.
+    """
+
+    rows: Integers
+    transition: Floats
+    part_input: Floats
+    measurement: Floats
+    variance_rad2: Floats
+    drive: Floats
+    measured_rad: Floats
+
+
+@dataclass(frozen=True)
+class Steps:
+    """A flight in steps of its course.
+
+    Parameters
+    ----------
+    Phi, Gamma, by_torque, C : ndarray
+        As in `Derivatives`.
+    drive : ndarray (n, states, 1)
+        What the model's error moves in each step.
+    angle_error_rad : ndarray (n, 3, 1)
+        Measured angles minus those of the course.
+    """
+
+    Phi: Floats
+    Gamma: Floats
+    by_torque: Floats
+    C: Floats
+    drive: Floats
+    angle_error_rad: Floats
 
 
 class Linear:
@@ -112,33 +210,39 @@ class Linear:
 
     Attributes
     ----------
+    rows : int
+        Steps in free flight, one window after the other.
     trajectory : Trajectory
-        Middle of each step in free flight, n of them.
-    Phi, Gamma : ndarray (n, states, states)
-        Transition of the deviation over a step, and its response to rates changed during it.
-    defect : ndarray (n, states)
-        Rates that the model adds to those of the course.
-    surprise : ndarray (n, states)
-        Predicted minus filtered state of the course at the beginning of each step.
+        Middle of each step.
     nodes : Trajectory
         Beginning of each step, with the predicted state.
-    by_parameters : ndarray (n, states, f)
-        Derivatives of the rates by the free parameters.
-    by_torque : ndarray (n, states, 3)
-        Derivatives of the rates by torques about the axes.
-    C : ndarray (n, 3, states)
-        Derivatives of the measured angles by the state.
-    angle_error_rad : ndarray (n, 3)
-        Measured angles minus those of the course.
-    angles_by_parameters : ndarray (n, 3, f)
-        Derivatives of the measured angles by the free parameters.
+    windows : list of slice
+        Steps of each window.
+    states : int
+        States of the model.
+    block : int
+        Steps from one measurement of the filter to the next.
+    blocks : list of Blocks
+        The windows, as the filter takes them.
+    variance_rad2 : ndarray (n, 3)
+        Variance of the quantisation errors.
     """
 
     def __init__(self, course: Course, functions: ModelFunctions, parameters: Floats) -> None:
-        self.course, self.functions = course, functions
-        model, h = functions.model, course.step_s
-        self.model = model
+        self.course, self.functions, self.model = course, functions, functions.model
+        self.block = max(1, round(BLOCK_s / course.step_s))
+        lengths = [one.stop - one.start for one in course.windows]
+        edges = np.concatenate(([0], np.cumsum(lengths))).astype(int)
+        self.windows = [slice(int(low), int(high)) for low, high in itertools.pairwise(edges)]
+        self._place(parameters)
+        self.states = 6 + functions.own_states
+        self.blocks = [self._window(window) for window in self.windows]
+
+    def _place(self, parameters: Floats) -> None:
+        """Lay out the points of the course about which the model is linearised."""
+        course, functions, h = self.course, self.functions, self.course.step_s
         names = functions.names
+        model = self.model
         delay = (model.delay, float(parameters[names.index(model.delay)])) if model.delay else None
         dead_zone = float(parameters[names.index("dead_zone")])
         one_way = not parameters[names.index("reverse_thrust")] and "reverse_thrust" not in functions.free
@@ -154,45 +258,97 @@ class Linear:
         t_s = np.asarray((np.arange(count) + 0.5) * h, float)
         after = np.vstack((course.predicted[1:], course.predicted[-1:]))
         middle = 0.5 * (course.filtered + after)
-        whole = Trajectory(t_s, middle, grid.inputs.mean_V, h, parameters)
+        volts_V = grid.inputs.mean_V
         nodes = course.predicted
-        own = None
         if functions.own_states:
-            own = functions.integrate(whole)
+            own = functions.integrate(Trajectory(t_s, middle, volts_V, h, parameters), course.directions)
             middle = np.hstack((middle, 0.5 * (own[:-1] + own[1:])))
             nodes = np.hstack((nodes, own[:-1]))
         rows = course.rows
         self.rows = len(rows)
-        self.trajectory = Trajectory(t_s[rows], middle[rows], whole.volts_V[rows], h, parameters)
-        rates, a, by_free, by_torque, by_volts, angles, c, angles_by_free = functions.evaluate(
-            self.trajectory
-        )
-        for name, mean, _ in grid.inputs.shaped_by:
-            if name in functions.free:
-                by_free[:, :, functions.free.index(name)] += np.einsum("nij,nj->ni", by_volts, mean[rows])
-        nx = a.shape[1]
-        eye = np.eye(nx)
-        inverse = np.linalg.inv(eye - 0.5 * h * a)
-        self.Phi: Floats = inverse @ (eye + 0.5 * h * a)
-        self.Gamma: Floats = np.asarray(inverse * h, float)
-        change = np.zeros((self.rows, nx))
-        change[:, :6] = ((after - course.filtered) / h)[rows]
-        defect = rates[:, :, 0] - change
-        # Own states are integrated more finely than by the midpoint rule: the course keeps to them exactly.
-        defect[:, 6:] = 0.0
-        self.defect: Floats = defect
-        self.by_parameters: Floats = by_free
-        self.by_torque: Floats = by_torque
-        self.C: Floats = c
-        surprise = np.zeros((self.rows, nx))
-        surprise[:, :6] = (course.predicted - course.filtered)[rows]
-        self.surprise: Floats = surprise
-        self.nodes = Trajectory(t_s[rows] - 0.5 * h, nodes[rows], whole.volts_V[rows], h, parameters)
-        # Angles are measured at the beginning of a step, the model's are taken in its middle.
-        at_node = angles[:, :, 0] + np.einsum("nij,nj->ni", c, self.nodes.state - self.trajectory.state)
-        self.angle_error_rad: Floats = course.measured_rad[rows] - at_node
-        self.angles_by_parameters: Floats = angles_by_free
+        self.trajectory = Trajectory(t_s[rows], middle[rows], volts_V[rows], h, parameters)
+        self.nodes = Trajectory(t_s[rows] - 0.5 * h, nodes[rows], volts_V[rows], h, parameters)
+        self._change: Floats = ((after - course.filtered) / h)[rows]
+        self._surprise: Floats = (course.predicted - course.filtered)[rows]
+        self._measured: Floats = course.measured_rad[rows]
         self.variance_rad2: Floats = course.variance_rad2[rows]
-        lengths = [one.stop - one.start for one in course.windows]
-        edges = np.concatenate(([0], np.cumsum(lengths))).astype(int)
-        self.windows = [slice(int(low), int(high)) for low, high in itertools.pairwise(edges)]
+        self._shaped_by = [
+            (functions.free.index(name), mean[rows])
+            for name, mean, _ in grid.inputs.shaped_by
+            if name in functions.free
+        ]
+
+    def derivatives(self, rows: slice) -> Derivatives:
+        """Linearise in the steps `rows`."""
+        here, h = self.trajectory.part(rows), self.course.step_s
+        rates, a, by_torque, by_volts, angles, c = self.functions.along(here)
+        for place, mean in self._shaped_by:
+            rates[:, :, 1 + place] -= np.einsum("nij,nj->ni", by_volts, mean[rows])
+        rates[:, :6, 0] -= self._change[rows]
+        # A direction is known: no state of the filter strays from it.
+        for place, _ in known_directions(self.model.effects):
+            c[:, :, 6 + place] = 0.0
+        # Own states are integrated more finely than by the midpoint rule: the course keeps to them exactly.
+        rates[:, 6:, 0] = 0.0
+        # Angles are measured at the beginning of a step, the model's are taken in its middle.
+        ahead = self.nodes.state[rows] - here.state
+        at_node = angles[:, :, 0] + np.einsum("nij,nj->ni", c, ahead)
+        angles[:, :, 0] = self._measured[rows] - at_node
+        return Derivatives(*_kalman.midpoint(a, h), rates, by_torque, c, angles)
+
+    def _window(self, window: slice) -> Blocks:
+        size, states, n = 1 + len(self.functions.free), self.states, self.block
+        firsts = np.arange(window.start, window.stop - n + 1, n)
+        count = len(firsts)
+        transition, part_input = np.empty((count, states, states)), np.empty((n, count, states, 3))
+        measurement, drive = np.empty((count, 3, states)), np.empty((count, states, size))
+        measured = np.empty((count, 3, size))
+        stride = max(1, _TOGETHER // n) * n
+        for low in range(window.start, window.start + count * n, stride):
+            rows = slice(low, min(low + stride, window.start + count * n))
+            found = self.derivatives(rows)
+            into = slice((low - window.start) // n, (rows.stop - window.start) // n)
+            drive[into] = _kalman.over_blocks(found.Phi, found.Gamma, found.rates, n)
+            drive[into, :, :1] += _kalman.over_blocks(found.Phi, found.Phi, self._moved(rows), n)
+            measured[into], measurement[into] = found.angles_rad[::n], found.C[::n]
+            over = np.broadcast_to(np.eye(states), (into.stop - into.start, states, states))
+            parts: list[Floats] = []
+            for step in range(n):
+                phi = found.Phi[step::n]
+                over = np.asarray(phi @ over, float)
+                parts = [phi @ part for part in parts]
+                parts.append(found.Gamma[step::n] @ found.by_torque[step::n])
+            transition[into], part_input[:, into] = over, parts
+        return Blocks(
+            firsts, transition, part_input, measurement, self.variance_rad2[firsts], drive, measured
+        )
+
+    def _moved(self, rows: slice) -> Floats:
+        """What a step's measurement has moved of the course before it, shape (n, states, 1)."""
+        moved = np.zeros((rows.stop - rows.start, self.states, 1))
+        moved[:, :6, 0] = self._surprise[rows]
+        return moved
+
+    @cached_property
+    def steps(self) -> Steps:
+        """The model in every step; once asked for it is kept."""
+        n, nx = self.rows, self.states
+        kept = Steps(
+            *(np.empty((n, *shape)) for shape in ((nx, nx), (nx, nx), (nx, 3), (3, nx), (nx, 1), (3, 1)))
+        )
+        for low in range(0, n, _TOGETHER):
+            rows = slice(low, min(low + _TOGETHER, n))
+            found = self.derivatives(rows)
+            kept.Phi[rows], kept.Gamma[rows] = found.Phi, found.Gamma
+            kept.by_torque[rows], kept.C[rows] = found.by_torque, found.C
+            kept.drive[rows] = found.Gamma @ found.rates[:, :, :1] + found.Phi @ self._moved(rows)
+            kept.angle_error_rad[rows] = found.angles_rad[:, :, :1]
+        return kept
+
+    def over_blocks(self, rates: Floats) -> list[Floats]:
+        """What changes of the `rates`, shape (n, states, s), move in each block of each window."""
+        Phi, Gamma = self.steps.Phi, self.steps.Gamma
+        return [
+            _kalman.over_blocks(Phi[one], Gamma[one], np.ascontiguousarray(rates[one]), self.block)
+            for one in self.windows
+        ]

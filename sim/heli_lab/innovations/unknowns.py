@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
@@ -12,7 +13,7 @@ from heli_sim.model.parts import AXES
 from heli_sim.rig import Prior, Rig
 
 from heli_lab.identify import Record
-from heli_lab.identify.free import PER_FLIGHT, FreeParameter, free_parameters
+from heli_lab.identify.free import PER_FLIGHT, FreeParameter, free_parameters, rig_prior
 from heli_lab.identify.functions import Floats
 
 TORQUE_STD_Nm: Final = dict(zip((f"torque_{axis}" for axis in AXES), (0.02, 0.01, 0.01), strict=True))
@@ -49,7 +50,7 @@ class Unknowns:
         self, model: Model, rig: Rig, records: Sequence[Record], fixed: Mapping[str, float] | None = None
     ) -> None:
         self.model, self.rig = model, rig
-        constants = {name: Prior(0.0, std) for name, std in TORQUE_STD_Nm.items()}
+        constants = {name: _torque_prior(rig, name) for name in TORQUE_STD_Nm}
         wanted = [one for one in free_parameters(model, rig, None, {}) if one.quantity not in constants]
         own = [one for one in wanted if one.quantity in PER_FLIGHT]
         shared = [
@@ -99,3 +100,11 @@ class Unknowns:
         full = self._base.copy()
         full[self._place[self.columns[index]]] = theta[self.columns[index]]
         return full
+
+
+def _torque_prior(rig: Rig, name: str) -> Prior:
+    """What is known beforehand of one flight's constant torque: as the rig file has it, and what differs from
+    flight to flight.
+    """
+    stated = rig_prior(rig, name) if name in rig and rig[name].tolerance > 0 else Prior(0.0, 0.0)
+    return Prior(stated.mean, math.hypot(stated.std, TORQUE_STD_Nm[name]))

@@ -74,8 +74,6 @@ TRAVEL_STEPS: Final = (
 
 THRUST_V: Final[tuple[float, ...]] = (0.5, *(float(volts) for volts in range(1, 11)))
 """Voltages of the thrust curve, Fig. 15."""
-SCALE_N: Final = 0.00981
-"""Smallest step of the scale that thrust is read from: a gram."""
 
 
 def check_rig(rig: Rig) -> None:

@@ -14,12 +14,12 @@ import numpy as np
 if TYPE_CHECKING:
     from heli_host.flight import Flight
     from heli_host.heli import Heli
+    from heli_sim.bench.thrust_curve import ThrustCurve
     from heli_sim.plant import Plant
     from heli_sim.sil.world import SilWorld
 
     from heli_lab.paper.bench_tests import BenchTest
     from heli_lab.paper.figures_flight import Flown
-    from heli_lab.paper.thrust import ThrustCurve
 
 _BOOT_S = 0.5
 _SETTLE_S = 1.0
@@ -150,9 +150,10 @@ def read_thrust(plant: Plant, seed: int = 1) -> ThrustCurve:
     encoders' starting points are drawn from the `seed`.
     """
     from heli_host.declaration import Axes
+    from heli_sim.bench.thrust_curve import ThrustCurve
 
     from heli_lab.paper.bench_tests import THRUST_V
-    from heli_lab.paper.thrust import Scale, ThrustCurve
+    from heli_lab.paper.thrust import Scale
 
     scale = Scale(plant)
     points = []

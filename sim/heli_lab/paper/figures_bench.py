@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
+from heli_sim.bench.thrust_curve import ThrustCurve
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
@@ -18,7 +19,6 @@ from heli_lab.paper.bench_tests import ELEVATION_STEPS
 from heli_lab.paper.coefficients import analytic
 from heli_lab.paper.sensitivity import CASES, response_deg
 from heli_lab.paper.tables import TESTS_OF_TABLE, Table
-from heli_lab.paper.thrust import ThrustCurve
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from heli_sim.bench.thrust_curve import Line
 from heli_sim.model import MultibodyModel
 from heli_sim.model.locked import Locked
 from heli_sim.model.parts import AXES
@@ -19,7 +20,6 @@ from heli_lab.identify.solve import solve
 from heli_lab.paper.bench_tests import BenchTest
 from heli_lab.paper.coefficients import printed_inertias_kg_m2
 from heli_lab.paper.tables import TESTS_OF_TABLE, WINDOW_S, free_axes_normalised
-from heli_lab.paper.thrust import Line
 
 _IDENTIFIED: Final = 0.5
 """A number counts as identified when the tests leave less than this share of its tolerance."""

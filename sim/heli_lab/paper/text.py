@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 from heli_sim.model.parts import AXES
 
 if TYPE_CHECKING:
+    from heli_sim.bench.thrust_curve import Line
     from heli_sim.plant import Plant
 
     from heli_lab.paper.compare import Distance
     from heli_lab.paper.rig_table import RigTable
     from heli_lab.paper.table6 import Verdict
     from heli_lab.paper.tables import Table
-    from heli_lab.paper.thrust import Line
 
 
 def table_lines(line: Line, by_rig: RigTable, found: Sequence[Table]) -> list[str]:

@@ -27,7 +27,7 @@ from heli_lab.tune import loops
 from heli_lab.tune.loops import Law, Pid
 from heli_lab.tune.plants import Known, LinearPlant, Spread, spread_plants
 from heli_lab.tune.shaping import shaped_step
-from heli_lab.tune.simulate import STEP_s, simulate, zero_state_step_response
+from heli_lab.tune.simulate import Sampled, STEP_s, sampled
 
 Floats = npt.NDArray[np.float64]
 
@@ -189,7 +189,7 @@ def _design_elevation(
         given[:, 5, 1] = 1.0
         moved_V = forward_V + pid.kp * path[:, 0] + pid.kd * path[:, 1]
         inputs = np.column_stack((moved_V, path[:, 0], np.ones(len(path))))
-        return simulate(closed, given, inputs)[:, :, 0] - path[:, :1]
+        return sampled(closed, given).along(inputs)[:, :, 0] - path[:, :1]
 
     def cost(gains: Floats) -> float:
         pid = _pid(gains, _FILTERS_Hz[0])
@@ -226,6 +226,7 @@ def _design_tilt(
     path = shaped_step(STEP_DEG, TRAVEL_SLEW_DEG_S, acceleration_deg_s2, 10.0, STEP_s)
     after = round(2.0 * np.sqrt(STEP_DEG / acceleration_deg_s2) / STEP_s)
     loads_deg_s2 = _constant_loads_deg_s2(rig, spread)
+    unloaded = np.zeros((len(path), len(loads_deg_s2)))
     differential_max_V = _differential_max_V(rig, own.hover_V)
     unit = Law(Pid(0.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0))
     bare = [loops.open_loops(plant, unit) for plant in plants]
@@ -239,25 +240,26 @@ def _design_tilt(
         """Mean squared error of each plant (deg2): of the step, and of constant loads; the rig's largest
         differential on the step (V).
         """
-        given = np.zeros((len(plants), 11, 2))
+        given = np.zeros((len(plants), 11, 2 + len(loads_deg_s2)))
         for index, plant in enumerate(plants):
             given[index, :5, 0] = plant.tilt_B * (pitch.kp + hold)
         given[:, 9, 0], given[:, 10, 1] = 1.0, 1.0
+        for number, (state, (load_deg_s2, _)) in enumerate(loads_deg_s2.items()):
+            given[:, state, 2 + number] = load_deg_s2
+        points = sampled(closed, given)
         setpoint = travel.kp * path[:, 0] + travel.kd * path[:, 1] + acceleration_ff * path[:, 2]
-        states = simulate(closed, given, np.column_stack((setpoint, path[:, 0])))
+        states = points.along(np.column_stack((setpoint, path[:, 0], unloaded)))
         error = states[:, :, 1] - path[:, :1]
         asked = np.einsum("tpn,n->tp", states[:, :own_count], loops.tilt_output(11, pitch, travel, hold))
         largest_V = float(np.radians(np.abs(asked + (pitch.kp + hold) * setpoint[:, None]).max()))
         step = np.mean(error**2, axis=0)
         step = step + _LATE_WEIGHT * np.mean(error[after:] ** 2, axis=0)
         step = step + _OVERSHOOT_WEIGHT * np.maximum(error[after:].max(axis=0), 0.0) ** 2
-        corners = closed[own_count:]
-        for state, (load_deg_s2, weight) in loads_deg_s2.items():
-            torque = np.zeros((len(corners), 11, 1))
-            torque[:, state] = load_deg_s2
-            trimmed = zero_state_step_response(corners, torque, _HOVER_s)
-            left = simulate(corners, torque, np.ones((len(path) // 2, 1)), trimmed)[:, :, 1]
-            step[own_count:] += weight * np.mean(left**2, axis=0)
+        corners = Sampled(points.transition[own_count:], points.inputs[own_count:, :, 2:])
+        trimmed = round(_HOVER_s / STEP_s)
+        left = corners.step_response(trimmed + len(path) // 2)[:, 1, :, trimmed:]
+        for number, (_, weight) in enumerate(loads_deg_s2.values()):
+            step[own_count:] += weight * np.mean(left[:, number] ** 2, axis=1)
         return np.asarray(step), largest_V
 
     def cost(numbers: Floats) -> float:

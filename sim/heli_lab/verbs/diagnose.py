@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from heli_host.cli.say import data_on_stdout, say, say_files, write_numbers
 from heli_host.cli.simulated import DEFAULT_RIG
 from heli_host.cli.verb import Verb
 
@@ -25,9 +26,18 @@ def diagnose(
     effects: option.OwnEffectsOption = None,
     start_s: option.FromOption = None,
     stop_s: option.ToOption = None,
+    allow_gaps: option.GapsOption = False,
+    as_is: option.AsIsOption = False,
     report: option.ReportOption = None,
     json: option.NumbersOption = None,
     out: option.FoundRigOption = None,
+    with_law: Annotated[
+        bool,
+        typer.Option(
+            "--with-law",
+            help="Put a law that is proposed into the rig of --out too; it flies with its effect file.",
+        ),
+    ] = False,
     calibrate_s: Annotated[
         float | None,
         typer.Option(
@@ -51,13 +61,21 @@ def diagnose(
             help="Most refits of the model; the result says whether everything was tried.",
         ),
     ] = 80,
+    resume: Annotated[
+        Path | None,
+        typer.Option(
+            "--resume",
+            metavar="FILE",
+            help="Keep what is worked out in this file, and go on from what it has.",
+        ),
+    ] = None,
 ) -> None:
     """Show what a model gets wrong in flights, name the cause, extend the model, measure the gain.
 
     The baseline is refitted first. Every effect of the catalogue is scored; one is named if its
     log-likelihood ratio exceeds its penalty; the flights given with --validate have no part in that, they
     judge it. What chance alone makes is weather; what can be foretold and no effect explains is
-    `unexplained`.
+    `unexplained`: its law is looked for, and proposed as an effect file in the folder of --report.
 
     Example: `heli-host diagnose a.mcap --validate b.mcap --rig makki2024 --report why --out extended.toml`
     """
@@ -70,42 +88,49 @@ def diagnose(
 
     from heli_lab.diagnose import diagnose as find
     from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation, insufficient_excitation
-    from heli_lab.diagnose.report import write_insufficient_excitation, write_report
+    from heli_lab.diagnose.report import write_effect_file, write_insufficient_excitation, write_report
     from heli_lab.diagnose.serialize import to_json
     from heli_lab.diagnose.summary import summary
     from heli_lab.errors import NotExcited
-    from heli_lab.fit_inputs import fit_inputs, read_flights
-    from heli_lab.page import write_json
+    from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_flights, refuse_wrong_signs
 
     others = validate or []
-    check_result_places(out, json, report=report)
+    data_on_stdout(json)
+    check_result_places(out, json, resume, report=report)
     given = fit_inputs(flights, others, rig, model, effects or ())
     kinds = catalogue(effects or ())
     found: Diagnosis | InsufficientExcitation
-    written: list[Path] = []
+    written: list[Path | None] = []
     with WorkBar() as bar:
         bar.show("reading", 0.0)
-        fitted, held_out = read_flights(flights), read_flights(others)
+        spans = parts(start_s or (), stop_s or (), len(flights), len(others))
+        read = read_flights([*flights, *others], allow_gaps)
+        if not as_is:
+            bar.show("looking at signs and zeros", 0.0)
+            refuse_wrong_signs(read, given.labels, given.rig)
         try:
+            used = [
+                part_of(flight, given.rig, label, span)
+                for flight, label, span in zip(read, given.labels, spans, strict=True)
+            ]
             found = find(
                 given.model,
                 given.rig,
-                fitted,
-                held_out,
+                used[: len(flights)],
+                used[len(flights) :],
                 kinds=kinds,
                 labels=given.labels,
-                start_s=start_s,
-                stop_s=stop_s,
                 seed=seed,
                 calibrate_s=calibrate_s,
                 refits=budget,
+                resume=resume,
                 say=bar.show,
             )
         except NotExcited as nothing:
             found = insufficient_excitation(str(nothing), given.model, given.rig, kinds)
         if out is not None and not isinstance(found, InsufficientExcitation):
             write_rig(
-                found.rig(out.stem),
+                found.rig(out.stem, with_law),
                 out,
                 f"Found by heli-host diagnose, model {given.model.name}. {summary(found)}",
             )
@@ -116,21 +141,21 @@ def diagnose(
                 written.append(write_insufficient_excitation(found, report))
             else:
                 written.append(write_report(found, report))
-        if json is not None:
-            write_json(json, to_json(found))
-            written.append(json)
+        if not isinstance(found, InsufficientExcitation) and found.proposed_law is not None:
+            place = report or (out.parent if out is not None and with_law else None)
+            if place is not None:
+                written.append(write_effect_file(found, place))
+        write_numbers(json, to_json(found))
+        written.append(json)
     _print(found)
-    if written:
-        print(f"files: {', '.join(str(path) for path in written)}")
+    say_files(written)
 
 
 def _print(found: Diagnosis | InsufficientExcitation) -> None:
     """Print the verdict, the causes and the gain."""
     from heli_lab.diagnose.summary import lines, summary
 
-    print(f"{found.label}: {summary(found)}")
-    for line in lines(found):
-        print(f"  {line}")
+    say(f"{found.label}: {summary(found)}", *(f"  {line}" for line in lines(found)))
 
 
 VERB = Verb(diagnose, "Laboratory", variadic=True)

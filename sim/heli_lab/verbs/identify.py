@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from heli_host.cli.say import data_on_stdout, say, say_files, write_numbers
 from heli_host.cli.simulated import DEFAULT_RIG
 from heli_host.cli.verb import Verb
 
@@ -37,9 +38,8 @@ def identify(
     window_s: Annotated[
         float, typer.Option("--window-s", metavar="S", min=0.5, max=30.0, help="Length of a free run.")
     ] = 2.0,
-    allow_gaps: Annotated[
-        bool, typer.Option("--allow-gaps", help="Leave out missing rows instead of refusing the flight.")
-    ] = False,
+    allow_gaps: option.GapsOption = False,
+    as_is: option.AsIsOption = False,
     out: option.FoundRigOption = None,
     report: option.ReportOption = None,
     json: option.NumbersOption = None,
@@ -55,31 +55,38 @@ def identify(
     from heli_host.cli.progress_bar import WorkBar
     from heli_sim.rig import write_rig
 
-    from heli_lab.fit_inputs import fit_inputs, read_flights
+    from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_flights, refuse_wrong_signs
     from heli_lab.identify.report import verdict, write_report
     from heli_lab.identify.run import identify as find
-    from heli_lab.page import write_json
 
     others = validate or []
+    data_on_stdout(json)
     check_result_places(out, json, report=report)
     given = fit_inputs(flights, others, rig, model, effects or (), effect or ())
     with WorkBar() as bar:
         bar.show("reading", 0.0)
+        spans = parts(start_s or (), stop_s or (), len(flights), len(others))
+        read = read_flights([*flights, *others], allow_gaps)
+        if not as_is:
+            bar.show("looking at signs and zeros", 0.0)
+            refuse_wrong_signs(read, given.labels, given.rig)
+        used = [
+            part_of(flight, given.rig, label, span)
+            for flight, label, span in zip(read, given.labels, spans, strict=True)
+        ]
         found = find(
             given.model,
             given.rig,
-            read_flights(flights, allow_gaps),
-            validation=read_flights(others, allow_gaps),
+            used[: len(flights)],
+            validation=used[len(flights) :],
             free=free or None,
             fixed=fix or (),
             labels=given.labels[: len(flights)],
             validation_labels=given.labels[len(flights) :],
-            start_s=start_s,
-            stop_s=stop_s,
             window_s=window_s,
             on_progress=lambda progress: bar.show(progress.stage, progress.done),
         )
-        written: list[Path] = []
+        written: list[Path | None] = []
         if out is not None:
             new = found.rig(out.stem)
             write_rig(new, out, f"Found by heli-host identify. {verdict(found)}")
@@ -87,13 +94,11 @@ def identify(
         if report is not None:
             bar.show("drawing", 0.9)
             written.append(write_report(found, report))
-        if json is not None:
-            write_json(json, found.json())
-            written.append(json)
+        write_numbers(json, found.json())
+        written.append(json)
     _print(found)
-    print(verdict(found))
-    if written:
-        print(f"files: {', '.join(str(path) for path in written)}")
+    say(verdict(found))
+    say_files(written)
 
 
 def _print(found: Identification) -> None:
@@ -110,7 +115,8 @@ def _print(found: Identification) -> None:
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     for row in rows:
         name, *numbers = (cell.rjust(width) for cell, width in zip(row[:5], widths, strict=False))
-        print("  ".join((name.strip().ljust(widths[0]), *numbers, row[5].ljust(widths[5]), row[6])).rstrip())
+        cells = (name.strip().ljust(widths[0]), *numbers, row[5].ljust(widths[5]), row[6])
+        say("  ".join(cells).rstrip())
 
 
 VERB = Verb(identify, "Laboratory", variadic=True)

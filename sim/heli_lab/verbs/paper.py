@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from heli_host.cli.say import say, say_files
 from heli_host.cli.simulated import DEFAULT_RIG, SeedOption
 from heli_host.cli.verb import Verb
 
@@ -64,7 +65,7 @@ def tables(
             found.append(fit_table(number, plant.rig, records[number], tell))
         by_rig = fit_rig(plant.rig, records, line, lambda done: bar.show("fitting Table 2", 0.4 + 0.6 * done))
     for text in table_lines(line, by_rig, found):
-        print(text)
+        say(text)
     if json is not None:
         write_json(json, tables_json(plant, line, by_rig, found))
 
@@ -87,7 +88,7 @@ def gains(rig: RigName = DEFAULT_RIG, json: JsonFile = None) -> None:
     loaded = load_rig(rig)
     found = {name: verdicts(model_named(name), loaded) for name in ("paper", "multibody")}
     for text in gain_lines(found):
-        print(text)
+        say(text)
     if json is not None:
         write_json(json, {name: [asdict(one) for one in rows] for name, rows in found.items()})
 
@@ -116,7 +117,7 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonFile = No
         bar.show("predicting", 0.5)
         found = distances([model_named(name) for name in sorted(MODELS)], plant.rig, flown.flight)
     for text in model_lines(found):
-        print(text)
+        say(text)
     if json is not None:
         write_json(json, {one.model: asdict(one) for one in found})
 
@@ -135,7 +136,7 @@ def equations(
     from heli_sim.model.named import model_named
 
     for equation in equations_of(model_named(model)):
-        print(equation.text)
+        say(*equation.text.splitlines())
 
 
 @app.command("figures")
@@ -182,10 +183,10 @@ def figures(
         for name, path, number in (("irregular", "irregular path", 22), ("sine", "sine path", 24)):
             write(f"fig{number}.png", flight.response_figure(flights[name], path, number))
             write(f"fig{number + 1}.png", flight.performance_figure(flights[name], path, number + 1))
-    print(f"files: {', '.join(str(folder / name) for name in written)}")
+    say_files(folder / name for name in written)
     for name, flown in flights.items():
         for one in flown:
-            print(f"{name}, {one.label}: {one.outcome}{_errors_text(one)}")
+            say(f"{name}, {one.label}: {one.outcome}{_errors_text(one)}")
 
 
 def _plant(rig: str, model: str) -> Plant:

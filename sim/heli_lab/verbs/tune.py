@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from heli_host.cli.say import data_on_stdout, say, say_files, write_numbers
 from heli_host.cli.simulated import DEFAULT_RIG, EffectFilesOption, SeedOption
 from heli_host.cli.verb import Verb
 
@@ -52,7 +53,8 @@ def tune(
         Path | None, typer.Option("--out", metavar="FILE", help="Parameters for the board, TOML.")
     ] = None,
     json: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Gains, margins and flights.")
+        Path | None,
+        typer.Option("--json", metavar="FILE", help="Gains, margins and flights; - for standard output."),
     ] = None,
     figure: Annotated[
         Path | None, typer.Option("--figure", metavar="FILE", help="Flights and loops: .png, .pdf or .svg.")
@@ -75,10 +77,10 @@ def tune(
     from heli_sim.plant import Plant
     from heli_sim.rig import load_rig
 
-    from heli_lab.page import write_json
     from heli_lab.tune import find_gains, known_of
     from heli_lab.tune.flights import try_gains
 
+    data_on_stdout(json)
     check_result_places(out, json, figure=figure)
     loaded = load_rig(rig)
     asked = parse_effects(effect or (), effects or ())
@@ -111,30 +113,27 @@ def tune(
 
             tried.append(try_gains(Plant(flown, loaded, seed), parameters, label, seed, tell))
     of_plants = _margins(design)
-    for line in (
+    say(
         *_head(loaded, name, design, known),
         *_margin_lines(design, of_plants),
         *_flight_lines(tried),
-    ):
-        print(line)
-    written = []
+    )
+    written: list[Path | None] = []
     if out is not None:
         also = "".join(f", {effect.name}" for effect in all_effects)
         comment = f"heli-host tune: gains for rig {loaded.name}, model {name}{also}"
         out.write_text(parameters_text(parameters, comment), encoding="utf-8")
         written.append(out)
-    if json is not None:
-        write_json(json, _numbers(loaded, name, design, of_plants, known, parameters, tried))
-        written.append(json)
+    write_numbers(json, _numbers(loaded, name, design, of_plants, known, parameters, tried))
+    written.append(json)
     if figure is not None:
         from heli_lab.tune.figures import figure_of
 
         figure_of(design, [(one.label, one.flight) for one in tried]).savefig(figure, dpi=120)
         written.append(figure)
-    if written:
-        print(f"files: {', '.join(str(path) for path in written)}")
+    say_files(written)
     if out is not None:
-        print(f"fly them: heli-host params restore {out}, or heli-host fly hover --params {out}")
+        say(f"fly them: heli-host params restore {out}, or heli-host fly hover --params {out}")
 
 
 def rounded(parameters: Mapping[str, float]) -> dict[str, float]:

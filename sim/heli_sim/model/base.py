@@ -131,6 +131,24 @@ class Model(ABC):
         """Rate of each state in its unit per second, of `x`, `u`, `p`, `time_s` and `locked` as in
         `operands`; `u` are the voltages that act. A locked axis does not accelerate.
         """
+        at, rates = self._driven(x, u, p, time_s, locked)
+        p_at, thrust = at.parameter, at.thrust_N
+        torque = friction_torque_Nm(x[3:6], p_at) + ca.vertcat(*(p_at[f"torque_{axis}"] for axis in AXES))
+        for effect in self.effects:
+            torque = torque + effect.torque_Nm(at)
+        acceleration = self._with_friction(at, thrust, self.acceleration(at, thrust, torque))
+        return ca.vertcat(x[3:6], (1 - at.locked) * acceleration, *rates)
+
+    def driven(self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None = None) -> Operands:
+        """Operands of the torques, with the voltages and the thrust that act in the end, of `x`, `u`, `p` and
+        `time_s` as in `operands`.
+        """
+        return self._driven(x, u, p, time_s, None)[0]
+
+    def _driven(
+        self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None, locked: ca.SX | None
+    ) -> tuple[Operands, list[ca.SX]]:
+        """Operands of the torques, and the rates of the effects' own states."""
         at = self._with_modified_parameters(self.operands(x, u, p, time_s, locked))
         for effect in self.effects:
             at = replace(at, volts_V=effect.voltage_V(at, at.volts_V))
@@ -142,12 +160,7 @@ class Model(ABC):
             thrust = effect.thrust_N(at, thrust)
             if effect.states:
                 rates.append(effect.state_rates(at))
-        at = replace(at, thrust_N=thrust)
-        torque = friction_torque_Nm(x[3:6], p_at) + ca.vertcat(*(p_at[f"torque_{axis}"] for axis in AXES))
-        for effect in self.effects:
-            torque = torque + effect.torque_Nm(at)
-        acceleration = self._with_friction(at, thrust, self.acceleration(at, thrust, torque))
-        return ca.vertcat(x[3:6], (1 - at.locked) * acceleration, *rates)
+        return replace(at, thrust_N=thrust), rates
 
     def _with_friction(self, at: Operands, thrust: ca.SX, acceleration: ca.SX) -> ca.SX:
         """Acceleration with the torques that depend on it; every model's is linear in the torque."""

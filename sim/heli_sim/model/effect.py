@@ -91,6 +91,9 @@ class Effect:
     measured_as : Mapping[str, str]
         Those of `states` that an encoder measures, by name, with the axis: their value at any moment of a
         flight is the measured angle.
+    direction_of : Mapping[str, str]
+        Those of `states` that are the direction in which an axis has moved last, -1 to 1, by name, with the
+        axis: a measured flight shows it.
     multimodal : tuple of str
         Those of `parameters` in which the likelihood is multimodal, such as a frequency: a fit has to start
         near their values, and holds them while other parameters are still far off.
@@ -105,6 +108,7 @@ class Effect:
     stage: Stage = Stage.GAIN
     noise_inputs: int = 0
     measured_as: Mapping[str, str] = field(default_factory=dict)
+    direction_of: Mapping[str, str] = field(default_factory=dict)
     multimodal: tuple[str, ...] = ()
 
     # Equal effects have equal hashes, so that what is made for a set of effects can be cached.
@@ -186,6 +190,12 @@ class Effect:
     def state_rates(self, at: Operands) -> ca.SX:
         """Time derivatives of the effect's own states: one for each of `states`, in its unit per second."""
         return ca.SX.zeros(len(self.states))
+
+    def along_measured(self) -> Effect:
+        """The same effect where the angles of a flight have been measured; one that such angles make simpler
+        returns another effect with the same parameters.
+        """
+        return self
 
     def alternative_starts(self, parameters: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
         """Other initial states from which a prediction may have to start, where the angles leave them open:

@@ -18,6 +18,7 @@ not change during a flight.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import casadi as ca
 from typing_extensions import override
@@ -55,15 +56,11 @@ class MultibodyModel(Model):
 
     @override
     def acceleration(self, at: Operands, thrust_N: ca.SX, torque_Nm: ca.SX) -> ca.SX:
-        # Derivatives are taken with symbols of their own: an effect may hand in angles that are expressions.
-        q, rates = ca.SX.sym("q", 3), ca.SX.sym("rates", 3)
-        inertia = self._inertia_kg_m2(at, q)
-        momentum = inertia @ rates
-        coriolis = ca.jtimes(momentum, q, rates) - 0.5 * ca.gradient(ca.dot(rates, momentum), q)
-        force = self._thrust_Nm(at, q, thrust_N) - coriolis - ca.gradient(self._potential_J(at, q), q)
-        now, now_rates = _angles(at), _rates(at)
-        inertia, force = ca.substitute([inertia, force], [q, rates], [now, now_rates])
-        return _solve(*_with_locks(inertia, force + torque_Nm, at.locked))
+        p = at.parameter
+        known = ca.vertcat(*(p[name] for name in self.rig_parameters))
+        result = _mechanics(type(self))(_angles(at), _rates(at), thrust_N, torque_Nm, at.locked, known)
+        assert isinstance(result, ca.SX)
+        return result
 
     def inertia_kg_m2(self, at: Operands) -> ca.SX:
         """Mass matrix M(q) at the present angles: symmetric, shape (3, 3), in the order elevation, pitch,
@@ -161,6 +158,25 @@ class MultibodyModel(Model):
             x=p["M_l"] * p["L_x"] - p["M_w"] * p["L_b"],
             xx=p["M_l"] * p["L_x"] ** 2 + p["M_w"] * p["L_b"] ** 2,
         )
+
+
+@cache
+def _mechanics(kind: type[MultibodyModel]) -> ca.Function:
+    """Accelerations by angles, rates, thrusts, torques, locks and `rig_parameters`: derived once, because
+    derivatives take longer than all else about a model, and the same whatever effects it has.
+    """
+    model = kind()
+    q, rates, thrust_N = ca.SX.sym("q", 3), ca.SX.sym("rates", 3), ca.SX.sym("thrust", 2)
+    torque_Nm, locked = ca.SX.sym("torque", 3), ca.SX.sym("locked", 3)
+    known = ca.SX.sym("known", len(model.rig_parameters))
+    parameters = {name: known[i] for i, name in enumerate(model.rig_parameters)}
+    at = Operands({}, ca.SX.zeros(2), parameters, ca.SX(0), locked)
+    inertia = model._inertia_kg_m2(at, q)
+    momentum = inertia @ rates
+    coriolis = ca.jtimes(momentum, q, rates) - 0.5 * ca.gradient(ca.dot(rates, momentum), q)
+    force = model._thrust_Nm(at, q, thrust_N) - coriolis - ca.gradient(model._potential_J(at, q), q)
+    acceleration = _solve(*_with_locks(inertia, force + torque_Nm, locked))
+    return ca.Function("mechanics", [q, rates, thrust_N, torque_Nm, locked, known], [acceleration])
 
 
 def _angles(at: Operands) -> ca.SX:

@@ -65,7 +65,7 @@ class Number:
     source: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Rig(Mapping[str, Number]):
     """A rig: an immutable mapping from the names of `RIG_QUANTITIES` to numbers.
 
@@ -101,6 +101,14 @@ class Rig(Mapping[str, Number]):
             numbers.setdefault(name, Number(unstated.value, unit, unstated.tolerance, unstated.source))
         _check(self.name, numbers)
         object.__setattr__(self, "numbers", MappingProxyType(numbers))
+
+    def __reduce__(self) -> tuple[type[Rig], tuple[Any, ...]]:
+        # The view of the numbers that nobody can write to does not pickle.
+        return Rig, (self.name, self.description, dict(self.numbers), self.effects, self.model)
+
+    def __repr__(self) -> str:
+        effects = f", effects {', '.join(self.effects)}" if self.effects else ""
+        return f"<Rig '{self.name}': {self.description}; {len(self)} numbers{effects}>"
 
     def __getitem__(self, name: str) -> Number:
         return self.numbers[name]

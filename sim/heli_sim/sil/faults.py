@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from heli_sim.errors import OptionError
-from heli_sim.sil.spans import NEVER, Span, next_edge
+from heli_sim.sil.spans import NEVER, Span, edges_of, next_edge
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,11 @@ class FaultPlan:
         """First tick after `tick` at which a stall or an unplugging begins or ends; far away when there is
         none.
         """
-        return next_edge((*self.stalls, *self.unplugs), tick)
+        return next_edge(self._edges, tick)
+
+    @cached_property
+    def _edges(self) -> tuple[int, ...]:
+        return edges_of((*self.stalls, *self.unplugs))
 
     def stalled(self, tick: int) -> bool:
         """Whether the host is stalled at a `tick`, inside one of `stalls`."""

@@ -45,6 +45,7 @@ class InProcessTransport:
         self.world = world
         self._written = bytearray()
         self.label = label
+        self.rig = world.rig.name
         self.note = note
         self._closed = False
         self._speed = world.options.speed

@@ -120,6 +120,9 @@ def parse_url(url: str) -> SilOptions:
         raise OptionError(
             f"'{url}' has no key=value after the question mark", "write sil://?rig=NAME&seed=1"
         ) from None
+    keys = [key for key, _ in pairs]
+    if twice := [key for key in dict(pairs) if keys.count(key) > 1]:
+        raise OptionError(f"'{url}' has {', '.join(twice)} more than once", "separate values with commas")
     return parse_options(dict(pairs))
 
 
@@ -154,11 +157,15 @@ def parse_options(values: dict[str, str]) -> SilOptions:
             unplugs=_spans("unplug", values.get("unplug", "")),
         ),
         rig_faults=RigFaults(
-            encoders_out=parse_encoders_out(values.get("encoder_out", "").split(",")),
-            stop_switch=parse_times("stop_switch", values.get("stop_switch", "").split(",")),
-            supply_out=parse_times("supply_out", values.get("supply_out", "").split(",")),
+            encoders_out=parse_encoders_out("encoder_out", _listed(values, "encoder_out")),
+            stop_switch=parse_times("stop_switch", _listed(values, "stop_switch")),
+            supply_out=parse_times("supply_out", _listed(values, "supply_out")),
         ),
     )
+
+
+def _listed(values: dict[str, str], key: str) -> list[str]:
+    return list(filter(None, values.get(key, "").split(",")))
 
 
 def _number(key: str, text: str, *, whole: bool = False) -> float:
@@ -191,7 +198,7 @@ def parse_times(key: str, texts: Sequence[str]) -> tuple[During, ...]:
     key : str
         What they are for, for the error.
     texts : sequence of str
-        ``start`` or ``start:length`` in seconds; empty ones are left out.
+        ``start`` or ``start:length`` in seconds.
 
     Returns
     -------
@@ -204,19 +211,25 @@ def parse_times(key: str, texts: Sequence[str]) -> tuple[During, ...]:
         When one cannot be read.
     """
     found = []
-    for text in filter(None, texts):
+    for text in texts:
         start, _, duration = text.partition(":")
-        found.append(During(_number(key, start), _number(key, duration) if duration else math.inf))
+        start_s, duration_s = _number(key, start), _number(key, duration) if duration else math.inf
+        try:
+            found.append(During(start_s, duration_s))
+        except OptionError as error:
+            raise OptionError(f"{key}={text}: {error.cause}", error.remedy) from None
     return tuple(found)
 
 
-def parse_encoders_out(texts: Sequence[str]) -> tuple[tuple[str, During], ...]:
+def parse_encoders_out(key: str, texts: Sequence[str]) -> tuple[tuple[str, During], ...]:
     """Read which encoders are unplugged, and when.
 
     Parameters
     ----------
+    key : str
+        What they are given by, for the error.
     texts : sequence of str
-        ``axis``, ``axis:start`` or ``axis:start:length``, in seconds; empty ones are left out.
+        ``axis``, ``axis:start`` or ``axis:start:length``, in seconds.
 
     Returns
     -------
@@ -229,8 +242,8 @@ def parse_encoders_out(texts: Sequence[str]) -> tuple[tuple[str, During], ...]:
         When one cannot be read.
     """
     found = []
-    for text in filter(None, texts):
+    for text in texts:
         axis, _, times = text.partition(":")
-        (during,) = parse_times("encoder_out", [times or "0"])
+        (during,) = parse_times(key, [times or "0"])
         found.append((axis, during))
     return tuple(found)

@@ -21,6 +21,8 @@ _STOP_s = 3.0
 class SilProcess:
     """A simulated board behind a port, served by a child process; a context manager.
 
+    The port is a pseudo-terminal, or where the system has none, TCP on this machine alone.
+
     The child ends when this process does, however that ends: it watches its standard input. It is in a
     session of its own, so that Ctrl-C reaches the host alone, which can then still land the rig.
 
@@ -66,7 +68,7 @@ class SilProcess:
         self._process = subprocess.Popen(
             [
                 *(sys.executable, "-m", "heli_sim.sil.server", "--watch-stdin"),
-                *(("--pty", str(path)) if rfc2217 is None else ("--rfc2217", rfc2217)),
+                *_port(path, rfc2217),
                 *("--options", urlencode({**values, **(options or {})})),
             ],
             stdin=subprocess.PIPE,
@@ -122,6 +124,16 @@ class SilProcess:
         if not reasons:
             raise EndpointError(f"the simulated board did not start within {timeout_s:g} s", "try again")
         raise EndpointError(f"the simulated board did not start: {reasons[-1]}")
+
+
+def _port(path: Path, rfc2217: str | None) -> tuple[str, str]:
+    if rfc2217 is not None:
+        return "--rfc2217", rfc2217
+    try:
+        import termios  # noqa: F401  Windows has neither it nor pseudo-terminals
+    except ImportError:
+        return "--tcp", "127.0.0.1:0"
+    return "--pty", str(path)
 
 
 def _stream(stream: IO[str] | None) -> IO[str]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 from heli_host.declaration import AXES
 
 from heli_sim import _native
 from heli_sim.errors import OptionError
-from heli_sim.sil.spans import During, next_edge
+from heli_sim.sil.spans import During, edges_of, next_edge
 
 
 class _SimBoard(Protocol):
@@ -57,8 +58,12 @@ class RigFaults:
         int
             That tick; far away when there is none.
         """
-        spans = (*(during for _, during in self.encoders_out), *self.stop_switch, *self.supply_out)
-        return next_edge(spans, tick)
+        return next_edge(self._edges, tick)
+
+    @cached_property
+    def _edges(self) -> tuple[int, ...]:
+        encoders_out = (during for _, during in self.encoders_out)
+        return edges_of((*encoders_out, *self.stop_switch, *self.supply_out))
 
     def apply(self, tick: int, native: _native.World, board: _SimBoard) -> None:
         """Put the rig into the state of a tick.

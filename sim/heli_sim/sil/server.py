@@ -9,9 +9,11 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import os
 import secrets
 import select
 import signal
+import socket
 import sys
 import threading
 import time
@@ -21,11 +23,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
-from heli_sim.errors import OptionError, SimError
+from heli_sim.errors import EndpointError, OptionError, SimError
 from heli_sim.sil.clock import Clock, make_clock
 from heli_sim.sil.endpoint import Endpoint
 from heli_sim.sil.options import DUE, SilOptions, parse_options
-from heli_sim.sil.pty import PtyEndpoint
 from heli_sim.sil.rehearsal import Rehearsal
 from heli_sim.sil.rfc2217 import Rfc2217Endpoint
 from heli_sim.sil.tcp import TcpEndpoint
@@ -163,8 +164,9 @@ def run_server(
     """
     # The default of these two would leave the link to the terminal behind.
     if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, signal.default_int_handler)
+        for name in ("SIGTERM", "SIGHUP"):
+            if (number := getattr(signal, name, None)) is not None:
+                signal.signal(number, signal.default_int_handler)
     world = SilWorld(options, boot_seed=secrets.randbits(64))
     rehearsal = Rehearsal(world, words_fd, answer) if words_fd is not None else None
     endpoint: Endpoint
@@ -173,7 +175,7 @@ def run_server(
     elif tcp is not None:
         endpoint = TcpEndpoint(*_address(tcp))
     else:
-        endpoint = PtyEndpoint(pty)
+        endpoint = _pseudo_terminal(pty)
     try:
         on_ready(endpoint.url)
         serve(endpoint, world, make_clock(options.speed), stop_fd, rehearsal)
@@ -182,6 +184,36 @@ def run_server(
     finally:
         endpoint.close()
     return {**world.counters(), "ticks": world.tick}
+
+
+def _pseudo_terminal(path: str | Path | None) -> Endpoint:
+    # Windows has none, and so no module termios either.
+    try:
+        from heli_sim.sil.pty import PtyEndpoint
+    except ImportError:
+        raise EndpointError(
+            "this system has no pseudo-terminals", "serve TCP: --tcp 127.0.0.1:5000, and connect to socket://"
+        ) from None
+    return PtyEndpoint(path)
+
+
+def end_of_input() -> int:
+    """File descriptor that can be read from once standard input is at its end.
+
+    Windows waits for sockets only: there a thread reads, and closes one end of a pair of them.
+    """
+    if os.name == "posix":
+        return sys.stdin.fileno()
+    watched, told = socket.socketpair()
+
+    def read() -> None:
+        with contextlib.suppress(OSError, ValueError):
+            while sys.stdin.buffer.read(4096):
+                pass
+        told.close()
+
+    threading.Thread(target=read, name="end of input", daemon=True).start()
+    return watched.detach()
 
 
 def is_local(url: str) -> bool:
@@ -240,7 +272,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             pty=given.pty,
             tcp=given.tcp,
             rfc2217=given.rfc2217,
-            stop_fd=sys.stdin.fileno() if given.watch_stdin else None,
+            stop_fd=end_of_input() if given.watch_stdin else None,
             on_ready=lambda url: _say(url=url),
         )
     except KeyboardInterrupt:

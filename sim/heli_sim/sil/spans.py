@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from bisect import bisect_right
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,6 +12,8 @@ from heli_sim.errors import OptionError
 
 NEVER: Final = 1 << 62
 """A tick that does not come."""
+LATEST_S: Final = 1e9
+"""Latest time that may be named, s: thirty years; what ends later has no end."""
 _TICKS_PER_S: Final = 1000
 
 
@@ -28,15 +31,21 @@ class During:
     Raises
     ------
     OptionError
-        When it begins before the simulation, or has no length.
+        When it begins before the simulation or after all, or takes less than a millisecond.
     """
 
     start_s: float
     duration_s: float = math.inf
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.start_s) and self.start_s >= 0.0 and self.duration_s > 0.0):
-            raise self._refused("write start or start:length in seconds")
+        if not self._possible():
+            raise self._refused("write start or start:length in seconds, at least 0.001 long")
+
+    def _possible(self) -> bool:
+        if not (0.0 <= self.start_s <= LATEST_S and self.duration_s > 0.0):
+            return False
+        first, after = self.edges()
+        return after > first
 
     def _refused(self, remedy: str) -> OptionError:
         return OptionError(f"'{self.start_s}:{self.duration_s}' is no stretch of time", remedy)
@@ -44,7 +53,7 @@ class During:
     def edges(self) -> tuple[int, int]:
         """First tick of the stretch, and first tick after it, ms since the simulation started."""
         end_s = self.start_s + self.duration_s
-        end_tick = round(_TICKS_PER_S * end_s) if math.isfinite(end_s) else NEVER
+        end_tick = round(_TICKS_PER_S * end_s) if end_s <= LATEST_S else NEVER
         return round(_TICKS_PER_S * self.start_s), end_tick
 
     def holds(self, tick: int) -> bool:
@@ -57,11 +66,15 @@ class Span(During):
     """A stretch of simulated time that ends: `duration_s` is finite; an OptionError when it is not."""
 
     def __post_init__(self) -> None:
-        finite = math.isfinite(self.start_s) and math.isfinite(self.duration_s)
-        if not finite or self.start_s < 0.0 or self.duration_s <= 0.0:
-            raise self._refused("write start:length in seconds")
+        if not (self.duration_s <= LATEST_S and self._possible()):
+            raise self._refused("write start:length in seconds, at least 0.001 long")
 
 
-def next_edge(spans: Iterable[During], tick: int) -> int:
-    """First tick after `tick` at which one of the `spans` begins or ends; `NEVER` when there is none."""
-    return min((edge for span in spans for edge in span.edges() if edge > tick), default=NEVER)
+def edges_of(spans: Iterable[During]) -> tuple[int, ...]:
+    """Ticks at which one of the `spans` begins or ends, in order, and `NEVER` behind them."""
+    return (*sorted(edge for span in spans for edge in span.edges() if edge < NEVER), NEVER)
+
+
+def next_edge(edges: Sequence[int], tick: int) -> int:
+    """First of some `edges`, as `edges_of` gives them, after a `tick`; `NEVER` when there is none."""
+    return edges[bisect_right(edges, tick)]

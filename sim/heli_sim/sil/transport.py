@@ -27,12 +27,15 @@ class ProcessTransport(SerialTransport):
         What it is.
     note : str
         How it came to be that board, if that is worth a sentence.
+    rig : str
+        Name or file of the rig that it flies.
     """
 
-    def __init__(self, process: SilProcess, label: str, note: str = "") -> None:
+    def __init__(self, process: SilProcess, label: str, note: str = "", rig: str = "") -> None:
         super().__init__(process.url)
         self.label = label
         self.note = note
+        self.rig = rig
         self._process = process
         self._lost = False
 
@@ -60,7 +63,7 @@ class ProcessTransport(SerialTransport):
 
     @override
     def reopen(self) -> ProcessTransport:
-        return ProcessTransport(self._process, self.label, self.note)
+        return ProcessTransport(self._process, self.label, self.note, self.rig)
 
 
 def open_transport(url: str) -> InProcessTransport | ProcessTransport:
@@ -83,6 +86,6 @@ def open_transport(url: str) -> InProcessTransport | ProcessTransport:
     if options.process:
         values = dict(parse_qsl(urlsplit(url).query))
         values |= {"board": choice.name, "elf": choice.elf, "process": "0"}
-        return ProcessTransport(SilProcess(options=values), choice.text, note)
+        return ProcessTransport(SilProcess(options=values), choice.text, note, options.rig)
     resolved = replace(options, board=choice.name, elf=choice.elf)
     return InProcessTransport(SilWorld(resolved), url, choice.text, note)

@@ -12,7 +12,7 @@ from heli_sim import _native
 from heli_sim.due.errors import BoardStopped
 from heli_sim.plant import Plant
 from heli_sim.rig import Rig
-from heli_sim.sil.arm_support import ArmSupport
+from heli_sim.sil.arm_support import support_arm
 from heli_sim.sil.boards import make_board, resolved
 from heli_sim.sil.faults import FaultyStream
 from heli_sim.sil.options import SilOptions
@@ -69,12 +69,13 @@ class SilWorld:
             offset_count=random.uniform(-_OFFSET_COUNTS, _OFFSET_COUNTS, 3).tolist(),
             board=self.board.sim,
         )
-        self._arm_support = ArmSupport(self.plant)
+        support_arm(self.plant, self.native)
         self.to_board = FaultyStream(options.faults, options.seed, 0)
         self.to_host = FaultyStream(options.faults, options.seed, 1)
         self.host_reading = True
         """Whether the host takes bytes; while it does not, the bridge towards it overflows."""
         self._held = b""
+        self._was_unplugged = False
 
     @property
     def tick(self) -> int:
@@ -125,9 +126,11 @@ class SilWorld:
         while ticks > 0 and not (until_output and received and least <= 0):
             tick = self.native.tick
             unplugged, stalled = faults.unplugged(tick), faults.stalled(tick)
-            if unplugged:
+            if unplugged or self._was_unplugged:
                 self.native.unplug()
+            if unplugged:
                 self._held = b""
+            self._was_unplugged = unplugged
             self.native.host_reading = self.host_reading and not (stalled or unplugged)
             write = b"" if stalled else self._held
             if write:
@@ -135,8 +138,7 @@ class SilWorld:
             most = min(ticks, least) if until_output and received else ticks
             self.rig_faults.apply(tick, self.native, self.board.sim)
             edge = min(faults.next_edge(tick), self.rig_faults.next_edge(tick))
-            stretch = self._arm_support.update(self.native, min(most, edge - tick))
-            passed, data = self._pass(stretch, write, until_output, max(1, least))
+            passed, data = self._pass(min(most, edge - tick), write, until_output, max(1, least))
             received += data
             ticks -= passed
             least -= passed

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from heli_host.cli.options import JsonFlag
+from heli_host.cli.say import STDOUT, data_on_stdout, say, say_data, say_files, say_json
 from heli_host.cli.verb import Verb
 from heli_host.errors import printable
 
@@ -13,6 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from heli_sim.rig import Number, Rig
+    from heli_sim.rig.compare import Difference
 
 WIDE = 160
 """Columns of a table that does not go to a terminal."""
@@ -28,21 +33,25 @@ RigArgument = Annotated[str, typer.Argument(metavar="NAME|FILE", help="Rig: a na
 
 
 @app.command("list")
-def list_rigs() -> None:
+def list_rigs(json: JsonFlag = False) -> None:
     """List the rigs that come with the package.
 
     Example: `heli-host rig list`
     """
     from heli_sim.rig import load_rig, rig_names
 
-    for name in rig_names():
-        print(f"{name}: {load_rig(name).description}")
+    rigs = {name: load_rig(name).description for name in rig_names()}
+    if json:
+        say_json({"rigs": [{"name": name, "description": text} for name, text in rigs.items()]})
+        return
+    say(*(f"{name}: {text}" for name, text in rigs.items()))
 
 
 @app.command("show")
 def show(
     rig: RigArgument,
     pattern: Annotated[str, typer.Argument(metavar="[TEXT]", help="Only names that contain it.")] = "",
+    json: JsonFlag = False,
 ) -> None:
     """Show a rig's numbers: value, tolerance, unit, what each is and where it comes from.
 
@@ -56,6 +65,15 @@ def show(
 
     shown = load_rig(rig)
     meanings = {quantity.name: quantity.meaning for quantity in RIG_QUANTITIES}
+    if json:
+        every = dict(shown.items()) | {
+            f"{effect}.{name}": number
+            for effect, numbers in shown.effects.items()
+            for name, number in numbers.items()
+        }
+        numbers_shown = {name: asdict(number) for name, number in every.items() if pattern in name}
+        say_json({"name": shown.name, "description": shown.description, "numbers": numbers_shown})
+        return
     table = Table(box=None, pad_edge=False)
     for heading in ("name", "value", "+-", "unit"):
         table.add_column(heading, no_wrap=True)
@@ -90,6 +108,7 @@ def _plain(text: str) -> str:
 @app.command("check")
 def check(
     rigs: Annotated[list[str], typer.Argument(metavar="NAME|FILE...", help="Rigs: names or TOML files.")],
+    json: JsonFlag = False,
 ) -> None:
     """Say whether rigs can be: complete, in the right units, no mass or inertia that none can have.
 
@@ -102,16 +121,22 @@ def check(
     from heli_sim.rig import load_rig
 
     refused: list[RigError | EffectError] = []
+    told: list[dict[str, Any]] = []
     for name in rigs:
         try:
             rig = load_rig(name)
             effects_of(rig)
         except (RigError, EffectError) as error:
-            if len(rigs) > 1:
-                print(f"{name}: {error}")
+            told.append({"rig": name, "can_be": False, "why": str(error)})
+            if len(rigs) > 1 and not json:
+                say(f"{name}: {error}")
             refused.append(error)
             continue
-        print(f"{name}: {'; '.join(_found(rig))}")
+        told.append({"rig": name, "can_be": True, "found": _found(rig)})
+        if not json:
+            say(f"{name}: {'; '.join(_found(rig))}")
+    if json:
+        say_json({"rigs": told})
     if len(rigs) > 1 and refused:
         raise RigError(f"{len(refused)} of {len(rigs)} rigs cannot be, see above", "correct them")
     if refused:
@@ -123,6 +148,7 @@ def diff(
     left: RigArgument,
     right: RigArgument,
     show_all: Annotated[bool, typer.Option("--all", "-a", help="Show what is the same too.")] = False,
+    json: JsonFlag = False,
 ) -> None:
     """Compare two rigs, number by number, in tolerances. A star: beyond +-1, so not the same rig.
 
@@ -137,8 +163,12 @@ def diff(
 
     first, second = load_rig(left), load_rig(right)
     compared = compare_rigs(first, second)
+    if json:
+        shown = [one for one in compared if show_all or not one.same]
+        say_json({"left": first.name, "right": second.name, "numbers": [_compared(one) for one in shown]})
+        return
     table = Table(box=None, pad_edge=False)
-    for heading in ("name", first.name, second.name, "unit", "tolerances"):
+    for heading in ("name", _plain(first.name), _plain(second.name), "unit", "tolerances"):
         table.add_column(heading, overflow="fold", no_wrap=heading == "name")
     for one in compared:
         if show_all or not one.same:
@@ -154,7 +184,216 @@ def diff(
         _console().print(table)
     differing = sum(not one.same for one in compared)
     beyond = sum(abs(one.tolerances) > 1.0 for one in compared)
-    print(f"{differing} of {len(compared)} numbers differ, {beyond} beyond their tolerances")
+    say(f"{differing} of {len(compared)} numbers differ, {beyond} beyond their tolerances")
+
+
+@app.command("new")
+def new(
+    out: Annotated[Path, typer.Argument(metavar="FILE", help="Rig to write, TOML; its stem is the name.")],
+    like: Annotated[
+        str, typer.Option("--like", metavar="NAME|FILE", help="Rig to take what is not stated from.")
+    ] = "makki2024",
+    table: Annotated[
+        Path | None,
+        typer.Option("--table", metavar="FILE", help="CSV: name, value, unit, tolerance, source."),
+    ] = None,
+    stated: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="One number, such as 'M_f=355+-4 g; scale'."),
+    ] = None,
+    description: Annotated[str, typer.Option("--description", metavar="TEXT", help="One line.")] = "",
+) -> None:
+    """Describe a rig: from a table, from options, or where neither is given from a few questions.
+
+    A number without a unit is in the one of rig files; without a tolerance it has that of a ruler or a
+    kitchen scale. What is not stated is another rig's, and wide.
+
+    Example: `heli-host rig new mine.toml --set 'M_w=1.87 kg' --set 'L_a=66 cm'`
+    """
+    from heli_host.cli.outputs import check_place
+
+    from heli_sim.errors import RigError
+    from heli_sim.rig import load_rig, write_rig
+    from heli_sim.rig.describe import described, numbers_from_table, numbers_from_words
+
+    base = load_rig(like)
+    check_place(out)
+    if out.exists():
+        raise RigError(f"{out} is there already", "give another name; no rig is overwritten")
+    given = {}
+    if table is not None:
+        given = numbers_from_table(read_text(table), str(table))
+    given |= numbers_from_words(stated or ())
+    if table is None and not stated:
+        given = _asked(base)
+    text = description or f"described by its builder, what is not stated as {base.name}"
+    rig = described(out.stem, text, base, given)
+    write_rig(
+        rig, out, f"Written by heli-host rig new: {len(given)} numbers stated, the rest as {base.name}."
+    )
+    say(f"{out}: {'; '.join(_found(rig))}")
+    left = [name for name in rig if rig[name].source == f"not stated: as {base.name}"]
+    say(f"not stated, so as {base.name} and wide: {', '.join(left) or 'none'}")
+
+
+def _asked(like: Rig) -> dict[str, Number]:
+    from heli_sim.errors import RigError
+    from heli_sim.rig import RIG_QUANTITIES
+    from heli_sim.rig.describe import ASKED, number_from
+
+    meanings = {quantity.name: quantity.meaning for quantity in RIG_QUANTITIES}
+    say("Write a number as 0.5, 355 g or 0.64 +- 0.005 m; nothing where you do not know.")
+    given: dict[str, Number] = {}
+    for name in ASKED:
+        known = like[name]
+        question = f"{name}, {meanings[name]} [{known.unit}; {like.name} has {known.value:g}]"
+        while True:
+            answer = typer.prompt(question, default="", show_default=False)
+            if not answer.strip():
+                break
+            try:
+                given[name] = number_from(name, answer)
+                break
+            except RigError as error:
+                say(str(error))
+    return given
+
+
+@app.command("weigh")
+def weigh_rig(
+    rig: RigArgument,
+    tests: Annotated[
+        Path | None, typer.Argument(metavar="[TESTS]", help="Bench tests, TOML; --template writes one.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="The rig found, TOML.")] = None,
+    template: Annotated[
+        Path | None, typer.Option("--template", metavar="FILE", help="Write a table to fill in, and end.")
+    ] = None,
+    json: JsonFlag = False,
+) -> None:
+    """Find a rig's numbers by bench tests: thrust on a scale, the angle of balance, swings of a pendulum.
+
+    Example: `heli-host rig weigh mine.toml bench.toml --out weighed.toml`
+    """
+    from heli_host.cli.outputs import check_place
+    from heli_host.files import parse_toml
+
+    from heli_sim.bench.table import TEMPLATE, bench_tests_from
+    from heli_sim.bench.weigh import OFF, weigh
+    from heli_sim.errors import RigError
+    from heli_sim.rig import load_rig, write_rig
+
+    before = load_rig(rig)
+    if template is not None:
+        check_place(template)
+        template.write_text(TEMPLATE, encoding="utf-8")
+        say(f"fill in {template}, then: heli-host rig weigh {rig} {template} --out weighed.toml")
+        return
+    if tests is None:
+        raise typer.BadParameter("give a file of bench tests; --template bench.toml writes one to fill in")
+    try:
+        table = parse_toml(read_text(tests))
+    except ValueError as error:
+        raise RigError(f"{tests} is not TOML: {error}", "correct that line") from None
+    weighed = weigh(before, *bench_tests_from(table))
+    if out is not None:
+        check_place(out)
+        found = replace(weighed.rig, name=out.stem)
+        write_rig(found, out, f"Found by heli-host rig weigh from {tests.name} and {before.name}.")
+    if json:
+        numbers = {name: asdict(weighed.rig[name]) for name in weighed.found}
+        tested = [{**asdict(one), "off": one.off} for one in weighed.tested]
+        say_json({"rig": weighed.rig.name, "numbers": numbers, "tests": tested})
+        return
+    for name in weighed.found:
+        was, now = before[name], weighed.rig[name]
+        moved = abs(now.value - was.value) / was.tolerance if was.tolerance else 0.0
+        mark = f", {moved:.1f} tolerances off: a wrong reading, or a wrong rig file" if moved > OFF else ""
+        say(f"{name}: {_with_tolerance(was)} -> {now.value:.4g} +-{now.tolerance:.2g} {now.unit}{mark}")
+    for one in weighed.tested:
+        mark = f", {one.off:.1f} tolerances off: a wrong reading, or no such rig" if one.off > OFF else ""
+        unit = "" if one.unit == "1" else f" {one.unit}"
+        say(f"{one.what}: read {one.read:.4g}{unit}, the rig gives {one.after:.4g}{mark}")
+    if out is not None:
+        say_files([out])
+
+
+@app.command("export")
+def export_rig(
+    rig: RigArgument,
+    to_mjcf: Annotated[
+        Path | None, typer.Option("--mjcf", metavar="FILE", help="Write MuJoCo's XML; - for standard output.")
+    ] = None,
+    fmu: Annotated[bool, typer.Option("--fmu", help="Write a functional mock-up unit: FMI 3.0.")] = False,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option("--effect", metavar="ID[=VALUE]", help="For an FMU: an effect beyond the rig's file."),
+    ] = None,
+    model: Annotated[str, typer.Option(metavar="NAME", help="Model of an FMU; else the file's.")] = "",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of what an FMU's effects leave to chance.")] = 1,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="The FMU; else NAME.fmu here.")
+    ] = None,
+) -> None:
+    """Write a rig for other simulators: MuJoCo, or as an FMU for Simulink, Modelica tools and FMPy.
+
+    Of MuJoCo's file it says what that cannot tell. An FMU has the rig's effects, model exchange and
+    co-simulation, its sources, and a binary for this system.
+
+    Example: `heli-host rig export makki2024 --mjcf makki2024.xml`
+    """
+    if (to_mjcf is None) == (not fmu):
+        raise typer.BadParameter("say what to write: --mjcf FILE or --fmu")
+    if to_mjcf is not None:
+        _export_mjcf(rig, to_mjcf)
+    else:
+        _export_fmu(rig, effect or [], model, seed, out)
+
+
+def _export_mjcf(rig: str, target: Path) -> None:
+    from heli_host.cli.outputs import check_place
+
+    from heli_sim.model.mjcf import mjcf, unsaid
+    from heli_sim.rig import load_rig
+
+    loaded = load_rig(rig)
+    data_on_stdout(target)
+    if str(target) == STDOUT:
+        say_data(mjcf(loaded))
+    else:
+        check_place(target)
+        target.write_text(mjcf(loaded), encoding="utf-8")
+    say("it does not say:", *(f"  {line}" for line in unsaid(loaded)))
+    say_files([target])
+
+
+def _export_fmu(rig: str, effects: list[str], model: str, seed: int, out: Path | None) -> None:
+    from heli_sim.fmu import write_fmu
+    from heli_sim.sil.options import SilOptions
+    from heli_sim.sil.plant_factory import plant_of
+
+    plant = plant_of(SilOptions(rig=rig, seed=seed, model=model, effects=tuple(effects)))
+    target = out if out is not None else Path(f"{plant.rig.name}.fmu")
+    system = write_fmu(plant, target)
+    binary = f"binary for {system}" if system else "sources only: there is no C compiler here"
+    names = ", ".join(one.name for one in plant.model.effects) or "no effects"
+    say(f"{plant.rig.name}, {plant.model.name}, {names}; {binary} -> {target}")
+
+
+def read_text(path: Path) -> str:
+    """Read the text at `path`, a RigError where there is none."""
+    from heli_host.files import TOML_BYTES, read_file
+
+    from heli_sim.errors import RigError
+
+    try:
+        return read_file(path, TOML_BYTES).decode("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RigError(f"{path} cannot be read: {error}", "give a text file") from None
+
+
+def _compared(one: Difference) -> dict[str, Any]:
+    return {**asdict(one), "tolerances": one.tolerances}
 
 
 def _found(rig: Rig) -> list[str]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import sys
-from functools import partial
 from typing import Annotated
 
 import typer
 from heli_host.cli import simulated
+from heli_host.cli.say import say
 from heli_host.cli.verb import Verb
 
 
@@ -96,19 +96,19 @@ def sil(
         effects=tuple(effect or ()),
         effect_files=tuple(map(str, effects or ())),
         rig_faults=RigFaults(
-            encoders_out=parse_encoders_out(encoder_out or ()),
+            encoders_out=parse_encoders_out("--encoder-out", encoder_out or ()),
             stop_switch=parse_times("--stop-switch", stop_switch or ()),
             supply_out=parse_times("--supply-out", supply_out or ()),
         ),
     )
 
-    def say(url: str) -> None:
+    def tell(url: str) -> None:
         pace = "as fast as the host keeps up" if options.speed is None else f"{options.speed:g} x real time"
         what = "simulated board" if not choice.elf else choice.text
         flown = " with ".join(filter(None, (options.rig, ", ".join(options.effects))))
-        print(f"{what} on {url}, rig {flown}, {pace}; Ctrl-C ends it", flush=True)
+        say(f"{what} on {url}, rig {flown}, {pace}; Ctrl-C ends it")
         if words_fd is not None:
-            print(f"to rehearse, type: {HELP}", flush=True)
+            say(f"to rehearse, type: {HELP}")
         if not is_local(url):
             print(
                 "warning: everybody on the network can fly this board, nothing asks who they are; "
@@ -117,19 +117,21 @@ def sil(
                 flush=True,
             )
 
-    words_fd = sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else None
+    # Windows cannot wait for a terminal and a port at once: there nobody rehearses.
+    talks = sys.platform != "win32" and sys.stdin is not None and sys.stdin.isatty()
+    words_fd = sys.stdin.fileno() if talks else None
     counters = run_server(
         options,
         pty=pty,
         tcp=tcp,
         rfc2217=rfc2217,
         words_fd=words_fd,
-        answer=partial(print, flush=True),
-        on_ready=say,
+        answer=say,
+        on_ready=tell,
     )
     # Whoever started this may have gone, and its pipe with it.
     if not sys.stdout.closed:
-        print(
+        say(
             f"simulated {counters['ticks'] / 1000:.1f} s; {counters['to_host_bytes']} bytes to the host, "
             f"{counters['to_board_bytes']} to the board, {counters['to_host_overflow']} lost in the bridge"
         )

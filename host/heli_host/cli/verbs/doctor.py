@@ -16,13 +16,15 @@ import typer
 from heli_host.cli.board import is_due, is_due_native
 from heli_host.cli.finding import ENTRY_POINT_GROUP, Finding, Verdict
 from heli_host.cli.modem_manager import check_modem_manager
+from heli_host.cli.options import JsonFlag
+from heli_host.cli.say import say_json
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
     from heli_host.link.transport import PortInfo
 
 
-def doctor() -> None:
+def doctor(json: JsonFlag = False) -> None:
     """Check this computer: Python, packages, compiler, serial port, ModemManager.
 
     Says the remedy of each problem; the exit code is 1 when something that is needed does not work.
@@ -32,13 +34,21 @@ def doctor() -> None:
     from rich.console import Console
     from rich.markup import escape
 
+    from heli_host.errors import printable
+
+    if json:
+        found = list(examine())
+        bad = sum(one.verdict is Verdict.BAD for one in found)
+        shown = [{"verdict": one.verdict.value, "what": one.what, "remedy": one.remedy} for one in found]
+        say_json({"ready": not bad, "findings": shown})
+        raise typer.Exit(1 if bad else 0)
     marks = {Verdict.GOOD: "[green]✓[/]", Verdict.NOTE: "[yellow]–[/]", Verdict.BAD: "[red]✗[/]"}
     console = Console(highlight=False, soft_wrap=True)
     bad_count = 0
     for finding in examine():
-        console.print(f"{marks[finding.verdict]} {escape(finding.what)}")
+        console.print(f"{marks[finding.verdict]} {escape(printable(finding.what))}")
         if finding.remedy:
-            console.print(f"    {escape(finding.remedy)}")
+            console.print(f"    {escape(printable(finding.remedy))}")
         bad_count += finding.verdict is Verdict.BAD
     if bad_count:
         console.print(f"{bad_count} thing{'s' if bad_count > 1 else ''} to mend, see ✗ above")

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from heli_host.cli.say import say
 from heli_host.cli.verb import Verb
+
+if TYPE_CHECKING:
+    from heli_host.flight import Flight
 
 
 def export(
@@ -15,31 +20,62 @@ def export(
     csv: Annotated[bool, typer.Option("--csv", help="A table that every program reads.")] = False,
     mat: Annotated[bool, typer.Option("--mat", help="A MATLAB file.")] = False,
     parquet: Annotated[bool, typer.Option("--parquet", help="A Parquet file; needs pyarrow.")] = False,
+    ros2: Annotated[bool, typer.Option("--ros2", help="An MCAP file of ROS 2, all of it in CDR.")] = False,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help="File to write; else beside the log."),
+        typer.Option(
+            "--out", "-o", metavar="FILE", help="File to write, - for standard output; else beside the log."
+        ),
     ] = None,
 ) -> None:
-    """Write a log as a table, for MATLAB, or as Parquet.
+    """Write a log as a table, for MATLAB, as Parquet, or as a bag of ROS 2.
+
+    Names are the same in each (`elevation_rad`, `front_V`, `elevation_count`), but that ROS 2 takes no
+    capitals: there it is `front_volt`.
 
     Example: `heli-host export flights/2026-01-31_12-00-00/flight.mcap --csv`
     """
-    if csv + mat + parquet != 1:
-        raise typer.BadParameter("give one of --csv, --mat and --parquet")
-    from heli_host.log.export import export_mat, export_parquet
+    if csv + mat + parquet + ros2 != 1:
+        raise typer.BadParameter("give one of --csv, --mat, --parquet and --ros2")
     from heli_host.log.flight_file import read_flight
-    from heli_host.log.table import write_csv
 
+    write, suffix = _format(csv, mat, parquet)
     flight = read_flight(log, allow_gaps=True)
-    write, suffix = (
-        (write_csv, ".csv") if csv else (export_mat, ".mat") if mat else (export_parquet, ".parquet")
-    )
+    if out is not None and str(out) == "-":
+        _to_stdout(flight, write, suffix)
+        return
     target = out if out is not None else log.with_name(_stem(log) + suffix)
     if target.exists() and target.samefile(log):
         raise typer.BadParameter(f"{target} is the log itself; name another file with --out")
     write(flight, target)
     gaps = f", {len(flight.gaps)} gaps" if len(flight.gaps) else ""
-    print(f"{len(flight)} rows{gaps} -> {target}")
+    say(f"{len(flight)} rows{gaps} -> {target}")
+
+
+def _format(csv: bool, mat: bool, parquet: bool) -> tuple[Callable[[Flight, Path], None], str]:
+    """What writes a flight in the format asked for, and how its files' names end."""
+    from heli_host.log.export import export_mat, export_parquet
+    from heli_host.log.ros2 import export_ros2
+    from heli_host.log.table import write_csv
+
+    if csv:
+        return write_csv, ".csv"
+    if mat:
+        return export_mat, ".mat"
+    return (export_parquet, ".parquet") if parquet else (export_ros2, ".ros2.mcap")
+
+
+def _to_stdout(flight: Flight, write: Callable[[Flight, Path], None], suffix: str) -> None:
+    """Write the bytes of a table to standard output, for another program to read."""
+    import sys
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / f"flight{suffix}"
+        write(flight, target)
+        sys.stdout.flush()
+        sys.stdout.buffer.write(target.read_bytes())
+        sys.stdout.buffer.flush()
 
 
 def _stem(path: Path) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from heli_host.cli.options import PortOption
+from heli_host.cli.say import say
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
@@ -44,16 +45,16 @@ def flash(
     from heli_host.flash import erase_chip, find_bossac, read_image, restart_chip, write_image
 
     image = read_image(file)
-    print(f"{file}: {len(image.content)} bytes, firmware for the Due, link {LINK_HASH:08x}")
+    say(f"{file}: {len(image.content)} bytes, firmware for the Due, link {LINK_HASH:08x}")
     uploader = find_bossac(bossac)
     port = port if port is not None else find_board()
     if "://" in port:
         raise typer.BadParameter(f"{port} cannot be flashed: give a serial port of this computer")
     if uploader.doubtful:
-        print(f"note: {_doubt(uploader)}")
+        say(f"note: {_doubt(uploader)}")
     manager = check_modem_manager(due_is_present=True)
     if manager.verdict is Verdict.BAD:
-        print(f"note: {manager.what}; {manager.remedy}")
+        say(f"note: {manager.what}; {manager.remedy}")
 
     kept = _keep_parameters(port)
     if not yes:
@@ -61,14 +62,14 @@ def flash(
             raise typer.BadParameter("nobody can be asked whether to erase the board: add --yes")
         typer.confirm("This erases the whole flash, the saved parameters too. Go on?", abort=True)
 
-    print(f"erasing the board on {port}", flush=True)
+    say(f"erasing the board on {port}")
     erase_chip(port)
-    print(f"writing and verifying with bossac {uploader.version}", flush=True)
+    say(f"writing and verifying with bossac {uploader.version}")
     write_image(uploader, port, file)
     restart_chip(port)
-    print(f"flashed: {_greet(port, uploader)}")
+    say(f"flashed: {_greet(port, uploader)}")
     if kept is not None:
-        print(f"its parameters are the defaults; yours: heli-host params restore {kept} --save --port {port}")
+        say(f"its parameters are the defaults; yours: heli-host params restore {kept} --save --port {port}")
 
 
 def _doubt(uploader: Bossac) -> str:
@@ -93,12 +94,12 @@ def _keep_parameters(port: str) -> Path | None:
     except PortError:
         raise
     except (LinkError, WaitTimeout) as error:
-        print(f"no parameters could be read: {error.cause}")
+        say(f"no parameters could be read: {error.cause}")
         return None
     with heli:
         if heli.motors_may_run:
             raise FlashError(f"the board on {port} is {heli.state.name.lower()}", "land or stop first")
-        print(f"found: {board_text(heli)}")
+        say(f"found: {board_text(heli)}")
         values = heli.params.dump()
         if all(
             abs(value - spec_of(name).default) <= 1e-6 * max(1.0, abs(value))
@@ -108,7 +109,7 @@ def _keep_parameters(port: str) -> Path | None:
             return None
         file = Path(time.strftime("parameters-%Y-%m-%d_%H-%M-%S.toml"))
         file.write_text(parameters_text(values, board_versions(heli.info)), encoding="utf-8")
-    print(f"its {len(values)} parameters -> {file}")
+    say(f"its {len(values)} parameters -> {file}")
     return file
 
 

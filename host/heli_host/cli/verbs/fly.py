@@ -10,6 +10,8 @@ import typer
 from heli_host.cli import simulated
 from heli_host.cli.gains import GainsOption, ParamsFileOption, check_gains, chosen_parameters
 from heli_host.cli.options import ClearFaultOption, PortOption, flight_folder
+from heli_host.cli.say import say, say_files, say_progress
+from heli_host.cli.twin_options import OnChangeOption, TwinOption, check_on_change, open_watch
 from heli_host.cli.verb import Verb
 
 
@@ -30,6 +32,8 @@ def fly(
     clear_fault: ClearFaultOption = False,
     gains: GainsOption = None,
     params: ParamsFileOption = None,
+    twin: TwinOption = None,
+    on_change: OnChangeOption = None,
     log: Annotated[Path | None, typer.Option("--log", metavar="FILE", help="Log, MCAP.")] = None,
     json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Summary.")] = None,
     figure: Annotated[
@@ -47,7 +51,7 @@ def fly(
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress import LiveLine
     from heli_host.cli.report import summary_lines
-    from heli_host.errors import FlightAborted, printable
+    from heli_host.errors import FlightAborted
     from heli_host.fly.interrupts import was_interrupted
     from heli_host.fly.plan import load_plan
     from heli_host.fly.runner import Progress
@@ -57,6 +61,7 @@ def fly(
     from heli_host.published_gains import load_gains
 
     simulated.parse_speed(speed)
+    land_on_change = check_on_change(twin, on_change)
     if not sil:
         simulated.refuse_without_sil(board=board, elf=elf, model=model, effect=effect, effects=effects)
     address = simulated.sil_address(
@@ -87,9 +92,9 @@ def fly(
         json, figure = (folder / "summary.json", folder / "figure.png") if everything else (json, figure)
         text, transport = board_text(heli), heli.session.transport
         if note := transport_note(transport):
-            print(note)
-        print(text)
-        print(printable(f"flying: {', then '.join(plan.title for plan in loaded)}"), flush=True)
+            say_progress(note)
+        say_progress(text, f"flying: {', then '.join(plan.title for plan in loaded)}")
+        watch = open_watch(heli, twin)
         with LiveLine() as live:
 
             def show(progress: Progress) -> None:
@@ -110,11 +115,13 @@ def fly(
                 on_progress=show,
                 rig_name=simulated.rig_name(rig, simulated=sil),
                 board_name=transport_label(transport).partition(",")[0].removesuffix(" board"),
+                twin=watch,
+                land_on_change=land_on_change,
             )
-    for line in summary_lines(summary):
-        print(line)
-    print(f"board: {text}")
-    print(f"files: {', '.join(str(path) for path in (log, json, figure) if path is not None)}")
+    say(*summary_lines(summary), f"board: {text}")
+    if watch is not None:
+        say(f"twin: {watch.words()}")
+    say_files((log, json, figure))
     if was_interrupted(summary.outcome):
         raise KeyboardInterrupt
     if not summary.completed:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from heli_host.cli.options import JsonFlag
+from heli_host.cli.say import say, say_json
 from heli_host.cli.verb import Verb
-from heli_host.errors import printable
 
 if TYPE_CHECKING:
     from heli_host.flight import Flight
@@ -20,11 +21,15 @@ def info(
     events: Annotated[bool, typer.Option("--events", help="List the events too.")] = False,
     parameters: Annotated[bool, typer.Option("--params", help="List the board's parameters too.")] = False,
     plan: Annotated[bool, typer.Option("--plan", help="Print the flight plans too.")] = False,
+    json: JsonFlag = False,
 ) -> None:
     """Say what a log holds: versions, duration, tracking errors, losses, and what is wrong with it.
 
     Example: `heli-host info flights/2026-01-31_12-00-00/flight.mcap --events`
     """
+    if json:
+        say_json(_content(flight_file))
+        return
     if flight_file.name.lower().endswith(".mcap"):
         from heli_host.log.reader import read_log
 
@@ -41,14 +46,43 @@ def info(
     if events:
         print("events:")
         for event in flight.events:
-            print(printable(f"  {event.t_s:10.3f} s  {event.name}: {event.text}"))
+            say(f"  {event.t_s:10.3f} s  {event.name}: {event.text}")
     if parameters:
         print("parameters:")
         for name, value in flight.parameters.items():
-            print(printable(f"  {name} = {value:g}"))
+            say(f"  {name} = {value:g}")
     if plan:
         for line in (flight.plan.rstrip() or "no plan").splitlines():
-            print(printable(line.replace("\t", "    ")))
+            say(line.replace("\t", "    "))
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """All that a log holds but its rows."""
+    from heli_host.log.flight_file import read_flight
+    from heli_host.log.reader import read_log
+    from heli_host.log.summary import summarise
+
+    content: dict[str, Any] = {"file": str(path)}
+    flight: Flight | None
+    if path.name.lower().endswith(".mcap"):
+        log = read_log(path)
+        content |= {"summary": summarise(log).as_dict(), "session": dict(log.metadata.get("session", {}))}
+        flight = log.flight() if len(log.ticks) else None
+    else:
+        flight = read_flight(path, allow_gaps=True)
+    if flight is not None:
+        content |= {
+            "rows": len(flight),
+            "duration_s": flight.duration_s,
+            "step_s": flight.step_s,
+            "columns": list(flight.columns()),
+            "gaps": len(flight.gaps),
+            "events": [{"t_s": one.t_s, "name": one.name, "text": one.text} for one in flight.events],
+            "parameters": dict(flight.parameters),
+            "plan": flight.plan,
+            "notes": dict(flight.meta),
+        }
+    return content
 
 
 def _print_log(log: Log) -> None:
@@ -56,19 +90,19 @@ def _print_log(log: Log) -> None:
     from heli_host.log.summary import summarise
 
     for line in summary_lines(summarise(log)):
-        print(line)
+        say(line)
     for name, value in sorted(log.metadata.get("session", {}).items()):
-        print(printable(f"{name}: {value}"))
+        say(f"{name}: {value}")
 
 
 def _print_table(flight: Flight, path: Path) -> None:
     rate_Hz = 1.0 / flight.step_s if flight.step_s else 0.0
-    print(printable(f"{path}: {len(flight)} rows, {flight.duration_s:.3f} s at {rate_Hz:.6g} Hz"))
-    print(printable(f"columns: {', '.join(flight.columns())}"))
+    say(f"{path}: {len(flight)} rows, {flight.duration_s:.3f} s at {rate_Hz:.6g} Hz")
+    say(f"columns: {', '.join(flight.columns())}")
     if len(flight.gaps):
-        print(f"{len(flight.gaps)} gaps in time, the first after {flight.t_s[flight.gaps[0]]:.3f} s")
+        say(f"{len(flight.gaps)} gaps in time, the first after {flight.t_s[flight.gaps[0]]:.3f} s")
     for name, value in flight.meta.items():
-        print(printable(f"{name}: {value}"))
+        say(f"{name}: {value}")
 
 
 VERB = Verb(info, "Logs")

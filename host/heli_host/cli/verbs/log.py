@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from heli_host.cli.options import ForOption, PortOption, flight_folder
+from heli_host.cli.say import say
 from heli_host.cli.simulated import RigOption, SilOption, SpeedOption, rig_name, sil_address
 from heli_host.cli.verb import Verb
 
@@ -39,6 +40,10 @@ def log(
     from heli_host.log.summary import summarise
 
     if out is not None:
+        if out.suffix.lower() != ".mcap":
+            raise typer.BadParameter(
+                f"{out}: a log is an .mcap file; record one, then heli-host export --csv writes a table of it"
+            )
         check_new(out)
     with open_board(port, sil_address(rig=rig, speed=speed) if sil else None) as heli:
         path = out if out is not None else flight_folder() / "flight.mcap"
@@ -57,8 +62,7 @@ def log(
         except KeyboardInterrupt:
             # This is how a recording without --for-s is meant to end.
             pass
-    for line in (*summary_lines(summarise(read_log(path))), f"log: {path}"):
-        print(line)
+    say(*summary_lines(summarise(read_log(path))), f"log: {path}")
 
 
 VERB = Verb(log, "Fly")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from heli_host.cli.options import ClearFaultOption, PortOption
+from heli_host.cli.say import say
 from heli_host.cli.simulated import RigOption, SilOption, SpeedOption, sil_address
 from heli_host.cli.verb import Verb
 
@@ -51,7 +52,7 @@ def motors(
             _drive(heli, front_V, back_V, for_s)
         finally:
             heli.stop()
-        print(f"front {front_V:g} V, back {back_V:g} V for {for_s:g} s; drivers off again")
+        say(f"front {front_V:g} V, back {back_V:g} V for {for_s:g} s; drivers off again")
 
 
 def _drive(heli: Heli, front_V: float, back_V: float, for_s: float) -> None:

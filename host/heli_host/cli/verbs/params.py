@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from heli_host.cli.options import PortOption
+from heli_host.cli.options import JsonFlag, PortOption
+from heli_host.cli.say import say, say_json
 from heli_host.cli.simulated import MAX_SPEED, SilOption, sil_address
 from heli_host.cli.verb import Verb
 
@@ -31,6 +32,7 @@ def list_parameters(
     long: Annotated[bool, typer.Option("--long", "-l", help="Say what each means too.")] = False,
     port: PortOption = None,
     sil: SilOption = False,
+    json: JsonFlag = False,
 ) -> None:
     """List names, values, units and ranges; a star marks what differs from the default.
 
@@ -42,6 +44,22 @@ def list_parameters(
 
     with _board(port, sil) as heli:
         values = heli.params.dump()
+        if json:
+            specs = {name: heli.params.spec(name) for name in values if pattern in name}
+            say_json(
+                {
+                    name: {
+                        "value": values[name],
+                        "unit": spec.unit,
+                        "min": spec.min,
+                        "max": spec.max,
+                        "default": spec.default,
+                        "meaning": spec.meaning,
+                    }
+                    for name, spec in specs.items()
+                }
+            )
+            return
         table = Table(box=None, pad_edge=False)
         for heading in ("name", "", "value", "unit", "range", *(("meaning",) if long else ())):
             table.add_column(heading, no_wrap=heading != "meaning")
@@ -58,16 +76,19 @@ def list_parameters(
 
 
 @app.command("get")
-def get(name: NameArgument, port: PortOption = None, sil: SilOption = False) -> None:
+def get(name: NameArgument, port: PortOption = None, sil: SilOption = False, json: JsonFlag = False) -> None:
     """Print one parameter's value.
 
     Example: `heli-host params get hover_V`
     """
     from heli_host.parameters import spec_of
 
-    spec_of(name)
+    spec = spec_of(name)
     with _board(port, sil) as heli:
-        print(f"{heli.params[name]:g}")
+        if json:
+            say_json({"name": name, "value": heli.params[name], "unit": spec.unit})
+        else:
+            say(f"{heli.params[name]:g}")
 
 
 @app.command("set", context_settings={"ignore_unknown_options": True})
@@ -89,7 +110,7 @@ def set_parameter(
         before = heli.params[name]
         in_force = heli.params.set(name, value)
         unit = f" {spec.unit}" if spec.unit else ""
-        print(f"{name}: {before:g} -> {in_force:g}{unit}{_saved(heli.params.save() if save else None)}")
+        say(f"{name}: {before:g} -> {in_force:g}{unit}{_saved(heli.params.save() if save else None)}")
 
 
 @app.command("save")
@@ -99,7 +120,7 @@ def save_parameters(port: PortOption = None, sil: SilOption = False) -> None:
     Example: `heli-host params save`
     """
     with _board(port, sil) as heli:
-        print(f"parameters saved, generation {heli.params.save()}")
+        say(f"parameters saved, generation {heli.params.save()}")
 
 
 @app.command("dump")
@@ -119,7 +140,7 @@ def dump(
         values = heli.params.dump()
         comment = board_versions(heli.info)
     file.write_text(parameters_text(values, comment), encoding="utf-8")
-    print(f"{len(values)} parameters -> {file}")
+    say(f"{len(values)} parameters -> {file}")
 
 
 @app.command("restore")
@@ -142,8 +163,8 @@ def restore(
     with _board(port, sil) as heli:
         changed = heli.params.restore(values)
         for name, value in changed.items():
-            print(f"{name} -> {value:g}")
-        print(f"{len(changed)} of {len(values)} changed{_saved(heli.params.save() if save else None)}")
+            say(f"{name} -> {value:g}")
+        say(f"{len(changed)} of {len(values)} changed{_saved(heli.params.save() if save else None)}")
 
 
 def _board(port: str | None, sil: bool) -> AbstractContextManager[Heli]:

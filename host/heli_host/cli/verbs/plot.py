@@ -1,34 +1,82 @@
-"""``heli-host plot``: a log as a figure."""
+"""``heli-host plot``: a log as a figure, or several over each other."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from heli_host.cli.options import JsonFlag
+from heli_host.cli.say import say, say_files, say_json
 from heli_host.cli.verb import Verb
 
 
 def plot(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="A .mcap log.")],
+    logs: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="A .mcap log; of several, .csv and .csv.gz too.")
+    ],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help="A .png, .pdf or .svg; else figure.png beside it."),
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="A .png, .pdf or .svg; else figure.png beside it, or comparison.png here.",
+        ),
     ] = None,
+    json: JsonFlag = False,
 ) -> None:
-    """Draw setpoints, angles, voltages and events of a log.
+    """Draw setpoints, angles, voltages and events of a log; several are laid over each other and compared.
 
-    Example: `heli-host plot flights/2026-01-31_12-00-00/flight.mcap -o flight.pdf`
+    Of each axis that had setpoints: rise, overshoot and settling of its largest step, tracking error (rms);
+    of each flight its effort, the motors' rms voltage.
+
+    Example: `heli-host plot pid.mcap lqr.mcap -o both.pdf`
     """
+    if len(logs) > 1 or json:
+        _compare(logs, out, json)
+        return
     from heli_host.log.figure import write_figure
     from heli_host.log.reader import read_log
     from heli_host.log.summary import summarise
 
+    (log,) = logs
     read = read_log(log)
     target = out if out is not None else log.with_name("figure.png")
     write_figure(read.flight(), summarise(read), target)
-    print(f"{read.ticks.size} ticks -> {target}")
+    say(f"{read.ticks.size} ticks -> {target}")
+
+
+def _compare(logs: Sequence[Path], out: Path | None, json: bool) -> None:
+    from heli_host.log.comparison import HEADS, MOST, comparison_numbers, comparison_rows, write_comparison
+    from heli_host.log.flight_file import read_flight
+
+    if len(logs) > MOST:
+        raise typer.BadParameter(f"{len(logs)} flights on one page cannot be told apart; give {MOST} at most")
+    labels = [str(log) for log in logs]
+    if len(set(labels)) < len(labels):
+        raise typer.BadParameter("a log is given twice; give each once")
+    flights = {label: read_flight(log, allow_gaps=True) for label, log in zip(labels, logs, strict=True)}
+    numbers = comparison_numbers(flights)
+    target = out
+    if out is not None or not json:
+        target = out if out is not None else Path("comparison.png")
+        write_comparison(flights, target)
+    if json:
+        say_json({"flights": numbers, "figure": None if target is None else str(target)})
+        return
+    rows = [list(HEADS), *comparison_rows(numbers)]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(HEADS))]
+    for row in rows:
+        say(
+            "  ".join(
+                cell.ljust(w) if i < 2 else cell.rjust(w)
+                for i, (cell, w) in enumerate(zip(row, widths, strict=True))
+            ).rstrip()
+        )
+    say_files([target])
 
 
 VERB = Verb(plot, "Logs")

@@ -2,21 +2,41 @@
 
 from __future__ import annotations
 
+from heli_host.cli.options import JsonFlag
 from heli_host.cli.verb import Verb
 
 
-def ports() -> None:
+def ports(json: JsonFlag = False) -> None:
     """List the serial ports, the Due's programming port first.
 
     Example: `heli-host ports`
     """
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     from heli_host.cli.board import is_due, is_due_native
+    from heli_host.cli.say import say_json
+    from heli_host.errors import printable
     from heli_host.link.transport import available_ports
 
     found = sorted(available_ports(), key=lambda port: not is_due(port))
+    if json:
+        say_json(
+            {
+                "ports": [
+                    {
+                        "device": port.device,
+                        "description": port.description,
+                        "stable_name": port.stable_name,
+                        "due": is_due(port),
+                        "due_native": is_due_native(port),
+                    }
+                    for port in found
+                ]
+            }
+        )
+        return
     console = Console(highlight=False)
     if not found:
         console.print("no serial port; plug the board in by its programming port, next to the power jack")
@@ -28,7 +48,8 @@ def ports() -> None:
             what = "Arduino Due, programming port"
         elif is_due_native(port):
             what = "Arduino Due, native port: use the other one"
-        table.add_row(port.device, what, port.stable_name if port.stable_name != port.device else "")
+        other = port.stable_name if port.stable_name != port.device else ""
+        table.add_row(*(Text(printable(cell)) for cell in (port.device, what, other)))
     console.print(table)
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from heli_host.cli.options import ClearFaultOption, PortOption
+from heli_host.cli.say import say
 from heli_host.cli.simulated import RigOption, SilOption, SpeedOption, rig_name, sil_address
 from heli_host.cli.verb import Verb
 
@@ -81,7 +82,7 @@ def setpoint(
                 heli.land()
             raise
         sample = heli.latest
-        print(
+        say(
             f"elevation {sample.elevation_deg:.1f}, pitch {sample.pitch_deg:.1f}, "
             f"travel {sample.travel_deg:.1f} deg after {for_s:g} s"
         )

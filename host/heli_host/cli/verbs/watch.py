@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import sys
-import time
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from heli_host.cli.options import ForOption, PortOption
+from heli_host.cli.say import say
 from heli_host.cli.simulated import RigOption, SilOption, SpeedOption, sil_address
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
+    from heli_host.cli.live_display import LiveDisplay
     from heli_host.heli import Heli
+    from heli_host.samples import Sample
 
 STEP_S = 0.2
 """Device time between two looks."""
@@ -36,9 +38,9 @@ def watch(
 
     with open_board(port, sil_address(rig=rig, speed=speed) if sil else None) as heli:
         info = heli.info
-        print(f"{board_text(heli)}; last start: {info.reset}; parameters: {info.params_source}")
+        say(f"{board_text(heli)}; last start: {info.reset}; parameters: {info.params_source}")
         if info.boot_fault:
-            print(f"before that start: {info.boot_fault}")
+            say(f"before that start: {info.boot_fault}")
         try:
             _look(heli, for_s)
         except KeyboardInterrupt:
@@ -47,38 +49,59 @@ def watch(
 
 
 def _look(heli: Heli, for_s: float | None) -> None:
+    from heli_host.cli.live_display import LiveDisplay
+
     start_s = heli.latest.t_s
     passed_s = 0.0
-    is_terminal = sys.stdout.isatty()
-    shown_s = float("-inf")
-    shown = False
-    while for_s is None or passed_s < for_s:
-        heli.wait(STEP_S if for_s is None else min(STEP_S, for_s - passed_s))
-        passed_s = heli.latest.t_s - start_s
-        if is_terminal:
-            print(f"\r\x1b[2K{line(heli)}", end="", flush=True)
-        elif time.monotonic() - shown_s >= LINE_EVERY_S:
-            print(line(heli), flush=True)
-            shown_s = time.monotonic()
-        shown = True
-    if is_terminal and shown:
-        print()
+    with LiveDisplay(LINE_EVERY_S) as live:
+        while for_s is None or passed_s < for_s:
+            heli.wait(STEP_S if for_s is None else min(STEP_S, for_s - passed_s))
+            passed_s = heli.latest.t_s - start_s
+            if live.due:
+                _show(heli, live, passed_s)
 
 
-def line(heli: Heli) -> str:
-    """Say in one line what a board measures and does: for each axis counts, degrees and illegal transitions;
-    then voltages, state and fault.
-    """
+def _show(heli: Heli, live: LiveDisplay, passed_s: float) -> None:
     from math import tau
 
+    from heli_host.cli.live_table import numbers_table
+    from heli_host.cli.progress import heading, link_text
     from heli_host.declaration import AXES
+    from heli_host.errors import fault_text
 
     sample, status = heli.latest, heli.session.status()
-    axes = []
-    for axis in AXES:
-        angle_rad, illegal = getattr(sample, f"{axis}_rad"), getattr(status, f"illegal_{axis}")
-        counts = round(angle_rad / tau * abs(heli.params[f"{axis}_counts_per_rev"]))
-        axes.append(f"{axis} {counts:+6d} ({angle_rad * 360.0 / tau:+7.2f} deg, {illegal} bad)")
+    illegal = {axis: int(getattr(status, f"illegal_{axis}")) for axis in AXES}
+    counts = {
+        axis: round(getattr(sample, f"{axis}_rad") / tau * abs(heli.params[f"{axis}_counts_per_rev"]))
+        for axis in AXES
+    }
+    if not live.is_terminal:
+        live.print_line(line(sample, counts, illegal))
+        return
+    fault = fault_text(sample.fault) if sample.fault else ""
+    live.replace(
+        heading(sample, passed_s, "watching", None),
+        numbers_table(sample, counts, illegal),
+        *([fault] if fault else []),
+        f"link: {link_text(heli.counters)}",
+    )
+
+
+def line(sample: Sample, counts: Mapping[str, int], illegal: Mapping[str, int]) -> str:
+    """Say in one line what a board measures and does: for each axis counts, degrees and illegal transitions;
+    then voltages, state and fault.
+
+    Parameters
+    ----------
+    sample : Sample
+        The newest.
+    counts, illegal : Mapping of str to int
+        Encoder counts and illegal transitions, by axis.
+    """
+    axes = [
+        f"{axis} {counts[axis]:+6d} ({getattr(sample, f'{axis}_deg'):+7.2f} deg, {illegal[axis]} bad)"
+        for axis in counts
+    ]
     fault = f", fault {sample.fault.name.lower()}" if sample.fault else ""
     volts = f"front {sample.front_V:+.2f} V, back {sample.back_V:+.2f} V"
     return f"{'  '.join(axes)}  {volts}  {sample.state.name.lower()}{fault}"

@@ -10,7 +10,7 @@ from typing_extensions import override
 
 from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects.kind import EffectKind, Parameter
-from heli_sim.model.parts import AXES
+from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior, Quantity
 
 
@@ -33,10 +33,39 @@ class Backlash(Effect):
         return ({f"{self.place}_rad": half_rad}, {f"{self.place}_rad": -half_rad})
 
     @override
+    def along_measured(self) -> Effect:
+        direction = Quantity(
+            f"{self.prefix}_direction", "1", f"direction in which {self.place} has moved last"
+        )
+        return BacklashOfKnownSide(
+            name=self.name,
+            parameters=self.parameters,
+            values=self.values,
+            states=(direction,),
+            priors=self.priors,
+            stage=self.stage,
+            direction_of={direction.name: self.place},
+        )
+
+    @override
     def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
         index, shaft = AXES.index(self.place), self.reset_map(at)
         behind = shaft - at.state[f"{self.place}_rad"]
         return angles_rad + ca.vertcat(*(behind if i == index else ca.SX(0) for i in range(3)))
+
+
+class BacklashOfKnownSide(Effect):
+    """The same along a measured flight: the encoder's shaft lies behind its axis by half the play, on the
+    side that the axis comes from.
+
+    Linear in the play, as the play operator is not: about measured angles, which are those of the shaft, it
+    would take the axis through the play a second time, after the shaft has already moved.
+    """
+
+    @override
+    def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
+        behind = -0.5 * self.own(at, "rad") * self.own(at, "direction")
+        return angles_rad + on_axis(self.place, behind)
 
 
 def _kind(axis: str) -> EffectKind:

@@ -20,6 +20,7 @@ GridValues = tuple[float, ...] | Callable[[float], tuple[float, ...]]
 _DEG: Final = 180.0 / math.pi
 _SPELLED: Final[Mapping[str, tuple[float, str]]] = {
     "rad": (_DEG, " deg"),
+    "N m": (1e3, " mN m"),
     "1": (100.0, " %"),
     "count": (1.0, ""),
 }
@@ -242,7 +243,7 @@ class EffectKind:
 
     def describe(self, values: Mapping[str, float], stds: Mapping[str, float] | None = None) -> str:
         """Describe the effect with its numbers in one sentence without its full stop; angles in degrees,
-        shares in per cent.
+        torques in mN m, shares in per cent.
 
         Parameters
         ----------
@@ -289,7 +290,7 @@ def format_estimate(value: float, std: float | None, unit: str) -> str:
     std : float or None
         Its standard error.
     unit : str
-        Unit of both; rad become degrees, shares per cent.
+        Unit of both; rad become degrees, N m mN m, shares per cent.
     """
     factor, name = _SPELLED.get(unit, (1.0, f" {unit}"))
     value *= factor

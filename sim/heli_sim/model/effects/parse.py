@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from heli_sim.errors import EffectError
 from heli_sim.model.effect import Effect
 from heli_sim.model.effects.catalogue import catalogue
 from heli_sim.model.effects.kind import EffectKind
-from heli_sim.rig import Number, Rig
+from heli_sim.rig import Number, Prior, Rig
 
 
 def parse_effects(texts: Sequence[str], extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]:
@@ -64,8 +65,21 @@ def effects_of(rig: Rig, extra: Sequence[str | Path] = ()) -> tuple[Effect, ...]
         missing = [one.what for one in kind.numbers if one.prior is not None and one.what not in numbers]
         if missing:
             raise EffectError(f"{where}: effect '{name}' lacks {', '.join(missing)}", "add each")
-        made.append(kind.make({kind.full(what): number.value for what, number in numbers.items()}))
+        effect = kind.make({kind.full(what): number.value for what, number in numbers.items()})
+        made.append(replace(effect, priors={**effect.priors, **_stated_priors(kind, numbers)}))
     return tuple(made)
+
+
+def _stated_priors(kind: EffectKind, numbers: Mapping[str, Number]) -> dict[str, Prior]:
+    """Priors by full name of the numbers whose tolerance a rig's file states: normal, with half of it as the
+    standard deviation, as of the rig's own numbers, within the effect's bounds.
+    """
+    return {
+        name: replace(prior, mean=numbers[what].value, std=0.5 * numbers[what].tolerance)
+        for what, name in ((one.what, kind.full(one.what)) for one in kind.numbers)
+        for prior in [kind.priors.get(name)]
+        if prior is not None and what in numbers and numbers[what].tolerance > 0.0
+    }
 
 
 def effect_numbers(

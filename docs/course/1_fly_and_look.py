@@ -1,0 +1,70 @@
+# %% [markdown]
+# # 1. Fly and look
+#
+# **Goals.** You can fly the helicopter from Python, read a flight as arrays, and say in numbers how well it followed.
+#
+# **Before.** [python.md](../python.md), its first page. Three axes: *elevation* of the long arm, *pitch* of the short one,
+# *travel* about the vertical. Two voltages.
+
+# %%
+import heli_host
+import matplotlib.pyplot as plt
+import numpy as np
+
+with heli_host.connect("sil://", land_on_exit=True) as heli:
+    print(heli)
+    heli.take_off()
+    heli.wait(3.0)
+    begin = heli.latest.t_s
+    heli.setpoint(travel_deg=20.0)
+    heli.wait(12.0)
+    flown = heli.samples(last_s=heli.latest.t_s - begin)
+flown  # in a notebook this line draws the flight
+
+# %% [markdown]
+# **Task 1.** Which way does pitch go first when travel is asked to grow, and why? Look at the figure, then at the sign.
+
+# %%
+t_s = flown.t_s - flown.t_s[0]
+first = flown.pitch_deg[(t_s > 0.5) & (t_s < 2.0)]
+print(f"pitch between 0.5 and 2 s: {first.mean():+.1f} degrees")
+
+# %% [markdown]
+# **Task 2.** Measure overshoot, settling time to 1 degree, and the rms error of the last four seconds.
+
+# %%
+target_deg = 20.0
+travel = flown.travel_deg
+overshoot_deg = travel.max() - target_deg
+outside = np.flatnonzero(np.abs(travel - target_deg) > 1.0)
+settling_s = t_s[outside[-1]]
+rms_deg = np.sqrt(np.mean((travel[t_s > t_s[-1] - 4.0] - target_deg) ** 2))
+print(f"overshoot {overshoot_deg:.1f} deg, settled after {settling_s:.1f} s, rms {rms_deg:.2f} deg")
+
+# %% [markdown]
+# **Task 3.** Does elevation notice that travel moves? Tilted thrust lifts less: by how much did the arm sink, and what did
+# the voltages do?
+
+# %%
+table = flown.dataframe()
+sink_deg = table["elevation_deg"].min()
+lift_V = (table["front_V"] + table["back_V"]) / 2
+print(
+    f"elevation was down to {sink_deg:.2f} deg; mean voltage {lift_V.iloc[:200].mean():.2f} to {lift_V.max():.2f} V"
+)
+axes = table[["elevation_deg", "pitch_deg", "travel_deg"]].plot(subplots=True, sharex=True)
+plt.close()
+
+# %% [markdown]
+# **Check.**
+
+# %%
+assert first.mean() > 2.0, "positive pitch accelerates travel positive"
+assert 0.0 < overshoot_deg < 5.0 and 2.0 < settling_s < 11.0 and rms_deg < 1.0
+assert -2.0 < sink_deg < 0.5
+
+# %% [markdown]
+# **Common mistakes.**
+# - Radians and degrees: `travel_rad` is what is stored, `travel_deg` what you read. Setpoints are given in degrees.
+# - `heli.samples()` without `last_s` has the take-off in it: its overshoot is not yours.
+# - `time.sleep` instead of `heli.wait`: in simulation time passes only while something waits for the board.

@@ -1,0 +1,102 @@
+# %% [markdown]
+# # 3. A PID and an LQR, compared
+#
+# **Goals.** You design two laws from one linear model, know their margins before they fly, and compare them on the board.
+#
+# **Before.** [tuning.md](../tuning.md), [laws.md](../laws.md).
+
+# %%
+import control
+import heli_host
+import heli_lab
+import numpy as np
+from heli_lab.law import from_gain
+from heli_lab.tune.plants import linear_plant
+from heli_sim.rig import load_rig
+
+rig = load_rig("makki2024")
+plant = heli_lab.linearise(rig)
+print(plant.state_labels, np.round(control.poles(plant), 2))
+
+# %% [markdown]
+# **Task 1.** Elevation by hand: a PD law on the sum of the voltages. Place the damping at 0.8 and the natural frequency at 2 rad/s.
+# Both rotors lift, so the input is the collective: half the sum of the columns of B, times two.
+
+# %%
+A = plant.A[np.ix_([0, 3], [0, 3])]
+B = plant.B[[0, 3]].sum(axis=1, keepdims=True) / 2.0
+omega, damping = 2.0, 0.8
+kp = (omega**2 + A[1, 0]) / B[1, 0]
+kd = (2.0 * damping * omega + A[1, 1]) / B[1, 0]
+closed = A - B @ np.array([[kp, kd]])
+print(f"kp {kp:.2f} V/rad, kd {kd:.2f} V s/rad, poles {np.round(np.linalg.eigvals(closed), 2)}")
+
+# %% [markdown]
+# **Task 2.** Pitch and travel by LQR: travel is moved by pitch, and pitch by the difference of the voltages.
+
+# %%
+tilt = [1, 2, 4, 5]
+A_tilt = plant.A[np.ix_(tilt, tilt)]
+B_tilt = (plant.B[tilt, :1] - plant.B[tilt, 1:]) / 2.0
+K_tilt, _, poles = control.lqr(A_tilt, B_tilt, np.diag([4.0, 12.0, 0.4, 12.0]), [[4.0]])
+print(np.round(K_tilt, 2), np.round(poles, 2))
+
+
+# %% [markdown]
+# **Task 3.** How much more gain, and how much delay, does each loop stand? Cut the loop at its input.
+
+
+# %%
+def margins(A, B, K):
+    """Gain margin up, phase margin [deg] and delay margin [s] of a loop cut at its input."""
+    loop = control.ss(A, B, K, 0)
+    gain, phase, _, _, crossover, _ = control.stability_margins(loop)[:6]
+    return gain, phase, np.deg2rad(phase) / crossover if crossover else np.inf
+
+
+for name, loop in {
+    "elevation": (A, B, np.array([[kp, kd]])),
+    "pitch and travel": (A_tilt, B_tilt, K_tilt),
+}.items():
+    gain, phase, delay_s = margins(*loop)
+    print(f"{name}: gain {gain:.1f}, phase {phase:.0f} deg, delay {1e3 * delay_s:.0f} ms")
+
+# %% [markdown]
+# **Task 4.** Fly both: the whole law as one gain matrix on the board, at 1 kHz, against the board's own PID cascade.
+
+# %%
+K = np.zeros((2, 6))
+K[0, [0, 3]] = kp, kd
+K[1, tilt] = K_tilt[0]
+law = from_gain(K, hover_V=linear_plant(rig).hover_V, name="mine")
+rms_deg = {}
+for name in ("cascade", "mine"):
+    with heli_host.connect("sil://", land_on_exit=True) as heli:
+        heli.take_off()
+        heli.wait(2.0)
+        heli.setpoint(elevation_deg=5.0, travel_deg=20.0)
+        if name == "mine":
+            print(heli.fly_law(law.tape, duration_s=12.0))
+        else:
+            heli.wait(12.0)
+        flown = heli.samples(last_s=4.0)
+        rms_deg[name] = float(
+            np.sqrt(np.mean((flown.travel_deg - 20.0) ** 2 + (flown.elevation_deg - 5.0) ** 2))
+        )
+print(rms_deg)
+
+# %% [markdown]
+# **Check.**
+
+# %%
+assert np.allclose(sorted(np.abs(np.linalg.eigvals(closed))), [2.0, 2.0], atol=0.05)
+assert (poles.real < 0.0).all() and margins(A_tilt, B_tilt, K_tilt)[1] > 55.0, (
+    "an LQR has 60 degrees at its input"
+)
+assert rms_deg["mine"] < 4.0 and rms_deg["cascade"] < 1.5
+
+# %% [markdown]
+# **Common mistakes.**
+# - `K` on angles in degrees. Everything inside is radians.
+# - No integral: a law of gains stops where gravity and gain agree. Where is the error of `mine` larger, and what would remove it?
+# - Margins without the rotors' lag: `heli_lab.linearise(rig, effects=["rotor_lag=0.1"])`, and look again.

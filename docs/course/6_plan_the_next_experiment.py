@@ -1,0 +1,99 @@
+# %% [markdown]
+# # 6. Plan the next experiment
+#
+# **Goals.** You know what a flight will tell *before* it is flown: sensitivities, Fisher's information, expected standard errors; and
+# you choose the flight that tells most.
+#
+# **Before.** Notebook 2. A parameter is seen by how much the angles change with it, against the encoders' step of 0.088 degrees.
+
+# %%
+import numpy as np
+from heli_sim.model import MultibodyModel
+from heli_sim.model.linear import trim
+from heli_sim.plant import Plant
+from heli_sim.rig import load_rig
+
+rig = load_rig("makki2024")
+names = ("thrust_gain", "friction_pitch", "friction_travel")
+hover_V = trim(MultibodyModel(), rig).volts_V
+COUNT_RAD = 2.0 * np.pi / rig["encoder_counts"].value
+NOISE_RAD = COUNT_RAD / np.sqrt(12.0)
+TICKS = 8_000
+t_s = np.arange(TICKS) * 1e-3
+# One compiled millisecond, eight thousand times; numbers of the rig are arguments.
+step = Plant(MultibodyModel(), rig).function.mapaccum("flight", TICKS)
+
+
+def angles_rad(rig, volts_V):
+    """Fly voltages, shape (TICKS, 2), from level: angles, shape (TICKS, 3)."""
+    numbers = Plant(MultibodyModel(), rig).parameters
+    _, measured = step(np.zeros(6), volts_V.T, np.zeros((3, TICKS)), np.tile(numbers[:, None], TICKS))
+    return np.asarray(measured).T
+
+
+def expected_errors(volts_V):
+    """Standard errors that a flight with these voltages would leave, as shares of the values."""
+    columns = []
+    for name in names:
+        value = rig[name].value
+        up, down = (rig.replace(**{name: value * factor}) for factor in (1.001, 0.999))
+        columns.append((angles_rad(up, volts_V) - angles_rad(down, volts_V)).ravel() / 0.002)
+    # Counts that stay the same for a second are not a thousand samples: 20 of them count as one.
+    J = np.column_stack(columns)
+    errors = np.full(len(names), np.inf)
+    moves = np.linalg.norm(J, axis=0) > 1e-6  # a parameter that moves no angle is not told at all
+    information = J[:, moves].T @ J[:, moves] / (20.0 * NOISE_RAD**2)
+    errors[moves] = np.sqrt(np.diag(np.linalg.inv(information)))
+    return errors
+
+
+# %% [markdown]
+# **Task 1.** Three flights of 8 s: slow, lively on both rotors together, lively on the difference too. Guess first: which parameter does
+# each tell?
+
+# %%
+slow = 0.02 * np.sin(2.0 * np.pi * 0.1 * t_s)
+together = 0.15 * np.sin(2.0 * np.pi * 0.4 * t_s)
+apart = 0.15 * np.sin(2.0 * np.pi * 0.25 * t_s) + 0.1 * np.sin(2.0 * np.pi * 0.55 * t_s)
+flights = {
+    "slow": hover_V + np.column_stack((slow, slow)),
+    "together": hover_V + np.column_stack((together, together)),
+    "apart": hover_V + np.column_stack((together + apart, together - apart)),
+}
+found = {}
+for name, volts_V in flights.items():
+    found[name] = expected_errors(volts_V)
+    print(name, dict(zip(names, np.round(100.0 * found[name], 4).tolist(), strict=True)), "%")
+
+# %% [markdown]
+# **Task 2.** Twice as long, or twice as lively? Information grows with the length, and with the *square* of what moves. Why does the
+# error of `thrust_gain` hardly care?
+
+# %%
+half = hover_V + 0.5 * (flights["apart"] - hover_V)
+gain = expected_errors(half) / found["apart"]
+print("half the amplitude costs in error:", np.round(gain, 2))
+
+# %% [markdown]
+# **Task 3.** Where must you stop? The linear answer says *more*; stops, the table and the rotors' dead zone say otherwise. Look at how
+# far each flight goes.
+
+# %%
+reach_deg = np.rad2deg(np.abs(angles_rad(rig, flights["apart"])).max(axis=0))
+print("elevation, pitch and travel go to [deg]:", np.round(reach_deg, 1))
+
+# %% [markdown]
+# **Check.**
+
+# %%
+assert np.isinf(found["together"][1:]).all(), "both rotors alike pitch nothing, and nothing travels"
+assert np.isfinite(found["apart"]).all()
+assert gain[0] < gain[1] and 1.5 < gain[1] < 3.0
+assert reach_deg[0] < rig["elevation_max"].value and reach_deg[1] < rig["pitch_max"].value
+
+# %% [markdown]
+# **Common mistakes.**
+# - Exciting one axis and fitting all. What does not move is not measured.
+# - Optimising the flight for the model you believe: if a rival model is possible, plan the flight that tells them apart
+#   (`next_flight` of [diagnosing.md](../diagnosing.md)).
+# - Forgetting the priors: a parameter that is known to 1 % beforehand needs no flight.

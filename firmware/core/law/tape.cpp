@@ -1,0 +1,147 @@
+#include "law/tape.hpp"
+
+#include "law/functions.hpp"
+#include "law/sum.hpp"
+
+namespace heli::law {
+
+using link::Operation;
+
+namespace {
+
+// Apart, because its loop needs all registers there are.
+[[gnu::noinline]] Bits sum_of_products(const Bits* cells, const std::uint32_t* term,
+                                       const std::uint32_t* end) {
+  Sum sum;
+  do {
+    const std::uint32_t word = *term;
+    ++term;
+    sum.add(cells[(word >> 9U) & 0x1ffU], cells[word & 0x1ffU], word);
+  } while (term != end);
+  return sum.value();
+}
+
+}  // namespace
+
+void Tape::restart() {
+  const std::uint32_t* first = image_ + Shape::kHeadWords + shape_.constants + shape_.parameters;
+  Bits* state = cells_ + shape_.first_state();
+  for (std::uint32_t k = 0; k < shape_.states; ++k) {
+    state[k] = flushed(first[k]);
+  }
+}
+
+bool Tape::set_parameter(std::uint32_t index, Bits value) {
+  if (index >= shape_.parameters) {
+    return false;
+  }
+  cells_[shape_.first_parameter() + index] = flushed(value);
+  return true;
+}
+
+bool Tape::run(std::uint32_t tick) {
+  const std::uint32_t* program = image_ + program_at_;
+  execute(program + (tick == 0U ? 0U : ends_[tick - 1U]), program + ends_[tick]);
+  return tick + 1U == ticks_;
+}
+
+void Tape::take_new_states() {
+  const std::uint32_t* from = image_ + outputs_at_ + Shape::kFirstSignal + shape_.signals;
+  Bits* state = cells_ + shape_.first_state();
+  for (std::uint32_t k = 0; k < shape_.states; ++k) {
+    state[k] = cells_[from[k]];
+  }
+}
+
+void Tape::execute(const std::uint32_t* from, const std::uint32_t* to) {
+  Bits* const cells = cells_;
+  for (; from != to; ++from) {
+    const std::uint32_t word = *from;
+    const Bits a = cells[(word >> 9U) & 0x1ffU];
+    const Bits b = cells[word & 0x1ffU];
+    Bits result = a;
+    switch (static_cast<Operation>(word >> 27U)) {
+      case Operation::copy:
+        break;
+      case Operation::add:
+        result = add(a, b);
+        break;
+      case Operation::subtract:
+        result = subtract(a, b);
+        break;
+      case Operation::multiply:
+        result = multiply(a, b);
+        break;
+      case Operation::divide:
+        result = divide(a, b);
+        break;
+      case Operation::negate:
+        result = a ^ kSign;
+        break;
+      case Operation::absolute:
+        result = a & ~kSign;
+        break;
+      case Operation::minimum:
+        result = minimum(a, b);
+        break;
+      case Operation::maximum:
+        result = maximum(a, b);
+        break;
+      case Operation::less:
+        result = truth(less(a, b));
+        break;
+      case Operation::less_equal:
+        result = truth(less_equal(a, b));
+        break;
+      case Operation::equal:
+        result = truth(equal(a, b));
+        break;
+      case Operation::not_equal:
+        result = truth(!equal(a, b));
+        break;
+      case Operation::both:
+        result = truth(holds(a) && holds(b));
+        break;
+      case Operation::either:
+        result = truth(holds(a) || holds(b));
+        break;
+      case Operation::negation:
+        result = truth(!holds(a));
+        break;
+      case Operation::select:
+        result = holds(a) ? b : 0U;
+        break;
+      case Operation::floor:
+        result = floor(a);
+        break;
+      case Operation::square_root:
+        result = square_root(a);
+        break;
+      case Operation::sine:
+        result = sine(a);
+        break;
+      case Operation::cosine:
+        result = cosine(a);
+        break;
+      case Operation::tangent:
+        result = tangent(a);
+        break;
+      case Operation::arctangent:
+        result = arctangent(a, b);
+        break;
+      case Operation::hyperbolic_tangent:
+        result = hyperbolic_tangent(a);
+        break;
+      case Operation::exponential:
+        result = exponential(a);
+        break;
+      case Operation::sum_of_products:
+        result = sum_of_products(cells, from + 1, from + 1 + (word & 0x1ffU));
+        from += word & 0x1ffU;
+        break;
+    }
+    cells[(word >> 18U) & 0x1ffU] = result;
+  }
+}
+
+}  // namespace heli::law

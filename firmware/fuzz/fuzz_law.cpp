@@ -1,0 +1,142 @@
+// Uploads of laws above a valid hash: refused, or run within the tape and within the ticks that
+// were found for them. Most words are made such that a tape can come of them; some are any bits.
+#include <cstddef>
+#include <cstdint>
+#include <cstdlib>
+#include <memory>
+
+#include "law/tape.hpp"
+#include "link/crc32.hpp"
+
+namespace {
+
+using heli::law::Finding;
+using heli::law::Shape;
+using heli::law::Tape;
+using heli::link::LawError;
+namespace link = heli::link;
+
+class Bytes {
+ public:
+  Bytes(const std::uint8_t* bytes, std::size_t count) : next_(bytes), left_(count) {}
+  bool empty() const { return left_ == 0U; }
+  std::uint32_t byte() {
+    if (left_ == 0U) return 0U;
+    --left_;
+    return *next_++;
+  }
+  std::uint32_t word() {
+    const std::uint32_t low = byte() | byte() << 8U;
+    return low | byte() << 16U | byte() << 24U;
+  }
+
+ private:
+  const std::uint8_t* next_;
+  std::size_t left_;
+};
+
+struct Upload {
+  std::uint32_t words[link::kLawWords + 2U] = {};
+  std::uint32_t count = 0;
+  void put(std::uint32_t word) {
+    if (count < link::kLawWords + 2U) words[count++] = word;
+  }
+};
+
+// A cell that was written, as far as `written` goes; now and then any.
+std::uint32_t cell(Bytes& in, std::uint32_t written) {
+  const std::uint32_t drawn = in.byte();
+  return drawn == 255U ? 511U : drawn % written;
+}
+
+void make(Bytes& in, Upload& out) {
+  const std::uint32_t signals = in.byte() % 6U;
+  const std::uint32_t parameters = in.byte() % 4U;
+  const std::uint32_t constants = in.byte() % 8U;
+  const std::uint32_t states = in.byte() % 8U;
+  const std::uint32_t divisor = 1U + in.byte() % 12U;
+  std::uint32_t written =
+      static_cast<std::uint32_t>(link::kLawInputCount) + constants + parameters + states;
+  const std::uint32_t first_written = written;
+  Upload program;
+  while (!in.empty()) {
+    const std::uint32_t drawn = in.byte();
+    if (drawn == 255U) {
+      program.put(in.word());
+      continue;
+    }
+    const std::uint32_t operation = drawn % (link::kOperationCount + 1U);
+    const bool sum = operation == static_cast<std::uint32_t>(link::Operation::sum_of_products);
+    const bool binary = (link::kBinaryOperations >> (operation & 31U) & 1U) != 0U;
+    const std::uint32_t terms = in.byte() % 70U;
+    const std::uint32_t first = sum ? 0U : cell(in, written);
+    const std::uint32_t second = sum ? terms : binary ? cell(in, written) : 0U;
+    const std::uint32_t target = written < 500U ? written : first_written;
+    program.put(operation << 27U | target << 18U | first << 9U | second);
+    for (std::uint32_t k = 0; sum && k < terms && !in.empty(); ++k) {
+      program.put((in.byte() & 1U) << 31U | cell(in, written) << 9U | cell(in, written));
+    }
+    written = target + 1U > written ? target + 1U : written;
+  }
+  out.put(link::kLawFormat | divisor << 8U | signals << 16U | parameters << 24U);
+  out.put(constants | states << 16U);
+  out.put(program.count);
+  for (std::uint32_t k = 0; k < constants + parameters + states; ++k) {
+    out.put(program.words[k % (program.count + 1U)] & 0xbfffffffU);
+  }
+  const std::uint32_t outputs = Shape::kFirstSignal + signals + states;
+  for (std::uint32_t k = 0; k < outputs; ++k) out.put(written - 1U - (k % 3U));
+  for (std::uint32_t k = 0; k < program.count; ++k) out.put(program.words[k]);
+}
+
+std::uint32_t hash_of(const Upload& upload) {
+  std::uint32_t crc = 0;
+  for (std::uint32_t k = 0; k < upload.count; ++k) {
+    std::uint8_t bytes[4];
+    link::put_u32(bytes, upload.words[k]);
+    crc = link::crc32(bytes, sizeof bytes, crc);
+  }
+  return crc;
+}
+
+Finding send(Tape& tape, const Upload& upload) {
+  link::LawBeginMessage begin;
+  begin.hash = hash_of(upload);
+  begin.words = static_cast<std::uint16_t>(upload.count);
+  Finding found = tape.begin(begin);
+  for (std::uint32_t first = 0; found.error == LawError::none && first < upload.count;
+       first += 12U) {
+    std::uint8_t payload[link::LawPartMessage::kSize] = {};
+    link::put_u16(payload + 1, static_cast<std::uint16_t>(first));
+    for (std::uint32_t k = 0; k < 12U && first + k < upload.count; ++k) {
+      link::put_u32(payload + 3U + 4U * k, upload.words[first + k]);
+    }
+    found = tape.receive(link::LawPartMessage::read(payload));
+  }
+  return found.error == LawError::none ? tape.end() : found;
+}
+
+}  // namespace
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t count) {
+  Bytes in(bytes, count);
+  auto upload = std::make_unique<Upload>();
+  make(in, *upload);
+  // On the heap, each in room of its own: beyond it is what the sanitizer sees.
+  auto tape = std::make_unique<Tape>();
+  if (send(*tape, *upload).error != LawError::none) {
+    if (tape->state() == link::LawState::ready) std::abort();
+    return 0;
+  }
+  if (tape->ticks() > tape->shape().divisor || tape->ticks() > link::kLawMostTicks) std::abort();
+  for (std::uint32_t call = 0; call < 3U; ++call) {
+    for (std::uint32_t k = 0; k < link::kLawInputCount; ++k) {
+      tape->set_input(k, heli::law::flushed(upload->words[(call + k) % upload->count]));
+    }
+    std::uint32_t tick = 0;
+    while (!tape->run(tick)) ++tick;
+    if (tick + 1U != tape->ticks()) std::abort();
+    tape->take_new_states();
+  }
+  return 0;
+}

@@ -1,0 +1,111 @@
+"""What is rewritten in place on a terminal; elsewhere a line is printed from time to time."""
+
+from __future__ import annotations
+
+import errno
+import sys
+import time
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from heli_host.cli.say import say
+from heli_host.errors import printable
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.live import Live
+
+REFRESH_S = 0.25
+"""On a terminal; four a second cost about 1 % of a core."""
+
+
+class LiveDisplay:
+    """Lines and tables that stay in their place; a context manager. None for `is_terminal` asks standard
+    output.
+
+    Parameters
+    ----------
+    line_every_s : float
+        How often something is printed where the output goes to a file or another program [s].
+    is_terminal : bool or None
+        Whether to rewrite in place; None asks standard output.
+
+    Attributes
+    ----------
+    is_terminal : bool
+        The same, settled.
+    """
+
+    def __init__(self, line_every_s: float, is_terminal: bool | None = None) -> None:
+        self.is_terminal = sys.stdout.isatty() if is_terminal is None else is_terminal
+        self._line_every_s = line_every_s
+        self._live: Live | None = None
+        self._shown_s = float("-inf")
+
+    def __enter__(self) -> Self:
+        if self.is_terminal:
+            from rich.console import Console
+            from rich.live import Live
+
+            self._live = Live(console=Console(highlight=False), auto_refresh=False, transient=True)
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    @property
+    def due(self) -> bool:
+        """Whether enough time has passed to show something again."""
+        interval_s = REFRESH_S if self.is_terminal else self._line_every_s
+        return time.monotonic() - self._shown_s >= interval_s
+
+    def replace(self, *parts: RenderableType) -> None:
+        """Show these in the place of what was shown before.
+
+        Parameters
+        ----------
+        *parts : str or anything that rich draws
+            One below the other; the first in bold.
+        """
+        from rich.console import Group
+        from rich.text import Text
+
+        self._shown_s = time.monotonic()
+        if self._live is None:
+            return
+        first = Text(printable(parts[0]), "bold") if isinstance(parts[0], str) else parts[0]
+        rest = [Text(printable(part)) if isinstance(part, str) else part for part in parts[1:]]
+        try:
+            self._live.update(Group(first, *rest), refresh=True)
+        except OSError as error:
+            # A terminal that is gone says so by SIGHUP as well, and that lands.
+            if error.errno != errno.EIO:
+                raise
+
+    def print_line(self, text: str) -> None:
+        """Print a line, in place of what is rewritten elsewhere.
+
+        Parameters
+        ----------
+        text : str
+            The line.
+        """
+        self._shown_s = time.monotonic()
+        say(text)
+
+    def say(self, text: str) -> None:
+        """Print a line that stays, above what is rewritten.
+
+        Parameters
+        ----------
+        text : str
+            The line.
+        """
+        if self._live is None:
+            say(text)
+        else:
+            self._live.console.print(printable(text), markup=False)

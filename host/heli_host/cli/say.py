@@ -1,0 +1,88 @@
+"""What verbs print of names that others chose: files, rigs, plans; nothing in them moves a terminal."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterable
+from contextvars import ContextVar
+from pathlib import Path
+from typing import Any, Final
+
+QUIET: Final[ContextVar[bool]] = ContextVar("quiet", default=False)
+"""Whether progress and lists of files are left out; `heli_host.cli.entry` runs each command line in a context
+of its own."""
+DATA_ONLY: Final[ContextVar[bool]] = ContextVar("data_only", default=False)
+"""Whether standard output is for data alone, so that words go to standard error."""
+STDOUT: Final = "-"
+"""In the place of a file: standard output."""
+
+
+def say(*lines: str) -> None:
+    """Print `lines`, each with its control characters as escapes; to standard error where standard output is
+    for data.
+    """
+    from heli_host.errors import printable
+
+    stream = sys.stderr if DATA_ONLY.get() else sys.stdout
+    for line in lines:
+        print(printable(line), file=stream)
+    stream.flush()
+
+
+def say_progress(*lines: str) -> None:
+    """Print `lines` on how far something is, unless ``--quiet`` was given."""
+    if not QUIET.get():
+        say(*lines)
+
+
+def data_on_stdout(*files: Path | None) -> None:
+    """Keep standard output for data from here on, where one of these `files` is ``-``."""
+    if any(str(file) == STDOUT for file in files):
+        DATA_ONLY.set(True)
+
+
+def write_numbers(file: Path | None, content: Any) -> None:
+    """Write `content` as JSON into a `file`, or to standard output for ``-``; nothing for None. What is no
+    number becomes null.
+    """
+    import json
+
+    if file is None:
+        return
+    if str(file) == STDOUT:
+        say_json(content)
+        return
+    file.write_text(json.dumps(_finite(content), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def say_data(text: str) -> None:
+    """Write `text` to standard output as it is, for another program."""
+    sys.stdout.write(text)
+    sys.stdout.flush()
+
+
+def say_json(content: Any) -> None:
+    """Print `content` as one JSON document, for another program; what is no number there is null."""
+    import json
+
+    print(json.dumps(_finite(content), indent=2))
+    sys.stdout.flush()
+
+
+def _finite(content: Any) -> Any:
+    if isinstance(content, dict):
+        return {str(name): _finite(value) for name, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_finite(value) for value in content]
+    if isinstance(content, float) and not math.isfinite(content):
+        return None
+    return content
+
+
+def say_files(files: Iterable[Path | None]) -> None:
+    """Print the names of `files` that were written, without None and ``-`` among them; nothing where none
+    was, nor where ``--quiet`` was given.
+    """
+    if names := [str(file) for file in files if file is not None and str(file) != STDOUT]:
+        say_progress(f"files: {', '.join(names)}")

@@ -1,0 +1,221 @@
+"""``heli-host page``: see a flight live in the browser, and fly from there."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from heli_host.cli import simulated
+from heli_host.cli.options import PortOption, flight_folder
+from heli_host.cli.say import say
+from heli_host.cli.twin_options import OnChangeOption, TwinOption, check_on_change, open_watch
+from heli_host.cli.verb import Verb
+
+if TYPE_CHECKING:
+    from heli_host.fly.plan import Plan
+    from heli_host.fly.recorder import Recorder
+    from heli_host.heli import Heli
+    from heli_host.page.cockpit import Cockpit
+    from heli_host.page.serve import Address
+
+STEP_S = 0.5
+"""Between two looks at whether the board is still there."""
+
+
+def page(
+    plans: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[PLAN...]", help="TOML files with plans to offer besides the built-in ones."),
+    ] = None,
+    port: PortOption = None,
+    sil: simulated.SilOption = False,
+    board: simulated.BoardOption = None,
+    elf: simulated.ElfOption = None,
+    rig: simulated.RigOption = None,
+    model: simulated.ModelOption = None,
+    effect: simulated.EffectOption = None,
+    effects: simulated.EffectFilesOption = None,
+    seed: simulated.SeedOption = 1,
+    flown: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fly", metavar="PLAN", help="Fly this plan as soon as a page is open; may be repeated."
+        ),
+    ] = None,
+    twin: TwinOption = None,
+    on_change: OnChangeOption = None,
+    log: Annotated[
+        Path | None, typer.Option("--log", metavar="FILE", help="Play this log again instead of flying.")
+    ] = None,
+    host: Annotated[
+        str,
+        typer.Option("--host", metavar="ADDRESS", help="Address to serve on; 0.0.0.0 for the whole network."),
+    ] = "127.0.0.1",
+    http_port: Annotated[
+        int, typer.Option("--http-port", metavar="N", min=0, max=65535, help="TCP port; 0 for a free one.")
+    ] = 0,
+) -> None:
+    """Serve a page that shows the flight live, flies, and stops at once; until Ctrl-C, which lands.
+
+    Open the address that is printed. Space, Esc and the large button stop the motors.
+
+    Example: `heli-host page --sil`
+    """
+    from heli_host.fly.plan import load_plan, plan_names
+
+    given = [name for name, value in (("--log", log), ("--port", port), ("--sil", sil)) if value]
+    if log is not None and len(given) > 1 and port is None:
+        raise typer.BadParameter(f"give one of {' and '.join(given)}")
+    if not sil:
+        simulated.refuse_without_sil(board=board, elf=elf, model=model, effect=effect, effects=effects)
+    lands = check_on_change(twin, on_change)
+    if log is not None:
+        if twin is not None:
+            raise typer.BadParameter(
+                f"--twin flies beside a board; of a log: heli-host twin {log} --rig {twin}"
+            )
+        _replay(log, rig, host, http_port)
+        return
+    named = [one for one in (*(plans or ()), *(flown or ())) if one not in plan_names()]
+    offered = [load_plan(name) for name in (*plan_names(), *dict.fromkeys(named))]
+    begun = [load_plan(name).name for name in flown or ()]
+    address = simulated.sil_address(
+        rig=rig, seed=seed, board=board, elf=elf, model=model, effect=effect, effect_files=effects
+    )
+    _fly(port, address if sil else None, rig, offered, begun, (twin, lands), host, http_port)
+
+
+def _fly(
+    port: str | None,
+    address: str | None,
+    rig: str | None,
+    plans: Sequence[Plan],
+    begun: Sequence[str],
+    twin: tuple[str | None, bool],
+    host: str,
+    http_port: int,
+) -> None:
+    from heli_host.cli.board import board_text, open_board
+    from heli_host.fly.recorder import Recorder
+    from heli_host.link.transport import transport_label, transport_note
+    from heli_host.page.cockpit import Cockpit
+    from heli_host.page.serve import serving
+
+    outline = _outline(rig, simulated_board=address is not None)
+    with open_board(port, address) as heli:
+        transport = heli.session.transport
+        if note := transport_note(transport):
+            say(note)
+        text = board_text(heli)
+        say(text)
+
+        def new_recorder(flown: Sequence[Plan], duration_s: float) -> Recorder:
+            return Recorder(
+                heli,
+                flight_folder() / "flight.mcap",
+                rig_name=simulated.rig_name(rig, simulated=address is not None),
+                plans=flown,
+                board_name=transport_label(transport).partition(",")[0].removesuffix(" board"),
+                duration_s=duration_s,
+            )
+
+        def land() -> None:
+            if heli.motors_may_run:
+                heli.land(wait=False)
+
+        name, lands = twin
+        watch = open_watch(heli, name, land if lands else None)
+        cockpit = Cockpit(heli, new_recorder, plans, text, outline, watch)
+        try:
+            with serving(cockpit, host, http_port) as served:
+                _say(served)
+                ended = threading.Event()
+                if begun:
+                    threading.Thread(
+                        target=_fly_plans, args=(cockpit, begun, ended), name="plans", daemon=True
+                    ).start()
+                try:
+                    _wait(heli)
+                finally:
+                    ended.set()
+        finally:
+            if watch is not None:
+                watch.close()
+            cockpit.close()
+
+
+def _fly_plans(cockpit: Cockpit, names: Sequence[str], ended: threading.Event) -> None:
+    from heli_host.errors import HeliError
+
+    try:
+        found = cockpit.fly_when_watched(names, ended.is_set)
+    except HeliError as error:
+        say(f"not flown: {error}")
+    else:
+        if found:
+            say(f"flown: {', '.join(names)}: {found['outcome']}")
+
+
+def _wait(heli: Heli) -> None:
+    """Wait for Ctrl-C, then land; a second one stops the motors, which closing the board does."""
+    try:
+        while True:
+            heli.session.wait_for(lambda: False, STEP_S)
+    except KeyboardInterrupt:
+        if heli.motors_may_run:
+            print("landing; Ctrl-C stops the motors", flush=True)
+            heli.land()
+            print("landed")
+
+
+def _replay(log: Path, rig: str | None, host: str, http_port: int) -> None:
+    from heli_host.log.reader import read_log
+    from heli_host.page.replay import Replay
+    from heli_host.page.serve import serving
+
+    read = read_log(log)
+    name = rig or read.metadata.get("session", {}).get("rig") or None
+    with contextlib.ExitStack() as stack:
+        replay = Replay(read, _outline_of_log(name))
+        stack.callback(replay.close)
+        _say(stack.enter_context(serving(replay, host, http_port)))
+        with contextlib.suppress(KeyboardInterrupt):
+            replay.run()
+
+
+def _outline(rig: str | None, *, simulated_board: bool) -> dict[str, float]:
+    from heli_host.page.rigs import outline
+
+    if rig is None and not simulated_board:
+        return {}
+    return outline(rig if rig is not None else simulated.DEFAULT_RIG)
+
+
+def _outline_of_log(rig: str | None) -> dict[str, float]:
+    from heli_host.errors import HeliError
+    from heli_host.page.rigs import outline
+
+    # The name of a rig that a log was flown with; its file may be elsewhere, or nowhere any more.
+    with contextlib.suppress(HeliError):
+        return outline(rig if rig is not None else simulated.DEFAULT_RIG)
+    return {}
+
+
+def _say(served: Address) -> None:
+    import sys
+
+    if not served.is_local:
+        print(
+            "warning: everybody on the network who learns the address can fly this board; "
+            "127.0.0.1 keeps it on this machine",
+            file=sys.stderr,
+        )
+    say(f"page: {served.page}", f"programs join {served.program}", "Ctrl-C ends it")
+
+
+VERB = Verb(page, "Fly")

@@ -1,0 +1,246 @@
+"""Bringing a law to the board, and flying it there with the board's own law in its shadow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Literal
+
+from heli_host.declaration import (
+    Event,
+    Flags,
+    LawBeginMessage,
+    LawEndMessage,
+    LawFlyMessage,
+    LawMessage,
+    LawPartMessage,
+    LawReadMessage,
+    LawSetMessage,
+    LawState,
+    State,
+    Takeover,
+)
+from heli_host.errors import BadLaw, FlightAborted, fault_text
+from heli_host.link.events import LAW_SIGNALS
+from heli_host.samples import Sample
+from heli_host.tape import Tape
+
+if TYPE_CHECKING:
+    from heli_host.link.events import LinkEvent
+    from heli_host.link.session import Session
+    from heli_host.vehicle import Vehicle
+
+After = Literal["hold", "land", "stop"]
+
+PART_WORDS: Final = sum(name.startswith("word_") for name in LawPartMessage.__slots__)
+_ENGAGED_TIMEOUT_S: Final = 1.0
+
+
+def loaded(session: Session) -> LawMessage:
+    """Ask the board which law it has.
+
+    Parameters
+    ----------
+    session : Session
+        Connected.
+    """
+    return LawMessage.unpack(session.request(LawReadMessage(0)).payload)
+
+
+def upload(session: Session, tape: Tape) -> LawMessage:
+    """Bring a law to the board, unless it has this one already; the board verifies it.
+
+    Parameters
+    ----------
+    session : Session
+        Connected.
+    tape : Tape
+        The law.
+
+    Returns
+    -------
+    LawMessage
+        What the board says of it.
+
+    Raises
+    ------
+    CommandRefused
+        A law flies, or the board finds something wrong.
+    """
+    now = loaded(session)
+    words = tape.words
+    if now.hash == tape.hash and now.state in (LawState.READY, LawState.FLYING):
+        return now
+    session.command(LawBeginMessage(0, tape.hash, len(words)))
+    for first in range(0, len(words), PART_WORDS):
+        part = words[first : first + PART_WORDS]
+        session.command(LawPartMessage(0, first, *part, *([0] * (PART_WORDS - len(part)))))
+    session.command(LawEndMessage(0))
+    return loaded(session)
+
+
+def set_parameter(session: Session, tape: Tape, name: str, value: float) -> float:
+    """Change a parameter of the law on the board, in flight too.
+
+    Parameters
+    ----------
+    session : Session
+        Connected.
+    tape : Tape
+        The law that it has.
+    name : str
+        Which parameter.
+    value : float
+        Its new value.
+
+    Returns
+    -------
+    float
+        The value in force: the nearest of single precision.
+
+    Raises
+    ------
+    BadLaw
+        The law has no such parameter.
+    CommandRefused
+        The board has no such law.
+    """
+    names = [one for one, _ in tape.parameters]
+    if name not in names:
+        known = ", ".join(names) or "none"
+        raise BadLaw(f"the law {tape.name} has no parameter {name}", f"it has: {known}")
+    return session.command(LawSetMessage(0, names.index(name), value)).value
+
+
+@dataclass(frozen=True)
+class LawReport:
+    """How a law flew.
+
+    Parameters
+    ----------
+    name : str
+        Of the law.
+    hash : int
+        Of its tape.
+    flown_s : float
+        How long its voltages acted [s].
+    taken_over : str
+        Why the board's own law took over; empty when it was asked to.
+    value : float
+        The offending quantity, as the reason says.
+    """
+
+    name: str
+    hash: int
+    flown_s: float
+    taken_over: str = ""
+    value: float = 0.0
+
+    def __str__(self) -> str:
+        end = f"; taken over: {self.taken_over} ({self.value:.4g})" if self.taken_over else ""
+        return f"{self.name} flew for {self.flown_s:.1f} s on the board{end}"
+
+
+def takeover_text(event: LinkEvent) -> tuple[str, float] | None:
+    """Read why the board's own law took over.
+
+    Parameters
+    ----------
+    event : LinkEvent
+        Any.
+
+    Returns
+    -------
+    tuple of str and float, or None
+        Reason and offending quantity; None for another event.
+    """
+    message = event.message
+    if message is None or message.kind != Event.LAW_TAKEN_OVER:
+        return None
+    known = message.detail in Takeover._value2member_map_
+    return (Takeover(message.detail).name.lower() if known else f"reason {message.detail}"), message.value
+
+
+def engage(heli: Vehicle, tape: Tape, parameters: Mapping[str, float] | None = None) -> int:
+    """Have the board fly a law from the next tick on; it must hover under its own.
+
+    Parameters
+    ----------
+    heli : Vehicle
+        In flight, all loops closed.
+    tape : Tape
+        The law; brought to the board where it has another one, or has forgotten.
+    parameters : mapping of str to float, optional
+        Parameters of the law that differ from its own values.
+
+    Returns
+    -------
+    int
+        First tick whose voltages are the law's, counted on over 2^32.
+
+    Raises
+    ------
+    CommandRefused
+        The board does not take the law, or does not fly.
+    FlightAborted
+        The law was taken over at once.
+    """
+    upload(heli.session, tape)
+    named = ", ".join(tape.told) or "none"
+    heli.session.tell(LAW_SIGNALS, f"law {tape.name} ({tape.hash:08x}); its signals: {named}", tape.told)
+    for name, value in (parameters or {}).items():
+        set_parameter(heli.session, tape, name, value)
+    start = heli.latest.tick
+    heli.session.command(LawFlyMessage(0, 1))
+    found: list[int] = []
+
+    def flies_or_over(sample: Sample) -> bool:
+        if sample.flags & Flags.LAW:
+            found.append(sample.tick)
+        return bool(found) or sample.tick > start + 200
+
+    heli.wait_until(flies_or_over, _ENGAGED_TIMEOUT_S)
+    if not found:
+        told = [text for event in heli.session.events if (text := takeover_text(event))]
+        reason = f": {told[-1][0]} ({told[-1][1]:.4g})" if told else ""
+        raise FlightAborted(f"the law {tape.name} was taken over at once{reason}", "simulate it: law check")
+    return found[0]
+
+
+def fly_law(
+    heli: Vehicle,
+    tape: Tape,
+    *,
+    duration_s: float,
+    after: After = "hold",
+    parameters: Mapping[str, float] | None = None,
+) -> LawReport:
+    """Fly a law on the board for a while.
+
+    Parameters
+    ----------
+    heli, tape, duration_s, after, parameters
+        As in `heli_host.Heli.fly_law`, which calls this; so are errors.
+    """
+    first = engage(heli, tape, parameters)
+    end = first + round(duration_s * 1000.0)
+
+    def over(sample: Sample) -> bool:
+        return sample.tick >= end or not sample.flags & Flags.LAW
+
+    last = heli.wait_until(over, duration_s + 10.0)
+    report = LawReport(tape.name, tape.hash, (last.tick - first) * 1e-3)
+    if not last.flags & Flags.LAW:
+        heli.wait(0.1)
+        told = [text for event in heli.session.events if (text := takeover_text(event))]
+        reason, value = told[-1] if told else ("unknown", 0.0)
+        report = LawReport(tape.name, tape.hash, report.flown_s, reason, value)
+    else:
+        heli.session.command(LawFlyMessage(0, 0))
+    if heli.latest.state is State.FAULT:
+        raise FlightAborted(f"the board switched the motors off: {fault_text(heli.latest.fault)}")
+    if after == "land":
+        heli.land()
+    elif after == "stop":
+        heli.stop()
+    return report

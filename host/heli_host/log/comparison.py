@@ -1,0 +1,167 @@
+"""Several flights on one page: angles over each other, and a table of how well each followed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from heli_host.declaration import AXES
+from heli_host.errors import LogWriteError
+from heli_host.flight import Flight
+from heli_host.flight.response import effort_V, responses, under_control
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+HEADS: Final = (
+    "flight",
+    "axis",
+    "step [deg]",
+    "rise [s]",
+    "overshoot [%]",
+    "settling [s]",
+    "rms error [deg]",
+    "effort [V rms]",
+)
+_COLOURS: Final = ("#0b5fa5", "#d1495b", "#157a4a", "#c98a00", "#6b3fa0", "#4a8c94", "#8a5a3b", "#5b5f66")
+MOST: Final = len(_COLOURS)
+"""Flights that are told apart on one page."""
+_POINTS: Final = 4000
+_DPI: Final = 130
+
+
+def comparison_numbers(flights: Mapping[str, Flight]) -> list[dict[str, Any]]:
+    """Metrics of each flight by its label: ``flight``, ``effort_V``, and by ``axis`` what a `Response` holds;
+    nan where there is none.
+    """
+    return [
+        {
+            "flight": label,
+            "effort_V": effort_V(flight),
+            "axis": {
+                one.axis: {
+                    "step_s": one.step_s,
+                    "step_deg": one.step_deg,
+                    "rise_s": one.rise_s,
+                    "overshoot_percent": one.overshoot_percent,
+                    "settling_s": one.settling_s,
+                    "rms_deg": one.rms_deg,
+                }
+                for one in responses(flight)
+            },
+        }
+        for label, flight in flights.items()
+    ]
+
+
+def comparison_rows(numbers: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """Cells of a table of `numbers`, as `comparison_numbers` gives them, under `HEADS`; axes without
+    setpoints are left out.
+    """
+    rows = []
+    for one in numbers:
+        known = {axis: at for axis, at in one["axis"].items() if not math.isnan(at["rms_deg"])}
+        for place, (axis, at) in enumerate(known.items()):
+            rows.append(
+                [
+                    one["flight"] if place == 0 else "",
+                    axis,
+                    *(
+                        _cell(at[name], form)
+                        for name, form in (
+                            ("step_deg", "+.3g"),
+                            ("rise_s", ".2f"),
+                            ("overshoot_percent", ".0f"),
+                            ("settling_s", ".2f"),
+                            ("rms_deg", ".3g"),
+                        )
+                    ),
+                    _cell(one["effort_V"], ".2f") if place == 0 else "",
+                ]
+            )
+        if not known:
+            rows.append([one["flight"], "no setpoints", *(["–"] * 5), _cell(one["effort_V"], ".2f")])
+    return rows
+
+
+def _cell(value: float, form: str) -> str:
+    return "–" if math.isnan(value) else f"{value:{form}}"
+
+
+def write_comparison(flights: Mapping[str, Flight], path: str | Path) -> None:
+    """Draw flights over each other into a file, from the moment on at which each came under control.
+
+    Parameters
+    ----------
+    flights : Mapping[str, Flight]
+        At most `MOST`, by label.
+    path : str or Path
+        ``.png``, ``.pdf`` or ``.svg`` file to write; a missing folder is made.
+
+    Raises
+    ------
+    LogWriteError
+        If it cannot be written.
+    """
+    path = Path(path)
+    figure = figure_of_flights(flights)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=_DPI, facecolor="white")
+    except (OSError, ValueError) as error:
+        raise LogWriteError(f"cannot write {path}: {error}", "give a .png, .pdf or .svg file") from error
+
+
+def figure_of_flights(flights: Mapping[str, Flight]) -> Figure:
+    """Draw flights over each other: three angles with their setpoints dashed, the mean voltage, the table."""
+    from matplotlib.figure import Figure
+
+    rows = comparison_rows(comparison_numbers(flights))
+    table_in = 0.24 * (len(rows) + 2)
+    height_in = 9.0 + table_in
+    figure = Figure(figsize=(12.0, height_in))
+    panels = figure.subplots(4, 1, sharex=True, height_ratios=[3, 3, 3, 2])
+    figure.subplots_adjust(0.07, (table_in + 0.75) / height_in, 0.985, 1.0 - 0.5 / height_in, hspace=0.12)
+    for (label, flight), colour in zip(flights.items(), _COLOURS, strict=False):
+        flown = np.flatnonzero(under_control(flight))
+        t_s = flight.t_s - flight.t_s[flown[0] if flown.size else 0]
+        keep = slice(None, None, max(1, len(flight) // _POINTS))
+        for axis, panel in zip(AXES, panels, strict=False):
+            setpoint = getattr(flight, f"{axis}_setpoint_rad")
+            if setpoint is not None:
+                wanted_deg = np.where(under_control(flight), np.rad2deg(setpoint), np.nan)
+                panel.plot(t_s[keep], wanted_deg[keep], "--", color=colour, lw=0.9, alpha=0.6)
+            panel.plot(
+                t_s[keep], np.rad2deg(getattr(flight, f"{axis}_rad"))[keep], color=colour, lw=1.3, label=label
+            )
+        panels[3].plot(t_s[keep], flight.voltages_V.mean(axis=1)[keep], color=colour, lw=0.8)
+    for axis, panel in zip(AXES, panels, strict=False):
+        panel.set_ylabel(f"{axis} [deg]")
+    panels[3].set_ylabel("mean of both\nvoltages [V]")
+    panels[3].set_xlabel("time since the control law began [s]; dashed: setpoints")
+    for panel in panels:
+        panel.grid(alpha=0.25)
+        panel.margins(x=0.01)
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="upper center", ncols=4, fontsize=9, frameon=False
+    )
+    below = figure.add_axes((0.03, 0.1 / height_in, 0.955, table_in / height_in))
+    below.set_axis_off()
+    widths = [0.24, 0.12, *([0.64 / 6] * 6)]
+    drawn = below.table(
+        cellText=rows,
+        colLabels=list(HEADS),
+        loc="center",
+        cellLoc="center",
+        edges="horizontal",
+        colWidths=widths,
+    )
+    drawn.auto_set_font_size(False)
+    drawn.set_fontsize(8.5)
+    for cell in drawn.get_celld().values():
+        cell.set_edgecolor("#c9cdd2")
+    return figure

@@ -1,0 +1,190 @@
+"""A flight as an MCAP file of ROS 2: profile ``ros2``, every channel ``cdr`` with a ``ros2msg`` schema.
+
+A log itself has its events and its link's counters as JSON, of which ROS 2's tools know nothing.
+
+ROS 2 takes no capitals in the names of fields: its parser, mcap-ros2-support and Foxglove refuse a schema
+with ``front_V``. So volts are spelled ``_volt`` as in a log, other capitals become small letters, and the
+metadata record ``names`` says which field is which column of a table.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+import struct
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heli_host.declaration import CHANNELS
+from heli_host.errors import LogWriteError
+from heli_host.flight import Flight, FlightEvent
+from heli_host.link.channels import is_whole
+
+PROFILE: Final = "ros2"
+TICK_TOPIC: Final = "/heli/tick"
+EVENT_TOPIC: Final = "/heli/event"
+PARAMETER_TOPIC: Final = "/heli/parameter"
+
+_CDR: Final = b"\x00\x01\x00\x00"
+_WORDS: Final = {
+    "u1": "uint8", "u2": "uint16", "u4": "uint32", "i1": "int8", "i2": "int16", "i4": "int32", "i8": "int64",
+    "f4": "float32", "f8": "float64", "b1": "bool",
+}  # fmt: skip
+_WHOLE: Final = {
+    (spec.field if spec.axis is not None else spec.column): np.dtype(spec.code)
+    for spec in CHANNELS
+    if is_whole(spec) or spec.axis is not None
+}
+"""Types of the channels that are whole numbers, which a flight holds as floats."""
+_EVENT_SCHEMA: Final = """\
+# Something that happened, with its reason; rcl_interfaces/Log, as rosout has it.
+byte DEBUG=10
+byte INFO=20
+byte WARN=30
+byte ERROR=40
+byte FATAL=50
+builtin_interfaces/Time stamp
+uint8 level
+string name
+string msg
+string file
+string function
+uint32 line
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+_PARAMETER_SCHEMA: Final = """\
+# A parameter of the board, as it was when the flight began.
+string name
+float64 value
+"""
+_INFO: Final = 20
+_ERROR: Final = 40
+
+
+def export_ros2(flight: Flight, path: str | Path) -> None:
+    """Write a flight as an MCAP file of ROS 2.
+
+    Rows are ``heli_host/msg/Tick`` on ``/heli/tick``, one field a column, an encoder's counts too; events
+    ``rcl_interfaces/msg/Log`` on ``/heli/event``; parameters ``heli_host/msg/Parameter`` on
+    ``/heli/parameter``. Plan and notes are metadata. Times are the flight's own, from 0; the same flight
+    gives the same bytes.
+
+    Parameters
+    ----------
+    path : str or Path
+        ``.mcap`` file to write.
+
+    Raises
+    ------
+    LogWriteError
+        If it cannot be written.
+    """
+    from mcap.well_known import MessageEncoding, SchemaEncoding
+    from mcap.writer import CompressionType, Writer
+
+    ordered = _ordered(flight)
+    fields = _field_names(name for name, _ in ordered)
+    columns = {fields[name]: column for name, column in ordered}
+    try:
+        with Path(path).open("wb") as file:
+            writer = Writer(file, compression=CompressionType.ZSTD)
+            writer.start(profile=PROFILE, library="heli_host")
+
+            def channel(topic: str, name: str, schema: str) -> int:
+                schema_id = writer.register_schema(name, SchemaEncoding.ROS2, schema.encode())
+                return int(writer.register_channel(topic, MessageEncoding.CDR, schema_id))
+
+            tick = channel(TICK_TOPIC, "heli_host/msg/Tick", _tick_schema(flight, columns))
+            event = channel(EVENT_TOPIC, "rcl_interfaces/msg/Log", _EVENT_SCHEMA)
+            parameter = channel(PARAMETER_TOPIC, "heli_host/msg/Parameter", _PARAMETER_SCHEMA)
+            first_ns = _ns(flight.t_s[0]) if len(flight) else 0
+            for name, value in flight.parameters.items():
+                body = _string(name)
+                data = _CDR + body + bytes(-len(body) % 8) + struct.pack("<d", value)
+                writer.add_message(parameter, first_ns, data, first_ns)
+            for when_ns, is_event, data in _in_order(flight, columns):
+                writer.add_message(event if is_event else tick, when_ns, data, when_ns)
+            notes = {name: str(value) for name, value in flight.meta.items()}
+            writer.add_metadata("notes", notes)
+            writer.add_metadata("names", {field: name for name, field in fields.items()})
+            writer.add_metadata("plan", {"plan": flight.plan})
+            writer.finish()  # type: ignore[no-untyped-call]
+    except OSError as error:
+        raise LogWriteError(
+            f"cannot write {path}: {error.strerror or error}", "choose another folder"
+        ) from error
+
+
+def _ordered(flight: Flight) -> list[tuple[str, NDArray[Any]]]:
+    """Columns by falling size, so that CDR's alignment adds no padding."""
+    named = []
+    for name, column in flight.columns().items():
+        whole = _WHOLE.get(name)
+        fits = whole is not None and bool(np.all(column == column.astype(whole)))
+        named.append((name, column.astype(whole) if fits else column))
+    return sorted(named, key=lambda one: -one[1].dtype.itemsize)
+
+
+def _field_names(columns: Iterable[str]) -> dict[str, str]:
+    """Fields that ROS 2 takes, by the names of `columns`."""
+    fields: dict[str, str] = {}
+    for name in columns:
+        plain = re.sub(r"_V$", "_volt", name).lower()
+        plain = re.sub(r"[^a-z0-9]+", "_", plain).strip("_")
+        plain = plain if plain[:1].isalpha() else f"column_{plain}".rstrip("_")
+        free = (f"{plain}_n{place}" if place else plain for place in itertools.count())
+        fields[name] = next(field for field in free if field not in fields.values())
+    return fields
+
+
+def _tick_schema(flight: Flight, columns: dict[str, NDArray[Any]]) -> str:
+    lines = ["# One row of a flight: angles read at t_s, voltages that act from it until the next row."]
+    for prefix, names in (("STATE", flight.state_names), ("FAULT", flight.fault_names)):
+        lines += [
+            f"uint8 {prefix}_{re.sub(r'[^A-Z0-9]', '_', name.upper())}={number}"
+            for number, name in sorted(names.items())
+        ]
+    lines += [f"{_WORDS[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _in_order(flight: Flight, columns: dict[str, NDArray[Any]]) -> Iterator[tuple[int, bool, bytes]]:
+    """Rows and events by time, an event before the row of the same time: time, whether an event, bytes."""
+    dtype = np.dtype([(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
+    records = np.zeros(len(flight), dtype)
+    for name, column in columns.items():
+        records[name] = column
+    data, size = records.tobytes(), dtype.itemsize
+    events = sorted(flight.events, key=lambda event: event.t_s)
+    done = 0
+    for row, when_s in enumerate(flight.t_s.tolist()):
+        while done < len(events) and events[done].t_s <= when_s:
+            yield _ns(events[done].t_s), True, _event(events[done])
+            done += 1
+        yield _ns(when_s), False, _CDR + data[row * size : (row + 1) * size]
+    for event in events[done:]:
+        yield _ns(event.t_s), True, _event(event)
+
+
+def _event(event: FlightEvent) -> bytes:
+    seconds, nanoseconds = divmod(_ns(event.t_s), 1_000_000_000)
+    body = struct.pack("<iIB", seconds, nanoseconds, _ERROR if event.name == "fault" else _INFO)
+    for text in (event.name, event.text, "", ""):
+        body += bytes(-len(body) % 4) + _string(text)
+    return _CDR + body + bytes(-len(body) % 4) + struct.pack("<I", 0)
+
+
+def _string(text: str) -> bytes:
+    data = text.encode() + b"\x00"
+    return struct.pack("<I", len(data)) + data
+
+
+def _ns(t_s: float) -> int:
+    return max(0, round(t_s * 1e9))

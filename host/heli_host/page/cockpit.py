@@ -1,0 +1,414 @@
+"""A board behind a page: what it is told to do, and what is told of it."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from heli_host.declaration import Axes, Channel, State
+from heli_host.errors import HeliError, LinkError, ParameterError, SetpointError
+from heli_host.fly.plan import Plan
+from heli_host.link.clock import TICK_S
+from heli_host.link.events import BOARD_RESTARTED, LAW_SIGNALS, LinkEvent
+from heli_host.page.flying import PlanFlight
+from heli_host.page.source import (
+    KEPT_S,
+    Action,
+    Lane,
+    Need,
+    News,
+    channel_rows,
+    fault_rows,
+    number,
+    parameter_rows,
+    state_rows,
+    text,
+)
+from heli_host.page.tape import Tape
+from heli_host.twins import EVENT
+
+if TYPE_CHECKING:
+    from heli_host.fly.recorder import Recorder
+    from heli_host.heli import Heli
+    from heli_host.link.telemetry import Ticks
+    from heli_host.twins import TwinNews, TwinWatch
+
+_LOOK_S = 0.2
+_SETTLED_LOOKS = 15
+"""Looks at a page that is there each time before plans begin: one that still loads is busy for a second,
+which is a missing pilot."""
+_EVENTS_KEPT = 200
+_MOST_UNDO = 100
+
+
+class Cockpit:
+    """A connected board as the source of a page.
+
+    Parameters
+    ----------
+    heli : Heli
+        Connected, and keeping setpoints alive.
+    new_recorder : callable taking plans and seconds, returning Recorder
+        Begins a log in a place of its own.
+    plans : sequence of Plan
+        What can be flown.
+    board : str
+        Which board it is, for people.
+    rig : Mapping of str to float
+        Lengths and masses of the rig, by the names of its file; empty where nobody knows them.
+    twin : TwinWatch, optional
+        A twin that flies along.
+
+    Attributes
+    ----------
+    tape : Tape
+        Its newest minutes.
+    actions : mapping of str to Action
+        What can be asked for.
+    """
+
+    def __init__(
+        self,
+        heli: Heli,
+        new_recorder: Callable[[Sequence[Plan], float], Recorder],
+        plans: Sequence[Plan],
+        board: str,
+        rig: Mapping[str, float],
+        twin: TwinWatch | None = None,
+    ) -> None:
+        self.tape = Tape(round(KEPT_S / TICK_S))
+        self._heli = heli
+        self._session = heli.session
+        self._new_recorder = new_recorder
+        self._plans = {plan.name: plan for plan in plans}
+        self._board, self._rig = board, dict(rig)
+        self._news: News | None = None
+        self._events: list[dict[str, Any]] = []
+        self._signals: dict[str, str] = {}
+        self._recorder: Recorder | None = None
+        self._flight: PlanFlight | None = None
+        self._doing = ""
+        self._marks = 0
+        self._present: Callable[[], bool] = lambda: False
+        self._undo: list[tuple[str, float]] = []
+        self._values = dict(heli.params)
+        anybody, pilot, tuner = Need.ANYBODY, Need.PILOT, Need.TUNER
+        self.actions: Mapping[str, Action] = {
+            "take_off": Action(self._take_off, Lane.FLIGHT, pilot),
+            "fly": Action(self._fly, Lane.FLIGHT, pilot),
+            "land": Action(self._land, Lane.QUICK, pilot),
+            "clear_fault": Action(self._clear_fault, Lane.QUICK, pilot),
+            "zero": Action(self._zero, Lane.QUICK, pilot),
+            "setpoint": Action(self._setpoint, Lane.SETPOINT, pilot),
+            "hold": Action(self._hold, Lane.SETPOINT, pilot),
+            "set": Action(self._set, Lane.QUICK, tuner),
+            "undo": Action(self._undo_last, Lane.QUICK, tuner),
+            "save": Action(self._save, Lane.QUICK, tuner),
+            "record": Action(self._record, Lane.QUICK, pilot),
+            "mark": Action(self._mark, Lane.QUICK, anybody),
+            "signal": Action(self._signal, Lane.QUICK, anybody),
+        }
+        self._twin = twin
+        if twin is not None:
+            twin.listen(self._hear_twin)
+        heli.session.subscribe_ticks(self._take_ticks)
+        heli.session.subscribe_events(self._take_event)
+
+    def describe(self) -> dict[str, Any]:
+        """Return what a page needs to know once, as JSON."""
+        values = self._values
+        return {
+            "mode": "live",
+            "board": self._board,
+            "rig": self._rig,
+            "tick_s": TICK_S,
+            "channels": channel_rows(values, self._signals),
+            "states": state_rows(),
+            "faults": fault_rows(),
+            "parameters": parameter_rows(),
+            "values": values,
+            "undo": len(self._undo),
+            "limits_deg": self._heli.setpoint_limits_deg(),
+            "plans": [{"name": plan.name, "title": plan.title} for plan in self._plans.values()],
+            "events": self._events[-_EVENTS_KEPT:],
+        }
+
+    def status(self) -> dict[str, Any]:
+        """Return what a page shows in words, as JSON."""
+        session = self._session
+        newest, counters, clock = session.latest, session.counters, session.clock
+        recorder, flight = self._recorder, self._flight
+        state = int(newest[1][Channel.STATE]) if newest is not None else -1
+        fault = int(newest[1][Channel.FAULT]) if newest is not None else 0
+        return {
+            "state": state,
+            "fault": fault,
+            "connected": session.connected,
+            "link": {
+                "frames": counters.frames_ok,
+                "bad": counters.frames_bad,
+                "lost_ticks": counters.ticks_lost,
+                "ticks": counters.ticks_received,
+                "retries": counters.retries,
+                "reconnects": counters.reconnects,
+                "latency_ms": round(clock.round_trip_s * 1e3, 1) if clock is not None else None,
+                "jitter_ms": round(clock.jitter_s * 1e3, 1) if clock is not None else None,
+            },
+            "recording": str(recorder.path) if recorder is not None else None,
+            "trouble": str(recorder.error) if recorder is not None and recorder.error is not None else "",
+            "doing": self._doing,
+            "flight": flight.progress if flight is not None else None,
+            "twin": self._twin_status(),
+        }
+
+    def listen(self, news: News) -> None:
+        """Have what happens told, as JSON, from any thread.
+
+        Parameters
+        ----------
+        news : callable taking a mapping
+            Is told.
+        """
+        self._news = news
+
+    def stop(self) -> None:
+        """Switch the motors off, before everything else."""
+        self._session.stop_now()
+
+    def wish(self) -> int:
+        """Return how often there was a stop."""
+        return self._session.stops
+
+    def begin(self, wish: int) -> bool:
+        """Whether what was wished for at `wish` may begin: no stop has come since.
+
+        Parameters
+        ----------
+        wish : int
+            As `wish` returned it.
+        """
+        return self._session.release_stop(wish)
+
+    def watch_pilot(self, present: Callable[[], bool]) -> None:
+        """Let setpoints out only while the pilot is there.
+
+        Parameters
+        ----------
+        present : callable returning bool
+            Whether he is.
+        """
+        self._present = present
+        self._session.permit_streams(present)
+
+    def fly_when_watched(self, names: Sequence[str], give_up: Callable[[], bool]) -> Mapping[str, Any]:
+        """Fly plans as soon as somebody is at the controls; waits for that, and for their end.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Plans, one after the other.
+        give_up : callable returning bool
+            Whether nobody wants it any more.
+
+        Raises
+        ------
+        HeliError
+            They cannot be flown.
+        """
+        seen = 0
+        while seen < _SETTLED_LOOKS:
+            if give_up():
+                return {}
+            time.sleep(_LOOK_S)
+            seen = seen + 1 if self._present() else 0
+        if not self.begin(self.wish()):
+            return {}
+        return self._fly({"plans": list(names)})
+
+    def close(self, outcome: str = "recorded") -> None:
+        """End a recording.
+
+        Parameters
+        ----------
+        outcome : str
+            How what was recorded ended.
+        """
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            recorder.close(outcome)
+            self._tell({"recorded": str(recorder.path)})
+
+    def _take_off(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        elevation_deg = number(arguments, "elevation_deg") if "elevation_deg" in arguments else 0.0
+        with self._busy("taking off"):
+            self._heli.take_off(elevation_deg)
+        return {}
+
+    def _fly(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        asked = arguments.get("plans")
+        names = [str(name) for name in (asked if isinstance(asked, list) else [asked])]
+        for name in names:
+            if name not in self._plans:
+                known = ", ".join(self._plans)
+                raise ParameterError(f"there is no plan {name:.40}", f"choose from {known}")
+        if self._heli.state is not State.IDLE:
+            raise SetpointError("a plan begins on the table, with the motors off", "land first")
+        plans = [self._plans[name] for name in names]
+        flight = PlanFlight(self._heli, plans)
+        own = self._recorder is None
+        if own:
+            self._begin_recording(plans, flight.duration_s)
+        recorder = self._recorder
+        if recorder is None:
+            raise LinkError("the recording ended before the plan began", "start it again")
+        self._flight = flight
+        try:
+            with self._busy(f"flying {', '.join(names)}"):
+                outcome = flight.fly(recorder)
+        finally:
+            self._flight = None
+            if own:
+                self.close(flight.outcome)
+        return {"outcome": outcome}
+
+    def _land(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
+        self._heli.land(wait=False)
+        return {}
+
+    def _clear_fault(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
+        self._heli.clear_fault()
+        return {}
+
+    def _zero(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
+        self._heli.zero(Axes.ELEVATION | Axes.PITCH | Axes.TRAVEL)
+        return {}
+
+    def _setpoint(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        if self._flight is not None:
+            raise SetpointError("a plan is flown, and sets the setpoints", "land to end it")
+        axes = ("elevation_deg", "travel_deg")
+        self._heli.setpoint(**{name: number(arguments, name) for name in axes if name in arguments})
+        return {}
+
+    def _hold(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
+        if self._flight is not None:
+            raise SetpointError("a plan is flown, and sets the setpoints", "land to end it")
+        self._heli.hold()
+        return {}
+
+    def _set(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        name = text(arguments, "name")
+        before = self._heli.params[name]
+        self._heli.params.set(name, number(arguments, "value"))
+        self._undo = [*self._undo, (name, before)][-_MOST_UNDO:]
+        self._note(f"{name}: {before:g} -> {self._heli.params[name]:g}", "parameter")
+        self._tell_values()
+        return {"value": self._heli.params[name]}
+
+    def _undo_last(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
+        if not self._undo:
+            raise ParameterError("nothing was changed from this page", "there is nothing to undo")
+        name, before = self._undo[-1]
+        self._heli.params.set(name, before)
+        self._undo.pop()
+        self._note(f"{name}: back to {before:g}", "parameter")
+        self._tell_values()
+        return {"name": name, "value": before}
+
+    def _save(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
+        return {"generation": self._heli.params.save()}
+
+    def _record(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        if arguments.get("on"):
+            if self._recorder is None:
+                self._begin_recording((), 0.0)
+        elif self._flight is not None:
+            raise ParameterError("a plan is flown, and is always recorded", "land first")
+        else:
+            self.close()
+        return {}
+
+    def _mark(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        self._marks += 1
+        words = text(arguments, "text") if arguments.get("text") else f"mark {self._marks}"
+        self._note(words, "mark")
+        return {"logged": self._recorder is not None}
+
+    def _signal(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        name, value = text(arguments, "name", 40), number(arguments, "value")
+        newest = self._session.latest
+        recorder = self._recorder
+        if recorder is not None:
+            recorder.note("signal", f"{name} = {value!r}")
+        self._tell({"signal": {"name": name, "value": value, "tick": newest[0] if newest else 0}})
+        return {}
+
+    def _begin_recording(self, plans: Sequence[Plan], duration_s: float) -> None:
+        self._recorder = self._new_recorder(plans, duration_s)
+        self._tell({"recording": str(self._recorder.path)})
+
+    @contextlib.contextmanager
+    def _busy(self, doing: str) -> Any:
+        self._doing = doing
+        try:
+            yield
+        finally:
+            self._doing = ""
+
+    def _note(self, words: str, kind: str) -> None:
+        """Write something of the host's own into the log, and on the page."""
+        recorder = self._recorder
+        if recorder is not None:
+            recorder.note(kind, words)
+        newest = self._session.latest
+        self._add_event(newest[0] if newest is not None else 0, kind, words)
+
+    def _twin_status(self) -> dict[str, Any] | None:
+        if self._twin is None:
+            return None
+        ghost = self._twin.ghost_rad()
+        return {
+            "words": self._twin.words(),
+            "parted": bool(self._twin.parted),
+            "ghost_rad": [round(angle, 4) for angle in ghost] if ghost is not None else None,
+        }
+
+    def _hear_twin(self, news: TwinNews) -> None:
+        recorder = self._recorder
+        if recorder is not None:
+            recorder.note(EVENT, news.text)
+        self._add_event(news.tick, EVENT, news.text)
+
+    def _take_ticks(self, ticks: Ticks) -> None:
+        self.tape.append(self._session.ticks_counted_on(ticks), ticks.raw)
+
+    def _take_event(self, event: LinkEvent) -> None:
+        if event.kind == BOARD_RESTARTED:
+            self.tape.clear()
+        self._add_event(event.tick, event.kind, event.text)
+        if event.kind == LAW_SIGNALS:
+            self._signals = {f"signal_{number}": name for number, name in enumerate(event.names, 1)}
+            self._tell({"channels": channel_rows(self._values, self._signals)})
+
+    def _add_event(self, tick: int, kind: str, words: str) -> None:
+        entry = {"t_s": round(tick * TICK_S, 3), "kind": kind, "text": words}
+        self._events = [*self._events[1 - _EVENTS_KEPT :], entry]
+        self._tell({"event": entry})
+
+    def _tell_values(self) -> None:
+        with contextlib.suppress(HeliError):
+            self._values = dict(self._heli.params)
+        self._tell(
+            {
+                "values": self._values,
+                "undo": len(self._undo),
+                "limits_deg": self._heli.setpoint_limits_deg(),
+                "channels": channel_rows(self._values, self._signals),
+            }
+        )
+
+    def _tell(self, news: Mapping[str, Any]) -> None:
+        if self._news is not None:
+            self._news(news)

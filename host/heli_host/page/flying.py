@@ -1,0 +1,72 @@
+"""One flight of plans for a page, into a log that is open already."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from heli_host.declaration import AXES
+from heli_host.fly.pilot import Pilot, Progress
+from heli_host.fly.plan import Plan, take_off
+from heli_host.fly.tracking import Tolerance
+
+if TYPE_CHECKING:
+    from heli_host.fly.recorder import Recorder
+    from heli_host.heli import Heli
+
+
+class PlanFlight:
+    """Plans, checked against a board, about to be flown.
+
+    Parameters
+    ----------
+    heli : Heli
+        Idle, its arm at rest on the table.
+    plans : sequence of Plan
+        In the order in which they are flown.
+
+    Attributes
+    ----------
+    duration_s : float
+        From the closing of the loops to the landing [s].
+    outcome : str
+        As `heli_host.fly.pilot.Pilot` has it.
+    progress : dict
+        Phase, time and time left, as JSON.
+
+    Raises
+    ------
+    PlanError
+        A plan cannot be flown on this board; nothing has moved.
+    """
+
+    def __init__(self, heli: Heli, plans: Sequence[Plan]) -> None:
+        sample = heli.latest
+        start_deg = np.degrees([getattr(sample, f"{axis}_rad") for axis in AXES])
+        self._heli, self._plans = heli, plans
+        self._route = take_off(plans, dict(heli.params), start_deg)
+        self.duration_s = self._route.duration_s
+        self.outcome = "not flown"
+        self.progress: dict[str, Any] = {"phase": "take-off", "t_s": 0.0, "left_s": self.duration_s}
+
+    def fly(self, recorder: Recorder) -> str:
+        """Take off, fly, land; returns the outcome.
+
+        Parameters
+        ----------
+        recorder : Recorder
+            Is told when phases begin.
+        """
+        tolerance = Tolerance.widest([plan.tolerance for plan in self._plans])
+        pilot = Pilot(self._heli, self._route, self._plans[0].axes, recorder, self._take, tolerance)
+        try:
+            pilot.fly()
+        finally:
+            self.outcome = pilot.outcome
+        return self.outcome
+
+    def _take(self, progress: Progress) -> None:
+        left_s = None if progress.left_s is None else round(max(progress.left_s, 0.0), 1)
+        self.progress = {"phase": progress.phase, "t_s": round(progress.t_s, 1), "left_s": left_s}

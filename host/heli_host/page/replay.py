@@ -1,0 +1,195 @@
+"""A log behind a page: played again, at any speed, from any moment."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from heli_host.declaration import Channel
+from heli_host.errors import TruncatedLog
+from heli_host.link.clock import TICK_S
+from heli_host.page.source import (
+    KEPT_S,
+    Action,
+    Lane,
+    Need,
+    News,
+    channel_rows,
+    fault_rows,
+    number,
+    state_rows,
+)
+from heli_host.page.tape import Tape
+
+if TYPE_CHECKING:
+    from heli_host.log.reader import Log
+
+_STEP_S = 0.02
+_MOST_SPEED = 50.0
+_BEFORE_S = 60.0
+"""What is shown of the time before the moment that was sought [s]."""
+
+
+class Replay:
+    """A log as the source of a page.
+
+    Parameters
+    ----------
+    log : Log
+        Read; it has at least one tick.
+    rig : Mapping of str to float
+        Lengths and masses of the rig; empty where nobody knows them.
+
+    Attributes
+    ----------
+    tape : Tape
+        What was played last.
+    actions : mapping of str to Action
+        What can be asked for.
+    """
+
+    def __init__(self, log: Log, rig: Mapping[str, float]) -> None:
+        if not len(log.ticks):
+            raise TruncatedLog(
+                f"{log.path} holds no ticks", "the board was not heard, or the host died at once"
+            )
+        self.tape = Tape(round(KEPT_S / TICK_S))
+        self._log, self._rig = log, dict(rig)
+        self._raw = log.raw
+        # The time of the log goes on over restarts of the board and over 2^32 ticks.
+        self._tick = np.rint(log.ticks["t_s"] / TICK_S).astype(np.int64)
+        self._at = 0
+        self._speed, self._playing = 1.0, True
+        self._ended = threading.Event()
+        self._lock = threading.Lock()
+        pilot = Need.PILOT
+        self.actions: Mapping[str, Action] = {
+            "play": Action(self._play, Lane.QUICK, pilot),
+            "seek": Action(self._seek, Lane.QUICK, pilot),
+        }
+
+    def describe(self) -> dict[str, Any]:
+        """Return what a page needs to know once, as JSON."""
+        session = self._log.metadata.get("session", {})
+        return {
+            "mode": "replay",
+            "board": f"{self._log.path.name}: {session.get('board', 'a board')}, {session.get('start', '')}",
+            "rig": self._rig,
+            "tick_s": TICK_S,
+            "channels": channel_rows(self._log.parameters, self._log.law_signals),
+            "states": state_rows(),
+            "faults": fault_rows(),
+            "parameters": [],
+            "values": self._log.parameters,
+            "undo": 0,
+            "limits_deg": {},
+            "plans": [],
+            "span_s": [float(self._tick[0]) * TICK_S, float(self._tick[-1]) * TICK_S],
+            "events": [
+                {
+                    "t_s": round(float(event["t_s"]), 3),
+                    "kind": str(event["name"]),
+                    "text": str(event["message"]),
+                }
+                for event in self._log.events[-1000:]
+            ],
+        }
+
+    def status(self) -> dict[str, Any]:
+        """Return what a page shows in words, as JSON."""
+        at = max(self._at - 1, 0)
+        return {
+            "state": int(self._raw[at, Channel.STATE]),
+            "fault": int(self._raw[at, Channel.FAULT]),
+            "connected": True,
+            "link": {"ticks": self._at, "lost_ticks": self._log.ticks_lost},
+            "recording": None,
+            "trouble": "; ".join(self._log.notes),
+            "doing": "",
+            "flight": None,
+            "at_s": round(float(self._tick[at]) * TICK_S, 2),
+            "playing": self._playing,
+            "speed": self._speed,
+        }
+
+    def listen(self, news: News) -> None:
+        """Nothing happens besides what the status says.
+
+        Parameters
+        ----------
+        news : callable taking a mapping
+            Would be told.
+        """
+
+    def stop(self) -> None:
+        """Pause: there are no motors."""
+        self._playing = False
+
+    def wish(self) -> int:
+        """Return 0: a stop takes nothing away here."""
+        return 0
+
+    def begin(self, wish: int) -> bool:
+        """Whatever was wished for may begin.
+
+        Parameters
+        ----------
+        wish : int
+            As `wish` returned it.
+        """
+        return wish == 0
+
+    def watch_pilot(self, present: Callable[[], bool]) -> None:
+        """There are no setpoints to hold back.
+
+        Parameters
+        ----------
+        present : callable returning bool
+            Whether the pilot is there.
+        """
+
+    def run(self) -> None:
+        """Play until `close`, in this thread."""
+        before_s, owed = time.monotonic(), 0.0
+        while not self._ended.wait(_STEP_S):
+            now_s = time.monotonic()
+            owed += (now_s - before_s) * self._speed / TICK_S if self._playing else 0.0
+            before_s = now_s
+            ticks, owed = int(owed), owed % 1.0
+            with self._lock:
+                self._advance(ticks)
+
+    def close(self) -> None:
+        """End `run`."""
+        self._ended.set()
+
+    def _advance(self, ticks: int) -> None:
+        if not ticks or self._at >= len(self._tick):
+            return
+        until = int(np.searchsorted(self._tick, self._tick[max(self._at - 1, 0)] + ticks, side="right"))
+        until = max(until, self._at + 1)
+        self.tape.append(self._tick[self._at : until], self._raw[self._at : until])
+        self._at = min(until, len(self._tick))
+        if self._at >= len(self._tick):
+            self._playing = False
+
+    def _play(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        if "speed" in arguments:
+            self._speed = min(max(number(arguments, "speed"), 0.1), _MOST_SPEED)
+        self._playing = bool(arguments.get("on", True))
+        if self._playing and self._at >= len(self._tick):
+            self._seek({"t_s": float(self._tick[0]) * TICK_S})
+        return {}
+
+    def _seek(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        tick = round(number(arguments, "t_s") / TICK_S)
+        with self._lock:
+            self._at = int(np.clip(np.searchsorted(self._tick, tick), 0, len(self._tick)))
+            first = int(np.searchsorted(self._tick, tick - round(_BEFORE_S / TICK_S)))
+            self.tape.clear()
+            self.tape.append(self._tick[first : self._at], self._raw[first : self._at])
+        return {}

@@ -1,0 +1,126 @@
+"""Runs the page's server in a thread of its own, on a port of this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import uvicorn
+
+from heli_host.errors import PortError
+from heli_host.page.guard import LOCAL_HOSTS, Guard, new_token
+from heli_host.page.service import Service
+from heli_host.page.source import Source
+
+_START_S = 10.0
+_END_S = 3.0
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where a page is served.
+
+    Parameters
+    ----------
+    host : str
+        Address that the server is bound to.
+    port : int
+        TCP port.
+    token : str
+        What the page's address carries.
+    """
+
+    host: str
+    port: int
+    token: str
+
+    @property
+    def page(self) -> str:
+        """For a browser."""
+        return f"http://{self._name}:{self.port}/?token={self.token}"
+
+    @property
+    def program(self) -> str:
+        """For `heli_host.connect`."""
+        return f"page://{self._name}:{self.port}/?token={self.token}"
+
+    @property
+    def is_local(self) -> bool:
+        """Whether only this machine reaches it."""
+        return self.host in LOCAL_HOSTS
+
+    @property
+    def _name(self) -> str:
+        name = self.host if self.host not in ("0.0.0.0", "::") else socket.gethostname()
+        return f"[{name}]" if ":" in name else name
+
+
+@contextlib.contextmanager
+def serving(source: Source, host: str = "127.0.0.1", port: int = 0, token: str = "") -> Iterator[Address]:
+    """Serve a page until the block ends.
+
+    Parameters
+    ----------
+    source : Source
+        What is shown and commanded.
+    host : str
+        Address to be bound to.
+    port : int
+        TCP port; 0 for one that is free.
+    token : str
+        What the address carries; empty for a new one.
+
+    Raises
+    ------
+    PortError
+        The port is taken, or the address is none of this machine.
+    """
+    guard = Guard(token or new_token(), host)
+    listening = _listen(host, port)
+    config = uvicorn.Config(
+        Service(source, guard).application(),
+        log_level="warning",
+        access_log=False,
+        lifespan="on",
+        ws="websockets-sansio",
+        ws_max_size=65536,
+        ws_per_message_deflate=False,
+        timeout_graceful_shutdown=1,
+        server_header=False,
+    )
+    server = uvicorn.Server(config)
+    thread = threading.Thread(
+        target=server.run, kwargs={"sockets": [listening]}, name="heli-host page", daemon=True
+    )
+    thread.start()
+    started = threading.Event()
+    try:
+        for _ in range(round(_START_S / 0.01)):
+            if server.started or not thread.is_alive():
+                break
+            started.wait(0.01)
+        if not server.started:
+            raise PortError("the page's server did not start", "report it with what it printed")
+        yield Address(host, listening.getsockname()[1], guard.token)
+    finally:
+        server.should_exit = True
+        thread.join(_END_S)
+        listening.close()
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listening = socket.socket(family, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    # A stop is a few bytes: it must not wait for more.
+    listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    try:
+        listening.bind((host, port))
+    except OSError as error:
+        listening.close()
+        reason = error.strerror or str(error)
+        raise PortError(f"cannot serve on {host}:{port}: {reason}", "choose another --port") from error
+    return listening

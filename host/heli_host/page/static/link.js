@@ -1,0 +1,97 @@
+// The two sockets: one for everything, one for the stop alone. See docs/page.md for what goes over them.
+
+const HEADER = 24;
+const query = new URLSearchParams(location.search);
+const token = query.get("token") ?? "";
+
+function address(path, more = {}) {
+  const scheme = location.protocol === "https:" ? "wss:" : "ws:";
+  return `${scheme}//${location.host}${path}?${new URLSearchParams({ token, ...more })}`;
+}
+
+// An id that outlives loading the page anew, so that its seat is still its own.
+function ownId() {
+  let id = sessionStorage.getItem("client");
+  if (!id) {
+    id = Array.from(crypto.getRandomValues(new Uint8Array(8)), (b) => b.toString(16).padStart(2, "0")).join("");
+    sessionStorage.setItem("client", id);
+  }
+  return id;
+}
+
+export function unpack(buffer) {
+  const head = new DataView(buffer);
+  const flags = head.getUint8(1), channels = head.getUint16(2, true), rows = head.getUint32(8, true);
+  const raw = [];
+  for (let c = 0; c < channels; c++) raw.push(new Int32Array(buffer, HEADER + 4 * rows * (1 + c), rows));
+  return {
+    thinned: (flags & 1) !== 0, reset: (flags & 2) !== 0, number: head.getUint32(4, true), rows,
+    first: head.getFloat64(16, true), offset: new Uint32Array(buffer, HEADER, rows), raw,
+  };
+}
+
+export class Link {
+  constructor({ onWords, onRows, onOpen, onClosed }) {
+    Object.assign(this, { onWords, onRows, onOpen, onClosed });
+    this.waiting = new Map();
+    this.number = 0;
+    this.open();
+  }
+
+  open() {
+    const socket = new WebSocket(address("/ws", { client: ownId() }));
+    socket.binaryType = "arraybuffer";
+    socket.onmessage = ({ data }) => {
+      if (typeof data === "string") this.take(JSON.parse(data));
+      else {
+        const frame = unpack(data);
+        this.onRows(frame);
+        // Says that these were shown, and that this page lives: without it setpoints go missing to the board.
+        if (socket.readyState === WebSocket.OPEN) socket.send(new Uint32Array([frame.number]));
+      }
+    };
+    socket.onopen = () => this.onOpen();
+    socket.onclose = () => {
+      for (const settle of this.waiting.values()) settle({ error: "the connection was lost", remedy: "wait until it is back" });
+      this.waiting.clear();
+      this.onClosed();
+      setTimeout(() => this.open(), 500);
+    };
+    this.socket = socket;
+  }
+
+  take(words) {
+    if ("answer" in words) {
+      this.waiting.get(words.answer)?.(words);
+      this.waiting.delete(words.answer);
+    } else this.onWords(words);
+  }
+
+  ask(name, more = {}) {
+    if (this.socket.readyState !== WebSocket.OPEN)
+      return Promise.resolve({ error: "there is no connection", remedy: "wait until it is back" });
+    const id = ++this.number;
+    this.socket.send(JSON.stringify({ do: name, id, ...more }));
+    return new Promise((settle) => this.waiting.set(id, settle));
+  }
+}
+
+export class Stop {
+  constructor(onAnswer) {
+    this.onAnswer = onAnswer;
+    this.open();
+  }
+
+  open() {
+    this.socket = new WebSocket(address("/stop"));
+    this.socket.onmessage = ({ data }) => this.onAnswer(data);
+    this.socket.onclose = () => setTimeout(() => this.open(), 500);
+  }
+
+  now() {
+    if (this.socket.readyState === WebSocket.OPEN) return this.socket.send("stop");
+    fetch(`/stop?${new URLSearchParams({ token })}`, { method: "POST", keepalive: true })
+      .then(async (answer) => this.onAnswer((await answer.text()).trim()))
+      .catch(() => this.onAnswer("error: nobody answers; use the rig's own stop switch"));
+  }
+}

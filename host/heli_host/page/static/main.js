@@ -1,0 +1,120 @@
+// Puts the page together: what comes goes into the history; what is shown is drawn from it, at its own pace.
+import { Controls } from "./controls.js";
+import { History } from "./history.js";
+import { Gamepad, listenForArrows, listenForStop } from "./keys.js";
+import { Link, Stop } from "./link.js";
+import { Scene } from "./scene.js";
+import { Strips } from "./strips.js";
+
+const $ = (id) => document.getElementById(id);
+const DEG = 180 / Math.PI;
+const AXES = ["elevation", "pitch", "travel"];
+const KINDS = { closed_loop: "fly", open_loop: "warn", streamed: "warn", armed: "warn", hold: "warn", landing: "warn", fault: "bad", emergency_landing: "bad" };
+const WORDS_MS = 120;
+
+let hello = null, history = null, strips = null, scene = null, status = null, wordsMs = 0;
+
+function say(words, bad = false) {
+  $("said").textContent = words;
+  $("said").className = bad ? "bad" : "";
+}
+
+function alarm(words) {
+  $("alarm").hidden = !words;
+  $("alarm").textContent = words;
+}
+
+const stop = new Stop((answer) => say(answer === "stopped" ? "stop: sent to the board, before everything else" : answer, answer !== "stopped"));
+const link = new Link({
+  onOpen: () => alarm(""),
+  onClosed: () => alarm(status && KINDS[name()] ? "Nobody answers: the board gets no setpoints from this page, and lands by itself. Trying again …" : "Nobody answers. Trying again …"),
+  // With the rows, not with what is drawn: a stop must not wait for a slow or hidden picture.
+  onRows: (frame) => { history?.append(frame); gamepad.poll(performance.now()); },
+  onWords: (words) => take(words),
+});
+const controls = new Controls(link, say);
+
+function name() { return hello?.states[status?.state]?.name ?? ""; }
+
+function stopNow() { stop.now(); }
+
+function take(words) {
+  if (words.hello) greet(words.hello);
+  if (words.values) controls.values(words);
+  if (words.channels) { history.channels.forEach((spec, i) => Object.assign(spec, words.channels[i])); strips?.rename(); }
+  if (words.event) controls.event(words.event);
+  if (words.signal) strips?.signal(words.signal.name, words.signal.tick, words.signal.value);
+  if (words.recorded) controls.recorded = `recorded ${words.recorded}`;
+  if (words.status) showStatus(words.status);
+  if (words.seats) controls.seat(words.seats);
+}
+
+function greet(news) {
+  hello = news;
+  document.title = `heli-lab: ${news.mode === "live" ? "live" : "replay"}`;
+  $("board").textContent = news.board;
+  history = new History(news.channels);
+  strips = new Strips($("strips"), history, news.tick_s);
+  strips.onView = showView;
+  scene ??= new Scene($("scene"), news.rig);
+  $("numbers").tBodies[0].replaceChildren(...AXES.map((axis) => {
+    const row = document.createElement("tr");
+    for (const text of [axis, "–", "–"]) row.append(Object.assign(document.createElement("td"), { textContent: text }));
+    return row;
+  }));
+  controls.greet(news);
+}
+
+function showStatus(news) {
+  status = news;
+  const state = hello.states[news.state], fault = hello.faults[news.fault];
+  $("state").textContent = state ? state.name.replace("_", " ") : "–";
+  $("state").dataset.kind = news.connected ? KINDS[state?.name] ?? "" : "bad";
+  const twin = news.twin ? ` ${news.twin.words}` : "";
+  const words = !news.connected ? "The board does not answer: it holds, then lands by itself. It is looked for." : fault ? `${fault.meaning}: ${fault.remedy}.` : (state?.words ?? "") + twin;
+  if (news.twin?.parted) $("state").dataset.parted = "yes"; else delete $("state").dataset.parted;
+  if ($("words").textContent !== words) $("words").textContent = words;
+  controls.show(news);
+}
+
+function showView() {
+  const paused = strips.view !== null;
+  $("pause").setAttribute("aria-pressed", String(paused));
+  $("pause").textContent = paused ? "Go on" : "Pause";
+  for (const button of document.querySelectorAll("[data-span]")) button.setAttribute("aria-pressed", String(!paused && Number(button.dataset.span) === strips.spanS));
+}
+
+function angles(suffix) { return AXES.map((axis) => history.latest(history.channels.findIndex((one) => one.name === `${axis}${suffix}`))); }
+
+function showNumbers(nowMs) {
+  if (nowMs - wordsMs < WORDS_MS || !history.end) return;
+  wordsMs = nowMs;
+  const is = angles("_rad"), goal = angles("_setpoint_rad"), off = ["idle", "fault"].includes(name());
+  [...$("numbers").tBodies[0].rows].forEach((row, i) => {
+    row.cells[1].textContent = (is[i] * DEG).toFixed(1);
+    row.cells[2].textContent = off ? "–" : (goal[i] * DEG).toFixed(1);
+  });
+  const [front, back] = ["front_V", "back_V"].map((one) => history.latest(history.channels.findIndex((spec) => spec.name === one)));
+  $("volts").textContent = `front ${front.toFixed(2)} V, back ${back.toFixed(2)} V`;
+  $("clock").textContent = `${(history.latestTick * hello.tick_s).toFixed(1)} s`;
+  $("pace").textContent = history.gaps ? `${history.gaps} gaps` : history.thinned ? "this browser is slow: some rows were left out" : "every tick";
+  if (hello.mode === "live") controls.follow(Object.fromEntries(AXES.map((axis, i) => [axis, goal[i] * DEG])));
+}
+
+const gamepad = new Gamepad(stopNow, (axis, by) => controls.move(axis, by));
+listenForStop(stopNow, () => hello?.mode === "replay" || ["idle", "fault", ""].includes(name()));
+listenForArrows((axis, by) => controls.move(axis, by), () => controls.mark());
+$("pause").addEventListener("click", () => (strips.view === null ? strips.pause() : strips.follow()));
+for (const button of document.querySelectorAll("[data-span]")) button.addEventListener("click", () => strips.follow(Number(button.dataset.span)));
+
+function frame(nowMs) {
+  requestAnimationFrame(frame);
+  if (!history) return;
+  strips.draw(nowMs);
+  showNumbers(nowMs);
+  if (history.end) scene.draw(nowMs, strips.intervalMs, angles("_rad"), angles("_setpoint_rad"), !["idle", "fault", "armed", ""].includes(name()), status?.twin?.ghost_rad ?? null);
+}
+requestAnimationFrame(frame);
+
+// For tests and the curious: what this page holds, in the board's own numbers.
+window.heliPage = { get history() { return history; }, get hello() { return hello; }, get status() { return status; }, get strips() { return strips; } };

@@ -1,0 +1,154 @@
+// Signals against time: one strip a quantity, one time axis for all, with pause, zoom and a cursor.
+/* global uPlot */
+
+const DEG = 180 / Math.PI;
+const STRIPS = [
+  { title: "elevation, deg", series: [["elevation_rad", "elevation", "#0b5394"], ["elevation_setpoint_rad", "setpoint", "#b45f06"]] },
+  { title: "pitch, deg", series: [["pitch_rad", "pitch", "#0b5394"], ["pitch_setpoint_rad", "setpoint", "#b45f06"]] },
+  { title: "travel, deg", series: [["travel_rad", "travel", "#0b5394"], ["travel_setpoint_rad", "setpoint", "#b45f06"]] },
+  { title: "motors, V", series: [["front_V", "front", "#14602c"], ["back_V", "back", "#741b47"]] },
+];
+const INTERVAL_MS = 60;
+const LONGEST_MS = 600; // between two drawings, where the browser draws slowly: it has more to do than strips
+
+export class Strips {
+  constructor(holder, history, tickS) {
+    Object.assign(this, { holder, history, tickS, spanS: 20, view: null, drawnMs: 0, frameMs: 0, frameCostMs: 16, changed: true });
+    this.own = new Map(); // signals that programs sent: name -> {x: [], y: []}
+    this.onView = () => {};
+    this.plots = [];
+    this.build();
+    new ResizeObserver(() => this.resize()).observe(holder);
+  }
+
+  build() {
+    for (const plot of this.plots) plot.u.destroy();
+    this.holder.replaceChildren();
+    const known = new Map(this.history.channels.map((spec, index) => [spec.name, index]));
+    this.plots = STRIPS.map(({ title, series }) => {
+      const wanted = series.map(([name]) => {
+        const channel = known.get(name);
+        return { channel, factor: this.history.channels[channel].unit === "rad" ? DEG : 1 };
+      });
+      return { wanted, u: this.plot(title, series.map(([, label, stroke]) => ({ label, stroke }))) };
+    });
+    const colours = ["#0b5394", "#b45f06", "#14602c", "#741b47", "#351c75"];
+    this.named = JSON.stringify(this.signals());
+    if (this.signals().length) {
+      const wanted = this.signals().map((spec) => ({ channel: known.get(spec.name), factor: 1 }));
+      this.plots.push({ wanted, u: this.plot("law", this.signals().map((spec, i) => ({ label: spec.signal, stroke: colours[i] }))) });
+    }
+    if (this.own.size) {
+      const series = [...this.own.keys()].map((label, i) => ({ label, stroke: colours[i % colours.length] }));
+      this.plots.push({ wanted: null, u: this.plot("programs", series) });
+    }
+    this.changed = true;
+  }
+
+  // Channels that hold a signal of a law that came over the link.
+  signals() { return this.history.channels.filter((spec) => spec.signal); }
+
+  rename() { if (JSON.stringify(this.signals()) !== this.named) this.build(); }
+
+  size() {
+    const count = STRIPS.length + (this.signals().length ? 1 : 0) + (this.own.size ? 1 : 0);
+    return { width: this.holder.clientWidth, height: Math.max(70, Math.floor(this.holder.clientHeight / count) - 26) };
+  }
+
+  plot(title, series) {
+    const value = (_, v) => (v == null || Number.isNaN(v) ? "–" : v.toFixed(2));
+    return new uPlot({
+      ...this.size(), pxAlign: 0,
+      cursor: { sync: { key: "strips" }, drag: { x: true, y: false, setScale: false } },
+      legend: { live: true },
+      scales: { x: { time: false, auto: false }, y: { range: (_, low, high) => padded(low, high) } },
+      axes: [{ size: 24, values: (_, splits) => splits.map((s) => `${+s.toFixed(3)} s`) }, { size: 44, label: title, labelSize: 18, labelFont: "12px system-ui, 'DejaVu Sans', sans-serif" }],
+      series: [{ label: "time", value: (_, v) => (v == null ? "–" : `${v.toFixed(3)} s`) }, ...series.map((one) => ({ ...one, width: 1.5, value, points: { show: false } }))],
+      hooks: {
+        setSelect: [(u) => {
+          if (u.select.width < 4 || !u.over.matches(":hover")) return; // the others only follow
+          this.show(u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x"));
+          u.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+        }],
+        ready: [(u) => {
+          u.over.addEventListener("dblclick", () => this.follow());
+          u.over.addEventListener("wheel", (event) => {
+            event.preventDefault();
+            const [from, to] = this.range(), at = u.posToVal(event.offsetX, "x"), by = event.deltaY > 0 ? 1.25 : 0.8;
+            this.show(at - (at - from) * by, at + (to - at) * by);
+          }, { passive: false });
+        }],
+      },
+    }, [[], ...series.map(() => [])], this.holder);
+  }
+
+  signal(name, tick, value) {
+    const isNew = !this.own.has(name);
+    if (isNew) this.own.set(name, { x: [], y: [] });
+    const { x, y } = this.own.get(name);
+    x.push(tick * this.tickS);
+    y.push(value);
+    if (x.length > 20000) { x.splice(0, 5000); y.splice(0, 5000); }
+    if (isNew) this.build();
+    this.changed = true;
+  }
+
+  range() {
+    if (this.view) return this.view;
+    const nowS = this.history.latestTick * this.tickS;
+    return [nowS - this.spanS, nowS];
+  }
+
+  show(fromS, toS) {
+    const least = 0.02;
+    this.view = toS - fromS < least ? [fromS, fromS + least] : [fromS, toS];
+    this.changed = true;
+    this.onView();
+  }
+
+  follow(spanS = this.spanS) {
+    this.spanS = spanS;
+    this.view = null;
+    this.changed = true;
+    this.onView();
+  }
+
+  pause() { this.show(...this.range()); }
+
+  resize() { for (const { u } of this.plots) u.setSize(this.size()); }
+
+  // Between two drawings, of the rig too.
+  get intervalMs() { return Math.min(Math.max(INTERVAL_MS, 3 * this.frameCostMs), LONGEST_MS); }
+
+  draw(nowMs) {
+    this.frameCostMs += 0.2 * (Math.min(nowMs - this.frameMs, 1000) - this.frameCostMs);
+    this.frameMs = nowMs;
+    if (!(this.changed || this.view === null) || nowMs - this.drawnMs < this.intervalMs || document.hidden) return;
+    this.drawnMs = nowMs;
+    this.changed = false;
+    const [from, to] = this.range();
+    const most = Math.max(200, this.holder.clientWidth);
+    for (const { wanted, u } of this.plots) {
+      const data = wanted ? this.history.window(from / this.tickS, to / this.tickS, wanted, most, this.tickS) : joined([...this.own.values()]);
+      u.setData(data, false);
+      u.setScale("x", { min: from, max: to });
+    }
+  }
+}
+
+function padded(low, high) {
+  if (low == null || !Number.isFinite(low)) return [-1, 1];
+  const room = Math.max(0.08 * (high - low), 0.5);
+  return [low - room, high + room];
+}
+
+// Series with times of their own on one axis, null where one has no value.
+function joined(all) {
+  const x = [...new Set(all.flatMap((one) => one.x))].sort((a, b) => a - b);
+  const place = new Map(x.map((time, index) => [time, index]));
+  return [x, ...all.map((one) => {
+    const y = new Array(x.length).fill(null);
+    one.x.forEach((time, index) => { y[place.get(time)] = one.y[index]; });
+    return y;
+  })];
+}

@@ -1,0 +1,86 @@
+"""The binary frames of the page's WebSocket; docs/page.md describes them for other programs.
+
+A frame is a header of 24 bytes, little-endian: kind (u8, 1), flags (u8: 1 rows were left out between these,
+2 what came before does not go on in them), channels (u16), number of the frame (u32), rows (u32), 0 (u32),
+tick of the first row (f64). After it ticks since the first (u32 each), then channel after channel the raw
+numbers of all rows (i32).
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from heli_host.errors import LinkError
+from heli_host.page.tape import Cut
+
+THINNED, RESET = 1, 2
+
+_SAMPLES = 1
+_HEADER = struct.Struct("<BBHIIId")
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What a frame holds.
+
+    Parameters
+    ----------
+    number : int
+        Number of the frame, by which it is acknowledged.
+    flags : int
+        `THINNED` and `RESET`.
+    tick : ndarray of int64, shape (n,)
+        Device time [tick], counted on over 2^32.
+    raw : ndarray of int32, shape (n, channels)
+        Raw numbers in the order of the declaration.
+    """
+
+    number: int
+    flags: int
+    tick: npt.NDArray[np.int64]
+    raw: npt.NDArray[np.int32]
+
+
+def pack(cut: Cut, number: int) -> bytes:
+    """Return a frame.
+
+    Parameters
+    ----------
+    cut : Cut
+        Its rows; a frame may have none.
+    number : int
+        Number of the frame.
+    """
+    flags = THINNED * cut.thinned + RESET * cut.reset
+    first = int(cut.tick[0]) if len(cut.tick) else 0
+    rows, channels = cut.raw.shape
+    head = _HEADER.pack(_SAMPLES, flags, channels, number & 0xFFFFFFFF, rows, 0, float(first))
+    offsets = (cut.tick - first).astype("<u4").tobytes()
+    return head + offsets + np.ascontiguousarray(cut.raw.T, "<i4").tobytes()
+
+
+def unpack(frame: bytes) -> Rows:
+    """Undo `pack`.
+
+    Parameters
+    ----------
+    frame : bytes
+        As it came.
+
+    Raises
+    ------
+    LinkError
+        It is no such frame.
+    """
+    if len(frame) < _HEADER.size:
+        raise LinkError("the page sent a frame that is cut short", "use the same version at both ends")
+    kind, flags, channels, number, rows, _, first = _HEADER.unpack_from(frame)
+    if kind != _SAMPLES or len(frame) != _HEADER.size + 4 * rows * (1 + channels):
+        raise LinkError("the page sent a frame of another kind", "use the same version at both ends")
+    offsets = np.frombuffer(frame, "<u4", rows, _HEADER.size)
+    raw = np.frombuffer(frame, "<i4", rows * channels, _HEADER.size + 4 * rows)
+    return Rows(number, flags, offsets.astype(np.int64) + int(first), raw.reshape(channels, rows).T)

@@ -1,0 +1,89 @@
+"""MCAP files of other programs and bags of ROS 1 and 2, every number of every message a column."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from heli_host.errors import FlightDataError
+from heli_host.tables.table import Column, Table
+
+_MOST_VALUES: Final = 64
+"""Longest array of a message whose elements become columns; scans and images have more."""
+_DEEPEST: Final = 6
+
+
+def read_bag(path: Path) -> Table:
+    """Read the bag at `path`: a `.bag`, a folder or `.db3` of ROS 2, or an MCAP file of any of both.
+
+    Times are those of the messages' header where they have one, else those of the recorder.
+
+    Raises
+    ------
+    FlightDataError
+        If it is none, or holds no numbers.
+    """
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise FlightDataError(f"reading {path} needs rosbags", "pip install 'heli-host[import]'") from error
+    series: dict[str, tuple[list[float], list[float]]] = {}
+    folder = path.parent if path.suffix == ".db3" else path
+    try:
+        with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            for connection, when_ns, raw in reader.messages():
+                message = reader.deserialize(raw, connection.msgtype)
+                t_s = _stamp_s(message) or when_ns * 1e-9
+                for name, value in _numbers(connection.topic.strip("/"), message, 0):
+                    times, values = series.setdefault(name, ([], []))
+                    times.append(t_s)
+                    values.append(value)
+    except FlightDataError:
+        raise
+    except Exception as error:  # the reader raises whatever a damaged file makes it trip over
+        raise FlightDataError(
+            f"{path}: not a bag that rosbags reads ({type(error).__name__}: {error})", "record it again"
+        ) from error
+    return _table(path, series)
+
+
+def _table(path: Path, series: dict[str, tuple[list[float], list[float]]]) -> Table:
+    columns = {}
+    first_s = min((times[0] for times, _ in series.values()), default=0.0)
+    for name, (times, values) in series.items():
+        t_s, place = np.unique(np.asarray(times, np.float64) - first_s, return_index=True)
+        columns[name] = Column(np.asarray(values, np.float64)[place], "", t_s)
+    if not columns:
+        raise FlightDataError(f"{path}: no numbers in it", "give a bag with the angles and the voltages")
+    return Table(str(path), columns)
+
+
+def _stamp_s(message: Any) -> float:
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    seconds = getattr(stamp, "sec", getattr(stamp, "secs", 0))
+    return float(seconds) + 1e-9 * float(getattr(stamp, "nanosec", getattr(stamp, "nsecs", 0)))
+
+
+def _numbers(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:
+    if isinstance(value, (bool, int, float, np.number)):
+        yield name, float(value)
+    elif isinstance(value, (list, tuple, np.ndarray)):
+        labels = range(len(value)) if len(value) <= _MOST_VALUES else ()
+        for index in labels:
+            yield from _numbers(f"{name}[{index}]", value[index], depth + 1)
+    elif depth < _DEEPEST and hasattr(value, "__dataclass_fields__"):
+        names = getattr(value, "name", None)
+        for key in value.__dataclass_fields__:
+            one = getattr(value, key)
+            if key in {"header", "__msgtype__"} or isinstance(one, str):
+                continue
+            # Joint states and their like name their elements.
+            if isinstance(names, list) and key != "name" and len(one) == len(names):
+                for label, element in zip(names, one, strict=True):
+                    yield from _numbers(f"{name}.{label}.{key}", element, depth + 1)
+            else:
+                yield from _numbers(f"{name}.{key}", one, depth + 1)

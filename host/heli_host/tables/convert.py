@@ -1,0 +1,174 @@
+"""From a table and a profile to flights."""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from heli_host.errors import FlightDataError
+from heli_host.flight import Flight
+from heli_host.flight.flight import MIN_ROWS
+from heli_host.tables.profile import MOTORS, Angle, Part, Profile, Voltage
+from heli_host.tables.table import Floats, Table
+from heli_host.tables.units import TIME_UNITS
+
+UNEVEN = 0.02
+"""Share of the median step by which steps may vary, as a standard deviation, before rows are brought to even
+times. Beyond, encoders' counts are interpolated; below, nothing is changed."""
+MOST_MISSING = 5.0
+"""Steps without a row beyond which a flight ends and another begins; fewer missing rows are filled in."""
+
+
+def flights_of(table: Table, profile: Profile) -> list[Flight]:
+    """Make flights of a table: one, or several where the profile leaves something in the middle out.
+
+    Raises
+    ------
+    FlightDataError
+        When a column is missing, or too little is left.
+    """
+    table = table.aligned()
+    t_s = times_of(table, profile)
+    angles = {axis: _angle(table, angle, t_s) for axis, angle in profile.angles.items()}
+    setpoints = {axis: _angle(table, angle, t_s) for axis, angle in profile.setpoints.items()}
+    voltages = {name: _voltage(table, voltage, t_s) for name, voltage in profile.voltages.items()}
+    if "sum" in voltages:
+        total, difference = voltages["sum"], voltages["difference"]
+        voltages = {"front": 0.5 * (total + difference), "back": 0.5 * (total - difference)}
+    series = {f"{axis}_rad": one for axis, one in angles.items()}
+    series |= {f"{axis}_setpoint_rad": one for axis, one in setpoints.items()}
+    held = {f"{name}_V": voltages[name] for name in MOTORS}
+    keep = np.isfinite(t_s)
+    for one in (*series.values(), *held.values()):
+        keep &= np.isfinite(one)
+    keep[keep] &= np.concatenate(([True], np.diff(t_s[keep]) > 0.0)) if keep.any() else True
+    if int(keep.sum()) < MIN_ROWS:
+        raise FlightDataError(
+            f"{table.source}: only {int(keep.sum())} rows with all of time, angles and voltages",
+            "check the profile's columns",
+        )
+    t_s = t_s[keep]
+    series = {name: one[keep] for name, one in series.items()}
+    held = {name: one[keep] for name, one in held.items()}
+    if profile.act == "before":
+        held = {name: np.concatenate((one[1:], one[-1:])) for name, one in held.items()}
+    part = profile.parts.get(Path(table.source).name, Part())
+    notes = {"imported from": Path(table.source).name}
+    if part.group:
+        notes["group"] = part.group
+    if table.notes:
+        notes["notes of the file"] = " / ".join(table.notes.split("\n"))
+    flights = []
+    for start, stop in _pieces(t_s, part, table.source):
+        even_s, even, even_held = _even(
+            t_s[start:stop],
+            {name: one[start:stop] for name, one in series.items()},
+            {name: one[start:stop] for name, one in held.items()},
+        )
+        named: dict[str, Any] = {**even_held, **even}
+        flights.append(Flight(t_s=even_s, meta=notes, **named))
+    return flights
+
+
+def times_of(table: Table, profile: Profile) -> Floats:
+    """Times of a table's rows, s, shape (n,); they begin at what the file says, less whole days."""
+    if not profile.time:
+        return np.arange(len(table)) / profile.rate_Hz
+    values = _column(table, profile.time)
+    first = values[np.isfinite(values)][:1]
+    far = first.size and abs(float(first[0])) * TIME_UNITS[profile.time_unit] > 1e5
+    # Seconds since 1970 would lose microseconds in a printed table.
+    result: Floats = (values - (first[0] if far else 0.0)) * TIME_UNITS[profile.time_unit]
+    return result
+
+
+def _column(table: Table, name: str) -> Floats:
+    if name not in table.columns:
+        close = difflib.get_close_matches(name, table.columns, n=1)
+        hint = f"did you mean '{close[0]}'? " if close else ""
+        raise FlightDataError(
+            f"{table.source}: there is no column '{name}'",
+            f"{hint}it has {', '.join(list(table.columns)[:12])}",
+        )
+    return table.columns[name].values
+
+
+def _angle(table: Table, angle: Angle, t_s: Floats) -> Floats:
+    raw = _earlier(_column(table, angle.column), t_s, angle.delay_s)
+    known = np.isfinite(raw)
+    turned: Floats = np.full(raw.shape, np.nan)
+    # No arm turns by half a turn between two rows: such a jump is an angle that was wrapped.
+    turned[known] = np.unwrap(angle.sign * angle.rad * raw[known]) + np.radians(angle.offset_deg)
+    return turned
+
+
+def _voltage(table: Table, voltage: Voltage, t_s: Floats) -> Floats:
+    raw = _earlier(_column(table, voltage.column), t_s, voltage.delay_s)
+    result: Floats = voltage.sign * voltage.volts * raw + voltage.offset_V
+    return result
+
+
+def _earlier(values: Floats, t_s: Floats, delay_s: float) -> Floats:
+    """Take a delay out, in whole rows: what the column says now was so `delay_s` ago. Rows that it then has
+    nothing for are nan.
+    """
+    step_s = float(np.nanmedian(np.diff(t_s)))
+    rows = round(delay_s / step_s) if step_s > 0.0 else 0
+    if not rows:
+        return values
+    moved = np.full(values.shape, np.nan)
+    if rows > 0:
+        moved[:-rows] = values[rows:]
+    else:
+        moved[-rows:] = values[:rows]
+    return moved
+
+
+def _even(
+    t_s: Floats, series: dict[str, Floats], held: dict[str, Floats]
+) -> tuple[Floats, dict[str, Floats], dict[str, Floats]]:
+    """Bring rows of an uneven clock to even times: angles on straight lines, voltages held."""
+    steps_s = np.diff(t_s)
+    step_s = float(np.median(steps_s))
+    ordinary = steps_s[steps_s < 1.75 * step_s]
+    strays = float(np.std(ordinary)) > UNEVEN * step_s
+    # Times in whole milliseconds are even ones that were rounded.
+    mean_s = float(ordinary.mean())
+    rounded = np.abs(t_s - t_s[0] - mean_s * np.arange(t_s.size)).max() < 1.5 * step_s
+    if not strays and len(ordinary) == len(steps_s):
+        return t_s, series, held
+    if rounded and len(ordinary) == len(steps_s):
+        return t_s[0] + mean_s * np.arange(t_s.size), series, held
+    step_s = mean_s
+    even_s = t_s[0] + step_s * np.arange(int((t_s[-1] - t_s[0]) / step_s) + 1)
+    last = np.clip(np.searchsorted(t_s, even_s + 1e-9, side="right") - 1, 0, None)
+    return (
+        even_s,
+        {name: np.interp(even_s, t_s, one) for name, one in series.items()},
+        {name: one[last] for name, one in held.items()},
+    )
+
+
+def _pieces(t_s: Floats, part: Part, source: str) -> list[tuple[int, int]]:
+    """Rows that are left: first and last plus one of each stretch."""
+    keep = np.ones(t_s.size, bool)
+    for start_s, stop_s in part.leave_out_s:
+        keep &= (t_s < start_s) | (t_s >= stop_s)
+    steps_s = np.diff(t_s)
+    breaks = np.flatnonzero(steps_s > MOST_MISSING * np.median(steps_s)) + 1
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], keep.astype(int), [0]))))
+    found = [
+        (int(a), int(b))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True)
+        for a, b in itertools.pairwise([start, *breaks[(breaks > start) & (breaks < stop)], stop])
+        if b - a >= MIN_ROWS
+    ]
+    if not found:
+        raise FlightDataError(
+            f"{source}: nothing is left of {t_s[0]:g} to {t_s[-1]:g} s", "leave less out in the profile"
+        )
+    return found

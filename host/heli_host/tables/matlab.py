@@ -1,0 +1,219 @@
+"""MATLAB files: matrices in rows or columns, structures, Simulink's structures with time and time series."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from heli_host.errors import FlightDataError
+from heli_host.tables.table import Column, Floats, Table
+
+_DEEPEST: Final = 8
+"""Structures within structures that are looked into."""
+_MOST_SIGNALS: Final = 64
+"""A matrix with more rows and more columns than this is an image or a law, not a recording."""
+_LEAST_ROWS: Final = 10
+_TIMES: Final = ("time", "Time", "t", "tout", "Time_", "RowTimes")
+_DATA: Final = ("signals", "Data", "Data_", "data", "values", "Values")
+
+
+def read_mat(path: Path) -> Table:
+    """Read the MATLAB file at `path`, version 4 to 7.3.
+
+    Raises
+    ------
+    FlightDataError
+        If it is no such file, or holds no signals.
+    """
+    import matio
+
+    try:
+        content = matio.load_from_mat(str(path))
+    except FileNotFoundError as error:
+        raise FlightDataError(f"cannot read {path}: there is no such file", "check the path") from error
+    except Exception as error:  # the reader raises whatever a damaged file makes it trip over
+        raise FlightDataError(
+            f"{path}: not a MATLAB file, or a damaged one ({type(error).__name__})", "save it again in MATLAB"
+        ) from error
+    columns: dict[str, Column] = {}
+    for name, value in content.items():
+        if not name.startswith("__"):
+            for found, column in _signals(name, value, 0):
+                columns[_free_name(found, columns)] = column
+    if not columns:
+        raise FlightDataError(f"{path}: no signals of {_LEAST_ROWS} rows or more in it", "save the log")
+    clocked = [one for one in columns.values() if one.t_s is not None]
+    if clocked and len(clocked) < len(columns):
+        columns = _with_clock(columns, clocked[0])
+    return Table(str(path), columns)
+
+
+def _with_clock(columns: Mapping[str, Column], known: Column) -> dict[str, Column]:
+    """Signals without times that have as many rows as one with times were logged with it; others are left
+    out.
+    """
+    return {
+        name: one if one.t_s is not None else Column(one.values, one.unit, known.t_s)
+        for name, one in columns.items()
+        if one.t_s is not None or one.values.size == known.values.size
+    }
+
+
+def _free_name(name: str, taken: Mapping[str, Column]) -> str:
+    while name in taken:
+        name += "'"
+    return name
+
+
+def _signals(name: str, value: Any, depth: int) -> Iterator[tuple[str, Column]]:
+    """Yield every signal in a variable, with a name that says where it is."""
+    if depth > _DEEPEST:
+        return
+    value = _unpacked(value)
+    if _is_frame(value):
+        yield from _frame(name, value)
+        return
+    fields = _fields(value)
+    if fields is not None:
+        yield from _structure(name, fields, depth)
+    elif isinstance(value, np.ndarray) and value.dtype == object:
+        for index, one in enumerate(value.ravel()[:_MOST_SIGNALS]):
+            yield from _signals(f"{name}[{index + 1}]", one, depth + 1)
+    elif isinstance(value, (list, tuple)):
+        for index, one in enumerate(value[:_MOST_SIGNALS]):
+            yield from _signals(f"{name}[{index + 1}]", one, depth + 1)
+    else:
+        for index, signal, count in _matrix(value):
+            yield (f"{name}[{index + 1}]" if count > 1 else name), Column(signal)
+
+
+def _structure(name: str, fields: Mapping[str, Any], depth: int) -> Iterator[tuple[str, Column]]:
+    t_s = _own_times(fields)
+    if t_s is None:
+        for key, one in fields.items():
+            yield from _signals(f"{name}.{key}", one, depth + 1)
+        return
+    for key in _DATA:
+        if key in fields:
+            for label, signal in _values(name, _unpacked(fields[key]), t_s.size):
+                if signal.size == t_s.size:
+                    yield label, Column(signal, "", t_s)
+            return
+    for key, one in fields.items():
+        if key not in _TIMES:
+            for _, signal, _count in _matrix(_unpacked(one)):
+                if signal.size == t_s.size:
+                    yield f"{name}.{key}", Column(signal, "", t_s)
+
+
+def _values(name: str, value: Any, rows: int) -> Iterator[tuple[str, Floats]]:
+    """Signals of a structure with time: an array, or structures with values and labels."""
+    if isinstance(value, np.ndarray) and value.dtype == object:
+        for index, one in enumerate(value.ravel()[:_MOST_SIGNALS]):
+            yield from _values(f"{name}[{index + 1}]" if value.size > 1 else name, _unpacked(one), rows)
+        return
+    if isinstance(value, (list, tuple)):
+        for index, one in enumerate(value[:_MOST_SIGNALS]):
+            yield from _values(f"{name}[{index + 1}]", _unpacked(one), rows)
+        return
+    if isinstance(value, np.ndarray) and value.dtype.names and value.size > 1:
+        for index, record in enumerate(value.ravel()[:_MOST_SIGNALS]):
+            one = {key: record[key] for key in value.dtype.names}
+            yield from _values(f"{name}[{index + 1}]", one, rows)
+        return
+    fields = _fields(value)
+    if fields is not None:
+        label = _word(fields.get("label")) or _word(fields.get("blockName")).rpartition("/")[2] or name
+        yield from _values(label, _unpacked(fields.get("values", fields.get("Data"))), rows)
+        return
+    for index, signal, count in _matrix(value, rows):
+        yield (f"{name}[{index + 1}]" if count > 1 else name), signal
+
+
+def _matrix(value: Any, rows: int | None = None) -> list[tuple[int, Floats, int]]:
+    """Signals of an array of numbers, whichever way it lies: index, values, how many there are."""
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or not value.size:
+        return []
+    array = np.squeeze(value.astype(np.float64))
+    if array.ndim > 2:
+        # Simulink logs a signal of one row as 1 x 1 x n.
+        array = array.reshape(-1, array.shape[-1])
+    if array.ndim == 1:
+        array = array[:, None]
+    if array.ndim != 2:
+        return []
+    lies = array.shape[1] == rows if rows is not None and array.shape[0] != rows else None
+    if lies or (lies is None and rows is None and array.shape[1] > array.shape[0]):
+        array = array.T
+    if array.shape[0] < _LEAST_ROWS or array.shape[1] > _MOST_SIGNALS:
+        return []
+    return [(i, np.ascontiguousarray(array[:, i]), array.shape[1]) for i in range(array.shape[1])]
+
+
+def _own_times(fields: Mapping[str, Any]) -> Floats | None:
+    """Times that a structure or a time series has for its data."""
+    for key in _TIMES:
+        if key in fields:
+            found = _matrix(_unpacked(fields[key]))
+            if len(found) == 1 and np.all(np.diff(found[0][1]) > 0.0):
+                return found[0][1]
+    info = _fields(_unpacked(fields.get("TimeInfo", fields.get("TimeInfo_"))))
+    if info is None:
+        return None
+    own = _own_times(info)
+    if own is not None:
+        return own
+    try:
+        start, step, count = (
+            float(np.ravel(_unpacked(info[key]))[0]) for key in ("Start", "Increment", "Length")
+        )
+    except (KeyError, IndexError, TypeError, ValueError):
+        return None
+    usable = np.isfinite([start, step, count]).all() and step > 0 and count >= _LEAST_ROWS
+    even: Floats = start + step * np.arange(int(count) if usable else 0, dtype=np.float64)
+    return even if usable else None
+
+
+def _unpacked(value: Any) -> Any:
+    """Take the arrays of one element away that MATLAB wraps everything in."""
+    for _ in range(_DEEPEST):
+        if isinstance(value, np.ndarray) and value.dtype == object and value.size == 1:
+            value = value.ravel()[0]
+        elif isinstance(value, np.ndarray) and value.dtype.names and value.size == 1:
+            value = {key: value.ravel()[0][key] for key in value.dtype.names}
+        else:
+            break
+    return value
+
+
+def _fields(value: Any) -> Mapping[str, Any] | None:
+    if isinstance(value, Mapping):
+        return value
+    if isinstance(value, np.ndarray) and value.dtype.names:
+        return {key: value[key] for key in value.dtype.names}
+    properties = getattr(value, "properties", None)
+    return properties if isinstance(properties, Mapping) else None
+
+
+def _is_frame(value: Any) -> bool:
+    return hasattr(value, "iloc") and hasattr(value, "columns")
+
+
+def _frame(name: str, frame: Any) -> Iterator[tuple[str, Column]]:
+    """Columns of a table or time table."""
+    seconds = getattr(frame.index, "total_seconds", None)
+    t_s = np.asarray(seconds(), np.float64) if seconds is not None else None
+    for key in frame.columns:
+        found = _matrix(np.asarray(frame[key]))
+        if len(found) == 1:
+            yield f"{name}.{key}", Column(found[0][1], "", t_s)
+
+
+def _word(value: Any) -> str:
+    value = _unpacked(value)
+    if isinstance(value, np.ndarray):
+        value = "".join(map(str, value.ravel())) if value.dtype.kind in "US" else ""
+    return value.strip() if isinstance(value, str) else ""

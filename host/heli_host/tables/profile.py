@@ -1,0 +1,315 @@
+"""Profiles: which column of a file is what, in which unit, with which sign; TOML that people share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from heli_host.declaration import AXES
+from heli_host.errors import FlightDataError
+from heli_host.files import TOML_BYTES, parse_toml, read_file
+from heli_host.tables.units import ANGLE_UNITS, COUNT, SHARES, TIME_UNITS, VOLTAGE_UNITS
+
+MOTORS: Final = ("front", "back")
+SUMS: Final = ("sum", "difference")
+_ACT: Final = ("after", "before")
+
+
+@dataclass(frozen=True)
+class Angle:
+    """Where an angle is: angle = sign * (column in its unit) + offset.
+
+    Parameters
+    ----------
+    column : str
+        Name of the column.
+    unit : str
+        `rad`, `mrad`, `deg`, `turn` or `count`.
+    counts : float
+        Counts of a turn, where the unit is a count.
+    sign : float
+        -1 where the column counts the other way: elevation is positive upwards, pitch when the front rotor is
+        up, and travel accelerates positive at positive pitch.
+    offset_deg : float
+        Added last, deg: 0 where the column is 0 at level, the angle of rest where it is 0 at rest.
+    delay_s : float
+        By how much the column is late, s.
+    """
+
+    column: str
+    unit: str = "rad"
+    counts: float = 4096.0
+    sign: float = 1.0
+    offset_deg: float = 0.0
+    delay_s: float = 0.0
+
+    @property
+    def rad(self) -> float:
+        """Radians that one of the column's unit is, without sign."""
+        return 2.0 * math.pi / self.counts if self.unit == COUNT else ANGLE_UNITS[self.unit]
+
+
+@dataclass(frozen=True)
+class Voltage:
+    """Where a voltage is: voltage = sign * (column in its unit) + offset.
+
+    Parameters
+    ----------
+    column : str
+        Name of the column.
+    unit : str
+        `V`, `mV`, or a share of the supply: `duty`, `percent` or `pwm`.
+    full : float
+        What full supply is written as, for `pwm`.
+    supply_V : float
+        The supply that a share is one of.
+    sign : float
+        -1 where the column counts the other way.
+    offset_V : float
+        Added last, V: such as the bias of a sum that was logged without it.
+    delay_s : float
+        By how much the column is late, s.
+    """
+
+    column: str
+    unit: str = "V"
+    full: float = 255.0
+    supply_V: float = 12.0
+    sign: float = 1.0
+    offset_V: float = 0.0
+    delay_s: float = 0.0
+
+    @property
+    def volts(self) -> float:
+        """Volts that one of the column's unit is, without sign."""
+        if self.unit in VOLTAGE_UNITS:
+            return VOLTAGE_UNITS[self.unit]
+        return self.supply_V / (self.full if self.unit == "pwm" else SHARES[self.unit])
+
+
+@dataclass(frozen=True)
+class Part:
+    """What of one file is a flight.
+
+    Parameters
+    ----------
+    leave_out_s : tuple of (float, float)
+        Parts that are left out, on the file's own time axis, s.
+    group : str
+        Flights of one group belong together: one rig, one session.
+    """
+
+    leave_out_s: tuple[tuple[float, float], ...] = ()
+    group: str = ""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """How files of one make are read.
+
+    Parameters
+    ----------
+    angles : Mapping[str, Angle]
+        By axis; all of them.
+    voltages : Mapping[str, Voltage]
+        `front` and `back`, or `sum` and `difference`: of both voltages, front less back.
+    time : str
+        Column of the times; empty where there is none.
+    time_unit : str
+        `s`, `ms`, `us`, `ns` or `min`.
+    rate_Hz : float
+        Rows a second, where there is no column of times.
+    act : str
+        `after`: a row's voltages act from that row on (what a controller wrote then). `before`: they acted
+        until that row (what was sampled with the angles).
+    setpoints : Mapping[str, Angle]
+        Setpoints by axis, where they are known.
+    parts : Mapping[str, Part]
+        By the file's name without its folder.
+    about : str
+        What a person should know: the rig, the program, who made it.
+    """
+
+    angles: Mapping[str, Angle]
+    voltages: Mapping[str, Voltage]
+    time: str = ""
+    time_unit: str = "s"
+    rate_Hz: float = 0.0
+    act: str = "after"
+    setpoints: Mapping[str, Angle] = field(default_factory=dict)
+    parts: Mapping[str, Part] = field(default_factory=dict)
+    about: str = ""
+
+
+def read_profile(path: Path) -> Profile:
+    """Read the profile at `path`; a FlightDataError says which entry is wrong."""
+    try:
+        content = parse_toml(read_file(path, TOML_BYTES).decode("utf-8"))
+    except OSError as error:
+        raise FlightDataError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
+    except ValueError as error:
+        raise FlightDataError(f"{path}: not a profile: {error}", "see docs/importing.md") from error
+    reader = _Reader(str(path))
+    known = {"about", "time", "voltages", "flight", *AXES, *MOTORS, *SUMS, *(f"{a}_setpoint" for a in AXES)}
+    reader.no_others(content, known, "")
+    time = reader.table(content, "time")
+    reader.no_others(time, {"column", "unit", "rate_Hz"}, "time.")
+    motors = [name for name in MOTORS if name in content]
+    sums = [name for name in SUMS if name in content]
+    if (motors, sums) not in ((list(MOTORS), []), ([], list(SUMS))):
+        raise reader.wrong("the voltages are neither [front] and [back] nor [sum] and [difference]")
+    acting = reader.table(content, "voltages")
+    reader.no_others(acting, {"act"}, "voltages.")
+    profile = Profile(
+        {axis: reader.angle(content, axis) for axis in AXES},
+        {name: reader.voltage(content, name) for name in motors or sums},
+        reader.text(time, "column", ""),
+        reader.one_of(time, "unit", "s", tuple(TIME_UNITS)),
+        reader.number(time, "rate_Hz", 0.0),
+        reader.one_of(acting, "act", "after", _ACT),
+        {axis: reader.angle(content, f"{axis}_setpoint") for axis in AXES if f"{axis}_setpoint" in content},
+        dict(reader.part(one) for one in reader.tables(content, "flight")),
+        reader.text(content, "about", ""),
+    )
+    if not profile.time and profile.rate_Hz <= 0.0:
+        raise reader.wrong("it has neither time.column nor time.rate_Hz")
+    return profile
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Entries of a profile, each checked."""
+
+    source: str
+
+    def wrong(self, what: str) -> FlightDataError:
+        return FlightDataError(f"{self.source}: {what}", "see docs/importing.md")
+
+    def no_others(self, content: Mapping[str, Any], known: set[str], where: str) -> None:
+        for name in content:
+            if name not in known:
+                raise self.wrong(f"it has '{where}{name}', which is none of {', '.join(sorted(known))}")
+
+    def table(self, content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+        found = content.get(name, {})
+        if not isinstance(found, Mapping):
+            raise self.wrong(f"{name} is no table")
+        return found
+
+    def tables(self, content: Mapping[str, Any], name: str) -> list[Mapping[str, Any]]:
+        found = content.get(name, [])
+        if not isinstance(found, list) or not all(isinstance(one, Mapping) for one in found):
+            raise self.wrong(f"{name} is no list of tables: write [[{name}]]")
+        return found
+
+    def text(self, content: Mapping[str, Any], name: str, default: str | None) -> str:
+        found = content.get(name, default)
+        if not isinstance(found, str):
+            raise self.wrong(f"'{name}' is missing or no text")
+        return found
+
+    def number(self, content: Mapping[str, Any], name: str, default: float) -> float:
+        found = content.get(name, default)
+        if isinstance(found, bool) or not isinstance(found, int | float) or not math.isfinite(found):
+            raise self.wrong(f"'{name}' is no number")
+        return float(found)
+
+    def one_of(self, content: Mapping[str, Any], name: str, default: str, known: tuple[str, ...]) -> str:
+        found = self.text(content, name, default)
+        if found not in known:
+            raise self.wrong(f"{name} = '{found}' is none of {', '.join(known)}")
+        return found
+
+    def sign(self, content: Mapping[str, Any]) -> float:
+        found = self.number(content, "sign", 1.0)
+        if abs(found) != 1.0:
+            raise self.wrong(f"sign = {found:g} is neither 1 nor -1")
+        return found
+
+    def positive(self, content: Mapping[str, Any], name: str, default: float) -> float:
+        found = self.number(content, name, default)
+        if found <= 0.0:
+            raise self.wrong(f"{name} = {found:g} is not positive")
+        return found
+
+    def angle(self, content: Mapping[str, Any], name: str) -> Angle:
+        if name not in content:
+            raise self.wrong(f"[{name}] is missing")
+        one = self.table(content, name)
+        self.no_others(one, {"column", "unit", "counts", "sign", "offset_deg", "delay_s"}, f"{name}.")
+        return Angle(
+            self.text(one, "column", None),
+            self.one_of(one, "unit", "rad", (*ANGLE_UNITS, COUNT)),
+            self.positive(one, "counts", 4096.0),
+            self.sign(one),
+            self.number(one, "offset_deg", 0.0),
+            self.number(one, "delay_s", 0.0),
+        )
+
+    def voltage(self, content: Mapping[str, Any], name: str) -> Voltage:
+        one = self.table(content, name)
+        known = {"column", "unit", "full", "supply_V", "sign", "offset_V", "delay_s"}
+        self.no_others(one, known, f"{name}.")
+        return Voltage(
+            self.text(one, "column", None),
+            self.one_of(one, "unit", "V", (*VOLTAGE_UNITS, *SHARES)),
+            self.positive(one, "full", 255.0),
+            self.positive(one, "supply_V", 12.0),
+            self.sign(one),
+            self.number(one, "offset_V", 0.0),
+            self.number(one, "delay_s", 0.0),
+        )
+
+    def part(self, one: Mapping[str, Any]) -> tuple[str, Part]:
+        self.no_others(one, {"file", "leave_out_s", "group"}, "flight.")
+        spans = one.get("leave_out_s", [])
+        try:
+            left_out = tuple((float(start), float(stop)) for start, stop in spans)
+        except (TypeError, ValueError):
+            raise self.wrong(
+                "leave_out_s is no list of [from, to] in seconds, such as [[0, 5], [33, 40]]"
+            ) from None
+        return self.text(one, "file", None), Part(left_out, self.text(one, "group", ""))
+
+
+def profile_text(profile: Profile) -> str:
+    """Write a profile as TOML, which `read_profile` reads."""
+    lines = [f"about = {_quoted(profile.about)}", "", "[time]"]
+    if profile.time:
+        lines += [f"column = {_quoted(profile.time)}", f'unit = "{profile.time_unit}"']
+    if profile.rate_Hz:
+        lines += [f"rate_Hz = {profile.rate_Hz!r}"]
+    for axis in AXES:
+        lines += ["", f"[{axis}]", *_angle_lines(profile.angles[axis])]
+    for name, voltage in profile.voltages.items():
+        lines += ["", f"[{name}]", f"column = {_quoted(voltage.column)}", f'unit = "{voltage.unit}"']
+        lines += [f"full = {voltage.full!r}"] if voltage.unit == "pwm" else []
+        lines += [f"supply_V = {voltage.supply_V!r}"] if voltage.unit in SHARES else []
+        lines += [f"sign = {voltage.sign:g}"]
+        lines += [f"offset_V = {voltage.offset_V!r}"] if voltage.offset_V else []
+        lines += [f"delay_s = {voltage.delay_s!r}"] if voltage.delay_s else []
+    lines += ["", "[voltages]", f'act = "{profile.act}"']
+    for axis, angle in profile.setpoints.items():
+        lines += ["", f"[{axis}_setpoint]", *_angle_lines(angle)]
+    for file, part in profile.parts.items():
+        lines += ["", "[[flight]]", f"file = {_quoted(file)}"]
+        lines += [f"leave_out_s = {[list(span) for span in part.leave_out_s]}"] if part.leave_out_s else []
+        lines += [f"group = {_quoted(part.group)}"] if part.group else []
+    return "\n".join(lines) + "\n"
+
+
+def _angle_lines(angle: Angle) -> list[str]:
+    lines = [f"column = {_quoted(angle.column)}", f'unit = "{angle.unit}"']
+    lines += [f"counts = {angle.counts!r}"] if angle.unit == COUNT else []
+    lines += [f"sign = {angle.sign:g}"]
+    lines += [f"offset_deg = {angle.offset_deg!r}"] if angle.offset_deg else []
+    lines += [f"delay_s = {angle.delay_s!r}"] if angle.delay_s else []
+    return lines
+
+
+def _quoted(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in escaped) + '"'

@@ -1,0 +1,87 @@
+"""What a file of somebody else's holds before anybody knows what it means: named columns of numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heli_host.errors import FlightDataError
+
+Floats = NDArray[np.float64]
+
+SHARED_TIME = "time [s]"
+"""Name of the time that columns of different clocks are brought to."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column as the file has it.
+
+    Parameters
+    ----------
+    values : ndarray (n,)
+        Numbers; nan where a cell is empty.
+    unit : str
+        Unit that the file states; empty where it states none.
+    t_s : ndarray (n,) or None
+        Times of its own, where the file keeps some for each signal (bags, Simulink); None where its rows are
+        those of the table.
+    """
+
+    values: Floats
+    unit: str = ""
+    t_s: Floats | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of one file.
+
+    Parameters
+    ----------
+    source : str
+        The file, for messages.
+    columns : Mapping[str, Column]
+        Columns by the names that the file has for them, or `column 1` and so on where it has none.
+    notes : str
+        What the file says about itself.
+    named : bool
+        Whether the names are the file's own.
+    """
+
+    source: str
+    columns: Mapping[str, Column]
+    notes: str = ""
+    named: bool = True
+
+    def __len__(self) -> int:
+        return max((one.values.size for one in self.columns.values()), default=0)
+
+    def aligned(self) -> Table:
+        """Bring all columns to one clock: that of the column with the most rows. Each of the others has at
+        every moment the last value that it had by then. A table without clocks of its columns' own is
+        returned as it is, without columns of another length than most.
+        """
+        clocked = {name: one for name, one in self.columns.items() if one.t_s is not None}
+        if not clocked:
+            length = len(self)
+            kept = {name: one for name, one in self.columns.items() if one.values.size == length}
+            return Table(self.source, kept, self.notes, self.named)
+        fullest = max(clocked.values(), key=lambda one: one.values.size)
+        assert fullest.t_s is not None
+        start_s = max(float(one.t_s[0]) for one in clocked.values() if one.t_s is not None and one.t_s.size)
+        t_s = fullest.t_s[fullest.t_s >= start_s]
+        if t_s.size < 2:
+            raise FlightDataError(
+                f"{self.source}: its signals have no time in common", "give the signals of one flight"
+            )
+        columns = {SHARED_TIME: Column(t_s - t_s[0], "s")}
+        for name, one in clocked.items():
+            assert one.t_s is not None
+            if one.t_s.size:
+                place = np.clip(np.searchsorted(one.t_s, t_s, side="right") - 1, 0, None)
+                columns[name] = Column(one.values[place], one.unit)
+        return Table(self.source, columns, self.notes, self.named)

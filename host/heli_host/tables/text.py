@@ -1,0 +1,186 @@
+"""Tables of text, in the dialects that programs and countries write them."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import itertools
+import re
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from heli_host.errors import FlightDataError
+from heli_host.files import read_file
+from heli_host.tables.table import Column, Table
+from heli_host.tables.units import unit_of
+
+MOST_BYTES: Final = 1 << 28
+"""Largest table, unpacked: half an hour at 1 kHz."""
+_COMMENTS: Final = ("#", "%", "//", '"#')
+_SEPARATORS: Final = (";", "\t", ",", "|", " ")
+_LOOKED_AT: Final = 60
+"""Lines that the dialect is told from."""
+_EMPTY: Final = frozenset({"", "nan", "na", "n/a", "null", "none", "-nan", "inf", "-inf", "#n/a"})
+_NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?$")
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a table of text is written: the `separator` of columns, and the `decimal` mark of numbers."""
+
+    separator: str
+    decimal: str
+
+
+def read_text(path: Path) -> Table:
+    """Read a table of text at `path`: any usual separator, points or commas in numbers, names and units in a
+    header or none, comments, gzip.
+
+    Raises
+    ------
+    FlightDataError
+        If it cannot be read, or holds no table of numbers.
+    """
+    import pandas
+
+    lines = _text(path).splitlines()
+    notes = "\n".join(line.strip().lstrip("#%/ ") for line in lines if line.strip().startswith(_COMMENTS))
+    body = [line for line in lines if line.strip() and not line.strip().startswith(_COMMENTS)]
+    if not body:
+        raise FlightDataError(f"{path}: the file is empty", "record a flight into it first")
+    # A flight begins at rest, with whole numbers that tell no decimal mark: rows of all of it are looked at.
+    spread = body[:: max(1, len(body) // _LOOKED_AT)]
+    dialect = find_dialect([*body[:_LOOKED_AT], *spread])
+    if dialect is None:
+        raise FlightDataError(
+            f"{path}: no columns of numbers in it", "give a table: one row a sample, separated by , ; or tabs"
+        )
+    header = list(
+        itertools.takewhile(lambda line: not _is_numeric(_cells(line, dialect), dialect), body[:_LOOKED_AT])
+    )
+    rows = body[len(header) :]
+    if not rows:
+        raise FlightDataError(
+            f"{path}: no row of numbers in it", "give a table: one row a sample, separated by , ; or tabs"
+        )
+    width = len(_cells(rows[0], dialect))
+    names, units = _names(header, dialect, width)
+    try:
+        frame = pandas.read_csv(
+            io.StringIO("\n".join(rows)),
+            sep=r"\s+" if dialect.separator == " " else dialect.separator,
+            decimal=dialect.decimal,
+            header=None,
+            names=range(width),
+            usecols=range(width),
+            on_bad_lines="skip",
+            low_memory=False,
+            skipinitialspace=True,
+        )
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise FlightDataError(
+            f"{path}: not a table ({reason})", "look at its quotes and separators"
+        ) from error
+    columns = {}
+    for index, name in enumerate(names):
+        values = pandas.to_numeric(frame[index], errors="coerce").to_numpy(np.float64)
+        if np.isfinite(values).any():
+            columns[name] = Column(values, units[index])
+    if not columns:
+        raise FlightDataError(f"{path}: no columns of numbers in it", "give a table: one row a sample")
+    return Table(str(path), columns, notes, bool(header))
+
+
+def find_dialect(lines: list[str]) -> Dialect | None:
+    """Find the dialect in which `lines` have most numbers, all of one length; None where no line has two."""
+    best, best_rank = None, (0.0, 0)
+    for separator, decimal in itertools.product(_SEPARATORS, ".,"):
+        if separator == decimal:
+            continue
+        dialect = Dialect(separator, decimal)
+        cells = [_cells(line, dialect) for line in lines]
+        width = max(map(len, cells))
+        if width < 2:
+            continue
+        shares = [
+            sum(_is_number(cell, dialect) for cell in row) / width for row in cells if len(row) == width
+        ]
+        good = sum(shares) / len(cells)
+        if (good, width) > best_rank:
+            best, best_rank = dialect, (good, width)
+    return best
+
+
+def _text(path: Path) -> str:
+    try:
+        data = read_file(path, MOST_BYTES)
+        if path.name.lower().endswith(".gz"):
+            with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
+                data = packed.read(MOST_BYTES + 1)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise FlightDataError(f"{path}: not a gzip file, or a damaged one", "copy it again") from error
+    except OSError as error:
+        raise FlightDataError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
+    if len(data) > MOST_BYTES:
+        raise FlightDataError(f"{path} unpacks to more than {MOST_BYTES >> 20} MiB", "cut it into pieces")
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return data.decode("utf-16", errors="replace")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def _cells(line: str, dialect: Dialect) -> list[str]:
+    if dialect.separator == " ":
+        return line.split()
+    cells = next(csv.reader([line.strip(" \r\n")], delimiter=dialect.separator, skipinitialspace=True), [])
+    # A separator at the end of each line makes no column.
+    return cells[:-1] if cells and not cells[-1].strip() else cells
+
+
+def _is_numeric(cells: list[str], dialect: Dialect) -> bool:
+    """Whether a line is one of numbers: at least half of its cells are, and none is a word but the first,
+    which may be a date.
+    """
+    numbers = sum(_is_number(cell, dialect) for cell in cells)
+    return numbers >= 1 and 2 * numbers >= len(cells)
+
+
+def _is_number(cell: str, dialect: Dialect) -> bool:
+    text = cell.strip()
+    if dialect.decimal != ".":
+        if "." in text:
+            return False
+        text = text.replace(dialect.decimal, ".")
+    return bool(_NUMBER.match(text)) or text.lower() in _EMPTY - {""}
+
+
+def _names(header: list[str], dialect: Dialect, width: int) -> tuple[list[str], list[str]]:
+    """Column names, made different where they are not, and units, from a row of their own where there is
+    one.
+    """
+    rows = [_cells(line, dialect) for line in header]
+    rows = [row for row in rows if len(row) == width]
+    units = [""] * width
+    if len(rows) > 1 and sum(bool(_stated(cell)) for cell in rows[-1]) >= max(1, width // 2):
+        units = [_stated(cell) for cell in rows[-1]]
+        rows = rows[:-1]
+    raw = [cell.strip() for cell in rows[-1]] if rows else [f"column {i + 1}" for i in range(width)]
+    names: list[str] = []
+    for index, name in enumerate(raw):
+        wanted = name or f"column {index + 1}"
+        while wanted in names:
+            wanted += "'"
+        names.append(wanted)
+    return names, units
+
+
+def _stated(cell: str) -> str:
+    return unit_of(cell.strip().strip("[]()"))

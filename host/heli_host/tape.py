@@ -1,0 +1,304 @@
+"""A control law as the board takes it: a tape of instructions over cells, with the names of what it tells.
+
+What makes tapes from Python is the laboratory; here they are only held, counted and packed. docs/link.md says
+what every word means.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+from heli_host.declaration import (
+    AXES,
+    LAW_CELLS,
+    LAW_FIXED_COST,
+    LAW_FORMAT,
+    LAW_INPUT_COST,
+    LAW_INPUTS,
+    LAW_MOST_TICKS,
+    LAW_MOVING_COST,
+    LAW_SIGNAL_COST,
+    LAW_SIGNALS,
+    LAW_STATE_COST,
+    LAW_TERM_COST,
+    LAW_TICK_COST,
+    LAW_WORDS,
+    OPERATIONS,
+    TICK_US,
+)
+from heli_host.errors import BadLaw
+
+TICK_Hz: Final = 1_000_000 // TICK_US
+DIVISORS: Final = tuple(d for d in range(1, 256) if TICK_Hz % d == 0)
+
+
+@dataclass(frozen=True)
+class Term:
+    """One product of a sum.
+
+    Parameters
+    ----------
+    first, second : int
+        Cells of its factors.
+    negative : bool
+        Whether it is taken away.
+    """
+
+    first: int
+    second: int
+    negative: bool = False
+
+    @property
+    def word(self) -> int:
+        """The 32 bits that cross the link."""
+        return self.negative << 31 | self.first << 9 | self.second
+
+
+@dataclass(frozen=True)
+class Instruction:
+    """One operation of a tape.
+
+    Parameters
+    ----------
+    code : int
+        Which, see ``OPERATIONS``.
+    target : int
+        Cell that it writes.
+    first, second : int
+        Cells that it reads; `second` is 0 where it has one operand, both are where it has terms.
+    terms : tuple of Term
+        Of a sum of products.
+    """
+
+    code: int
+    target: int
+    first: int = 0
+    second: int = 0
+    terms: tuple[Term, ...] = ()
+
+    @property
+    def words(self) -> tuple[int, ...]:
+        """What crosses the link, 32 bits each."""
+        second = len(self.terms) if self.terms else self.second
+        head = self.code << 27 | self.target << 18 | self.first << 9 | second
+        return (head, *(term.word for term in self.terms))
+
+    @property
+    def cost(self) -> int:
+        """Instructions of the Due's processor that it takes in the worst case."""
+        return OPERATIONS[self.code].cost + LAW_TERM_COST * len(self.terms)
+
+    @property
+    def read(self) -> tuple[int, ...]:
+        """Cells that it reads."""
+        if self.terms:
+            return tuple(cell for term in self.terms for cell in (term.first, term.second))
+        return (self.first, self.second)[: OPERATIONS[self.code].operands]
+
+
+@dataclass(frozen=True)
+class Tape:
+    """A law that a board can run.
+
+    Parameters
+    ----------
+    name : str
+        What people call it.
+    divisor : int
+        Ticks from one call to the next.
+    constants : tuple of float
+        Numbers that never change.
+    parameters : tuple of (str, float)
+        Names and values at the start of what may be changed in flight.
+    states : tuple of (str, float)
+        Names and first values.
+    outputs : tuple of int
+        Cells of both voltages, the three setpoints, the signals and the new states.
+    signals : tuple of str
+        Names of the signals.
+    instructions : tuple of Instruction
+        The program, in order.
+    """
+
+    name: str
+    divisor: int
+    constants: tuple[float, ...]
+    parameters: tuple[tuple[str, float], ...]
+    states: tuple[tuple[str, float], ...]
+    outputs: tuple[int, ...]
+    signals: tuple[str, ...]
+    instructions: tuple[Instruction, ...]
+
+    def __post_init__(self) -> None:
+        if self.divisor not in DIVISORS:
+            raise BadLaw(*rate_problem(TICK_Hz / self.divisor if self.divisor else 0.0))
+        if len(self.signals) > LAW_SIGNALS:
+            raise BadLaw(f"{len(self.signals)} signals are too many", f"give at most {LAW_SIGNALS}")
+        if self.cells > LAW_CELLS:
+            count = f"{len(self.states)} states, {len(self.constants)} constants"
+            raise BadLaw(
+                f"the law needs {self.cells} cells ({count}), the board has {LAW_CELLS}",
+                "give it fewer states, or smaller matrices",
+            )
+        if len(self.words) > LAW_WORDS:
+            raise BadLaw(
+                f"the law is {len(self.words)} words long ({len(self.instructions)} operations), the board "
+                f"holds {LAW_WORDS}",
+                "simplify it: fewer states, fewer unrolled iterations",
+            )
+        needed = self.ticks
+        if needed > min(self.divisor, LAW_MOST_TICKS):
+            fitting = next((d for d in DIVISORS if d >= needed), None)
+            raise BadLaw(
+                f"a call costs up to {self.cost} instructions, a tick has {LAW_TICK_COST} for it",
+                f"at {TICK_Hz / fitting:g} Hz it fits: a call is spread over {needed} ticks"
+                if fitting is not None and needed <= LAW_MOST_TICKS
+                else "simplify it: it fits no rate",
+            )
+
+    @property
+    def rate_Hz(self) -> float:
+        """Calls a second [Hz]."""
+        return TICK_Hz / self.divisor
+
+    @property
+    def cells(self) -> int:
+        """Cells that it takes."""
+        fixed = len(LAW_INPUTS) + len(self.constants) + len(self.parameters) + len(self.states)
+        return max([fixed, *(one.target + 1 for one in self.instructions)])
+
+    @property
+    def words(self) -> tuple[int, ...]:
+        """What crosses the link, 32 bits each."""
+        head = (
+            LAW_FORMAT | self.divisor << 8 | len(self.signals) << 16 | len(self.parameters) << 24,
+            len(self.constants) | len(self.states) << 16,
+            sum(len(one.words) for one in self.instructions),
+        )
+        numbers = [*self.constants, *(v for _, v in self.parameters), *(v for _, v in self.states)]
+        return (
+            *head,
+            *(_bits(value) for value in numbers),
+            *self.outputs,
+            *(word for one in self.instructions for word in one.words),
+        )
+
+    @property
+    def hash(self) -> int:
+        """CRC-32 of the words."""
+        return hash_of(self.words)
+
+    @cached_property
+    def inputs_read(self) -> frozenset[str]:
+        """Names of the inputs that it reads, be it to hand them on."""
+        cells = {cell for one in self.instructions for cell in one.read} | set(self.outputs)
+        return frozenset(name for cell, name in enumerate(LAW_INPUTS) if cell in cells)
+
+    @cached_property
+    def own_setpoints(self) -> tuple[str, ...]:
+        """Axes for which it logs setpoints of its own, though it reads those that the board has."""
+        return tuple(
+            axis
+            for k, axis in enumerate(AXES)
+            if self.outputs[2 + k] != LAW_INPUTS.index(f"{axis}_setpoint_rad")
+            and any(f"{axis}_setpoint_{unit}" in self.inputs_read for unit in ("rad", "rad_s", "rad_s2"))
+        )
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """What the log's signals hold, in order: its own, then the board's setpoints where it logs others."""
+        given = (f"board_{axis}_setpoint_rad" for axis in self.own_setpoints)
+        return (*self.signals, *given)[:LAW_SIGNALS]
+
+    @cached_property
+    def _around(self) -> int:
+        moving = sum(
+            any(f"{axis}_setpoint_{unit}" in self.inputs_read for unit in ("rad_s", "rad_s2"))
+            for axis in AXES
+        )
+        return (
+            LAW_FIXED_COST
+            + LAW_INPUT_COST * len(self.inputs_read)
+            + LAW_MOVING_COST * moving
+            + LAW_STATE_COST * len(self.states)
+            + LAW_SIGNAL_COST * len(self.signals)
+        )
+
+    @property
+    def cost(self) -> int:
+        """Instructions of the Due's processor that a call takes in the worst case."""
+        return self._around + sum(one.cost for one in self.instructions)
+
+    @property
+    def ticks(self) -> int:
+        """Ticks that a call is spread over, as the board works it out."""
+        ticks, spent = 1, self._around
+        for one in self.instructions:
+            if spent + one.cost > LAW_TICK_COST:
+                ticks, spent = ticks + 1, self._around
+            spent += one.cost
+        return ticks
+
+
+def hash_of(words: Sequence[int]) -> int:
+    """CRC-32 of words as they cross the link.
+
+    Parameters
+    ----------
+    words : sequence of int
+        32 bits each.
+    """
+    return zlib.crc32(struct.pack(f"<{len(words)}I", *words))
+
+
+def rate_problem(rate_Hz: float) -> tuple[str, str]:
+    """Say why a board has no such rate, and which are near.
+
+    Parameters
+    ----------
+    rate_Hz : float
+        Rate asked for [Hz].
+
+    Returns
+    -------
+    tuple of str
+        Cause and remedy.
+    """
+    rates = [TICK_Hz / d for d in DIVISORS]
+    above = [rate for rate in rates if rate >= rate_Hz]
+    below = [rate for rate in rates if rate <= rate_Hz]
+    near = sorted({*above[-1:], *below[:1]})
+    return (
+        f"a law cannot be called at {rate_Hz:g} Hz: a call every so many ticks of {TICK_Hz} Hz",
+        f"give {' or '.join(f'{rate:g}' for rate in near)} Hz",
+    )
+
+
+def divisor_of(rate_Hz: float) -> int:
+    """Ticks from one call to the next.
+
+    Parameters
+    ----------
+    rate_Hz : float
+        Calls a second [Hz].
+
+    Raises
+    ------
+    BadLaw
+        No whole number of ticks gives this rate.
+    """
+    if rate_Hz > 0.0:
+        divisor = round(TICK_Hz / rate_Hz)
+        if divisor in DIVISORS and abs(TICK_Hz / divisor - rate_Hz) < 1e-6 * rate_Hz:
+            return divisor
+    raise BadLaw(*rate_problem(rate_Hz))
+
+
+def _bits(value: float) -> int:
+    bits: int = struct.unpack("<I", struct.pack("<f", value))[0]
+    return bits

@@ -1,0 +1,224 @@
+"""What a person asks of recorded angles: degrees, rates, a table of pandas, a small figure in a notebook."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heli_host.declaration import AXES
+
+if TYPE_CHECKING:
+    import pandas
+
+Floats = NDArray[np.float64]
+
+RATE_WINDOW_S: Final = 0.1
+"""Length of the parabolas that a rate is read from [s]. An encoder of 4096 counts a revolution leaves 0.1
+deg/s of noise (rms) at 1 kHz, and a sine of 3 Hz loses 9 % of its rate; half of it would cost 2.8 times the
+noise.
+"""
+
+_LEAST_ROWS = 5
+_GAP_RATIO = 1.75
+_MOST_POINTS = 800
+"""Points of a line in the small figure, which is 640 dots wide."""
+_COLOURS: Final = {"elevation": "#0b5fa5", "pitch": "#b3420f", "travel": "#157a4a"}
+
+
+class Recorded(Protocol):
+    """Angles and voltages over time, as samples and flights hold them; arrays of shape (n,)."""
+
+    @property
+    def t_s(self) -> Floats:
+        """Time [s]."""
+        ...
+
+    @property
+    def front_V(self) -> Floats:
+        """Voltage of the front motor [V]."""
+        ...
+
+    @property
+    def back_V(self) -> Floats:
+        """Voltage of the back motor [V]."""
+        ...
+
+    @property
+    def elevation_rad(self) -> Floats:
+        """Elevation [rad]."""
+        ...
+
+    @property
+    def pitch_rad(self) -> Floats:
+        """Pitch [rad]."""
+        ...
+
+    @property
+    def travel_rad(self) -> Floats:
+        """Travel [rad]."""
+        ...
+
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        """Every column by name."""
+        ...
+
+
+class AngleViews:
+    """Angles in degrees, their rates, and the whole as a table or a figure, for whatever is `Recorded`."""
+
+    @property
+    def elevation_deg(self: Recorded) -> Floats:
+        """Elevation [deg], shape (n,)."""
+        return np.rad2deg(self.elevation_rad)
+
+    @property
+    def pitch_deg(self: Recorded) -> Floats:
+        """Pitch [deg], shape (n,)."""
+        return np.rad2deg(self.pitch_rad)
+
+    @property
+    def travel_deg(self: Recorded) -> Floats:
+        """Travel [deg], shape (n,)."""
+        return np.rad2deg(self.travel_rad)
+
+    @property
+    def elevation_rate_deg_s(self: Recorded) -> Floats:
+        """Rate of elevation [deg/s], shape (n,); see `rate`."""
+        return np.rad2deg(rate(self.t_s, self.elevation_rad))
+
+    @property
+    def pitch_rate_deg_s(self: Recorded) -> Floats:
+        """Rate of pitch [deg/s], shape (n,); see `rate`."""
+        return np.rad2deg(rate(self.t_s, self.pitch_rad))
+
+    @property
+    def travel_rate_deg_s(self: Recorded) -> Floats:
+        """Rate of travel [deg/s], shape (n,); see `rate`."""
+        return np.rad2deg(rate(self.t_s, self.travel_rad))
+
+    def dataframe(self: Recorded) -> pandas.DataFrame:
+        """Return a table of pandas: every column, indexed by ``t_s``, and behind them the angles in degrees
+        (``elevation_deg`` ...) and their rates (``elevation_rate_deg_s`` ...).
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        import pandas
+
+        columns = dict(self.columns())
+        t_s = columns.pop("t_s", self.t_s)
+        angles_rad = {axis: columns[f"{axis}_rad"] for axis in AXES}
+        columns |= {f"{axis}_deg": np.rad2deg(angle) for axis, angle in angles_rad.items()}
+        columns |= {
+            f"{axis}_rate_deg_s": np.rad2deg(rate(self.t_s, angle)) for axis, angle in angles_rad.items()
+        }
+        return pandas.DataFrame(columns, index=pandas.Index(t_s, name="t_s"))
+
+    def _repr_html_(self: Recorded) -> str:
+        """What a notebook shows: the text of `repr`, and the angles and voltages in a small figure."""
+        text = f"<p>{html.escape(repr(self))}</p>"
+        if self.t_s.size < 2:
+            return text
+        picture = base64.b64encode(small_figure(self)).decode("ascii")
+        return f'{text}<img alt="angles and voltages over time" src="data:image/png;base64,{picture}">'
+
+
+def rate(t_s: Floats, angle_rad: Floats, window_s: float = RATE_WINDOW_S) -> Floats:
+    """Differentiate an encoder's angle: at each time the slope of a parabola fitted to the angles around it.
+
+    Parameters
+    ----------
+    t_s : ndarray (n,)
+        Times, even but for gaps, across which nothing is fitted.
+    angle_rad : ndarray (n,)
+        What an encoder shows there; any unit, the rate is in that unit a second.
+    window_s : float
+        Length of a parabola [s]; at least five angles are taken, also where they span more.
+
+    Returns
+    -------
+    ndarray (n,)
+        The rate [rad/s]; NaN where less than five angles stand together.
+    """
+    from scipy.signal import savgol_filter
+
+    found = np.full(t_s.shape, np.nan)
+    if t_s.size < _LEAST_ROWS:
+        return found
+    steps_s = np.diff(t_s)
+    step_s = float(np.median(steps_s))
+    rows = max(_LEAST_ROWS, 2 * round(window_s / step_s / 2) + 1)
+    cuts = [0, *(np.flatnonzero(steps_s > _GAP_RATIO * step_s) + 1), t_s.size]
+    for start, stop in itertools.pairwise(cuts):
+        if stop - start >= _LEAST_ROWS:
+            fits = min(rows, stop - start - (stop - start + 1) % 2)
+            found[start:stop] = savgol_filter(angle_rad[start:stop], fits, 2, deriv=1, delta=step_s)
+    return found
+
+
+def small_figure(of: Recorded) -> bytes:
+    """Draw angles [deg] above and voltages [V] below, over time.
+
+    Returns
+    -------
+    bytes
+        A PNG of 640 x 320 dots.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 3.2), dpi=100, layout="constrained")
+    FigureCanvasAgg(figure)
+    angles, volts = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    step = max(1, of.t_s.size // _MOST_POINTS)
+    t_s = of.t_s[::step]
+    columns = of.columns()
+    for axis, colour in _COLOURS.items():
+        setpoint_rad = columns.get(f"{axis}_setpoint_rad")
+        if setpoint_rad is not None:
+            angles.plot(t_s, np.rad2deg(setpoint_rad[::step]), color=colour, lw=0.8, ls="--", alpha=0.6)
+        angles.plot(t_s, np.rad2deg(columns[f"{axis}_rad"][::step]), color=colour, lw=1.2, label=axis)
+    volts.plot(t_s, of.front_V[::step], color="#6b3fa0", lw=0.9, label="front")
+    volts.plot(t_s, of.back_V[::step], color="#c98a00", lw=0.9, label="back")
+    for axes, unit in ((angles, "deg"), (volts, "V")):
+        axes.set_ylabel(unit)
+        axes.grid(alpha=0.25)
+        axes.tick_params(labelsize=8)
+        axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+    if "travel_setpoint_rad" in columns:
+        angles.set_title("dashed: setpoints", fontsize=8, loc="right")
+    volts.set_xlabel("time [s]", fontsize=8)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def shares(state: NDArray[np.uint8], names: Mapping[int, str]) -> str:
+    """Say which states there were and how long each lasted, in the order of their first appearance.
+
+    Parameters
+    ----------
+    state : ndarray of uint8 (n,)
+        The supervisor's state in each row.
+    names : Mapping of int to str
+        Their names.
+
+    Returns
+    -------
+    str
+        Such as ``idle 10 %, closed_loop 90 %``.
+    """
+    numbers, first, counts = np.unique(state, return_index=True, return_counts=True)
+    order: Sequence[int] = np.argsort(first).tolist()
+    return ", ".join(
+        f"{names.get(int(numbers[k]), numbers[k])} {100 * counts[k] / state.size:.0f} %" for k in order
+    )

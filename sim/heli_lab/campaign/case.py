@@ -1,0 +1,78 @@
+"""A case of a campaign, the key that its result is kept under, and the answer to it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+Cell = str | int | float | bool | None
+"""What a table holds."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One piece of work, which depends on nothing but its settings and the code.
+
+    Parameters
+    ----------
+    name : str
+        Name, for people; no other case of the campaign has it.
+    work : str
+        Function that does it, as ``package.module:function``. It takes the settings and returns the case's
+        row, by column, and whatever else JSON can hold.
+    settings : Mapping of str to Any
+        Its arguments, as JSON can hold them.
+    """
+
+    name: str
+    work: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def key(self, code: str) -> str:
+        """Name the case's result: a digest of the case and of the digest `code` of what computes it."""
+        said = json.dumps([code, self.name, self.work, self.settings], sort_keys=True, default=str)
+        return hashlib.sha256(said.encode()).hexdigest()[:24]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came of a case.
+
+    Parameters
+    ----------
+    name, key : str
+        Of the case, and of its result.
+    row : Mapping of str to Cell
+        Its line of the table, by column.
+    detail : Any
+        All else that the work returned; of a case that failed the traceback, where there is one.
+    failure : str
+        Why there is no result, in one line; empty where there is one.
+    cpu_s : float
+        CPU time that it took.
+    seconds : float
+        Time that it took.
+    where : str
+        Worker that did it.
+    """
+
+    name: str
+    key: str
+    row: Mapping[str, Cell] = field(default_factory=dict)
+    detail: Any = None
+    failure: str = ""
+    cpu_s: float = 0.0
+    seconds: float = 0.0
+    where: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Write it as JSON can hold it."""
+        return asdict(self)
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any]) -> Answer:
+        """Read what `to_json` wrote as `content`; a KeyError or TypeError when it is none of these."""
+        return cls(**{name: content[name] for name in cls.__dataclass_fields__})

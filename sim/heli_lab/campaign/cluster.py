@@ -1,0 +1,104 @@
+"""Workers: those of a Dask cluster that runs already, or threads of this process that each lead one case."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any, Final
+
+from heli_lab.campaign.worker import other_code
+from heli_lab.errors import CampaignError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+CONNECT_s: Final = 10.0
+"""Until an address counts as one that does not answer."""
+FIRST_WORKER_s: Final = 60.0
+"""Until a cluster counts as one without workers; a batch system's may be on their way."""
+
+
+@contextmanager
+def workers_of(scheduler: str | None, processes: int) -> Iterator[Client]:
+    """Connect to the cluster at the address `scheduler`; without one begin a cluster of this machine that
+    does as many cases at once as `processes`.
+
+    Raises
+    ------
+    CampaignError
+        When nobody answers at the address, no worker comes, or Dask is not installed.
+    """
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise CampaignError(f"a campaign needs {error.name}", "pip install 'heli-host[campaign]'") from None
+    # What its parts say of each other's deaths is no news: the campaign says what it means.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    settings: dict[str, Any] = {
+        "distributed.scheduler.allowed-failures": 1000,
+        "distributed.comm.timeouts.connect": f"{CONNECT_s:g}s",
+        "distributed.admin.tick.limit": "1h",
+        "distributed.worker.memory.terminate": False,
+    }
+    with dask.config.set(settings):
+        if scheduler is None:
+            # Cases have processes of their own: the worker's threads only wait for them.
+            with (
+                LocalCluster(
+                    n_workers=1,
+                    threads_per_worker=processes,
+                    processes=False,
+                    dashboard_address=":0",
+                    memory_limit=0,
+                ) as cluster,
+                Client(cluster) as client,
+            ):
+                yield client
+            return
+        try:
+            client = Client(scheduler, timeout=CONNECT_s)
+        except (OSError, ValueError, TimeoutError):
+            raise CampaignError(
+                f"no scheduler answers at {scheduler}",
+                "start one (dask scheduler), or leave out --scheduler to use this machine",
+            ) from None
+        try:
+            try:
+                client.wait_for_workers(1, timeout=FIRST_WORKER_s)
+            except TimeoutError:
+                raise CampaignError(
+                    f"the scheduler at {scheduler} has no workers", f"start some: dask worker {scheduler}"
+                ) from None
+            yield client
+        finally:
+            with suppress(OSError, TimeoutError):
+                client.close(timeout=CONNECT_s)
+
+
+def usable(client: Client, code: str, works: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
+    """Ask all workers for their code.
+
+    Parameters
+    ----------
+    code : str
+        Digest of the campaign's.
+    works : tuple of str
+        Functions that it covers.
+
+    Returns
+    -------
+    good : list of str
+        Addresses of the workers that have the same.
+    bad : dict of str
+        Why each other worker cannot be used, by address.
+    """
+    told = client.run(other_code, code, works, on_error="return")
+    bad = {}
+    for address, said in told.items():
+        if isinstance(said, BaseException):
+            bad[address] = " ".join(f"{type(said).__name__}: {said}".split())
+        elif said:
+            bad[address] = said
+    return [address for address in told if address not in bad], bad

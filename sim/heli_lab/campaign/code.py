@@ -1,0 +1,58 @@
+"""The digest of the code that computes a campaign: results of other code are other results."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import sys
+from collections.abc import Iterable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+PACKAGES: Final = ("heli_host", "heli_sim", "heli_lab")
+_ENDS: Final = (".py", ".toml", ".so", ".pyd", ".hpp", ".cpp", ".h")
+"""Sources, rigs and plans, and what is compiled. Pages and documents compute nothing."""
+
+
+def code_digest(works: Iterable[str] = ()) -> str:
+    """Digest all files of these packages, and of the packages of the functions `works` (as
+    ``package.module:function``), that can change a number, with Python's version: 16 letters.
+
+    Raises
+    ------
+    ImportError
+        When a package of `works` is not installed here.
+    """
+    names = {work.partition(":")[0].rpartition(".")[0] or work.partition(":")[0] for work in works}
+    others = sorted(name for name in names if name.partition(".")[0] not in PACKAGES)
+    digest = hashlib.sha256(f"{sys.version_info[:2]}".encode())
+    for package in (*PACKAGES, *others):
+        digest.update(_package_digest(package))
+    return digest.hexdigest()[:16]
+
+
+@cache
+def _package_digest(package: str) -> bytes:
+    digest = hashlib.sha256(package.encode())
+    for name, path in sorted(_files(package)):
+        digest.update(name.encode())
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.digest()
+
+
+def _files(package: str) -> Iterator[tuple[str, Path]]:
+    """Files of a package, with their names within it; one that is a single module has one."""
+    spec = importlib.util.find_spec(package)
+    if spec is None:
+        raise ImportError(f"there is no package {package}")
+    if spec.submodule_search_locations is None:
+        path = Path(str(spec.origin))
+        yield path.name, path
+        return
+    # An editable installation has sources in one folder and what is compiled in another.
+    for folder in map(Path, spec.submodule_search_locations):
+        for path in folder.rglob("*"):
+            if path.suffix in _ENDS and path.is_file():
+                yield path.relative_to(folder).as_posix(), path

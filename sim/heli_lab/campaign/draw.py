@@ -1,0 +1,96 @@
+"""Rigs that differ from their file as a seed has it."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from heli_sim.rig import Rig
+
+from heli_lab.errors import CampaignError
+
+TOLERANCES: Final = "tolerances"
+_FORMS: Final = ("share", "factor", "range")
+
+
+def drawn(
+    rig: Rig, effects: Sequence[str], draw: str | Mapping[str, Mapping[str, Any]], seed: int
+) -> tuple[Rig, list[str]]:
+    """Draw a rig and sizes of effects.
+
+    Parameters
+    ----------
+    rig : Rig
+        Nominal numbers.
+    effects : sequence of str
+        Effects as the command line spells them, those that are drawn without a size.
+    draw : str or mapping
+        ``tolerances``: every number of the rig normally, with half its tolerance. Else by name of a number,
+        wildcards allowed, or of an effect: ``share``, evenly within that share of the value; ``factor``, from
+        the value divided by it to the value times it, evenly in the logarithm; or ``range``, evenly between
+        two values, in the number's unit.
+    seed : int
+        Of the draw; equal seeds draw equally.
+
+    Raises
+    ------
+    CampaignError
+        When nothing has a name, or it cannot be drawn as said.
+    """
+    random = np.random.default_rng([seed, 17])
+    values: dict[str, float] = {}
+    sized = list(effects)
+    if isinstance(draw, str):
+        if draw != TOLERANCES:
+            raise CampaignError(f'draw = "{draw}" is unknown', f'write draw = "{TOLERANCES}", or a table')
+        for name, number in rig.items():
+            if number.tolerance > 0.0:
+                value = number.value + 0.5 * number.tolerance * float(random.standard_normal())
+                values[name] = value if Rig.may_be_negative(name) else abs(value)
+        return rig.replace(**values), sized
+    for pattern, how in draw.items():
+        check_form(pattern, how)
+        names = [name for name in rig if fnmatch.fnmatchcase(name, pattern)]
+        for name in names:
+            values[name] = _draw(rig[name].value, how, random)
+        if names:
+            continue
+        if pattern not in sized or "range" not in how:
+            raise CampaignError(
+                f"[draw] {pattern}: no number of rig {rig.name} and no effect of the case without a size",
+                "correct the name; an effect needs a range",
+            )
+        sized[sized.index(pattern)] = f"{pattern}={_draw(0.0, how, random):.6g}"
+    return rig.replace(**values), sized
+
+
+def check_form(name: str, how: object) -> None:
+    """Check that a number, `name`, can be drawn as said: `how` is a table of one form; else a
+    CampaignError.
+    """
+    if not isinstance(how, Mapping) or len(how) != 1 or next(iter(how)) not in _FORMS:
+        raise CampaignError(f"[draw] {name}: it needs one of {', '.join(_FORMS)}", "as in { share = 0.2 }")
+    form, value = next(iter(how.items()))
+    numbers = value if isinstance(value, list | tuple) else [value]
+    plain = all(isinstance(one, int | float) and not isinstance(one, bool) for one in numbers)
+    good = {
+        "share": len(numbers) == 1 and plain and 0.0 <= numbers[0] < 1.0,
+        "factor": len(numbers) == 1 and plain and numbers[0] >= 1.0,
+        "range": len(numbers) == 2 and plain and numbers[0] <= numbers[1],
+    }[form]
+    if not good:
+        raise CampaignError(
+            f"[draw] {name}: {form} = {value!r} cannot be",
+            "a share lies between 0 and 1, a factor is 1 or more, a range has two numbers",
+        )
+
+
+def _draw(value: float, how: Mapping[str, Any], random: np.random.Generator) -> float:
+    if "share" in how:
+        return value * (1.0 + float(random.uniform(-how["share"], how["share"])))
+    if "factor" in how:
+        return value * float(how["factor"] ** random.uniform(-1.0, 1.0))
+    low, high = how["range"]
+    return float(random.uniform(low, high))

@@ -1,0 +1,156 @@
+"""A campaign's file: what is done, and lists of settings, each value of each with each of the others."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from heli_host.files import TOML_BYTES, parse_toml, read_file
+
+from heli_lab.campaign.cage import Limits
+from heli_lab.campaign.case import Case
+from heli_lab.campaign.draw import TOLERANCES, check_form
+from heli_lab.campaign.run import Campaign
+from heli_lab.campaign.works import DEFAULTS, WORKS, WORST
+from heli_lab.errors import CampaignError
+
+MOST_CASES: Final = 200_000
+"""More than a store of one file a case should hold; a slip of the pen makes millions."""
+_TOP: Final = ("title", "work", "cases", "draw", "limits", "worst")
+_LISTS: Final = ("effects", "effect_files")
+"""Settings whose one value is a list already."""
+_FILES: Final = ("rig", "plan", "validate", "params", "effect_files")
+"""Settings that may be files, looked for beside the campaign's."""
+
+
+def load_campaign(path: Path) -> Campaign:
+    """Read a campaign's file, `path`.
+
+    Raises
+    ------
+    CampaignError
+        When it cannot be read, or is none; it says what is wrong where.
+    """
+    try:
+        table = parse_toml(read_file(path, TOML_BYTES).decode("utf-8"))
+    except OSError as error:
+        raise CampaignError(f"{path}: {error.strerror}", "give a campaign's TOML file") from None
+    except ValueError as error:
+        raise CampaignError(f"{path} is not TOML: {error}", "correct that line") from None
+    try:
+        return _campaign(path, table)
+    except CampaignError as error:
+        raise CampaignError(f"{path}: {error.cause}", error.remedy) from None
+
+
+def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
+    _known(table, _TOP, "the top")
+    work = table.get("work")
+    if not isinstance(work, str) or (work not in WORKS and ":" not in work):
+        raise CampaignError(
+            f"work = {work!r} is unknown",
+            f"write work = one of {', '.join(WORKS)}, or your own function as package.module:function",
+        )
+    title = table.get("title", path.stem)
+    worst = table.get("worst", WORST.get(work, ""))
+    if not isinstance(title, str) or not isinstance(worst, str):
+        raise CampaignError("title and worst are texts", "put them in quotes")
+    lists = table.get("cases", {})
+    if not isinstance(lists, dict):
+        raise CampaignError("cases is no table", "write [cases], and a list for each setting")
+    if work in WORKS:
+        _known(lists, tuple(DEFAULTS), "[cases]")
+    values = {name: _values(name, given, path.parent) for name, given in lists.items()}
+    count = 1
+    for each in values.values():
+        count *= len(each)
+    if count > MOST_CASES:
+        raise CampaignError(f"these lists make {count} cases, more than {MOST_CASES}", "shorten one")
+    draw = _draw(table.get("draw", {}))
+    fixed = {**(DEFAULTS if work in WORKS else {}), **({"draw": draw} if draw else {})}
+    varied = [name for name, each in values.items() if len(each) > 1]
+    cases = []
+    for chosen in itertools.product(*values.values()):
+        own = dict(zip(values, chosen, strict=True))
+        name = " ".join(f"{_spelled(own[one])}" if one != "seed" else f"seed {own[one]}" for one in varied)
+        cases.append(Case(name or "the case", WORKS.get(work, work), {**fixed, **own}))
+    return Campaign(title, tuple(cases), _limits(table.get("limits", {})), worst)
+
+
+def _known(table: Mapping[str, Any], names: Sequence[str], where: str) -> None:
+    unknown = [name for name in table if name not in names]
+    if unknown:
+        raise CampaignError(f"{where} has {', '.join(unknown)}", f"it may have {', '.join(names)}")
+
+
+def _values(name: str, given: Any, folder: Path) -> list[Any]:
+    """List the values of a setting; ``{ from = 1, to = 50 }`` are all whole numbers between."""
+    if isinstance(given, dict):
+        first, last = given.get("from"), given.get("to")
+        if len(given) != 2 or type(first) is not int or type(last) is not int or last < first:
+            raise CampaignError(f"[cases] {name} is no range", f"write {name} = {{ from = 1, to = 50 }}")
+        if last - first >= MOST_CASES:
+            raise CampaignError(f"[cases] {name} has {last - first + 1} values", f"at most {MOST_CASES}")
+        return list(range(first, last + 1))
+    several = given if isinstance(given, list) else [given]
+    if name in _LISTS and not all(isinstance(one, list) for one in several):
+        several = [several]
+    if not several:
+        raise CampaignError(f"[cases] {name} has no value", "give it one at least")
+    for one in several:
+        _check(name, one)
+    return [_placed(name, one, folder) for one in several]
+
+
+def _check(name: str, value: Any) -> None:
+    """Refuse a value of another type than the setting has."""
+    if name not in DEFAULTS:
+        return
+    wanted = type(DEFAULTS[name])
+    texts = wanted is list and isinstance(value, list) and all(isinstance(one, str) for one in value)
+    if (wanted is list and not texts) or (wanted is not list and type(value) is not wanted):
+        kind = {list: "a list of texts", int: "a whole number", str: "a text"}[wanted]
+        raise CampaignError(f"[cases] {name} = {value!r} cannot be", f"each value is {kind}")
+    if wanted is int and value < (0 if name == "seed" else 1):
+        raise CampaignError(f"[cases] {name} = {value} cannot be", "make it larger")
+
+
+def _placed(name: str, value: Any, folder: Path) -> Any:
+    """Name a file by its whole path: workers have folders of their own."""
+    if name not in _FILES:
+        return value
+    if isinstance(value, list):
+        return [_placed(name, one, folder) for one in value]
+    beside = folder / value
+    return str(beside.resolve()) if value and beside.is_file() else value
+
+
+def _draw(given: Any) -> Any:
+    if given in (TOLERANCES, {}):
+        return given
+    if not isinstance(given, dict):
+        raise CampaignError(f"draw = {given!r} cannot be", f'write draw = "{TOLERANCES}", or a table')
+    for name, how in given.items():
+        check_form(name, how)
+    return given
+
+
+def _limits(given: Any) -> Limits:
+    if not isinstance(given, dict):
+        raise CampaignError("limits is no table", "write [limits]")
+    usual = Limits()
+    _known(given, ("cpu_s", "wait_s"), "[limits]")
+    for name, value in given.items():
+        if not isinstance(value, int | float) or isinstance(value, bool) or not value > 0.0:
+            raise CampaignError(f"[limits] {name} = {value!r} cannot be", "give seconds above 0")
+    cpu_s = float(given.get("cpu_s", usual.cpu_s))
+    return Limits(cpu_s, float(given.get("wait_s", 10.0 * cpu_s)))
+
+
+def _spelled(value: Any) -> str:
+    """Write a setting in the name of a case."""
+    if isinstance(value, list):
+        return "+".join(map(str, value)) or "nothing"
+    return Path(value).stem if isinstance(value, str) and Path(value).is_absolute() else str(value)

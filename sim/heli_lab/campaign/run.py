@@ -1,0 +1,249 @@
+"""A campaign from beginning to end, or from where it was killed."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from heli_lab.campaign.cage import Limits
+from heli_lab.campaign.case import Answer, Case, Cell
+from heli_lab.campaign.cluster import usable, workers_of
+from heli_lab.campaign.code import code_digest
+from heli_lab.campaign.store import Store, row_of
+from heli_lab.campaign.worker import Order, Refused, attend, release
+from heli_lab.errors import CampaignError
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+_FLUSH_s: Final = 5.0
+"""Between two parts of the table. Shorter: many small files. Longer: more is read again from the JSON files
+of a campaign that was killed; nothing is lost."""
+_LOST_WORKERS: Final = 20
+"""Workers that may die under one case before the case is given up."""
+_NO_WORKER_REMEDY: Final = "install this version of heli-host on the workers, and start them again"
+_USUAL: Final = Limits()
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Cases, and what each may take.
+
+    Parameters
+    ----------
+    title : str
+        For people.
+    cases : tuple of Case
+        No two of one name.
+    limits : Limits
+        Of each case.
+    worst : str
+        Column of the table whose largest values are the worst; a minus sign in front: whose smallest are.
+        Empty where there is none.
+    """
+
+    title: str
+    cases: tuple[Case, ...]
+    limits: Limits = _USUAL
+    worst: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.cases:
+            raise CampaignError("the campaign has no case", "give each list at least one value")
+        seen: set[str] = set()
+        for case in self.cases:
+            if case.name in seen:
+                raise CampaignError(f"two cases are called {case.name}", "let their settings differ")
+            seen.add(case.name)
+
+    @property
+    def works(self) -> tuple[str, ...]:
+        """Functions that its cases are done by."""
+        return tuple(sorted({case.work for case in self.cases}))
+
+
+@dataclass(frozen=True)
+class State:
+    """Where a campaign is, after each case.
+
+    Parameters
+    ----------
+    ended, failed, cases : int
+        Cases that have ended, those of them that failed, and all.
+    newest : Answer or None
+        The case that has just ended; None at the beginning.
+    note : str
+        What went wrong beside the cases, such as a worker that cannot be used; else empty.
+    """
+
+    ended: int
+    failed: int
+    cases: int
+    newest: Answer | None = None
+    note: str = ""
+
+
+def run_campaign(
+    campaign: Campaign,
+    store: Store,
+    *,
+    scheduler: str | None = None,
+    processes: int = 1,
+    code: str | None = None,
+    again: Callable[[Answer], bool] | None = None,
+    say: Callable[[State], None] | None = None,
+) -> list[dict[str, Any]]:
+    """Do all cases that have not ended yet, and write the table of all; return its rows.
+
+    Parameters
+    ----------
+    store : Store
+        Results. What is there of the same code and case is not done again.
+    scheduler : str, optional
+        Address of a Dask scheduler; this machine where not given.
+    processes : int
+        Cases at once on this machine.
+    code : str, optional
+        Digest of the code, where that of the installed packages is not what results depend on.
+    again : callable, optional
+        Whether a case that has ended is to be done again, by its answer.
+    say : callable, optional
+        Told where the campaign is.
+
+    Raises
+    ------
+    CampaignError
+        When the cluster cannot be used, or is gone before all cases have ended; what has ended is kept.
+    """
+    tell = say or (lambda _: None)
+    digest = code_digest(campaign.works) if code is None else code
+    keys = {case.key(digest): case for case in campaign.cases}
+    with store.locked():
+        rows = _kept_rows(store, keys, again)
+        count = sum(bool(row.get("failure")) for row in rows.values())
+        tell(State(len(rows), count, len(keys)))
+        left = {key: case for key, case in keys.items() if key not in rows}
+        waiting: list[dict[str, Cell]] = []
+        flushed_s = time.monotonic()
+        try:
+            for answer, note in _done(campaign, store, left, scheduler, processes, digest, code is None):
+                if answer is None:
+                    tell(State(len(rows), count, len(keys), None, note))
+                    continue
+                store.keep(answer)
+                rows[answer.key] = row_of(keys[answer.key], answer)
+                waiting.append(rows[answer.key])
+                count += bool(answer.failure)
+                if time.monotonic() - flushed_s > _FLUSH_s:
+                    store.append(waiting)
+                    waiting, flushed_s = [], time.monotonic()
+                tell(State(len(rows), count, len(keys), answer))
+        finally:
+            store.append(waiting)
+        store.settle(rows.values())
+    return sorted(rows.values(), key=lambda row: str(row["case"]))
+
+
+def _kept_rows(
+    store: Store, keys: dict[str, Case], again: Callable[[Answer], bool] | None
+) -> dict[str, dict[str, Any]]:
+    """Rows of the cases that have ended; those that are in no part of the table are added to it."""
+    answers = store.read(keys)
+    if again is not None:
+        store.forget(key for key, answer in answers.items() if again(answer))
+        answers = {key: answer for key, answer in answers.items() if not again(answer)}
+    rows: dict[str, dict[str, Any]] = {key: row_of(keys[key], answer) for key, answer in answers.items()}
+    known = {row["key"] for row in store.rows()}
+    store.append([row for key, row in rows.items() if key not in known])
+    return rows
+
+
+def _done(
+    campaign: Campaign,
+    store: Store,
+    left: dict[str, Case],
+    scheduler: str | None,
+    processes: int,
+    code: str,
+    compared: bool,
+) -> Iterator[tuple[Answer | None, str]]:
+    """Answers as they come; None and a note on what else there is to say. Other code than the installed one
+    is not compared.
+    """
+    if not left:
+        return
+    works = campaign.works if compared else ()
+    asked = code if compared else code_digest()
+    orders = {
+        key: Order(case, key, asked, works, campaign.limits, str(store.cases.resolve()), store.token)
+        for key, case in left.items()
+    }
+    with workers_of(scheduler, min(processes, len(left))) as client:
+        good, bad = usable(client, asked, works)
+        for address, why in bad.items():
+            yield None, f"worker {address} is not used: {why}"
+        if not good:
+            raise CampaignError("no worker has this code", _NO_WORKER_REMEDY)
+        try:
+            yield from _attended(client, orders, set(bad))
+        finally:
+            with suppress(Exception):
+                client.run(release, on_error="return")
+
+
+def _attended(client: Client, orders: dict[str, Order], bad: set[str]) -> Iterator[tuple[Answer | None, str]]:
+    from distributed import as_completed
+
+    def submit(order: Order) -> Future[Any]:
+        # Should no other be left, a worker that cannot do it says so; what no worker may do is stuck.
+        good = [one for one in client.scheduler_info()["workers"] if one not in bad] if bad else None
+        # A key of its own: another campaign's task of the case's key may be of other limits.
+        return client.submit(attend, order, pure=False, workers=good or None, allow_other_workers=bool(good))
+
+    tasks = {submit(order): order for order in orders.values()}
+    lost: Counter[str] = Counter()
+    ended = 0
+    completed = as_completed(tasks)
+    for future in completed:
+        order = tasks.pop(future)
+        if future.cancelled():
+            raise CampaignError(
+                f"the scheduler is gone; {ended} of {len(orders)} cases have ended in this run and are kept",
+                "the same command goes on with the others",
+            )
+        came = _came(future, order, lost)
+        if isinstance(came, Answer):
+            ended += 1
+            yield came, ""
+            continue
+        if came is not None:
+            new = came.where not in bad
+            bad.add(came.where)
+            if new:
+                yield None, f"worker {came.where} is not used: {came.why}"
+            elif not {*client.scheduler_info()["workers"]} - bad:
+                raise CampaignError("no worker is left that has this code", _NO_WORKER_REMEDY)
+        task = submit(order)
+        tasks[task] = order
+        completed.add(task)
+
+
+def _came(future: Future[Any], order: Order, lost: Counter[str]) -> Answer | Refused | None:
+    """What came of a task; None where its worker was lost and another is to try."""
+    from distributed import KilledWorker
+
+    try:
+        came: Answer | Refused = future.result()
+    except KilledWorker:
+        lost[order.key] += 1
+        if lost[order.key] < _LOST_WORKERS:
+            return None
+        return Answer(order.case.name, order.key, failure="worker after worker was lost under it")
+    except Exception as error:  # noqa: BLE001 - whatever a worker raises belongs to the case
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+        return Answer(order.case.name, order.key, failure=f"its worker failed: {text}")
+    return came

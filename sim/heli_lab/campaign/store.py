@@ -1,0 +1,176 @@
+"""Results on disk: one JSON a case, and a table of one row a case, both safe against being killed.
+
+The JSON files are the truth: each is written beside its place and then given its name, so that it is whole or
+not there. Rows go to the table in parts, files that appear whole too; what a campaign that was killed had no
+time to write there follows from the JSON files. At the end the parts become one file.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import math
+import secrets
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from heli_lab.campaign.case import Answer, Case, Cell
+from heli_lab.errors import CampaignError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+TABLE: Final = "cases.parquet"
+OWN: Final = ("failure", "cpu_s", "seconds", "where", "key")
+"""Columns that every case has, beside its name, its settings and what its work returned."""
+
+
+class Store:
+    """The results of a campaign in a `folder`, made where it is missing.
+
+    Attributes
+    ----------
+    token : str
+        What a worker tells by that it sees the same folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.cases, self._parts = folder / "cases", folder / "parts"
+        try:
+            for one in (self.cases, self._parts):
+                one.mkdir(parents=True, exist_ok=True)
+            mark = folder / "store.txt"
+            if not mark.exists():
+                _write_whole(mark, secrets.token_hex(16).encode())
+            self.token = mark.read_text()
+        except OSError as error:
+            raise CampaignError(
+                f"results cannot be kept in {folder}: {error.strerror}", "give another --out"
+            ) from None
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep other campaigns out of the folder.
+
+        Raises
+        ------
+        CampaignError
+            When one is there already.
+        """
+        with (self.folder / "lock").open("w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise CampaignError(
+                    f"another campaign is writing to {self.folder}", "wait for it, or give another --out"
+                ) from None
+            yield
+
+    def path(self, key: str) -> Path:
+        """File of the result called `key`."""
+        return self.cases / f"{key}.json"
+
+    def keep(self, answer: Answer) -> None:
+        """Write a result, unless it is there."""
+        keep(self.cases, answer)
+
+    def forget(self, keys: Iterable[str]) -> None:
+        """Remove the results called `keys`."""
+        for key in keys:
+            self.path(key).unlink(missing_ok=True)
+
+    def read(self, keys: Iterable[str]) -> dict[str, Answer]:
+        """Read those of the results called `keys` that are there; one that cannot be read is none."""
+        there = {path.stem for path in self.cases.glob("*.json")}
+        read = {key: kept(self.cases, key) for key in keys if key in there}
+        return {key: answer for key, answer in read.items() if answer is not None}
+
+    def append(self, rows: Sequence[Mapping[str, Cell]]) -> None:
+        """Append `rows` to the table, in a part of their own."""
+        if rows:
+            _write_parquet(self._parts / f"{secrets.token_hex(8)}.parquet", rows)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Read all rows that are there, one for each result."""
+        import pyarrow.parquet as pq
+
+        found: dict[str, dict[str, Any]] = {}
+        for path in (self.folder / TABLE, *sorted(self._parts.glob("*.parquet"))):
+            with suppress(FileNotFoundError):
+                for row in pq.read_table(path).to_pylist():
+                    found[row["key"]] = {name: value for name, value in row.items() if value is not None}
+        return list(found.values())
+
+    def settle(self, rows: Iterable[Mapping[str, Cell]]) -> Path:
+        """Make one table of `rows`, by the names of the cases, in the place of all parts; return its file."""
+        path = self.folder / TABLE
+        _write_parquet(path, sorted(rows, key=lambda row: str(row["case"])))
+        for part in self._parts.glob("*.parquet"):
+            part.unlink()
+        return path
+
+
+def row_of(case: Case, answer: Answer) -> dict[str, Cell]:
+    """Line of the table: name and settings of a case, what its work returned, what it took."""
+    settings = {name: _cell(value) for name, value in case.settings.items()}
+    own = {name: getattr(answer, name) for name in OWN}
+    return {"case": case.name, **settings, **answer.row, **own}
+
+
+def keep(folder: Path, answer: Answer) -> None:
+    """Write a result into the `folder` of results as JSON, whole or not at all, unless it is there."""
+    path = folder / f"{answer.key}.json"
+    if kept(folder, answer.key) is None:
+        _write_whole(path, json.dumps(answer.to_json(), indent=1).encode())
+
+
+def kept(folder: Path, key: str) -> Answer | None:
+    """Read the result called `key` from the `folder` of results; None where there is none that can be
+    read.
+    """
+    try:
+        return Answer.read(json.loads((folder / f"{key}.json").read_text()))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _cell(value: Any) -> Cell:
+    """Write a setting as one cell: a list as its items, a table as JSON."""
+    if value is None or isinstance(value, str | int | float | bool):
+        return value
+    if isinstance(value, list | tuple):
+        return ", ".join(str(one) for one in value)
+    return json.dumps(value, sort_keys=True, default=str)
+
+
+def _write_whole(path: Path, content: bytes) -> None:
+    unfinished = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    unfinished.write_bytes(content)
+    unfinished.replace(path)
+
+
+def _write_parquet(path: Path, rows: Sequence[Mapping[str, Cell]]) -> None:
+    import pyarrow.parquet as pq
+
+    unfinished = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    pq.write_table(_table(rows), unfinished)
+    unfinished.replace(path)
+
+
+def _table(rows: Sequence[Mapping[str, Cell]]) -> pa.Table:
+    import pyarrow as pa
+
+    columns: dict[str, list[Cell]] = {}
+    for name in dict.fromkeys(name for row in rows for name in row):
+        values = [row.get(name) for row in rows]
+        kinds = {type(one) for one in values if one is not None}
+        if kinds <= {int, float} and float in kinds:
+            # A number that is none, such as the settling time of what never settles, is left out.
+            values = [float(v) if isinstance(v, int | float) and math.isfinite(v) else None for v in values]
+        elif len(kinds) > 1:
+            values = [None if v is None else str(v) for v in values]
+        columns[name] = values
+    return pa.table(columns)

@@ -1,0 +1,110 @@
+"""A campaign's table in numbers: how its columns are distributed, and where it is worst."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from heli_lab.campaign.run import Campaign
+from heli_lab.campaign.store import OWN
+
+_WORST: Final = 10
+_MOST_GROUPS: Final = 24
+"""Values of a setting beyond which it groups nothing: a seed has as many as there are cases."""
+_QUANTILES: Final = (0.05, 0.5, 0.95)
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Column:
+    """How a number is distributed over the cases.
+
+    Parameters
+    ----------
+    name : str
+        Of the column; it ends in the unit.
+    values : ndarray (n,)
+        Of the cases that have one.
+    mean, low, median, high : float
+        Mean, and the quantiles 5, 50 and 95 %.
+    """
+
+    name: str
+    values: np.ndarray[tuple[int], np.dtype[np.float64]]
+    mean: float
+    low: float
+    median: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a campaign came to.
+
+    Parameters
+    ----------
+    cases : int
+        Cases that have ended.
+    columns : tuple of Column
+        Results that are numbers; a result that is true or false is 1 or 0.
+    words : Mapping of str to Mapping of str to int
+        Results that are words: how often each was said.
+    groups : Mapping of str to Mapping of str to tuple of Row
+        Rows by the value of each setting that has several, but not one a case.
+    worst : tuple of Row
+        The worst cases, worst first.
+    failed : tuple of Row
+        Cases without a result.
+    """
+
+    cases: int
+    columns: tuple[Column, ...]
+    words: Mapping[str, Mapping[str, int]]
+    groups: Mapping[str, Mapping[str, tuple[Row, ...]]]
+    worst: tuple[Row, ...]
+    failed: tuple[Row, ...]
+
+
+def summarise(campaign: Campaign, rows: Sequence[Row]) -> Summary:
+    """Summarise the table of a campaign, its `rows`."""
+    settings = {name for case in campaign.cases for name in case.settings}
+    good = [row for row in rows if not row.get("failure")]
+    names = [
+        name
+        for name in dict.fromkeys(n for row in good for n in row)
+        if name not in {"case", *OWN, *settings}
+    ]
+    columns, words = [], {}
+    for name in names:
+        values = [row[name] for row in good if row.get(name) is not None]
+        if all(isinstance(value, bool | int | float) for value in values):
+            columns.append(_column(name, values))
+        else:
+            counted = Counter(str(value) or "nothing" for value in values)
+            words[name] = dict(counted.most_common())
+    groups = {}
+    for name in sorted(settings):
+        by_value: dict[str, list[Row]] = {}
+        for row in good:
+            by_value.setdefault(str(row.get(name, "")) or "nothing", []).append(row)
+        if 1 < len(by_value) <= _MOST_GROUPS and len(by_value) < len(good):
+            groups[name] = {value: tuple(some) for value, some in by_value.items()}
+    by = campaign.worst.removeprefix("-")
+    sign = -1.0 if campaign.worst.startswith("-") else 1.0
+    ranked = sorted(
+        (row for row in good if isinstance(row.get(by), int | float)), key=lambda row: -sign * float(row[by])
+    )
+    failed = tuple(row for row in rows if row.get("failure"))
+    return Summary(len(rows), tuple(columns), words, groups, tuple(ranked[:_WORST]), failed)
+
+
+def _column(name: str, values: Sequence[float]) -> Column:
+    array = np.array([float(value) for value in values if math.isfinite(value)])
+    if not len(array):
+        return Column(name, array, *[math.nan] * 4)
+    return Column(name, array, float(array.mean()), *map(float, np.quantile(array, _QUANTILES)))

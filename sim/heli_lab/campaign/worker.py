@@ -1,0 +1,133 @@
+"""What a Dask worker does with a case: looks whether it may, has it done, and keeps the result."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+
+from heli_lab.campaign.cage import Cage, Limits
+from heli_lab.campaign.case import Answer, Case
+from heli_lab.campaign.code import code_digest
+from heli_lab.campaign.store import keep, kept
+
+
+@dataclass(frozen=True)
+class Order:
+    """A case on its way to a worker.
+
+    Parameters
+    ----------
+    key : str
+        Of its result.
+    code : str
+        Digest of the code that the campaign was begun with.
+    works : tuple of str
+        Functions that the digest covers.
+    cases : str
+        Folder of the results.
+    token : str
+        What lies in ``store.txt`` beside it: a worker that finds it there sees the same folder, and keeps the
+        result before it tells anybody.
+    """
+
+    case: Case
+    key: str
+    code: str
+    works: tuple[str, ...]
+    limits: Limits
+    cases: str
+    token: str
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A worker, `where`, that has other code than the campaign; `why` says so in a line."""
+
+    where: str
+    why: str
+
+
+@dataclass
+class _Cages:
+    """Idle processes of this worker."""
+
+    idle: list[Cage] = field(default_factory=list)
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @contextmanager
+    def one(self, limits: Limits) -> Iterator[Cage]:
+        with self.lock:
+            fit = next((one for one in self.idle if one.limits.threads == limits.threads), None)
+            if fit is not None:
+                self.idle.remove(fit)
+        cage = fit or Cage(limits)
+        cage.limits = limits
+        try:
+            yield cage
+        finally:
+            with self.lock:
+                self.idle.append(cage)
+
+    def close(self) -> None:
+        with self.lock:
+            for cage in self.idle:
+                cage.close()
+            self.idle.clear()
+
+
+@cache
+def _cages() -> _Cages:
+    return _Cages()
+
+
+def here() -> str:
+    """Name this worker: its address in the cluster, or machine and process id outside of one."""
+    from distributed import get_worker
+
+    try:
+        return str(get_worker().address)
+    except ValueError:
+        return f"{socket.gethostname()}:{os.getpid()}"
+
+
+def other_code(code: str, works: tuple[str, ...]) -> str:
+    """Say how the code of this process differs from that of digest `code`, which covers the functions
+    `works`; empty where it is the same.
+    """
+    try:
+        own = code_digest(works)
+    except ImportError as error:
+        return str(error)
+    return "" if own == code else f"its code has the digest {own}, the campaign's has {code}"
+
+
+def attend(order: Order) -> Answer | Refused:
+    """Have a case done in a process of its own, and keep its result.
+
+    A result that is there already is taken: a cluster that has lost the worker which held it asks again.
+    Where this worker sees the folder of the results, only the row travels.
+    """
+    why = other_code(order.code, order.works)
+    if why:
+        return Refused(here(), why)
+    cases = Path(order.cases)
+    mark = cases.with_name("store.txt")
+    seen = mark.is_file() and mark.read_text() == order.token
+    answer = kept(cases, order.key) if seen else None
+    if answer is None:
+        with _cages().one(order.limits) as cage:
+            answer = replace(cage.run(order.case, order.key), where=here())
+        if seen:
+            keep(cases, answer)
+    return replace(answer, detail=None) if seen else answer
+
+
+def release() -> None:
+    """End the processes that wait for cases."""
+    _cages().close()

@@ -1,0 +1,207 @@
+"""What campaigns do most: flights, fits, diagnoses and gain checks on simulated rigs; a case of each is a
+function of its settings.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from heli_host.flight import Flight
+from heli_host.fly.runner import fly as fly_plans
+from heli_host.heli import Heli
+from heli_host.link.session import Session
+from heli_host.log.flight_file import read_flight
+from heli_host.log.summary import FlightSummary
+from heli_host.parameter_file import read_parameters
+from heli_sim.model import MultibodyModel
+from heli_sim.model.base import Model
+from heli_sim.model.effects import catalogue, effects_of, parse_effects
+from heli_sim.model.named import model_named
+from heli_sim.model.parts import AXES
+from heli_sim.plant import Plant
+from heli_sim.rig import Rig, load_rig
+from heli_sim.sil.inprocess import InProcessTransport
+from heli_sim.sil.options import SilOptions
+from heli_sim.sil.world import SilWorld
+
+from heli_lab.campaign.case import Cell
+from heli_lab.campaign.draw import drawn
+
+Settings = Mapping[str, Any]
+Result = tuple[dict[str, Cell], Any]
+"""A case's row, and all else."""
+
+WORKS: Final = {name: f"{__name__}:{name}" for name in ("fly", "identify", "diagnose", "gains")}
+"""Functions by the word that a campaign's file has for them."""
+WORST: Final = {
+    "fly": "travel_rms_deg",
+    "identify": "held_out_normalised",
+    "diagnose": "held_out_after",
+    "gains": "travel_rms_deg",
+}
+"""By which column the worst cases of each are found, where nobody says."""
+DEFAULTS: Final[Settings] = {
+    "rig": "makki2024",
+    "model": "",
+    "effects": [],
+    "effect_files": [],
+    "seed": 1,
+    "plan": "identify",
+    "validate": "step",
+    "params": "",
+    "draw": {},
+    "threads": 1,
+    "budget": 80,
+}
+"""Settings that a case may have, with the values that they have where nobody says."""
+_VALIDATION_SEED: Final = 500_000
+"""Added to the seed for the flight that judges."""
+
+
+def fly(settings: Settings) -> Result:
+    """Fly a plan on a rig that may differ from its file's, as the `settings` say, and tell how well."""
+    _, _, flight, summary = _flown(settings, settings["plan"], 0)
+    return {
+        "outcome": summary.outcome,
+        "duration_s": float(flight.duration_s),
+        **{f"{axis}_rms_deg": value for axis, value in _tracking_deg(flight).items()},
+        "pitch_max_deg": float(np.degrees(np.abs(flight.pitch_rad)).max()),
+        "voltage_max_V": float(flight.voltages_V.max()),
+    }, {"notes": list(summary.notes)}
+
+
+def identify(settings: Settings) -> Result:
+    """Fit numbers to a flight of a rig that differs from its file's, as the `settings` say, and hold them
+    against it.
+    """
+    from heli_lab.identify.run import identify as find
+
+    nominal, true, flight, _ = _flown(settings, settings["plan"], 0)
+    other = _flown(settings, settings["validate"], _VALIDATION_SEED)[2]
+    model = _model(settings, nominal)
+    found = find(
+        model,
+        nominal,
+        [flight],
+        validation=[other],
+        labels=["fit"],
+        validation_labels=["validation"],
+        threads=settings["threads"],
+    )
+    off = {
+        name: (value - true[name].value) / found.fit.std[name]
+        for name, value in found.fit.values.items()
+        if name in true and not name.startswith("offset_")
+    }
+    return {
+        "normalised": found.training[0].normalised,
+        "held_out_normalised": found.validation[0].normalised,
+        "within_2_std": float(np.mean([abs(z) < 2.0 for z in off.values()])) if off else None,
+        "most_std_off": max((abs(z) for z in off.values()), default=None),
+        "converged": found.fit.converged,
+    }, {"values": found.fit.values, "std": found.fit.std, "standard_errors_off": off}
+
+
+def diagnose(settings: Settings) -> Result:
+    """Hide the effects of the `settings` in two flights, and have them found: the row says whether they
+    were.
+    """
+    from heli_lab.diagnose import diagnose as find
+    from heli_lab.diagnose import to_json
+
+    nominal, _, flight, _ = _flown(settings, settings["plan"], 0)
+    other = _flown(settings, settings["validate"], _VALIDATION_SEED)[2]
+    known = _effects(settings, nominal, of_rig_only=True)
+    found = find(
+        model_named(settings["model"] or nominal.model or MultibodyModel.name, known),
+        nominal,
+        [flight],
+        [other],
+        kinds=catalogue(settings["effect_files"]),
+        labels=["fit", "validation"],
+        refits=settings["budget"],
+        threads=settings["threads"],
+    )
+    numbers = to_json(found)
+    hidden = {one.name for one in parse_effects(settings["effects"], settings["effect_files"])}
+    named = {one["effect"] for one in numbers["causes"]}
+    sure = {one["effect"] for one in numbers["causes"] if one["confidence"] >= 0.9}
+    gains = numbers["gain"]["axis"]
+    return {
+        "verdict": numbers["verdict"],
+        "causes": ", ".join(sorted(named)),
+        "found": hidden <= named,
+        "wrongly_sure": len(sure - hidden),
+        "held_out_before": numbers["residual"]["normalised"]["held_out_before"],
+        "held_out_after": numbers["residual"]["normalised"]["held_out_after"],
+        **{f"{axis}_gain": one["ratio"] for axis, one in gains.items()},
+        "complete": numbers["complete"],
+    }, numbers
+
+
+def gains(settings: Settings) -> Result:
+    """Fly a demanding path with the board's parameters of the `settings`: a step of travel and back, then
+    sines.
+    """
+    from dataclasses import asdict
+
+    from heli_lab.tune.flights import try_gains
+
+    nominal = load_rig(settings["rig"])
+    true, effects = drawn(nominal, settings["effects"], settings["draw"], settings["seed"])
+    own = parse_effects(effects, settings["effect_files"])
+    model = model_named(settings["model"] or nominal.model or MultibodyModel.name, own)
+    parameters = read_parameters(Path(settings["params"])) if settings["params"] else {}
+    trial = try_gains(Plant(model, true, settings["seed"]), parameters, "campaign", settings["seed"])
+    metrics = asdict(trial.metrics)
+    finite = {name: v if not isinstance(v, float) or np.isfinite(v) else None for name, v in metrics.items()}
+    return finite, {"effects": effects, "numbers": {name: n.value for name, n in true.items()}}
+
+
+def _flown(settings: Settings, plan: str, more_seed: int) -> tuple[Rig, Rig, Flight, FlightSummary]:
+    """Fly a plan, and return the rig of the file, the one that flew, the flight and its summary."""
+    nominal = load_rig(settings["rig"])
+    true, effects = drawn(nominal, settings["effects"], settings["draw"], settings["seed"])
+    own = (*_effects(settings, nominal, of_rig_only=True), *parse_effects(effects, settings["effect_files"]))
+    model = model_named(settings["model"] or nominal.model or MultibodyModel.name, own)
+    seed = settings["seed"] + more_seed
+    session = Session(InProcessTransport(SilWorld(SilOptions(seed=seed), Plant(model, true, seed))))
+    session.connect()
+    with Heli(session) as heli, tempfile.TemporaryDirectory() as folder:
+        if settings["params"]:
+            heli.params.restore(read_parameters(Path(settings["params"])))
+        log = Path(folder) / "flight.mcap"
+        summary = fly_plans(heli, plan, log_path=log)
+        return nominal, true, read_flight(log), summary
+
+
+def _effects(settings: Settings, rig: Rig, *, of_rig_only: bool) -> tuple[Any, ...]:
+    """Effects that the rig's file states, less those that are hidden; with the hidden ones unless told."""
+    hidden = parse_effects(settings["effects"], settings["effect_files"])
+    names = {one.name for one in hidden}
+    stated = tuple(one for one in effects_of(rig, settings["effect_files"]) if one.name not in names)
+    return stated if of_rig_only else (*stated, *hidden)
+
+
+def _model(settings: Settings, rig: Rig) -> Model:
+    """Equations that a fit is told: with the effects, whose sizes it estimates."""
+    return model_named(
+        settings["model"] or rig.model or MultibodyModel.name, _effects(settings, rig, of_rig_only=False)
+    )
+
+
+def _tracking_deg(flight: Flight) -> dict[str, float]:
+    """Root mean square error of elevation and travel against their setpoints in closed loop."""
+    from heli_host.declaration import State
+
+    setpoints = flight.setpoints_rad
+    closed = None if flight.state is None else flight.state == State.CLOSED_LOOP
+    if setpoints is None or closed is None or not closed.any():
+        return {}
+    off_deg = np.degrees(flight.angles_rad - setpoints)[closed]
+    rms: Sequence[float] = np.sqrt(np.mean(off_deg**2, axis=0)).tolist()
+    return {axis: value for axis, value in zip(AXES, rms, strict=True) if axis != "pitch"}

@@ -1,0 +1,427 @@
+"""Symbolic regression of what a model lacks: forward selection of terms, refits, confirmation elsewhere.
+
+Terms are scored as regressors of the innovations, the best are refitted in innovations form, weather and
+all, and one is taken while its log-likelihood ratio exceeds what it pays: BIC for its numbers and the
+logarithm of how many terms of its size and smaller were tried. Then the search starts over beside it. The
+flights held out have no part in that; they confirm the law or there is none.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from heli_lab.diagnose.candidate import Candidate
+from heli_lab.diagnose.equation_discovery.grammar import Group, groups, tried_up_to
+from heli_lab.diagnose.equation_discovery.law import NAME, Law, LawEffect, LawTerm, law_effect
+from heli_lab.diagnose.equation_discovery.scoring import Courses, ScoredGroup, coefficient_std, score
+from heli_lab.diagnose.equation_discovery.terms import Term
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.screening import Screening
+from heli_lab.diagnose.thresholds import (
+    AMBIGUOUS,
+    CANDIDATES_TRIED,
+    EXPECTED_REFIT_GAIN,
+    LAW_ALIKE,
+    LAW_CONFIRMED,
+    LAW_CURVE_SHARE,
+    LAW_FINALISTS,
+    LAW_NEAR_REST,
+    LAW_TERMS,
+    MIN_MARGIN,
+    NOTHING_STD_ERRORS,
+)
+from heli_lab.innovations import Estimate, Weather
+
+_WHOLE: Final = 2.0
+"""Standard errors within which a multiplicity is taken for the whole number beside it."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another term in the place of the last one.
+
+    Parameters
+    ----------
+    key : str
+        The term as text.
+    log_likelihood_ratio : float
+        Of the law proposed over the law with it, penalties included, nats.
+    """
+
+    key: str
+    log_likelihood_ratio: float
+
+
+@dataclass(frozen=True, eq=False)
+class Discovery:
+    """A law that explains what a model lacks; compared by identity.
+
+    Parameters
+    ----------
+    law : Law
+        Its terms.
+    base, hypothesis : Hypothesis
+        The model without the law and with it, each with the weather that suits it best.
+    penalty : float
+        What the law pays for its numbers and for the search, nats.
+    held_out : float or None
+        Log-likelihood ratio on the flights held out, nats; None without any.
+    curve : float or None
+        What curves in the law's place gained on the flights fitted, nats; None where none was fitted.
+    rivals : tuple of Rival
+        Other terms in the place of those of the law, closest first.
+    tried : int
+        Groups of terms that were scored.
+    superfluous : tuple of str
+        Causes named beside it that the law makes superfluous.
+    elsewhere : (Estimate, Estimate) or None
+        The flights held out without the law and with it; None without any.
+    """
+
+    law: Law
+    base: Hypothesis
+    hypothesis: Hypothesis
+    penalty: float
+    held_out: float | None
+    curve: float | None
+    rivals: tuple[Rival, ...]
+    tried: int
+    superfluous: tuple[str, ...] = ()
+    elsewhere: tuple[Estimate, Estimate] | None = None
+
+    @property
+    def effect(self) -> LawEffect:
+        """The law as an effect of the model."""
+        effect = self.hypothesis.candidates[-1].effect
+        assert isinstance(effect, LawEffect)
+        return effect
+
+    @property
+    def train(self) -> float:
+        """Log-likelihood ratio over the model without the law on the flights fitted, nats."""
+        return self.hypothesis.log_likelihood - self.base.log_likelihood
+
+    @property
+    def values(self) -> dict[str, tuple[float, float, str]]:
+        """Numbers of the law by name without prefix: value, standard error (0 where fixed) and unit."""
+        estimate = self.hypothesis.estimate
+        std = dict(zip(estimate.unknowns.names, np.sqrt(np.diag(estimate.covariance)), strict=True))
+        found = self.hypothesis.values
+        return {
+            q.name.removeprefix(f"{self.effect.prefix}_"): (
+                float(found.get(q.name, self.effect.values[q.name])),
+                float(std.get(q.name, 0.0)),
+                q.unit,
+            )
+            for q in self.effect.parameters
+        }
+
+    def with_numbers(self, number: int) -> LawTerm:
+        """Term `number` of the law with the inner numbers that the refit found."""
+        one, values = self.law.terms[number], self.values
+        factors = tuple(
+            replace(
+                factor,
+                numbers=tuple((own, values[name][0]) for own, name in self.law.numbers_of(number, j).items()),
+            )
+            for j, factor in enumerate(one.term.factors)
+        )
+        return LawTerm(one.channel, Term(factors))
+
+
+@dataclass(frozen=True)
+class _Tried:
+    law: Law
+    hypothesis: Hypothesis
+    penalty: float
+    group: Group
+    held: frozenset[str] = frozenset()
+
+    @property
+    def margin(self) -> float:
+        return self.hypothesis.log_likelihood - self.penalty
+
+
+class _Discoverer:
+    def __init__(self, comparison: Comparison, base: Hypothesis, say: Callable[[str], None]) -> None:
+        self.comparison, self.base, self.say = comparison, base, say
+        # A law that was proposed before may be in the rig or among the causes, from its own effect file.
+        self.name = free_name({*base.ids, *(effect.name for effect in comparison.model.effects)})
+        self.tried: dict[int, int] = {}
+        self.rivals: dict[str, float] = {}
+
+    def penalty(self, group: Group, law: Law, held: frozenset[str]) -> float:
+        """What a group pays: BIC for its numbers, and for the size of the search."""
+        free = len(group.terms) + sum(
+            1
+            for i, j, own, name, _, _ in law.inner()
+            if name not in held
+            and law.terms[i] in group.terms
+            and not (own == "width" and law.terms[i].term.factors[j].form == "sign")
+        )
+        rest = sum(LAW_NEAR_REST for one in group.terms if _on_own_rate(one.channel, one.term.key))
+        return 0.5 * free * math.log(self.comparison.rows) + math.log(self.tried[group.size]) + rest
+
+    def refit(
+        self,
+        law: Law,
+        stds: Mapping[str, float],
+        start: Mapping[str, float],
+        near: Hypothesis,
+        held: frozenset[str] = frozenset(),
+        rest: Sequence[Candidate] | None = None,
+    ) -> Hypothesis:
+        effect = law_effect(law, stds, dict.fromkeys(held), self.name)
+        values = {f"{effect.prefix}_{name}": value for name, value in start.items()}
+        fixed = {n: v for n, v in values.items() if n in effect.values and n not in effect.priors}
+        effect = replace(effect, values={**effect.values, **fixed})
+        linear = tuple(f"{effect.prefix}_{name}" for name in law.coefficients)
+        text = f"law:{law.key}" + "".join(f" [{n}={start[n]:g}]" for n in sorted(held))
+        candidate = Candidate(text, effect, linear)
+        named = self.base.candidates if rest is None else rest
+        return self.comparison.refit([*named, candidate], values, near)
+
+    def round(self, known: _Tried | None, weather: Weather) -> _Tried | None:
+        """One more group of terms beside those known; None where none is worth what it pays."""
+        near = known.hypothesis if known else self.base
+        screening = Screening(replace(near.estimate, weather=weather))
+        courses = Courses(screening)
+        every = groups(courses.spans)
+        self.tried = tried_up_to(every)
+        scored = score(screening, courses, every)
+        best: _Tried | None = None
+        rivals = dict[str, float]()
+        for one in self.finalists(scored):
+            self.say(f"trying {one.group.key}")
+            made = self.tried_one(one, known, courses)
+            if made is None:
+                continue
+            gain = made.hypothesis.log_likelihood - near.log_likelihood
+            rivals[one.group.key] = gain - (made.penalty - (known.penalty if known else 0.0))
+            if best is None or made.margin > best.margin:
+                best = made
+        before = near.log_likelihood - (known.penalty if known else 0.0)
+        if best is None or best.margin - before <= MIN_MARGIN:
+            return None
+        chosen = rivals.pop(best.group.key)
+        self.rivals |= {key: chosen - margin for key, margin in rivals.items()}
+        return self.tidied(best, known, courses)
+
+    def finalists(self, scored: Sequence[ScoredGroup]) -> list[ScoredGroup]:
+        """The best by what they promise less what they pay."""
+
+        def worth(one: ScoredGroup) -> float:
+            return one.log_likelihood_gain - self.penalty(one.group, Law(one.group.terms), frozenset())
+
+        chosen: list[ScoredGroup] = []
+        for one in sorted(scored, key=worth, reverse=True):
+            gain = one.log_likelihood_gain
+            paid = gain - worth(one)
+            if EXPECTED_REFIT_GAIN * gain <= paid + MIN_MARGIN or len(chosen) >= LAW_FINALISTS:
+                continue
+            like = [other for other in chosen if _place(other.group) == _place(one.group)]
+            if len(like) < LAW_ALIKE:
+                chosen.append(one)
+        return chosen
+
+    def tried_one(self, one: ScoredGroup, known: _Tried | None, courses: Courses) -> _Tried | None:
+        terms = (*(known.law.terms if known else ()), *one.group.terms)
+        if len(set(terms)) < len(terms):
+            return None
+        law = Law(terms)
+        start = _values(known) if known else {}
+        first = len(terms) - len(one.group.terms)
+        for i, value in enumerate(one.coefficients):
+            start[law.coefficient(first + i)] = float(value)
+        held = known.held if known else frozenset()
+        hypothesis = self.refit(law, self.stds(law, courses), start, self.base, held)
+        penalty = self.penalty(one.group, law, held) + (known.penalty if known else 0.0)
+        return _Tried(law, hypothesis, penalty, one.group, held)
+
+    def stds(self, law: Law, courses: Courses) -> dict[str, float]:
+        """Prior standard deviations of a law's coefficients."""
+        found = {}
+        for name, one in zip(law.coefficients, law.terms, strict=True):
+            values = np.concatenate([courses.values(i, one) for i in range(len(courses.linears))])
+            found[name] = coefficient_std(one, max(float(np.sqrt(np.mean(values**2))), 1e-9))
+        return found
+
+    def tidied(self, best: _Tried, known: _Tried | None, courses: Courses) -> _Tried:
+        """Without coefficients that are not told from nothing, and with whole multiplicities."""
+        best = self.whole(best, courses)
+        while len(best.law.terms) > 1:
+            numbers = _numbers(best.hypothesis)
+            worst = min(
+                range(len(best.law.terms)),
+                key=lambda i: abs(numbers[best.law.coefficient(i)][0]) / numbers[best.law.coefficient(i)][1],
+            )
+            value, std = numbers[best.law.coefficient(worst)]
+            if abs(value) > NOTHING_STD_ERRORS * std:
+                break
+            less = self.without(best, worst, courses)
+            if less.margin <= best.margin:
+                break
+            best = self.whole(less, courses)
+        return best
+
+    def without(self, of: _Tried, number: int, courses: Courses) -> _Tried:
+        """The law without one of its terms, its other numbers renamed to their new places."""
+        gone = of.law.terms[number]
+        law = Law(tuple(one for i, one in enumerate(of.law.terms) if i != number))
+        values, held = _values(of), set[str]()
+        renamed = dict[str, float]()
+        for i in range(len(law.terms)):
+            old = i + (i >= number)
+            renamed[law.coefficient(i)] = values[of.law.coefficient(old)]
+            for j in range(len(law.terms[i].term.factors)):
+                for own, name in of.law.numbers_of(old, j).items():
+                    new = law.numbers_of(i, j)[own]
+                    renamed[new] = values[name]
+                    held |= {new} if name in of.held else set()
+        group = of.group
+        penalty = of.penalty - 0.5 * math.log(self.comparison.rows)
+        if gone in group.terms:
+            group = Group(tuple(one for one in group.terms if one != gone), group.size)
+        hypothesis = self.refit(law, self.stds(law, courses), renamed, self.base, frozenset(held))
+        return _Tried(law, hypothesis, penalty, group, frozenset(held))
+
+    def whole(self, of: _Tried, courses: Courses) -> _Tried:
+        """Multiplicities at whole numbers where these are as likely; sine and cosine share theirs."""
+        numbers = _numbers(of.hypothesis)
+        fixed = dict[str, float]()
+        for _, _, own, name, _, _ in of.law.inner():
+            if own == "k" and name not in of.held:
+                value, std = numbers[name]
+                if round(value) >= 1 and abs(value - round(value)) < max(_WHOLE * std, 0.02):
+                    fixed[name] = float(round(value))
+        if not fixed:
+            return of
+        held = of.held | frozenset(fixed)
+        start = {**_values(of), **fixed}
+        hypothesis = self.refit(of.law, self.stds(of.law, courses), start, self.base, held)
+        penalty = of.penalty - 0.5 * len(fixed) * math.log(self.comparison.rows)
+        made = _Tried(of.law, hypothesis, penalty, of.group, held)
+        return made if made.margin > of.margin - AMBIGUOUS else of
+
+    def without_superfluous(self, of: _Tried) -> tuple[Hypothesis, tuple[str, ...]]:
+        """The model with the law, without causes that the likelihood does not miss beside it; their ids."""
+        final, gone = of.hypothesis, list[str]()
+        for one in self.base.candidates:
+            rest = [other for other in final.candidates[:-1] if other.id != one.id]
+            less = self.comparison.refit([*rest, final.candidates[-1]], None, final)
+            price = 0.5 * len(one.effect.priors) * math.log(self.comparison.rows) + math.log(CANDIDATES_TRIED)
+            if final.log_likelihood - less.log_likelihood - price <= MIN_MARGIN:
+                final = less
+                gone.append(one.id)
+        return final, tuple(gone)
+
+
+def free_name(used: Collection[str]) -> str:
+    """Choose the name of a law beside effects of the names `used`."""
+    names = itertools.chain((NAME,), (f"{NAME}_{number}" for number in itertools.count(2)))
+    return next(name for name in names if name not in used)
+
+
+def discover(
+    comparison: Comparison,
+    base: Hypothesis,
+    *,
+    curve: Hypothesis | None = None,
+    refits: float = math.inf,
+    say: Callable[[str], None] | None = None,
+) -> Discovery | None:
+    """Look for the law of what a model lacks.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        The flights; those held out confirm the law.
+    base : Hypothesis
+        The model with the causes that were named.
+    curve : Hypothesis, optional
+        The same with curves in the place of what is missing: its weather is what remains, and its likelihood
+        what a law should come near to.
+    refits : float
+        Refits after which no further term is looked for.
+    say : callable, optional
+        Called with what is being done.
+
+    Returns
+    -------
+    Discovery or None
+        None where no law pays for itself, explains most of what a curve does, and is confirmed.
+    """
+    work = _Discoverer(comparison, base, say or (lambda _what: None))
+    weather = (curve or base).estimate.weather
+    known: _Tried | None = None
+    confirmed: tuple[_Tried, float | None, dict[str, float]] | None = None
+    without = comparison.held_out_estimate(base) if comparison.held_out else None
+    before = 0.0
+    while comparison.fits < refits and (known is None or len(known.law.terms) < LAW_TERMS):
+        found = work.round(known, weather if known is None else known.hypothesis.estimate.weather)
+        if found is None or (known is not None and len(found.law.terms) <= len(known.law.terms)):
+            break
+        held_out = None
+        if without is not None:
+            beside = comparison.held_out_estimate(found.hypothesis)
+            held_out = beside.log_likelihood - without.log_likelihood
+            # Each term has to stand on the flights that had no part in its choice.
+            if held_out - before < LAW_CONFIRMED:
+                break
+            before = held_out
+        known, confirmed = found, (found, held_out, dict(work.rivals))
+    if confirmed is None:
+        return None
+    law, held_out, others = confirmed
+    gained = law.hypothesis.log_likelihood - base.log_likelihood
+    by_curve = curve.log_likelihood - base.log_likelihood if curve is not None and curve is not base else None
+    if by_curve is not None and gained < LAW_CURVE_SHARE * by_curve:
+        return None
+    hypothesis, superfluous = work.without_superfluous(law)
+    rivals = sorted((Rival(*one) for one in others.items()), key=lambda one: one.log_likelihood_ratio)
+    return Discovery(
+        law.law,
+        base,
+        hypothesis,
+        law.penalty,
+        held_out,
+        by_curve,
+        tuple(rivals),
+        max(work.tried.values()),
+        superfluous,
+        None if without is None else (without, comparison.held_out_estimate(hypothesis)),
+    )
+
+
+def _on_own_rate(channel: str, key: str) -> bool:
+    """Whether a term about an axis has a sign of the axis' own rate."""
+    return f"tanh({channel.partition('.')[2]}_rate" in key
+
+
+def _place(group: Group) -> tuple[str, frozenset[str]]:
+    return group.terms[0].channel, frozenset(q for one in group.terms for q in one.term.quantities)
+
+
+def _numbers(hypothesis: Hypothesis) -> dict[str, tuple[float, float]]:
+    """Value and standard error of the law's numbers that are estimated, by name without prefix."""
+    estimate = hypothesis.estimate
+    std = np.sqrt(np.diag(estimate.covariance))
+    prefix = f"{hypothesis.candidates[-1].effect.prefix}_"
+    return {
+        name.removeprefix(prefix): (float(value), float(error))
+        for name, value, error in zip(estimate.unknowns.names, estimate.theta, std, strict=True)
+        if name.startswith(prefix)
+    }
+
+
+def _values(of: _Tried) -> dict[str, float]:
+    """Values of all numbers of a law, by name without prefix."""
+    effect = of.hypothesis.candidates[-1].effect
+    known = {**effect.values, **of.hypothesis.values}
+    return {q.name.removeprefix(f"{effect.prefix}_"): known[q.name] for q in effect.parameters}

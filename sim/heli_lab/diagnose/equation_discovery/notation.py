@@ -1,0 +1,242 @@
+"""A law written down: for SymPy, for LaTeX, and as a Python file that the simulator flies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+from heli_sim.model.parts import AXES
+from heli_sim.rig.quantity import Prior
+
+from heli_lab.diagnose.equation_discovery.law import (
+    CHANNELS,
+    Law,
+    LawEffect,
+    LawTerm,
+    memory_name,
+    rotor_signs,
+)
+from heli_lab.diagnose.equation_discovery.terms import QUANTITIES, Factor
+
+_CHANNEL_LATEX: Final = {
+    **{f"torque.{a}": rf"\tau_{s}" for a, s in zip(AXES, (r"\theta", r"\phi", r"\psi"), strict=True)},
+    **{f"measurement.{a}": rf"\Delta {s}" for a, s in zip(AXES, (r"\theta", r"\phi", r"\psi"), strict=True)},
+    "thrust.both": r"\Delta F",
+    "thrust.difference": r"\Delta F_f = -\Delta F_b",
+    "thrust.front": r"\Delta F_f",
+    "thrust.back": r"\Delta F_b",
+    "voltage.both": r"\Delta V",
+}
+_ACTS_ON: Final = {"thrust": "thrust", "voltage": "input"}
+
+
+def expression(law: Law, channel: str, numbers: Mapping[str, float] | None = None) -> str:
+    """Write what a `law` adds to a `channel` for SymPy, by the names of its numbers, or with the values that
+    `numbers` has by those names.
+    """
+    return _sum(law, channel, "sympy", {n: _digits(v) for n, v in numbers.items()} if numbers else None)
+
+
+def latex(law: Law, numbers: Mapping[str, float] | None = None) -> str:
+    """Write a `law` in LaTeX, a comma between channels, by the names of its numbers, or with the values that
+    `numbers` has by those names.
+    """
+    if numbers is not None:
+        texts = {name: _latex_number(value) for name, value in numbers.items()}
+    else:
+        texts = {name: _latex_name(name) for name in _names(law)}
+    parts = [f"{_CHANNEL_LATEX[one]} = {_sum(law, one, 'latex', texts)}" for one in law.channels]
+    return r",\quad ".join(parts)
+
+
+def _sum(law: Law, channel: str, notation: str, texts: Mapping[str, str] | None) -> str:
+    texts = texts or {name: name for name in _names(law)}
+    times = {"sympy": "*", "latex": r"\,"}[notation]
+    parts = []
+    for i, one in enumerate(law.terms):
+        if one.channel != channel:
+            continue
+        factors = [
+            factor.written(notation, {own: texts[name] for own, name in law.numbers_of(i, j).items()})
+            for j, factor in enumerate(one.term.factors)
+        ]
+        parts.append(times.join((texts[law.coefficient(i)], *factors)))
+    return " + ".join(parts).replace("+ -", "- ")
+
+
+def _names(law: Law) -> list[str]:
+    return [*law.coefficients, *(name for _, _, _, name, _, _ in law.inner())]
+
+
+def _digits(value: float) -> str:
+    return f"{value:.5g}"
+
+
+def _latex_number(value: float) -> str:
+    text = f"{value:.3g}"
+    if "e" in text:
+        mantissa, _, power = text.partition("e")
+        return rf"{mantissa} \cdot 10^{{{int(power)}}}"
+    return text
+
+
+def _latex_name(name: str) -> str:
+    head = name.partition("_")[0]
+    letters = head.rstrip("0123456789abc") or head[0]
+    symbol = {"lag": "T", "place": "x", "width": "w"}.get(letters, letters)
+    return f"{symbol}_{{{head[len(letters) :]}}}"
+
+
+def sentence(law: Law, numbers: Mapping[str, float]) -> str:
+    """Say what a `law` adds to each channel, with the values that `numbers` has by name."""
+    return " and ".join(f"{one} = {expression(law, one, numbers)} {CHANNELS[one][0]}" for one in law.channels)
+
+
+def effect_file(effect: LawEffect, numbers: Mapping[str, tuple[float, float, str]], head: str) -> str:
+    """Write a law as an effect file that `heli-host fly --effects` flies.
+
+    Parameters
+    ----------
+    effect : LawEffect
+        The law as it was refitted, with the priors of its numbers.
+    numbers : Mapping[str, (float, float, str)]
+        Value, standard error and unit of each, by name without prefix.
+    head : str
+        First lines of the file: where the law comes from.
+    """
+    law = effect.law
+    values = {name: value for name, (value, _, _) in numbers.items()}
+    said = sentence(law, values)
+    body = [*_methods(law)]
+    states = "".join(
+        f'        Quantity("{state.name.removeprefix(effect.prefix + "_")}", "{state.unit}", '
+        '"a copy behind a first-order lag"),\n'
+        for state in effect.states
+    )
+    stage = effect.stage.name
+    acts_on = _ACTS_ON.get(law.channels[0].partition(".")[0], law.channels[0])
+    parameters = "".join(
+        _parameter(
+            name, *numbers[name], effect.priors.get(f"{effect.prefix}_{name}"), name in law.coefficients
+        )
+        for name in _names(law)
+    )
+    quantity = ", Quantity" if states else ""
+    docstring = "\n".join(line.replace("\\", "").replace('"""', "'") for line in head.splitlines())
+    return f'''"""{docstring}
+
+{said}
+"""
+
+import casadi as ca
+from heli_sim.model import Effect, Stage
+from heli_sim.model.effects import EffectKind, Parameter
+from heli_sim.rig import Prior{quantity}
+from typing_extensions import override
+
+
+class ProposedLaw(Effect):
+    """{said}"""
+{"".join(body)}
+
+PROPOSED_LAW = EffectKind(
+    id="{effect.name}",
+    effect=ProposedLaw,
+    sentence="{_sentence(law)}",
+    equation=r"{latex(law)}",
+    acts_on="{acts_on}",
+    stage=Stage.{stage},
+    numbers=(
+{parameters}    ),
+{f"    states=({chr(10)}{states}    ),{chr(10)}" if states else ""})
+'''
+
+
+def _sentence(law: Law) -> str:
+    """The sentence of the effect, its numbers in braces as the table of effects wants them."""
+    parts = []
+    for channel in law.channels:
+        texts = {name: f"[{{{name}}}]" for name in _names(law)}
+        parts.append(f"{channel} = {_sum(law, channel, 'sympy', texts)}")
+    return " and ".join(parts)
+
+
+def _parameter(name: str, value: float, std: float, unit: str, prior: Prior | None, size: bool) -> str:
+    said = f"{value:.4g} +- {std:.2g} {unit}" if std else "set"
+    known = ""
+    if prior is not None:
+        bounds = "" if size else f", {prior.low:.6g}, {prior.high:.6g}"
+        known = f"\n            prior=Prior({0.0 if size else value:.6g}, {prior.std:.6g}{bounds}),"
+    return f'''        Parameter(
+            "{name}",
+            "{unit}",
+            "found: {said}",
+            typical={value:.8g},{known}
+            size={size},
+        ),
+'''
+
+
+def _methods(law: Law) -> Iterator[str]:
+    kinds = {one.partition(".")[0] for one in law.channels}
+    if "torque" in kinds:
+        lines = [_plus(law, f"torque.{axis}") if f"torque.{axis}" in law.channels else "0" for axis in AXES]
+        yield _method("torque_Nm", "", law, "torque", f"ca.vertcat({', '.join(lines)})")
+    for kind, name, before in (("thrust", "thrust_N", "thrust_N"), ("voltage", "voltage_V", "volts_V")):
+        if kind in kinds:
+            parts = [
+                f"ca.DM({list(rotor_signs(one))}) * ({_plus(law, one)})"
+                for one in law.channels
+                if one.startswith(kind)
+            ]
+            yield _method(name, before, law, kind, " + ".join((before, *parts)))
+    if "measurement" in kinds:
+        lines = [
+            _plus(law, f"measurement.{axis}") if f"measurement.{axis}" in law.channels else "0"
+            for axis in AXES
+        ]
+        value = f"angles_rad + ca.vertcat({', '.join(lines)})"
+        yield _method("measured_rad", "angles_rad", law, "measurement", value)
+    rates = [
+        f"({QUANTITIES[factor.quantity].python} - {_memory(i, j, factor)})"
+        f' / self.own(at, "{law.numbers_of(i, j)["s"]}")'
+        for i, one in enumerate(law.terms)
+        for j, factor in enumerate(one.term.factors)
+        if factor.memory
+    ]
+    if rates:
+        value = f"ca.vertcat({', '.join(rates)})"
+        yield f"\n    @override\n    def state_rates(self, at):\n        return {value}\n"
+
+
+def _method(name: str, argument: str, law: Law, kind: str, value: str) -> str:
+    lines = []
+    for i, one in enumerate(law.terms):
+        if one.channel.startswith(kind):
+            lines.append(f"        term_{i + 1} = {_python(law, i, one)}\n")
+    given = f", {argument}" if argument else ""
+    return f"\n    @override\n    def {name}(self, at{given}):\n{''.join(lines)}        return {value}\n"
+
+
+def _plus(law: Law, channel: str) -> str:
+    return " + ".join(f"term_{i + 1}" for i, one in enumerate(law.terms) if one.channel == channel)
+
+
+def _python(law: Law, i: int, one: LawTerm) -> str:
+    parts = [f'self.own(at, "{law.coefficient(i)}")']
+    for j, factor in enumerate(one.term.factors):
+        texts = {own: f'self.own(at, "{name}")' for own, name in law.numbers_of(i, j).items()}
+        x = None
+        if factor.memory:
+            x = _memory(i, j, factor)
+            if factor.memory == "washout":
+                x = f"({x} - {QUANTITIES[factor.quantity].python})"
+        parts.append(factor.written("python", texts, x))
+    return " * ".join(parts)
+
+
+def _memory(i: int, j: int, factor: Factor) -> str:
+    name = memory_name(i, j)
+    if not factor.each:
+        return f'self.own(at, "{name}")'
+    return f'ca.vertcat(self.own(at, "{name}_front"), self.own(at, "{name}_back"))'

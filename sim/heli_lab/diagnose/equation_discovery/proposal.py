@@ -1,0 +1,333 @@
+"""A proposed law as a result: numbers, confidence, where it matters, what it gains, in JSON and in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from heli_sim.model.parts import AXES
+
+from heli_lab.diagnose.effect_contribution import accelerations
+from heli_lab.diagnose.equation_discovery.discover import Discovery, discover
+from heli_lab.diagnose.equation_discovery.law import CHANNELS, Law
+from heli_lab.diagnose.equation_discovery.notation import effect_file, expression, latex, sentence
+from heli_lab.diagnose.equation_discovery.scoring import Courses
+from heli_lab.diagnose.equation_discovery.terms import QUANTITIES
+from heli_lab.diagnose.error_reduction import ErrorReduction, judgement
+from heli_lab.diagnose.free_run import FreeRun, free_runs
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.prediction import Prediction, predict
+from heli_lab.diagnose.screening import Screening
+from heli_lab.diagnose.thresholds import (
+    CONFIDENCE_NATS,
+    HELD_OUT_NATS,
+    LAW_UNCONFIRMED,
+    MAX_CONFIDENCE,
+)
+from heli_lab.identify.functions import Floats
+
+_MATTERS: Final = 0.5
+"""Share of a law's largest value from which on a moment counts as one at which it matters."""
+
+
+@dataclass(frozen=True)
+class Matters:
+    """Where in the flights a law matters.
+
+    Parameters
+    ----------
+    channel : str
+        Where it acts.
+    rms, largest : float
+        Of what it adds about its mean in the flights fitted, in the channel's unit.
+    ranges : Mapping[str, (float, float)]
+        Of each quantity that it depends on, the values that it has in the nine tenths in the middle of those
+        moments at which the law is at least half of its largest.
+    share : float
+        Share of the time that these moments are.
+    """
+
+    channel: str
+    rms: float
+    largest: float
+    ranges: Mapping[str, tuple[float, float]]
+    share: float
+
+
+@dataclass(frozen=True)
+class LawCourse:
+    """A law along a flight, beside what the model without it lacks.
+
+    Parameters
+    ----------
+    label, axis : str
+        The flight, and the axis about which the law acts most.
+    t_s : ndarray (n,)
+        Times since the flight's first sample.
+    law_Nm, missing_Nm, std_Nm : ndarray (n,)
+        Torque that the law makes; torque that the model without it lacks, and its standard error; both about
+        their means.
+    on, unit : str
+        The first quantity that the law depends on, and its unit.
+    value : ndarray (n,)
+        That quantity.
+    """
+
+    label: str
+    axis: str
+    t_s: Floats
+    law_Nm: Floats
+    missing_Nm: Floats
+    std_Nm: Floats
+    on: str
+    unit: str
+    value: Floats
+
+
+@dataclass(frozen=True)
+class ProposedLaw:
+    """The law of what is on no list, proposed.
+
+    Parameters
+    ----------
+    discovery : Discovery
+        The law, its evidence and its rivals.
+    prediction : Prediction
+        Free runs of the model with it.
+    gains : Mapping[str, ErrorReduction]
+        Errors over 2 s of the baseline and with the law, by axis, on the flights held out.
+    matters : tuple of Matters
+        Where it matters, for each channel.
+    course : LawCourse
+        The law along the first flight held out, or where none was the first one fitted.
+    """
+
+    discovery: Discovery
+    prediction: Prediction
+    gains: Mapping[str, ErrorReduction]
+    matters: tuple[Matters, ...]
+    course: LawCourse
+
+    @property
+    def law(self) -> Law:
+        """Its terms."""
+        return self.discovery.law
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Values of its numbers."""
+        return {name: value for name, (value, _, _) in self.discovery.values.items()}
+
+    @property
+    def confidence(self) -> float:
+        """How sure the form is, 0 to 1: how far the law is ahead of nothing and of its closest rival, and
+        whether the flights held out confirm it.
+        """
+        found = self.discovery
+        rivals = [one.log_likelihood_ratio for one in found.rivals]
+        margin = max(0.0, min([found.train - found.penalty, *rivals]))
+        sure = 1.0 - 0.5 * math.exp(-margin / CONFIDENCE_NATS)
+        if found.held_out is None:
+            return min(LAW_UNCONFIRMED, sure)
+        sure /= 1.0 + math.exp(-found.held_out / HELD_OUT_NATS)
+        return float(min(MAX_CONFIDENCE, sure))
+
+    def effect_file(self, head: str) -> str:
+        """The law as an effect file; `head` says where it comes from."""
+        return effect_file(self.discovery.effect, self.discovery.values, head)
+
+    @property
+    def sentence(self) -> str:
+        """What it adds to each channel, with its numbers."""
+        return sentence(self.law, self.numbers)
+
+    def lines(self) -> list[str]:
+        """The law for a terminal, a line each."""
+        found = self.discovery
+        confirmed = (
+            "no other flight confirms it" if found.held_out is None else f"{found.held_out:.0f} held out"
+        )
+        lines = [
+            f"proposed law: {self.sentence} (confidence {self.confidence:.2f}; "
+            f"{found.train:.0f} nats on the flights fitted, {confirmed})"
+        ]
+        for name, (value, std, unit) in found.values.items():
+            error = f" +- {std:.2g}" if std else ""
+            lines.append(f"  {name} = {value:.4g}{error} {'' if unit == '1' else unit}".rstrip())
+        close = [one.key for one in found.rivals if one.log_likelihood_ratio < CONFIDENCE_NATS]
+        if close:
+            lines.append(f"  nearly as likely on these flights: {'; '.join(close)}")
+        for axis, one in self.gains.items():
+            if one.ratio < 0.9:
+                lines.append(f"  with it {axis} is off by {one.after_deg:.3g} deg, ratio {one.ratio:.2f}")
+        if found.superfluous:
+            lines.append(f"  beside it nothing needs {', '.join(found.superfluous)}")
+        return lines
+
+    def to_json(self) -> dict[str, Any]:
+        """The law for other programs; docs/diagnosing.md describes the keys."""
+        found, law = self.discovery, self.law
+        symbols = {q for one in law.terms for q in one.term.quantities}
+        channel = law.channels[0]
+        return {
+            "effect": found.effect.name,
+            "channel": channel,
+            "unit": CHANNELS[channel][0],
+            "expression": expression(law, channel),
+            "expression_with_numbers": expression(law, channel, self.numbers),
+            "further_channels": [
+                {
+                    "channel": one,
+                    "unit": CHANNELS[one][0],
+                    "expression": expression(law, one),
+                    "expression_with_numbers": expression(law, one, self.numbers),
+                }
+                for one in law.channels[1:]
+            ],
+            "symbols": {name: str(QUANTITIES[name].unit) for name in sorted(symbols)},
+            "latex": latex(law),
+            "numbers": {
+                name: {"value": value, "std": std, "unit": unit}
+                for name, (value, std, unit) in found.values.items()
+            },
+            "confidence": round(self.confidence, 3),
+            "sentence": self.sentence,
+            "evidence": {
+                "log_likelihood_ratio_train": found.train,
+                "log_likelihood_ratio_held_out": found.held_out,
+                "log_likelihood_ratio_of_curves": found.curve,
+                "penalty": found.penalty,
+                "terms_tried": found.tried,
+            },
+            "rivals": [
+                {"term": one.key, "log_likelihood_ratio": one.log_likelihood_ratio} for one in found.rivals
+            ],
+            "superfluous": list(found.superfluous),
+            "matters": [
+                {
+                    "channel": one.channel,
+                    "rms": one.rms,
+                    "largest": one.largest,
+                    "share_of_time": one.share,
+                    "ranges": {name: list(span) for name, span in one.ranges.items()},
+                }
+                for one in self.matters
+            ],
+            "gain": {
+                axis: {
+                    "before": one.before_deg,
+                    "after": one.after_deg,
+                    "ratio": one.ratio,
+                    "interval95": list(one.interval95),
+                }
+                for axis, one in self.gains.items()
+            },
+        }
+
+
+def propose_law(
+    comparison: Comparison,
+    base: Hypothesis,
+    curve: Hypothesis | None,
+    runs_before: Sequence[FreeRun],
+    calibrate_s: float | None,
+    seed: int,
+    refits: float,
+    say: Callable[[str, float], None],
+) -> ProposedLaw | None:
+    """Look for a law, and measure what it gains on the flights held out; None where there is none.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        The flights.
+    base : Hypothesis
+        The model with the causes that were named.
+    curve : Hypothesis, optional
+        The same with curves in the place of what is missing.
+    runs_before : sequence of FreeRun
+        Of the baseline.
+    calibrate_s : float, optional
+        Free flight of each validation flight to calibrate on.
+    seed : int
+        Seed of the bootstrap behind the intervals.
+    refits : float
+        Refits after which no further term is looked for.
+    say : callable
+        Called with what is being done, and the share of the work that is done.
+    """
+    found = discover(comparison, base, curve=curve, refits=refits, say=lambda what: say(what, 0.94))
+    if found is None:
+        return None
+    estimate = found.hypothesis.estimate
+    prediction = predict(found.hypothesis.candidates, estimate, comparison.train, comparison.held_out)
+    runs = free_runs(prediction.fit, comparison.held_out, calibrate_s)
+    gains = judgement(runs_before, runs, seed).horizons["2"]
+    return ProposedLaw(found, prediction, gains, where(found), course_of(found))
+
+
+def course_of(found: Discovery) -> LawCourse:
+    """Follow a law along a flight."""
+    without, beside = found.elsewhere or (found.base.estimate, found.hypothesis.estimate)
+    label = beside.courses[0].record.label
+    law_s, change = accelerations(beside, found.effect.name)
+    courses = Courses(Screening(beside))
+    linear = courses.linears[0]
+    torque = np.linalg.solve(linear.steps.by_torque[:, 3:6], change[:, :, None])[:, :, 0]
+    axis = int(np.argmax(torque.std(axis=0)))
+    t_s, missing, std = without.filtered().smoothed_torques(without.weather, np.zeros(len(without.theta)))[0]
+    law = np.interp(t_s, law_s, torque[:, axis])
+    on = found.law.terms[0].term.quantities[-1]
+    value = courses.quantity(0, on)
+    value = value if value.ndim == 1 else value.mean(axis=1)
+    return LawCourse(
+        label,
+        AXES[axis],
+        t_s,
+        law - law.mean(),
+        missing[:, axis] - missing[:, axis].mean(),
+        std[:, axis],
+        on,
+        str(QUANTITIES[on].unit),
+        np.interp(t_s, law_s, value),
+    )
+
+
+def where(found: Discovery) -> tuple[Matters, ...]:
+    """Where in the flights fitted a law matters, channel by channel."""
+    courses = Courses(Screening(found.hypothesis.estimate))
+    flights = range(len(courses.linears))
+    result = []
+    for channel in found.law.channels:
+        size = np.concatenate([np.abs(along(found, courses, i, channel)).max(axis=1) for i in flights])
+        largest = float(np.quantile(size, 0.99))
+        there = size >= _MATTERS * largest
+        names = dict.fromkeys(
+            q for one in found.law.terms if one.channel == channel for q in one.term.quantities
+        )
+        ranges = {}
+        for name in names:
+            every = [courses.quantity(i, name) for i in flights]
+            values = np.concatenate([one if one.ndim == 1 else one.mean(axis=1) for one in every])
+            low, high = np.quantile(values[there], [0.05, 0.95])
+            ranges[name] = (float(low), float(high))
+        result.append(
+            Matters(channel, float(np.sqrt(np.mean(size**2))), largest, ranges, float(there.mean()))
+        )
+    return tuple(result)
+
+
+def along(found: Discovery, courses: Courses, index: int, channel: str) -> Floats:
+    """What a law adds to a `channel` along the flight of number `index` of the `courses`, about its mean,
+    (n, 1), or (n, 2) rotor by rotor.
+    """
+    total: Floats = np.zeros((1, 1))
+    values = found.values
+    for i, one in enumerate(found.law.terms):
+        if one.channel == channel:
+            term = courses.values(index, found.with_numbers(i))
+            total = total + values[found.law.coefficient(i)][0] * term
+    return np.asarray(total - total.mean(axis=0), float)

@@ -1,0 +1,237 @@
+"""Score tests of thousands of terms along the predicted states, in batches by memory."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import casadi as ca
+import numpy as np
+from heli_sim.model.parts import AXES
+from scipy.signal import lfilter
+
+from heli_lab.diagnose.candidate import ExtendedModel
+from heli_lab.diagnose.equation_discovery.grammar import Group
+from heli_lab.diagnose.equation_discovery.law import Law, LawTerm, law_effect, rotor_signs
+from heli_lab.diagnose.equation_discovery.terms import QUANTITIES, Factor, Term
+from heli_lab.diagnose.screening import Screening, score_of
+from heli_lab.identify.functions import Floats
+from heli_lab.innovations import AlongCourse, Linear, Trajectory
+
+_LARGEST: Final[Mapping[str, float]] = {
+    "torque.elevation": 0.3,
+    "torque.pitch": 0.1,
+    "torque.travel": 0.15,
+    "thrust": 0.5,
+    "voltage": 0.5,
+    "measurement": 0.03,
+}
+"""Prior standard deviation of a term along the flights, root mean square, in its channel's unit: of the size
+of what holds the arm up. Smaller: large laws come out too small. Larger: nothing, a flight tells it."""
+_STEADY: Final = 1e-6
+"""Relative spread of a term below which it is a constant, which every flight has of its own."""
+
+
+@dataclass(frozen=True)
+class ScoredGroup:
+    """A group with its score test.
+
+    Parameters
+    ----------
+    log_likelihood_gain : float
+        Gain that the score test promises, nats.
+    coefficients : ndarray (g,)
+        Of its terms.
+    stds : tuple of float
+        Prior standard deviations of the coefficients.
+    """
+
+    group: Group
+    log_likelihood_gain: float
+    coefficients: Floats
+    stds: tuple[float, ...]
+
+
+class Courses:
+    """Quantities along the flights of a screening, and what each channel does to the rig there."""
+
+    def __init__(self, screening: Screening) -> None:
+        self.linears = screening.filtered.linears
+        self._middle = [_quantities(one, one.trajectory) for one in self.linears]
+        self._nodes = [_quantities(one, one.nodes) for one in self.linears]
+        self._factors: dict[tuple[int, Factor, bool], Floats] = {}
+        self._influences: dict[tuple[int, str], Floats] = {}
+        self._extended: dict[str, ExtendedModel] = {}
+
+    @property
+    def spans(self) -> dict[str, tuple[float, float]]:
+        """Lowest and highest value of each quantity."""
+        every = {name: np.concatenate([one[name] for one in self._middle]) for name in self._middle[0]}
+        return {name: (float(one.min()), float(one.max())) for name, one in every.items()}
+
+    def quantity(self, index: int, name: str) -> Floats:
+        """The quantity `name` in the middle of each step of the flight `index`, (n,), or (n, 2) where each
+        rotor has its own.
+        """
+        return self._middle[index][name]
+
+    def values(self, index: int, one: LawTerm) -> Floats:
+        """A term along the flight `index`, shape (n, 1), or (n, 2) where it is each rotor's own."""
+        nodes = one.channel.startswith("measurement")
+        value = np.ones((len(self._middle[index]["time"]), 1))
+        for factor in one.term.factors:
+            value = value * self._factor(index, factor, nodes)
+        return value
+
+    def _factor(self, index: int, factor: Factor, nodes: bool) -> Floats:
+        key = index, factor, nodes
+        if key not in self._factors:
+            at = (self._nodes if nodes else self._middle)[index]
+            x = self._remembered(index, at[factor.quantity], factor)
+            self._factors[key] = factor.value(np, x[:, None] if x.ndim == 1 else x)
+        return self._factors[key]
+
+    def _remembered(self, index: int, x: Floats, factor: Factor) -> Floats:
+        if not factor.memory:
+            return x
+        linear = self.linears[index]
+        keep = math.exp(-linear.trajectory.step_s / dict(factor.numbers)["s"])
+        late = np.empty_like(x)
+        for window in linear.windows:
+            part = x[window]
+            late[window] = lfilter([1.0 - keep], [1.0, -keep], part, axis=0, zi=keep * part[:1])[0]
+        return late if factor.memory == "lag" else late - x
+
+    def signal(self, index: int, one: LawTerm, value: Floats) -> Floats:
+        """What one unit of the coefficient of a term changes on the flight `index`, by its `value` as
+        `values` gives it: of rates, (n, states, 1), or where it acts on an encoder of the measured angles,
+        (n, 3, 1).
+        """
+        if one.channel.startswith(("torque", "measurement")):
+            influence = self._influence(index, one.channel)
+            return influence * value[:, None, :]
+        kind = one.channel.partition(".")[0]
+        total = np.zeros((len(value), self.linears[index].states))
+        for rotor, sign in enumerate(rotor_signs(one.channel)):
+            if sign:
+                own = value[:, min(rotor, value.shape[1] - 1)]
+                influence = self._influence(index, f"{kind}.{('front', 'back')[rotor]}")
+                total += sign * influence[:, :, 0] * own[:, None]
+        return total[:, :, None]
+
+    def _influence(self, index: int, channel: str) -> Floats:
+        """Change of the rates (of the angles on an encoder) by one unit on a channel, (n, states, 1)."""
+        if (index, channel) not in self._influences:
+            linear = self.linears[index]
+            if channel not in self._extended:
+                law = Law((LawTerm(channel, Term(())),))
+                effect = law_effect(law, dict.fromkeys(law.coefficients, 1.0), name="unit_term")
+                self._extended[channel] = ExtendedModel(linear.model, effect, tuple(effect.priors))
+            extended = self._extended[channel]
+            rates, angles = extended.run(linear.trajectory, extended.effect.values)
+            self._influences[index, channel] = angles if channel.startswith("measurement") else rates
+        return self._influences[index, channel]
+
+
+def score(screening: Screening, courses: Courses, groups: Sequence[Group]) -> list[ScoredGroup]:
+    """Score groups of terms, each by itself, the highest score first; those that are constant along the
+    flights are left out.
+    """
+    found: list[ScoredGroup] = []
+    flights = range(len(courses.linears))
+    for channel, some in itertools.groupby(groups, lambda group: group.terms[0].channel):
+        for batch in _batches(list(some), screening.batch):
+            kept, stds, values = [], [], []
+            for group in batch:
+                own = [[courses.values(i, one) for i in flights] for one in group.terms]
+                together = [np.concatenate(one) for one in own]
+                if any(float(np.ptp(one)) <= _STEADY * float(np.abs(one).max()) for one in together):
+                    continue
+                kept.append(group)
+                values += own
+                stds.append(
+                    np.array(
+                        [
+                            coefficient_std(one, float(np.sqrt(np.mean(value**2))))
+                            for one, value in zip(group.terms, together, strict=True)
+                        ]
+                    )
+                )
+            if not kept:
+                continue
+            terms = [one for group in kept for one in group.terms]
+            only = _regressors(screening, courses, channel, terms, values)
+            parts = screening.projected(only, [len(group.terms) for group in kept])
+            for group, std, (information, gradient) in zip(kept, stds, parts, strict=True):
+                gain, coefficients = _solved(information, gradient, std)
+                found.append(ScoredGroup(group, gain, coefficients, tuple(map(float, std))))
+    return sorted(found, key=lambda one: -one.log_likelihood_gain)
+
+
+def _batches(groups: Sequence[Group], most: int) -> Iterator[list[Group]]:
+    """Groups in their order, as many at once as have `most` terms."""
+    batch: list[Group] = []
+    for group in groups:
+        if batch and sum(len(one.terms) for one in batch) + len(group.terms) > most:
+            yield batch
+            batch = []
+        batch.append(group)
+    yield batch
+
+
+def _regressors(
+    screening: Screening,
+    courses: Courses,
+    channel: str,
+    terms: Sequence[LawTerm],
+    values: Sequence[Sequence[Floats]],
+) -> Iterator[Floats]:
+    """What one unit of each term's coefficient takes off the innovations, shape (m, s) for each flight."""
+    flights = range(len(courses.linears))
+    weather = screening.estimate.weather
+    kind, _, where = channel.partition(".")
+    if kind == "torque":
+        torques = [np.concatenate([one[i] for one in values], axis=1) for i in flights]
+        return screening.filtered.torque_regressors(weather, AXES.index(where), torques)
+    signals: list[tuple[Floats, Floats | None]] = []
+    for i in flights:
+        columns = np.concatenate(
+            [courses.signal(i, one, value[i]) for one, value in zip(terms, values, strict=True)], axis=2
+        )
+        if kind == "measurement":
+            none = np.zeros((len(columns), courses.linears[i].states, columns.shape[2]))
+            signals.append((none, columns))
+        else:
+            signals.append((columns, None))
+    return screening.filtered.regressors(weather, signals)
+
+
+def _solved(information: Floats, gradient: Floats, std: Floats) -> tuple[float, Floats]:
+    if len(std) == 1:
+        value = gradient / (information[0, 0] + std[0] ** -2.0)
+        return float(0.5 * gradient[0] * value[0]), value
+    gain, coefficients, _ = score_of(information, gradient, std)
+    return gain, coefficients
+
+
+def coefficient_std(one: LawTerm, rms: float) -> float:
+    """Prior standard deviation of the coefficient of a term of root mean square `rms` along the flights."""
+    kind = one.channel.partition(".")[0]
+    return _LARGEST.get(one.channel, _LARGEST.get(kind, 1.0)) / rms
+
+
+def _quantities(linear: Linear, trajectory: Trajectory) -> dict[str, Floats]:
+    """Values of every quantity along a course, (n,), or (n, 2) for what each rotor has of its own."""
+    model = linear.model
+    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
+    t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
+    at = model.driven(x, u, p, t)
+    wanted = [ca.densify(ca.SX(quantity.value(at))) for quantity in QUANTITIES.values()]
+    found = AlongCourse(ca.Function("quantities", [x, u, t, p], ca.cse(wanted)))(trajectory)
+    return {
+        name: one[:, :, 0] if quantity.each else one[:, 0, 0]
+        for (name, quantity), one in zip(QUANTITIES.items(), found, strict=True)
+    }

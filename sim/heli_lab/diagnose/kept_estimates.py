@@ -1,0 +1,182 @@
+"""Estimates of a search, kept as they come, so that a search that ended early goes on where it was.
+
+A search is deterministic: run again it asks for the same estimates in the same order. So what is kept is not
+where it was but what it had worked out, by a digest of all that an estimate depends on; a search that is
+resumed is the search that never stopped, with the first answers at hand.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import heli_sim.model
+import numpy as np
+from heli_sim.model.base import Effect, Model
+from heli_sim.rig import Rig
+
+import heli_lab.identify
+import heli_lab.innovations
+from heli_lab.diagnose.candidate import Candidate
+from heli_lab.errors import IdentifyError
+from heli_lab.identify import Record
+from heli_lab.innovations import Course, Estimate, ModelFunctions, Unknowns, Weather
+
+_WEATHER: Final = ("gust_Nm", "memory_s", "drift_Nm", "quantisation", "curvature")
+
+
+class KeptEstimates:
+    """Estimates by key, in memory and where a path is given in a file of one JSON object a line.
+
+    Parameters
+    ----------
+    path : Path, optional
+        File to read and to append to; it is made if it is missing.
+    of : str
+        Digest of what all estimates share, `digest_of`; a file of another is refused.
+
+    Raises
+    ------
+    IdentifyError
+        When the file is of other flights, another rig, another model or another version of this program, or
+        is no such file.
+    """
+
+    def __init__(self, path: Path | None = None, of: str = "") -> None:
+        self._path = path
+        self._known: dict[str, Mapping[str, Any]] = {}
+        self.asked: set[str] = set()
+        """Keys that were asked for in this search."""
+        if path is None:
+            return
+        if not path.exists() or not path.stat().st_size:
+            path.write_text(json.dumps({"search_of": of}) + "\n", encoding="utf-8")
+            return
+        self._read(path, of)
+
+    def _read(self, path: Path, of: str) -> None:
+        try:
+            first, *lines = path.read_text(encoding="utf-8").splitlines()
+            head = json.loads(first)["search_of"]
+        except (ValueError, KeyError, TypeError):
+            raise IdentifyError(
+                f"{path} is no file of a search", "give another name to --resume, and it is made"
+            ) from None
+        if head != of:
+            raise IdentifyError(
+                f"{path} is of a search in other flights, with another rig or model, or by another version",
+                "give another name to --resume, or the same flights, rig, model and effects",
+            )
+        whole = 0
+        for line in lines:
+            try:
+                one = json.loads(line)
+                self._known[one["key"]] = one
+            except (ValueError, KeyError):
+                break
+            whole += 1
+        # The line that an interrupted search was writing.
+        if whole < len(lines):
+            path.write_text("\n".join([first, *lines[:whole]]) + "\n", encoding="utf-8")
+
+    def estimate(
+        self,
+        key: str,
+        unknowns: Unknowns,
+        courses: Sequence[Course],
+        functions: ModelFunctions,
+        work_out: Callable[[], Estimate],
+    ) -> Estimate:
+        """Look up the estimate of a `key`, or `work_out` and keep it.
+
+        Parameters
+        ----------
+        key : str
+            Digest of all that it depends on, see `key_of`.
+        unknowns, courses, functions : Unknowns, sequence of Course, ModelFunctions
+            Those of the estimate.
+        work_out : callable
+            Makes it.
+        """
+        self.asked.add(key)
+        known = self._known.get(key)
+        if known is not None:
+            weather: dict[str, Any] = {
+                name: None if value is None else np.array(value) for name, value in known["weather"].items()
+            }
+            return Estimate(
+                unknowns,
+                np.array(known["theta"]),
+                np.array(known["covariance"]),
+                known["log_likelihood"],
+                Weather(**weather),
+                known["converged"],
+                tuple(courses),
+                functions,
+            )
+        found = work_out()
+        self._known[key] = kept = {
+            "key": key,
+            "theta": found.theta.tolist(),
+            "covariance": found.covariance.tolist(),
+            "log_likelihood": float(found.log_likelihood),
+            "weather": {name: _listed(getattr(found.weather, name)) for name in _WEATHER},
+            "converged": bool(found.converged),
+        }
+        if self._path is not None:
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(kept) + "\n")
+        return found
+
+
+def _listed(value: Any) -> Any:
+    return None if value is None else np.asarray(value).tolist()
+
+
+def key_of(
+    what: str, candidates: Iterable[Candidate], start: Mapping[str, float], near: Estimate | None
+) -> str:
+    """Digest of what an estimate depends on beside what all of a search share: `what` flights, `candidates`
+    with all their values, values to `start` from, and the estimate to begin `near`.
+    """
+    digest = hashlib.sha256(what.encode())
+    for one in candidates:
+        known = one.id, sorted(one.effect.values.items()), sorted(one.effect.priors.items())
+        digest.update(repr((*known, _equations(one.effect))).encode())
+    digest.update(repr(sorted((name, float(value)) for name, value in start.items())).encode())
+    if near is not None:
+        digest.update(repr((near.unknowns.names, near.log_likelihood)).encode())
+        digest.update(np.ascontiguousarray(near.theta).tobytes())
+        for name in _WEATHER:
+            value = getattr(near.weather, name)
+            digest.update(b"none" if value is None else np.ascontiguousarray(value).tobytes())
+    return digest.hexdigest()
+
+
+def _equations(effect: Effect) -> str:
+    """Source of an effect, which may be a file of somebody's own."""
+    try:
+        return inspect.getsource(type(effect))
+    except (OSError, TypeError):
+        return type(effect).__qualname__
+
+
+def digest_of(model: Model, rig: Rig, records: Iterable[Record]) -> str:
+    """Digest of what all of a search share: `model`, `rig`, flights (`records`), the code that estimates."""
+    digest = hashlib.sha256()
+    for room in (heli_sim.model, heli_lab.identify, heli_lab.innovations):
+        for path in sorted(Path(str(room.__file__)).parent.rglob("*.py")):
+            digest.update(path.read_bytes())
+    effects = [(effect.name, sorted(effect.values.items())) for effect in model.effects]
+    digest.update(repr((model.name, effects)).encode())
+    numbers = [(name, one.value, one.tolerance, one.unit) for name, one in sorted(rig.items())]
+    digest.update(repr(numbers).encode())
+    for record in records:
+        digest.update(repr((record.label, record.segments)).encode())
+        for array in (record.t_s, record.angles_rad, record.voltages_V):
+            digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()

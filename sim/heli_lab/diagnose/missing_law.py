@@ -1,0 +1,311 @@
+"""What is missing, as the flights show it, against what it goes with; and the law that was found for it.
+
+The missing torque is the one by chance that a smoother puts in the place of a cause when the cause is taken
+out of the model and every other number stays. The law has no part in it: where the two agree, the flights
+show the law.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import casadi as ca
+import numpy as np
+from heli_sim.model.base import Model
+from heli_sim.model.parts import AXES
+from heli_sim.rig import Prior
+from scipy.signal import lfilter
+
+from heli_lab.diagnose.candidate import Candidate
+from heli_lab.diagnose.result import Diagnosis
+from heli_lab.diagnose.screening import Screening, coefficient_std
+from heli_lab.diagnose.spline_term import (
+    KNOTS,
+    QUANTITIES,
+    SplineTerm,
+    bspline_basis,
+    knot_span,
+    quantity_values,
+    spline_term,
+)
+from heli_lab.diagnose.words import SHOWN, quantity_in_words
+from heli_lab.identify.functions import Floats
+from heli_lab.innovations import AlongCourse, Estimate, Linear, ModelFunctions, Trajectory, Unknowns
+from heli_lab.innovations.estimate import estimate_weather
+
+_FOLLOWS: Final = 0.8
+"""Share of a law's variance that a smooth curve of one quantity must follow for the law to be drawn over that
+quantity. By judgement: the eye sees a curve with so much. Below, what is missing is drawn over what the law
+gives."""
+_LAGS_s: Final = (0.03, 0.06, 0.1, 0.15)
+"""Time constants of the lags that a thrust is compared with, to see how fast it changes: those of rotors."""
+_SHOWN_PLACES: Final = 15
+"""Points of a curve that stands for an angle: two between knots."""
+_WIDE_rad: Final = 0.3
+"""Prior standard deviation of that curve's coefficients: wide, so that nothing pulls the points to zero."""
+_NUMBER: Final = 98
+"""Above the number of any spline term of a model, so that their parameters' names differ."""
+
+
+@dataclass(frozen=True)
+class MissingLaw:
+    """What is missing on one axis, at each measurement of the filter, in units for people.
+
+    Parameters
+    ----------
+    id : str
+        The cause: an effect's id, or ``spline:CHANNEL:QUANTITY``.
+    what, unit : str
+        What is missing, ``torque`` or ``angle``, and its unit, mN m or degrees.
+    axis : str
+        About which axis.
+    on, on_unit : str
+        What it goes with, in words, and its unit.
+    place : ndarray (n,)
+        Values of that.
+    missing : ndarray (n,)
+        What the model lacks without the cause.
+    std : ndarray (n,)
+        Its standard error.
+    left : ndarray (n,)
+        What it lacks with it.
+    law : ndarray (n,)
+        What the cause gives.
+    """
+
+    id: str
+    what: str
+    unit: str
+    axis: str
+    on: str
+    on_unit: str
+    place: Floats
+    missing: Floats
+    std: Floats
+    left: Floats
+    law: Floats
+
+    @property
+    def share(self) -> float:
+        """Share of the variance of what was missing that the law takes away, at most 1."""
+        return 1.0 - float(np.var(self.missing - self.law)) / max(float(np.var(self.missing)), 1e-300)
+
+
+def missing_laws(diagnosis: Diagnosis, most: int = 2) -> list[MissingLaw]:
+    """Set out the strongest causes of a `diagnosis`, named ones and curves in the place of unknown ones, at
+    `most` so many.
+
+    What no curve was found for, such as a torque by chance or a term that is absent, has none.
+    """
+    found: list[MissingLaw] = []
+    verdict = diagnosis.verdict
+    for cause in (*verdict.off_list, *verdict.causes)[:most]:
+        whole = diagnosis.search.final if cause.candidate.is_spline else diagnosis.extended
+        found.append(missing_law(whole.estimate, cause.candidate))
+    return found
+
+
+def missing_law(estimate: Estimate, cause: Candidate) -> MissingLaw:
+    """Set out one `cause` of the model of an `estimate`."""
+    less = _without(estimate, cause.effect.name)
+    with_, without = estimate.filtered().linears, less.filtered().linears
+    torque = [_torque_of_law(*pair) for pair in zip(with_, without, strict=True)]
+    size = np.sqrt(np.mean(np.concatenate(torque) ** 2, axis=0))
+    if not size.any():
+        return _missing_angle(estimate, less, cause)
+    blocks = [_Blocks(linear) for linear in without]
+    law = np.concatenate([block.mean(one) for block, one in zip(blocks, torque, strict=True)])
+    missing, std = _torque_by_chance(less)
+    left, _ = _torque_by_chance(estimate)
+    rest = np.sqrt(np.mean((missing - law) ** 2, axis=0)) + 1e-9
+    axis = int(np.argmax(size / rest))
+    places = [
+        {name: block.mean(value) for name, value in _quantities(linear).items()}
+        for block, linear in zip(blocks, with_, strict=True)
+    ]
+    place, on, on_unit = _best_place(places, law[:, axis], cause)
+    factor, unit = SHOWN["N m"]
+    return MissingLaw(
+        cause.id,
+        "torque",
+        unit,
+        AXES[axis],
+        on,
+        on_unit,
+        place,
+        *(factor * one[:, axis] for one in (missing, std, left, law)),
+    )
+
+
+class _Blocks:
+    """Steps of a flight by the filter's measurements."""
+
+    def __init__(self, linear: Linear) -> None:
+        firsts = np.concatenate([block.rows for block in linear.blocks])
+        self._rows = firsts[:, None] + np.arange(linear.block)
+
+    def mean(self, value: Floats) -> Floats:
+        """Mean over each block of values (n, ...) of its steps."""
+        result: Floats = value[self._rows].mean(axis=1)
+        return result
+
+
+def _without(estimate: Estimate, name: str) -> Estimate:
+    """The same model without one of its effects: all other numbers stay, the weather is sought afresh."""
+    own = estimate.unknowns
+    model = type(own.model)(tuple(effect for effect in own.model.effects if effect.name != name))
+    records = [course.record for course in estimate.courses]
+    unknowns = Unknowns(model, own.rig, records)
+    values = dict(zip(own.names, estimate.theta, strict=True))
+    start = zip(unknowns.names, unknowns.start, strict=True)
+    theta = np.array([values.get(one, value) for one, value in start])
+    functions = ModelFunctions(model, unknowns.quantities)
+    less = replace(
+        estimate,
+        unknowns=unknowns,
+        theta=theta,
+        covariance=np.diag(unknowns.std**2),
+        functions=functions,
+    )
+    filtered = less.filtered()
+    weather = estimate_weather(filtered, filtered.moved(np.zeros(len(theta))), estimate.weather)
+    return replace(less, weather=weather)
+
+
+def _held(estimate: Estimate, names: Iterable[str]) -> Estimate:
+    """The same estimate with the parameters `names` no longer free."""
+    own = estimate.unknowns
+    values = dict(zip(own.names, map(float, estimate.theta), strict=True))
+    known = {name: values[name] for name in names if name in values}
+    records = [course.record for course in estimate.courses]
+    unknowns = Unknowns(own.model, own.rig, records, fixed=known)
+    return replace(
+        estimate,
+        unknowns=unknowns,
+        theta=np.array([values[one] for one in unknowns.names]),
+        covariance=np.diag(unknowns.std**2),
+        functions=ModelFunctions(own.model, unknowns.quantities),
+    )
+
+
+def _coefficients(screening: Screening, candidate: Candidate) -> tuple[Floats, Floats]:
+    """Coefficients of a spline term that a score test asks for, and their covariance."""
+    ((information, score),) = screening.spline_information([candidate])
+    precision = np.diag(coefficient_std(candidate) ** -2.0)
+    covariance = np.asarray(np.linalg.inv(information + precision), float)
+    return covariance @ score, covariance
+
+
+def _torque_by_chance(estimate: Estimate) -> tuple[Floats, Floats]:
+    """Torques about the three axes, (k, 3) over all flights, that stand for what a model lacks, and their
+    standard errors.
+    """
+    found = estimate.filtered().smoothed_torques(estimate.weather, np.zeros(len(estimate.theta)))
+    return np.concatenate([one for _, one, _ in found]), np.concatenate([one for _, _, one in found])
+
+
+def _torque_of_law(with_: Linear, without: Linear) -> Floats:
+    """Torque about each axis that does what an effect does, along the course, shape (n, 3)."""
+    change = _accelerations(with_) - _accelerations(without)
+    return np.asarray(np.linalg.solve(without.steps.by_torque[:, 3:6], change[:, :, None])[:, :, 0], float)
+
+
+def _accelerations(linear: Linear) -> Floats:
+    return _along(linear.model, linear.trajectory, lambda *at: linear.model.dynamics(*at)[3:6])
+
+
+def _along(model: Model, trajectory: Trajectory, of: Callable[..., ca.SX]) -> Floats:
+    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
+    t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
+    function = ca.Function("along", [x, u, t, p], [ca.cse(ca.densify(of(x, u, p, t)))])
+    (found,) = AlongCourse(function)(trajectory)
+    return np.ascontiguousarray(found[:, :, 0])
+
+
+def _quantities(linear: Linear) -> dict[str, Floats]:
+    """Quantities that a law may go with, shape (n,), by name: those of spline terms, and how fast the thrust
+    changes, which is what a lag and a delay go with.
+    """
+    found = quantity_values(linear.model, linear.trajectory)
+    for name, time_s in itertools.product(("thrust", "thrust_difference"), _LAGS_s):
+        rho = np.exp(-linear.trajectory.step_s / time_s)
+        late = lfilter([1.0 - rho], [1.0, -rho], found[name], zi=[rho * found[name][0]])[0]
+        found[f"change of {name} within {time_s:g} s"] = found[name] - late
+    return found
+
+
+def _best_place(
+    places: Sequence[Mapping[str, Floats]], law: Floats, cause: Candidate
+) -> tuple[Floats, str, str]:
+    """What a law is best drawn over: its values, its name in words and its unit."""
+    together = {name: np.concatenate([one[name] for one in places]) for name in places[0]}
+    if isinstance(cause.effect, SplineTerm):
+        name = cause.effect.on
+    else:
+        followed = {name: _followed(value, law) for name, value in together.items()}
+        name = max(followed, key=lambda one: followed[one])
+        if followed[name] < _FOLLOWS:
+            factor, unit = SHOWN["N m"]
+            return factor * law, "what the law gives", unit
+    factor, unit = SHOWN.get(_unit(name), (1.0, _unit(name)))
+    return factor * together[name], quantity_in_words(name), unit
+
+
+def _unit(name: str) -> str:
+    return "N" if name.startswith("change of ") else QUANTITIES[name][1]
+
+
+def _followed(place: Floats, law: Floats) -> float:
+    """Share of a law's variance that a smooth curve of one quantity follows."""
+    low, step = knot_span(place)
+    weights = bspline_basis(place, low, step)
+    fitted = weights @ np.linalg.lstsq(weights, law, rcond=None)[0]
+    return 1.0 - float(np.var(law - fitted)) / max(float(np.var(law)), 1e-300)
+
+
+def _missing_angle(estimate: Estimate, less: Estimate, cause: Candidate) -> MissingLaw:
+    """The same of an effect on what an encoder shows: any smooth curve, estimated in its place, is what the
+    flights show.
+    """
+    # With the law in the model its numbers stay: free, they would take what the curve is to show.
+    screenings = Screening(less), Screening(_held(estimate, cause.effect.values))
+    linears = screenings[1].filtered.linears
+    laws = [
+        _along(one.model, one.nodes, one.model.measurement)
+        - _along(other.model, other.nodes, other.model.measurement)
+        for one, other in zip(linears, screenings[0].filtered.linears, strict=True)
+    ]
+    law = np.concatenate(laws)
+    axis = int(np.argmax(law.std(axis=0)))
+    places = [quantity_values(one.model, one.nodes) for one in linears]
+    place, on, on_unit = _best_place(places, law[:, axis], cause)
+    name = next((n for n in places[0] if quantity_in_words(n) == on), AXES[axis])
+    place = np.concatenate([one[name] for one in places])
+    low, step = knot_span(place)
+    term = spline_term(f"measurement.{AXES[axis]}", name, low, step, _NUMBER)
+    term = replace(term, priors={one: Prior(0.0, _WIDE_rad) for one in term.priors})
+    candidate = Candidate(f"spline:{term.channel}:{name}", term, tuple(term.priors))
+    shown = np.linspace(low, low + step * (KNOTS - 3), _SHOWN_PLACES)
+    weights = bspline_basis(shown, low, step)
+    weights -= weights.mean(axis=0)
+    (without, covariance), (left, _) = (_coefficients(one, candidate) for one in screenings)
+    std = np.sqrt(np.einsum("ni,ij,nj->n", weights, covariance, weights))
+    drawn = weights @ np.linalg.lstsq(bspline_basis(place, low, step), law[:, axis], rcond=None)[0]
+    factor, unit = SHOWN["rad"]
+    on_factor, on_unit = SHOWN.get(QUANTITIES[name][1], (1.0, QUANTITIES[name][1]))
+    return MissingLaw(
+        cause.id,
+        "angle",
+        unit,
+        AXES[axis],
+        quantity_in_words(name),
+        on_unit,
+        on_factor * shown,
+        factor * (weights @ without),
+        factor * std,
+        factor * (weights @ left),
+        factor * drawn,
+    )

@@ -1,0 +1,6 @@
+"""What a file of somebody else's means: columns, units, signs and zeros, from names and physics."""
+
+from heli_lab.guess.result import Choice, Doubt, Guess
+from heli_lab.guess.run import guess
+
+__all__ = ["Choice", "Doubt", "Guess", "guess"]

@@ -1,0 +1,89 @@
+"""All choices of signs, flown through the baseline model of the rig."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from heli_host.flight import Flight
+from heli_sim.model import MultibodyModel
+from heli_sim.rig import Rig
+
+from heli_lab.errors import IdentifyError
+from heli_lab.guess import thresholds
+from heli_lab.guess.result import Choice
+from heli_lab.guess.scales import AXES
+from heli_lab.guess.signals import Floats
+from heli_lab.identify.fit import Budget
+from heli_lab.identify.problem import Problem
+from heli_lab.identify.record import Record, prepare
+from heli_lab.identify.solve import solve
+
+PIECE_S: Final = 2.0
+"""Pieces of which the liveliest are flown, s."""
+WINDOW_S: Final = 1.0
+"""Free runs, s: long enough for travel to follow pitch, short enough for a wrong choice not to diverge."""
+EVALUATIONS: Final = 8
+"""Of the flights, with derivatives, for each choice: trim and gains come within these, and a wrong sign stays
+wrong."""
+
+
+def fly_choices(flight: Flight, rig: Rig) -> tuple[Choice, ...]:
+    """Fly a flight with its signs as they are and with every other choice of the three.
+
+    The motors exchanged are pitch and travel turned round, seen in a mirror.
+
+    Returns
+    -------
+    tuple of Choice
+        The flight as it is first; empty where too little of it is in the air.
+    """
+    try:
+        record = _part(prepare(flight, rig))
+    except IdentifyError:
+        return ()
+    errors = {}
+    for signs in itertools.product((1.0, -1.0), repeat=3):
+        angles = record.angles_rad * np.array(signs)
+        errors[signs] = _error_deg(replace(record, angles_rad=angles, label=f"{signs}"), rig)
+    mine = errors[1.0, 1.0, 1.0]
+    choices = []
+    for signs, error in errors.items():
+        turned = [f"{axis}" for axis, sign in zip(AXES, signs, strict=True) if sign < 0.0]
+        ratio = float(np.exp(np.sum(np.log(np.maximum(error, 1e-6) / np.maximum(mine, 1e-6)))))
+        choices.append(
+            Choice(" and ".join(turned), (float(error[0]), float(error[1]), float(error[2])), ratio)
+        )
+    return tuple(choices)
+
+
+def _part(record: Record) -> Record:
+    """The parts of a record in which pitch and elevation move most."""
+    rows = max(2, round(PIECE_S / record.step_s))
+    pieces = [
+        (first, first + rows)
+        for start, stop in record.segments
+        for first in range(start, stop - rows + 1, rows)
+    ]
+    if not pieces:
+        return record
+    moves = np.array([record.angles_rad[first:last, :2].std(axis=0) for first, last in pieces])
+    rank = np.argsort(-(moves / np.maximum(moves.mean(axis=0), 1e-9)).sum(axis=1))
+    most = max(1, round(thresholds.FLOWN_S / PIECE_S))
+    kept = sorted(pieces[i] for i in rank[:most])
+    return replace(record, segments=tuple(kept))
+
+
+def _error_deg(record: Record, rig: Rig) -> Floats:
+    problem = Problem(MultibodyModel(), rig, [record], window_s=WINDOW_S, step_s=0.02)
+    try:
+        fit = solve(problem, budget=Budget(evaluations=EVALUATIONS), fine=False, scatter=False)
+    except IdentifyError:
+        return np.full(3, 180.0)
+    with np.errstate(all="ignore"):
+        evaluation = problem.evaluation(0, fit.theta, fit.states[0], derivatives=False)
+        error = np.degrees(np.sqrt(np.mean(evaluation.residual**2, axis=0)) * record.sigma_rad)
+    finite: Floats = np.nan_to_num(error, nan=180.0, posinf=180.0)
+    return finite

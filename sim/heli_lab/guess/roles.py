@@ -1,0 +1,297 @@
+"""Which column is what: elevation answers the voltages' sum, pitch their difference, travel the pitch."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heli_lab.guess import names, thresholds
+from heli_lab.guess.reference import Reference
+from heli_lab.guess.signals import Floats, Signal, Signals, late
+
+_EVERY: Final = 10
+"""Of the rows every so many is compared: ten a second say all that the filter leaves."""
+_MOST_COLUMNS: Final = 14
+_SAME: Final = 0.99999
+
+
+@dataclass(frozen=True)
+class Explained:
+    """An axis' acceleration, explained by a cause.
+
+    Parameters
+    ----------
+    nats : float
+        By how much the cause makes the axis likelier, less what the axis explains by itself.
+    gain : float
+        Acceleration for one unit of the cause; its sign tells which way they go.
+    lag_s : float
+        By how much the axis is late.
+    """
+
+    nats: float
+    gain: float
+    lag_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Roles:
+    """Columns by role.
+
+    Parameters
+    ----------
+    elevation, pitch, travel : str
+        Columns of the angles.
+    voltages : tuple of (str, str)
+        Columns of the voltages.
+    summed : bool
+        Whether these are sum and difference, not front and back.
+    polarity : tuple of (float, float)
+        Signs that make the voltages such as lift.
+    nats : float
+        Log-likelihood with names.
+    physics : float
+        The same without names.
+    """
+
+    elevation: str
+    pitch: str
+    travel: str
+    voltages: tuple[str, str]
+    summed: bool
+    polarity: tuple[float, float]
+    nats: float
+    physics: float
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """All five columns."""
+        return (self.elevation, self.pitch, self.travel, *self.voltages)
+
+    def same_as(self, other: Roles) -> bool:
+        """Whether another assignment means the same, motors in either order."""
+        pair = set if not self.summed else tuple
+        return (self.columns[:3], self.summed, pair(self.voltages)) == (
+            other.columns[:3],
+            other.summed,
+            pair(other.voltages),
+        )
+
+
+def explain(
+    acceleration: Floats,
+    own: tuple[Floats, Floats],
+    cause: Floats,
+    stiffness: tuple[float, float],
+    rows: NDArray[np.bool_],
+) -> Explained:
+    """Explain an axis by a cause, beside its own stiffness and damping.
+
+    Parameters
+    ----------
+    acceleration : ndarray (n,)
+        Of the axis.
+    own : tuple of ndarray (n,)
+        Its deflection and its rate.
+    cause : ndarray (n,)
+        What may move it.
+    stiffness : tuple of float
+        Prior of its acceleration for a deflection: mean and standard deviation, 1/s2.
+    rows : ndarray of bool (n,)
+        Rows that count.
+    """
+    y = acceleration[rows][::_EVERY] - stiffness[0] * own[0][rows][::_EVERY]
+    columns = np.column_stack(
+        [own[0][rows][::_EVERY], own[1][rows][::_EVERY], np.ones(len(y)), cause[rows][::_EVERY]]
+    )
+    if len(y) < 20:
+        return Explained(0.0, 0.0)
+    spread = np.maximum(columns.std(axis=0), 1e-12)
+    prior_std = np.array([stiffness[1], 1.0, np.inf, np.inf])
+    noise = float(y.var())
+    rests: list[float] = []
+    gain = 0.0
+    for _ in range(3):
+        rests = []
+        for count in (3, 4):
+            X = columns[:, :count] / spread[:count]
+            penalty = np.diag(noise / (prior_std[:count] * spread[:count]) ** 2) + 1e-9 * len(y) * np.eye(
+                count
+            )
+            solution = np.linalg.solve(X.T @ X + penalty, X.T @ y)
+            residual = y - X @ solution
+            rests.append(float(np.mean(residual**2)) + float(solution @ penalty @ solution) / len(y))
+            gain = float(solution[-1] / spread[count - 1])
+        noise = max(rests[1], 1e-12 * float(y.var()) + 1e-300)
+    seconds = len(y) * _EVERY * thresholds.STEP_S
+    independent = seconds * thresholds.INDEPENDENT_Hz
+    return Explained(0.5 * independent * float(np.log(max(rests[0], 1e-300) / max(rests[1], 1e-300))), gain)
+
+
+def free_rows(signals: Signals, name: str) -> NDArray[np.bool_]:
+    """Rows in which the column `name`, taken for the elevation, is off the level at which it begins, where it
+    begins at rest; all inner ones where it does not.
+    """
+    raw = signals.raw[name]
+    rest = round(thresholds.REST_S / thresholds.STEP_S)
+    start, usual = float(raw[0]), float(np.median(raw))
+    span = float(np.ptp(raw))
+    if span == 0.0 or np.ptp(raw[:rest]) > 0.01 * span or abs(usual - start) < 0.2 * span:
+        return signals.inner
+    off = (raw - start) * np.sign(usual - start) > 0.4 * abs(usual - start)
+    free: NDArray[np.bool_] = signals.inner & off
+    return free
+
+
+def candidates(signals: Signals) -> list[str]:
+    """Columns that may be an angle or a voltage: those that vary, without doubles and without rates."""
+    moving = [name for name, one in signals.raw.items() if np.ptp(one) > 0.0]
+    moving.sort(key=lambda name: (not names.role_of(name), names.is_other(name)))
+    kept: list[str] = []
+    for name in moving:
+        if not any(_alike(signals.raw[name], signals.raw[other]) > _SAME for other in kept):
+            kept.append(name)
+    rates = {
+        name
+        for name, other in itertools.permutations(kept, 2)
+        if not names.role_of(name)
+        and _alike(signals.filtered[other].rate, signals.filtered[name].value) > thresholds.RATE_MATCH**0.5
+    }
+    return [name for name in kept if name not in rates][:_MOST_COLUMNS]
+
+
+def _alike(first: Floats, second: Floats) -> float:
+    if np.ptp(first) == 0.0 or np.ptp(second) == 0.0:
+        return 0.0
+    return abs(float(np.corrcoef(first, second)[0, 1]))
+
+
+def polarity_of(values: Floats) -> float:
+    """Sign that makes a voltage, `values`, one that lifts on the mean; 1 where the mean says nothing."""
+    mean = float(values.mean())
+    return -1.0 if mean < 0.0 and abs(mean) > 0.5 * float(values.std()) else 1.0
+
+
+def assignments(signals: Signals, reference: Reference) -> list[Roles]:
+    """All assignments of columns to roles, the likeliest first."""
+    found = candidates(signals)
+    count = len(found)
+    if count < 5:
+        return []
+    filtered = [signals.filtered[name] for name in found]
+    rows = [free_rows(signals, name) for name in found]
+    polarity = np.array([polarity_of(signals.raw[name]) for name in found])
+    level = [polarity[i] * filtered[i].value for i in range(count)]
+    pairs = list(itertools.combinations(range(count), 2))
+    sums: dict[tuple[int, ...], Floats] = {(i,): level[i] for i in range(count)}
+    sums |= {(i, j): level[i] + level[j] for i, j in pairs}
+    differences: dict[tuple[int, ...], Floats] = {(i,): filtered[i].value for i in range(count)}
+    differences |= {(i, j): level[i] - level[j] for i, j in pairs}
+    lifted = _table(sums, filtered, rows, reference.stiffness["elevation"])
+    pitched = _table(differences, filtered, [signals.inner] * count, reference.stiffness["pitch"])
+    turned = np.zeros((count, count))
+    for p, t in itertools.permutations(range(count), 2):
+        own = (filtered[t].value * 0.0, filtered[t].rate)
+        turned[p, t] = explain(
+            filtered[t].acceleration, own, filtered[p].value, (0.0, 0.1), signals.inner
+        ).nats
+    stated = _stated(found)
+    ranked = []
+    for pair in pairs:
+        ranked += _best(found, lifted[pair], pitched[pair], turned, pair, False, polarity, stated)
+    for pair in itertools.permutations(range(count), 2):
+        ranked += _best(found, lifted[pair[:1]], pitched[pair[1:]], turned, pair, True, polarity, stated)
+    return sorted(ranked, key=lambda one: -one.nats)
+
+
+def _table(
+    causes: dict[tuple[int, ...], Floats],
+    filtered: Sequence[Signal],
+    rows: list[NDArray[np.bool_]],
+    stiffness: tuple[float, float],
+) -> dict[tuple[int, ...], Floats]:
+    """Nats of each column, explained by each cause at its best lag; none where a column is its own cause."""
+    found = {}
+    for key, cause in causes.items():
+        lagged = [late(cause, lag_s) for lag_s in thresholds.ROLE_LAGS_S]
+        nats = np.zeros(len(filtered))
+        for index, one in enumerate(filtered):
+            if index in key:
+                continue
+            own = (one.value - one.value.mean(), one.rate)
+            nats[index] = max(
+                explain(one.acceleration, own, each, stiffness, rows[index]).nats for each in lagged
+            )
+        found[key] = nats
+    return found
+
+
+def _stated(found: list[str]) -> dict[str, Floats]:
+    """What names count for each role, by column."""
+    stated = {}
+    for role in names.ROLES:
+        worth = np.zeros(len(found))
+        for index, name in enumerate(found):
+            said = names.role_of(name)
+            if said == role:
+                worth[index] = thresholds.NAME_NATS
+            elif said:
+                worth[index] = -thresholds.NAME_NATS
+            elif names.is_other(name):
+                worth[index] = -thresholds.OTHER_NATS
+        stated[role] = worth
+    return stated
+
+
+def _best(
+    found: list[str],
+    lifted: Floats,
+    pitched: Floats,
+    turned: Floats,
+    pair: tuple[int, int],
+    summed: bool,
+    polarity: Floats,
+    stated: dict[str, Floats],
+) -> list[Roles]:
+    """The three likeliest choices of angles for a pair of voltages."""
+    physics = lifted[:, None, None] + pitched[None, :, None] + turned[None, :, :]
+    words = (
+        stated["elevation"][:, None, None] + stated["pitch"][None, :, None] + stated["travel"][None, None, :]
+    )
+    i, j = pair
+    if summed:
+        words = words + stated["sum"][i] + stated["difference"][j]
+    else:
+        orders = (stated["front"][i] + stated["back"][j], stated["front"][j] + stated["back"][i])
+        words = words + max(orders)
+        if orders[1] > orders[0]:
+            i, j = j, i
+    total = physics + words
+    count = len(found)
+    e, p, t = np.indices((count, count, count))
+    total[(e == p) | (e == t) | (p == t)] = -np.inf
+    for taken in pair:
+        total[(e == taken) | (p == taken) | (t == taken)] = -np.inf
+    ranked = []
+    for flat in np.argsort(total.ravel())[::-1][:3]:
+        a, b, c = (int(x) for x in np.unravel_index(flat, total.shape))
+        if np.isfinite(total[a, b, c]):
+            signs = (float(polarity[i]), 1.0 if summed else float(polarity[j]))
+            ranked.append(
+                Roles(
+                    found[a],
+                    found[b],
+                    found[c],
+                    (found[i], found[j]),
+                    summed,
+                    signs,
+                    float(total[a, b, c]),
+                    float(physics[a, b, c]),
+                )
+            )
+    return ranked

@@ -1,0 +1,97 @@
+"""Columns on one clock, low-passed, with two derivatives: what physics is compared on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from heli_host.tables import Table
+from numpy.typing import NDArray
+
+from heli_lab.guess.thresholds import EDGE_S, STEP_S, CUTOFF_Hz
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A column, low-passed: `value`, `rate` and `acceleration`, each of shape (n,), in its own unit and
+    seconds.
+    """
+
+    value: Floats
+    rate: Floats
+    acceleration: Floats
+
+
+@dataclass(frozen=True)
+class Signals:
+    """All columns of a table that vary, on even times.
+
+    Parameters
+    ----------
+    t_s : ndarray (n,)
+        Times.
+    raw : Mapping[str, ndarray (n,)]
+        Values on these times, wrapped angles unwrapped, not low-passed.
+    filtered : Mapping[str, Signal]
+        The same, low-passed.
+    inner : ndarray of bool (n,)
+        Not at the ends.
+    """
+
+    t_s: Floats
+    raw: Mapping[str, Floats]
+    filtered: Mapping[str, Signal]
+    inner: NDArray[np.bool_]
+
+
+def signals_of(table: Table, t_s: Floats, names: list[str]) -> Signals:
+    """Bring the columns `names` of a table with times `t_s` to even times, and low-pass them."""
+    usable = np.isfinite(t_s)
+    usable[usable] = np.concatenate(([True], np.diff(t_s[usable]) > 0.0))
+    even_s = np.arange(t_s[usable][0], t_s[usable][-1], STEP_S)
+    raw = {}
+    for name in names:
+        values = table.columns[name].values
+        known = usable & np.isfinite(values)
+        if known.sum() > 10:
+            raw[name] = np.interp(even_s, t_s[known], unwrapped(values[known]))
+    filtered = {name: filtered_signal(one) for name, one in raw.items()}
+    inner = (even_s > even_s[0] + EDGE_S) & (even_s < even_s[-1] - EDGE_S)
+    return Signals(even_s, raw, filtered, inner)
+
+
+def filtered_signal(values: Floats) -> Signal:
+    """Low-pass a signal, `values`, without moving it in time, and take its derivatives."""
+    from scipy.signal import butter, sosfiltfilt
+
+    sections = butter(4, CUTOFF_Hz, fs=1.0 / STEP_S, output="sos")
+    low = sosfiltfilt(sections, values)
+    rate = np.gradient(low, STEP_S)
+    return Signal(low, rate, np.gradient(rate, STEP_S))
+
+
+def unwrapped(values: Floats) -> Floats:
+    """Unwrap a column, `values`, that jumps by a turn of any unit; others are returned as they are."""
+    jumps = np.abs(np.diff(values))
+    far = jumps[jumps > 0.5 * np.ptp(values)]
+    if not far.size or np.ptp(values) == 0.0 or far.size > 0.02 * values.size:
+        return values
+    for turn in (2.0 * np.pi, 360.0, 1.0, 4096.0, 8192.0, 65536.0):
+        if np.all(np.abs(far / turn - 1.0) < 0.2) and np.ptp(values) < 1.05 * turn:
+            result: Floats = np.unwrap(values, period=turn)
+            return result
+    return values
+
+
+def late(values: Floats, lag_s: float) -> Floats:
+    """Make a signal, `values`, late by `lag_s`; its ends repeat."""
+    rows = round(lag_s / STEP_S)
+    result: Floats = np.roll(values, rows)
+    if rows > 0:
+        result[:rows] = values[0]
+    elif rows < 0:
+        result[rows:] = values[-1]
+    return result

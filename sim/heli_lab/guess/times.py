@@ -1,0 +1,89 @@
+"""Which column is the time, and in which unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from heli_host.tables import Table
+from heli_host.tables.units import TIME_UNITS, split_unit
+
+from heli_lab.guess import names
+from heli_lab.guess.signals import Floats
+
+_LEAST_RISING: Final = 0.995
+_MOST_STEP_S: Final = 0.15
+"""Nobody logs such a flight at less than 7 Hz."""
+_LEAST_STEP_S: Final = 0.0002
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The time of a table.
+
+    Parameters
+    ----------
+    column : str
+        Its column; empty where there is none.
+    unit : str
+        What it counts: `s`, `ms`, `us`, `ns` or `min`; empty where no unit fits.
+    sure : bool
+        Whether nothing else could be meant.
+    other : str
+        What else could be meant.
+    """
+
+    column: str
+    unit: str
+    sure: bool
+    other: str = ""
+
+
+def clock_of(table: Table) -> Clock:
+    """Find the time of a table."""
+    found: list[tuple[float, Clock]] = []
+    for name, column in table.columns.items():
+        values = column.values[np.isfinite(column.values)]
+        if values.size < 10:
+            continue
+        steps = np.diff(values)
+        if float(np.mean(steps > 0.0)) < _LEAST_RISING:
+            continue
+        typical = float(np.median(steps))
+        even = float(np.mean(np.abs(steps / typical - 1.0) < 0.5))
+        clock = _unit(name, column.unit, typical)
+        found.append((2.0 * names.is_time(name) + even + bool(clock.unit) + clock.sure, clock))
+    if not found:
+        return Clock("", "", False, "no column rises from row to row")
+    return max(found, key=lambda one: one[0])[1]
+
+
+def _unit(name: str, stated: str, step: float) -> Clock:
+    possible = [unit for unit, s in TIME_UNITS.items() if _LEAST_STEP_S <= step * s <= _MOST_STEP_S]
+    said = stated or split_unit(name)[1]
+    if not said and set(names.words_of(name)) & {"millis"}:
+        said = "ms"
+    if not said and set(names.words_of(name)) & {"micros"}:
+        said = "us"
+    if said in TIME_UNITS and (said in possible or not possible):
+        return Clock(
+            name, said if possible else "", bool(possible), f"steps of {step:g} {said} are none of a log"
+        )
+    if said in TIME_UNITS:
+        return Clock(name, possible[0], False, f"in {said}, as its name says, with steps of {step:g}")
+    counts = abs(step - 1.0) < 1e-6
+    if counts and not (names.is_time(name) and possible):
+        return Clock(name, possible[0] if possible else "ms", False, "it may count rows")
+    if not possible:
+        return Clock(name, "", False, f"steps of {step:g} fit no unit of time")
+    # One step of a log is 0.2 to 150 ms: a number fits two units at most, the larger of which is meant.
+    return Clock(name, possible[0], not counts, "it may count rows" if counts else "")
+
+
+def times_in_s(table: Table, clock: Clock) -> Floats:
+    """Times of the rows, s."""
+    values = table.columns[clock.column].values
+    first = values[np.isfinite(values)][0]
+    result: Floats = (values - first) * TIME_UNITS[clock.unit]
+    return result

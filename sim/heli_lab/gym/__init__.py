@@ -1,0 +1,21 @@
+"""The helicopter as an environment of Gymnasium; see the README beside this file.
+
+Importing it registers ``HeliHover-v0``, so ``gymnasium.make("heli_lab.gym:HeliHover-v0")`` needs no import.
+"""
+
+from __future__ import annotations
+
+from heli_lab.errors import LearningError
+
+try:
+    import gymnasium
+except ImportError as missing:
+    raise LearningError("heli_lab.gym needs gymnasium", "pip install 'heli-host[gym]'") from missing
+
+from heli_lab.gym.domain import Domain
+from heli_lab.gym.environment import EPISODE_S, STEP_S, HoverEnv
+from heli_lab.gym.search import LinearPolicy, cross_entropy, mean_return
+
+__all__ = ["EPISODE_S", "STEP_S", "Domain", "HoverEnv", "LinearPolicy", "cross_entropy", "mean_return"]
+
+gymnasium.register("HeliHover-v0", "heli_lab.gym:HoverEnv", max_episode_steps=round(EPISODE_S / STEP_S))

@@ -1,0 +1,87 @@
+"""Normal equations of many flights: unknowns that all share, and each flight's own.
+
+A flight's own unknowns meet those of no other flight: the matrix is block diagonal but for a border. Each
+block is eliminated by itself, so that a solution costs as many small systems as there are flights, and not
+the cube of all unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from heli_lab.identify.functions import Floats, Integers
+
+
+def own_columns(columns: Sequence[Integers], size: int) -> Integers:
+    """Find the unknowns that each flight has of its own, shape (flights, k); k is 0 for one flight alone.
+
+    Parameters
+    ----------
+    columns : sequence of ndarray
+        For each flight, which unknowns it depends on.
+    size : int
+        Number of unknowns.
+    """
+    used = np.zeros(size, int)
+    for one in columns:
+        used[one] += 1
+    if len(columns) < 2:
+        return np.zeros((len(columns), 0), np.int64)
+    return np.array([one[used[one] == 1] for one in columns], np.int64)
+
+
+def solve_bordered(matrix: Floats, right: Floats, own: Integers) -> Floats:
+    """Solve a positive definite system, shape (f,) or (f, s) as its right-hand side.
+
+    Parameters
+    ----------
+    matrix : ndarray (f, f)
+        Zero between unknowns of different flights.
+    right : ndarray (f,) or (f, s)
+        Right-hand side.
+    own : ndarray (flights, k)
+        As `own_columns` finds them.
+    """
+    columns = right[:, None] if right.ndim == 1 else right
+    shared, gain, complement, blocks = _eliminated(matrix, own)
+    found = np.empty(columns.shape)
+    local = np.linalg.solve(blocks, columns[own]) if own.size else columns[own]
+    reduced = columns[shared] - np.einsum("nks,nkr->sr", gain, columns[own])
+    found[shared] = np.linalg.solve(complement, reduced)
+    found[own] = local - gain @ found[shared]
+    return found[:, 0] if right.ndim == 1 else found
+
+
+def inverse_bordered(matrix: Floats, own: Integers) -> Floats:
+    """Invert a positive definite `matrix`, shape (f, f), zero between unknowns of different flights; `own` as
+    `own_columns` finds them.
+    """
+    shared, gain, complement, blocks = _eliminated(matrix, own)
+    inverse = np.empty(matrix.shape)
+    of_shared = np.linalg.inv(complement)
+    inverse[np.ix_(shared, shared)] = of_shared
+    if own.size:
+        flat, border = own.ravel(), gain.reshape(-1, len(shared))
+        beside = border @ of_shared
+        inverse[np.ix_(flat, shared)] = -beside
+        inverse[np.ix_(shared, flat)] = -beside.T
+        inverse[np.ix_(flat, flat)] = beside @ border.T
+        inverse[own[:, :, None], own[:, None, :]] += np.linalg.inv(blocks)
+    result: Floats = 0.5 * (inverse + inverse.T)
+    return result
+
+
+def _eliminated(matrix: Floats, own: Integers) -> tuple[Integers, Floats, Floats, Floats]:
+    """Shared unknowns; for each flight what its own change for each unit of them; the shared ones' Schur
+    complement; the blocks.
+    """
+    shared = np.setdiff1d(np.arange(len(matrix)), own.ravel())
+    blocks = matrix[own[:, :, None], own[:, None, :]]
+    border = matrix[own[:, :, None], shared[None, None, :]]
+    gain = border
+    if own.size:
+        gain = np.asarray(np.linalg.solve(blocks, border), float)
+    complement: Floats = matrix[np.ix_(shared, shared)] - np.einsum("nks,nkt->st", border, gain)
+    return shared, gain, complement, blocks

@@ -1,0 +1,53 @@
+"""A control law of one's own: written once, run as numpy, over the link, on the board, or as C."""
+
+from casadi import (
+    atan2,
+    cos,
+    exp,
+    fabs,
+    floor,
+    fmax,
+    fmin,
+    if_else,
+    logic_and,
+    logic_not,
+    logic_or,
+    sin,
+    sqrt,
+    tan,
+    tanh,
+)
+from heli_host.errors import BadLaw
+from heli_host.tape import Tape
+
+from heli_lab.law.blocks import motor_volts, saturated
+from heli_lab.law.law import Command, Law, control_law
+from heli_lab.law.sources import from_function, from_gain, from_state_space
+
+__all__ = [
+    "BadLaw",
+    "Command",
+    "Law",
+    "Tape",
+    "atan2",
+    "control_law",
+    "cos",
+    "exp",
+    "fabs",
+    "floor",
+    "fmax",
+    "fmin",
+    "from_function",
+    "from_gain",
+    "from_state_space",
+    "if_else",
+    "logic_and",
+    "logic_not",
+    "logic_or",
+    "motor_volts",
+    "saturated",
+    "sin",
+    "sqrt",
+    "tan",
+    "tanh",
+]

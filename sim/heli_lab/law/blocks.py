@@ -1,0 +1,51 @@
+"""Pieces that laws are made of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+BLEND_V = 0.05
+
+
+def saturated(value: Any, least: Any, most: Any) -> Any:
+    """Limit a value.
+
+    Parameters
+    ----------
+    value : SX or float
+        What is to be limited.
+    least, most : SX or float
+        Its bounds, in its unit.
+    """
+    return ca.fmin(ca.fmax(value, least), most)
+
+
+def motor_volts(collective_V: Any, differential_V: Any, dead_zone_V: Any = 1.0) -> tuple[Any, Any]:
+    """Turn lift into motor voltages: a rotor gives no thrust below its dead zone (paper, eqs. 31 and 32).
+
+    Pitch goes first, as in the board's own mixer: the collective gives way so that no rotor pulls down.
+
+    Parameters
+    ----------
+    collective_V : SX or float
+        Front plus back, above the dead zones [V].
+    differential_V : SX or float
+        Front minus back [V].
+    dead_zone_V : SX or float
+        Voltage below which a rotor gives no thrust [V].
+
+    Returns
+    -------
+    tuple of SX
+        Front and back voltage [V].
+    """
+    tilt_V = differential_V / 2
+    level_V = ca.fmax(collective_V / 2, ca.fabs(tilt_V))
+
+    def motor(lift_V: Any) -> Any:
+        # Within the blend the dead zone fades in, so that a rotor at no lift does not chop.
+        return ca.fmin(lift_V + dead_zone_V, lift_V * (1.0 + dead_zone_V / BLEND_V))
+
+    return motor(level_V + tilt_V), motor(level_V - tilt_V)

@@ -1,0 +1,40 @@
+"""A law as one file of C, for those who want it compiled."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import casadi as ca
+from heli_host.declaration import LAW_INPUTS
+
+from heli_lab.law.law import Law
+
+
+def c_source(law: Law) -> str:
+    """Return the law as C: CasADi's function ``law`` in single precision, and what its arguments are.
+
+    Parameters
+    ----------
+    law : Law
+        What to write.
+    """
+    lines = [
+        f"/* {law.name}: a control law, called {law.rate_Hz:g} times a second.",
+        "   int law(const float** arg, float** res, long long* iw, float* w, int mem);",
+        f"   arg[0], inputs: {', '.join(LAW_INPUTS)}",
+        f"   arg[1], states, first values: {_listed(law.states)}",
+        f"   arg[2], parameters: {_listed(law.parameters)}",
+        f"   res[0]: front_V, back_V, three setpoints in rad{''.join(f', {one}' for one in law.signals)}",
+        "   res[1]: new states */",
+    ]
+    generator = ca.CodeGenerator("law.c", {"casadi_real": "float", "with_header": False})
+    generator.add(law.function)
+    with tempfile.TemporaryDirectory() as folder:
+        generator.generate(f"{folder}/")
+        body = (Path(folder) / "law.c").read_text(encoding="utf-8")
+    return "\n".join(lines) + "\n" + body
+
+
+def _listed(values: dict[str, float]) -> str:
+    return ", ".join(f"{name} = {value:g}" for name, value in values.items()) or "none"

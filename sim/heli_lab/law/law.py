@@ -1,0 +1,298 @@
+"""A control law written once, as a function of symbols."""
+
+from __future__ import annotations
+
+import linecache
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any, Final
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+from heli_host.declaration import AXES, CHANNELS, LAW_INPUTS, LAW_SIGNALS
+from heli_host.errors import BadLaw
+from heli_host.tape import Tape, divisor_of
+
+from heli_lab.law.compile import compile_tape
+from heli_lab.law.streamed import Streamed
+
+Floats = npt.NDArray[np.float64]
+
+_TRUTH: Final = "truth value"
+MOST_STATES: Final = 255
+# The longest that MATLAB takes.
+_LONGEST_NAME: Final = 63
+SETPOINTS: Final = tuple(f"{axis}_setpoint_rad" for axis in AXES)
+
+
+@dataclass(frozen=True)
+class Command:
+    """What a law asks for in a call.
+
+    Parameters
+    ----------
+    front_V, back_V : SX or float
+        Motor voltages [V].
+    states : mapping of str to SX
+        New values of the states; what is not named stays.
+    signals : mapping of str to SX
+        Up to four signals that are logged every tick under their names, in steps of 0.00001 up to 20,000.
+    elevation_setpoint_rad, travel_setpoint_rad : SX or float or None
+        Setpoints of the law's own, which the log then holds [rad]; None: the board's.
+    pitch_setpoint_rad : SX or float or None
+        Pitch that it asks itself for [rad]; None: it has no such loop.
+    """
+
+    front_V: Any
+    back_V: Any
+    states: Mapping[str, Any] = field(default_factory=dict)
+    signals: Mapping[str, Any] = field(default_factory=dict)
+    elevation_setpoint_rad: Any = None
+    pitch_setpoint_rad: Any = None
+    travel_setpoint_rad: Any = None
+
+
+@dataclass(frozen=True)
+class Law:
+    """A control law: one function, four places.
+
+    Parameters
+    ----------
+    name : str
+        What people call it.
+    rate_Hz : float
+        Calls a second [Hz]: 1000 divided by a whole number.
+    function : casadi.Function
+        Of inputs (17), states (n) and parameters (m); gives outputs (2 voltages, 3 setpoints, signals) and
+        new states (n).
+    states, parameters : dict of str to float
+        Names, and first or present values.
+    signals : tuple of str
+        Names of the signals.
+    """
+
+    name: str
+    rate_Hz: float
+    function: ca.Function
+    states: dict[str, float] = field(default_factory=dict)
+    parameters: dict[str, float] = field(default_factory=dict)
+    signals: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        divisor_of(self.rate_Hz)
+        if len(self.signals) > LAW_SIGNALS:
+            raise BadLaw(f"{len(self.signals)} signals are too many", f"give at most {LAW_SIGNALS}")
+        taken = {spec.column for spec in CHANNELS} | {"t_s", "tick"}
+        for signal in self.signals:
+            if (
+                not (signal.isidentifier() and signal.isascii())
+                or len(signal) > _LONGEST_NAME
+                or signal in taken
+            ):
+                raise BadLaw(
+                    f"a signal cannot be named {signal[:_LONGEST_NAME]!r}",
+                    f"give letters, digits and _, at most {_LONGEST_NAME}, and no name of a channel",
+                )
+        if len(self.states) > MOST_STATES:
+            raise BadLaw(
+                f"{len(self.states)} states are too many for a board",
+                f"give at most {MOST_STATES}: reduce the order",
+            )
+
+    @property
+    def dt_s(self) -> float:
+        """Time from one call to the next [s]."""
+        return 1.0 / self.rate_Hz
+
+    @cached_property
+    def tape(self) -> Tape:
+        """The law as the board takes it.
+
+        Raises
+        ------
+        BadLaw
+            No board could run it; the message says why and what to do.
+        """
+        return compile_tape(self)
+
+    def runner(self) -> Runner:
+        """Return it as numpy, in double precision, from its first states."""
+        return Runner(self)
+
+    def over_link(self, params: Mapping[str, float]) -> Streamed:
+        """Return it as what `heli_host.Heli.run_controller` calls.
+
+        Parameters
+        ----------
+        params : mapping of str to float
+            The board's parameters: cut-offs of its rate filters.
+        """
+        return Streamed(self.runner(), self.dt_s, params)
+
+    def with_parameters(self, **values: float) -> Law:
+        """Return it with other values of its parameters.
+
+        Parameters
+        ----------
+        **values : float
+            By name.
+
+        Raises
+        ------
+        BadLaw
+            It has no such parameter.
+        """
+        unknown = sorted(set(values) - set(self.parameters))
+        if unknown:
+            known = ", ".join(self.parameters) or "none"
+            raise BadLaw(f"the law {self.name} has no parameter {unknown[0]}", f"it has: {known}")
+        return Law(
+            self.name, self.rate_Hz, self.function, self.states, {**self.parameters, **values}, self.signals
+        )
+
+
+class Runner:
+    """A law as numpy, call by call.
+
+    Parameters
+    ----------
+    law : Law
+        What is run.
+    """
+
+    def __init__(self, law: Law) -> None:
+        self.law = law
+        self.state: Floats = np.array([*law.states.values()], float)
+
+    def __call__(self, inputs: npt.ArrayLike) -> Floats:
+        """Call it once.
+
+        Parameters
+        ----------
+        inputs : array_like, shape (17,)
+            In the order of ``LAW_INPUTS``.
+
+        Returns
+        -------
+        ndarray, shape (5 + signals,)
+            Voltages [V], setpoints [rad], signals.
+        """
+        outputs, state = self.law.function(
+            ca.DM(np.asarray(inputs, float)), self.state, [*self.law.parameters.values()]
+        )
+        self.state = np.asarray(state, float).reshape(-1)
+        return np.asarray(outputs, float).reshape(-1)
+
+
+def control_law(
+    *,
+    rate_Hz: float = 1000.0,
+    states: Mapping[str, float] | None = None,
+    parameters: Mapping[str, float] | None = None,
+    name: str | None = None,
+) -> Callable[[Callable[..., Command]], Law]:
+    """Make a law of a Python function.
+
+    The function is called once, with symbols: ``now`` has every input by its name (``now.elevation_rad``,
+    ``now.travel_setpoint_rad``, ...), ``state`` and ``parameter`` the law's own. It returns a `Command`.
+
+    Parameters
+    ----------
+    rate_Hz : float
+        Calls a second [Hz]: 1000 divided by a whole number.
+    states : mapping of str to float, optional
+        Names and first values of what it remembers from one call to the next.
+    parameters : mapping of str to float, optional
+        Names and values of what may be changed in flight.
+    name : str, optional
+        What people call it; the function's name by default.
+
+    Returns
+    -------
+    callable
+        Takes the function, returns the `Law`.
+
+    Raises
+    ------
+    BadLaw
+        The function does what no tape can, such as a Python ``if`` on a symbol.
+    """
+    first, values = dict(states or {}), dict(parameters or {})
+
+    def make(function: Callable[..., Command]) -> Law:
+        called = name or function.__name__
+        inputs = ca.SX.sym("inputs", len(LAW_INPUTS))
+        state, parameter = ca.SX.sym("states", len(first)), ca.SX.sym("parameters", len(values))
+        now = SimpleNamespace(**{one: inputs[k] for k, one in enumerate(LAW_INPUTS)})
+        own = SimpleNamespace(**{one: state[k] for k, one in enumerate(first)})
+        may_change = SimpleNamespace(**{one: parameter[k] for k, one in enumerate(values)})
+        try:
+            command = function(now, own, may_change)
+        except BadLaw:
+            raise
+        except Exception as error:
+            raise _explained(error, called) from error
+        if not isinstance(command, Command):
+            raise BadLaw(
+                f"the law {called} returns {_kind(command)}",
+                "return Command(front_V, back_V, ...): two voltages",
+            )
+        unknown = sorted(set(command.states) - set(first))
+        if unknown:
+            raise BadLaw(
+                f"the law {called} has no state {unknown[0]}", "name it in states=, with its first value"
+            )
+        given = {one: getattr(command, one) for one in SETPOINTS}
+        default = dict(
+            zip(SETPOINTS, (now.elevation_setpoint_rad, now.pitch_rad, now.travel_setpoint_rad), strict=True)
+        )
+        outputs = [command.front_V, command.back_V]
+        outputs += [default[one] if given[one] is None else given[one] for one in SETPOINTS]
+        outputs += [*command.signals.values()]
+        new = [command.states.get(one, getattr(own, one)) for one in first]
+        graph = ca.Function(
+            "law", [inputs, state, parameter], [_column(outputs, called), _column(new, called)],
+            ["inputs", "states", "parameters"], ["outputs", "new_states"],
+        )  # fmt: skip
+        return Law(called, rate_Hz, graph, first, values, tuple(command.signals))
+
+    return make
+
+
+def _column(values: list[Any], name: str) -> ca.SX:
+    column = [ca.SX(value) for value in values]
+    wide = next((k for k, value in enumerate(column) if value.numel() != 1), None)
+    if wide is not None:
+        raise BadLaw(
+            f"output {wide} of the law {name} holds {column[wide].numel()} numbers", "give one number each"
+        )
+    return ca.densify(ca.vertcat(*column)) if column else ca.SX(0, 1)
+
+
+def _explained(error: Exception, name: str) -> BadLaw:
+    frames = [one for one in traceback.extract_tb(error.__traceback__) if "casadi" not in one.filename]
+    last = frames[-1] if frames else None
+    where = f"line {last.lineno} of the law {name}" if last is not None else f"the law {name}"
+    source = linecache.getline(last.filename, last.lineno or 0).strip() if last is not None else ""
+    if _TRUTH in str(error):
+        return BadLaw(
+            f"{where} asks whether a symbol is true ({source})",
+            "write if_else(condition, a, b), fmin, fmax or saturated(x, least, most) of heli_lab.law",
+        )
+    text = str(error).split("\n")[0]
+    if isinstance(error, TypeError | RuntimeError) and "math." in source:
+        return BadLaw(
+            f"{where} calls a function of math ({source})",
+            "use sin, cos, sqrt, ... of heli_lab.law: they take symbols",
+        )
+    return BadLaw(f"{where} failed: {type(error).__name__}: {text}", f"correct it: {source}")
+
+
+def _kind(value: object) -> str:
+    if isinstance(value, tuple | list):
+        return f"{len(value)} values"
+    return f"a {type(value).__name__}"

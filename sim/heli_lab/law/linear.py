@@ -1,0 +1,95 @@
+"""A law around the linear rig: its closed loop's poles, and how far the loops are from instability."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import casadi as ca
+import control
+import numpy as np
+import numpy.typing as npt
+from heli_host.declaration import LAW_INPUTS
+
+from heli_lab.law.law import Law
+from heli_lab.tune.plants import LinearPlant
+
+Floats = npt.NDArray[np.float64]
+FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 300.0, 4000)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """What a law is near hover.
+
+    Parameters
+    ----------
+    poles : ndarray of complex
+        Of the closed loop, as those of a continuous system [1/s].
+    gain_up, phase_deg : tuple of float
+        Margins at the collective and at the differential, the other loop closed.
+    """
+
+    poles: npt.NDArray[np.complex128]
+    gain_up: tuple[float, float]
+    phase_deg: tuple[float, float]
+
+    @property
+    def stable(self) -> bool:
+        """Whether all poles decay."""
+        return bool((self.poles.real < 1e-3).all())
+
+
+def linearised(law: Law, plant: LinearPlant) -> Linear:
+    """Linearise a law at level hover, and close the loop around a linear rig, both at the law's rate.
+
+    Parameters
+    ----------
+    law : Law
+        What flies.
+    plant : LinearPlant
+        The rig.
+    """
+    angles = ["elevation_rad", "pitch_rad", "travel_rad"]
+    rates = [f"{one}_s" for one in angles]
+    x0 = ca.DM([*law.states.values()])
+    p0 = ca.DM([*law.parameters.values()])
+    u0 = np.zeros(len(LAW_INPUTS))
+    inputs, states = ca.SX.sym("u", len(LAW_INPUTS)), ca.SX.sym("x", len(law.states))
+    outputs, new = law.function(inputs, states, p0)
+    jacobian = ca.Function(
+        "j", [inputs, states],
+        [ca.jacobian(given, by) for given in (new, outputs) for by in (states, inputs)],
+    )  # fmt: skip
+    A, B, C, D = (np.asarray(ca.DM(one)) for one in jacobian(u0, x0))
+    seen = [LAW_INPUTS.index(one) for one in (*angles, *rates)]
+    mix = np.array([[1.0, 1.0], [1.0, -1.0]])
+    regulator = control.ss(A, B[:, seen], mix @ C[:2], mix @ D[:2][:, seen], law.dt_s)
+    rig = control.append(
+        control.ss(plant.elevation_A, plant.elevation_B[:, None], np.eye(2, 3), 0),
+        control.ss(plant.tilt_A, plant.tilt_B[:, None], np.eye(4, 5), 0),
+    ).sample(law.dt_s)
+    # Elevation, its rate; pitch, travel, their rates: into the order of the law's inputs.
+    order = np.eye(6)[[0, 2, 3, 1, 4, 5]]
+    loop = regulator * (order * rig)
+    closed = control.feedback(loop, control.ss([], [], [], np.eye(2), law.dt_s), sign=1)
+    poles = np.log(np.maximum(np.abs(closed.poles()), 1e-12)) + 1j * np.angle(closed.poles())
+    found = [_margins(loop, one) for one in (0, 1)]
+    return Linear(poles / law.dt_s, (found[0][0], found[1][0]), (found[0][1], found[1][1]))
+
+
+def _margins(loop: control.StateSpace, own: int) -> tuple[float, float]:
+    """Gain and phase margin at one input, the other loop closed."""
+    other = 1 - own
+    A, B, C, D = (np.asarray(one) for one in (loop.A, loop.B, loop.C, loop.D))
+    around = A + B[:, [other]] @ C[[other]] / (1.0 - D[other, other])
+    alone = control.ss(around, B[:, [own]], -C[[own]], -D[own, own], loop.dt)
+    response = np.asarray(control.frequency_response(alone, FREQUENCY_rad_s, squeeze=True).complex)
+    phase_deg = np.degrees(np.angle(-response))  # from -180 degrees
+    turns = (
+        (np.diff(np.sign(response.imag)) != 0) & (response.real[:-1] < 0.0) & (np.abs(response[:-1]) < 1.0)
+    )
+    gain = float((1.0 / np.abs(response[:-1][turns])).min()) if turns.any() else float("inf")
+    crosses = np.diff(np.sign(np.abs(response) - 1.0)) != 0
+    margin = float(np.abs(phase_deg[:-1][crosses]).min()) if crosses.any() else float("inf")
+    return gain, margin

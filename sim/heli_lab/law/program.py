@@ -1,0 +1,278 @@
+"""A law as a program of values: every operation once, and none that changes nothing.
+
+CasADi's `SX` functions are straight-line programs already. What its operations are that no board has is put
+together from those that are.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import casadi as ca
+from heli_host.declaration import OPERATIONS
+from heli_host.errors import BadLaw
+
+CODE: Final = {one.name: one.code for one in OPERATIONS}
+BINARY: Final = frozenset(one.code for one in OPERATIONS if one.operands == 2)
+_MOST_POWER: Final = 16
+
+_SAME: Final = {
+    ca.OP_ADD: "add", ca.OP_SUB: "subtract", ca.OP_MUL: "multiply", ca.OP_DIV: "divide", ca.OP_NEG: "negate",
+    ca.OP_FABS: "absolute", ca.OP_FMIN: "minimum", ca.OP_FMAX: "maximum", ca.OP_LT: "less",
+    ca.OP_LE: "less_equal", ca.OP_EQ: "equal", ca.OP_NE: "not_equal", ca.OP_AND: "both", ca.OP_OR: "either",
+    ca.OP_NOT: "negation", ca.OP_IF_ELSE_ZERO: "select", ca.OP_FLOOR: "floor", ca.OP_SQRT: "square_root",
+    ca.OP_SIN: "sine", ca.OP_COS: "cosine", ca.OP_TAN: "tangent", ca.OP_ATAN2: "arctangent",
+    ca.OP_TANH: "hyperbolic_tangent", ca.OP_EXP: "exponential",
+}  # fmt: skip
+_NAMES: Final = {getattr(ca, name): name[3:].lower() for name in dir(ca) if name.startswith("OP_")}
+
+
+@dataclass(frozen=True)
+class Value:
+    """One value of the program: an operation on others, or one that is there from the start.
+
+    Parameters
+    ----------
+    kind : str
+        ``input``, ``constant``, ``parameter``, ``state``, or the operation's name.
+    place : int
+        Which of its kind; of a sum of products a bit for each product that is taken away.
+    operands : tuple of int
+        Places of the values that it is computed from.
+    """
+
+    kind: str  # input, constant, parameter, state, or the operation's name
+    place: int = 0
+    operands: tuple[int, ...] = ()
+
+
+class Program:
+    """Values in the order in which they are computed; the same operation on the same values is done once.
+
+    Parameters
+    ----------
+    name : str
+        Of the law, for messages.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.values: list[Value] = []
+        self.constants: list[float] = []
+        self._known: dict[Value, int] = {}
+
+    def put(self, value: Value) -> int:
+        """Add a value, unless it is there; return its place.
+
+        Parameters
+        ----------
+        value : Value
+            What is computed.
+        """
+        place = self._known.get(value)
+        if place is None:
+            place = self._known[value] = len(self.values)
+            self.values.append(value)
+        return place
+
+    def constant(self, number: float) -> int:
+        """Add a constant; return its place.
+
+        Parameters
+        ----------
+        number : float
+            Rounded to single precision.
+
+        Raises
+        ------
+        BadLaw
+            It is not finite, or beyond single precision.
+        """
+        if not math.isfinite(number):
+            raise BadLaw(
+                f"the law {self.name} holds the constant {number}",
+                "give finite numbers, and sin, cos, sqrt, ... of heli_lab.law: those of math take no symbols",
+            )
+        try:
+            single: float = struct.unpack("<f", struct.pack("<f", number))[0]
+        except OverflowError:
+            raise BadLaw(f"the law {self.name} holds {number:g}", "single precision ends at 3.4e38") from None
+        if single not in self.constants:
+            self.constants.append(single)
+        return self.put(Value("constant", self.constants.index(single)))
+
+    def number(self, place: int) -> float | None:
+        """What a value is, where that is known; else None.
+
+        Parameters
+        ----------
+        place : int
+            Of the value.
+        """
+        value = self.values[place]
+        return self.constants[value.place] if value.kind == "constant" else None
+
+    def do(self, name: str, *operands: int) -> int:
+        """Put an operation, or what gives the same with less; return its place.
+
+        Parameters
+        ----------
+        name : str
+            Of the operation.
+        *operands : int
+            Places of its operands.
+        """
+        numbers = [self.number(one) for one in operands]
+        folded = _FOLDED.get(name)
+        if folded is not None and None not in numbers:
+            result = folded(*numbers)
+            if math.isfinite(result):
+                return self.constant(result)
+        simpler = _SIMPLER.get(name)
+        found = simpler(self, operands, numbers) if simpler is not None else None
+        if found is not None:
+            return found
+        if name in _COMMUTATIVE:
+            operands = tuple(sorted(operands))
+        return self.put(Value(name, 0, operands))
+
+    def casadi(self, code: int, a: int, b: int) -> int:
+        """Put an operation of CasADi; return its place.
+
+        Parameters
+        ----------
+        code : int
+            CasADi's number of it.
+        a, b : int
+            Places of its operands; `b` does not count where it has one.
+
+        Raises
+        ------
+        BadLaw
+            No board computes it.
+        """
+        if code in _SAME:
+            name = _SAME[code]
+            return self.do(name, a, b) if CODE[name] in BINARY else self.do(name, a)
+        made = _MADE.get(code)
+        if made is not None:
+            return made(self, a, b)
+        if code in (ca.OP_POW, ca.OP_CONSTPOW):
+            return self._power(a, b)
+        known = ", ".join(sorted(set(_SAME.values())))
+        raise BadLaw(
+            f"the law {self.name} uses {_NAMES.get(code, code)}, which no board computes",
+            f"a board knows {known}",
+        )
+
+    def _power(self, a: int, b: int) -> int:
+        known = self.number(b)
+        number = math.nan if known is None else known
+        if number == 0.5:
+            return self.do("square_root", a)
+        if number != round(number) or not 0 < abs(number) <= _MOST_POWER:
+            raise BadLaw(
+                f"the law {self.name} raises to a power that is no whole number up to {_MOST_POWER}",
+                "use sqrt, exp or products",
+            )
+        power = a
+        for _ in range(int(abs(number)) - 1):
+            power = self.do("multiply", power, a)
+        return power if number > 0 else self.do("divide", self.constant(1.0), power)
+
+
+_COMMUTATIVE: Final = frozenset(("add", "multiply", "equal", "not_equal", "both", "either"))
+_FOLDED: Final[dict[str, Callable[..., float]]] = {
+    "add": lambda a, b: a + b,
+    "subtract": lambda a, b: a - b,
+    "multiply": lambda a, b: a * b,
+    "divide": lambda a, b: a / b if b else math.nan,
+    "negate": lambda a: -a,
+    "absolute": abs,
+    "minimum": min,
+    "maximum": max,
+    "square_root": lambda a: math.sqrt(a) if a >= 0.0 else math.nan,
+    "sine": math.sin,
+    "cosine": math.cos,
+    "hyperbolic_tangent": math.tanh,
+    "less": lambda a, b: float(a < b),
+    "less_equal": lambda a, b: float(a <= b),
+    "floor": lambda a: float(math.floor(a)),
+}
+
+_Numbers = list[float | None]
+
+
+def _sum(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    if 0.0 in numbers:
+        return operands[1 - numbers.index(0.0)]
+    return None
+
+
+def _difference(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    if operands[0] == operands[1]:
+        return p.constant(0.0)
+    if numbers[1] == 0.0:
+        return operands[0]
+    return p.do("negate", operands[1]) if numbers[0] == 0.0 else None
+
+
+def _product(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    for number, other in zip(numbers, reversed(operands), strict=True):
+        if number == 1.0:
+            return other
+        if number == -1.0:
+            return p.do("negate", other)
+        if number == 0.0:
+            return p.constant(0.0)
+    return None
+
+
+def _quotient(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    divisor = numbers[1]
+    # Beyond these the reciprocal is no normal number of single precision.
+    if divisor is None or not 1e-37 < abs(divisor) < 1e37:
+        return None
+    return p.do("multiply", operands[0], p.constant(1.0 / divisor))
+
+
+def _negated(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    inner = p.values[operands[0]]
+    if inner.kind == "negate":
+        return inner.operands[0]
+    return p.do("subtract", *reversed(inner.operands)) if inner.kind == "subtract" else None
+
+
+def _same(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    return operands[0] if operands[0] == operands[1] else None
+
+
+def _selected(p: Program, operands: tuple[int, ...], numbers: _Numbers) -> int | None:
+    if numbers[1] == 0.0 or numbers[0] == 0.0:
+        return p.constant(0.0)
+    return operands[1] if numbers[0] is not None else None
+
+
+_SIMPLER: Final[dict[str, Callable[[Program, tuple[int, ...], _Numbers], int | None]]] = {
+    "add": _sum, "subtract": _difference, "multiply": _product, "divide": _quotient, "negate": _negated,
+    "minimum": _same, "maximum": _same, "select": _selected,
+}  # fmt: skip
+
+_MADE: Final[dict[int, Callable[[Program, int, int], int]]] = {
+    ca.OP_ASSIGN: lambda _, a, b: a,
+    ca.OP_SQ: lambda p, a, b: p.do("multiply", a, a),
+    ca.OP_TWICE: lambda p, a, b: p.do("add", a, a),
+    ca.OP_INV: lambda p, a, b: p.do("divide", p.constant(1.0), a),
+    ca.OP_CEIL: lambda p, a, b: p.do("negate", p.do("floor", p.do("negate", a))),
+    ca.OP_SIGN: lambda p, a, b: p.do(
+        "subtract", p.do("less", p.constant(0.0), a), p.do("less", a, p.constant(0.0))
+    ),
+    ca.OP_ATAN: lambda p, a, b: p.do("arctangent", a, p.constant(1.0)),
+    ca.OP_HYPOT: lambda p, a, b: p.do(
+        "square_root", p.do("add", p.do("multiply", a, a), p.do("multiply", b, b))
+    ),
+}

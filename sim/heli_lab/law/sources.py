@@ -1,0 +1,182 @@
+"""Laws from what control engineers have at hand: a gain matrix, a state space, a function of symbols."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+from heli_host.declaration import AXES, LAW_INPUTS
+from heli_host.errors import BadLaw
+
+from heli_lab.law.blocks import motor_volts
+from heli_lab.law.law import Command, Law, control_law
+
+if TYPE_CHECKING:
+    import control
+
+ERRORS = (*(f"{axis}_rad" for axis in AXES), *(f"{axis}_rad_s" for axis in AXES))
+"""States of a gain matrix: angles, then rates, each against its setpoint; pitch's setpoint is level."""
+
+
+def _errors(now: Any) -> Any:
+    level = {"pitch_rad": 0.0, "pitch_rad_s": 0.0}
+    wanted = [level.get(one, getattr(now, one.replace("_rad", "_setpoint_rad", 1), 0.0)) for one in ERRORS]
+    return ca.vertcat(*(getattr(now, one) - r for one, r in zip(ERRORS, wanted, strict=True)))
+
+
+def from_gain(
+    K: npt.ArrayLike,
+    *,
+    hover_V: float,
+    rate_Hz: float = 1000.0,
+    dead_zone_V: float = 1.0,
+    name: str = "gain",
+) -> Law:
+    """Make a law of a gain matrix: collective and differential are hover's minus ``K`` times the error.
+
+    Parameters
+    ----------
+    K : array_like, shape (2, 6)
+        Gains of collective and differential [V] on the errors of elevation, pitch and travel [rad] and of
+        their rates [rad/s].
+    hover_V : float
+        Collective that carries the arm at level, above the dead zones [V].
+    rate_Hz : float
+        Calls a second [Hz].
+    dead_zone_V : float
+        Voltage below which a rotor gives no thrust [V].
+    name : str
+        What people call it.
+
+    Raises
+    ------
+    BadLaw
+        The matrix has another shape, or holds what is no number.
+    """
+    gains = np.asarray(K, float)
+    if gains.shape != (2, len(ERRORS)) or not np.isfinite(gains).all():
+        shape = " x ".join(str(size) for size in gains.shape)
+        raise BadLaw(
+            f"the gain matrix is {shape}, or holds what is no number",
+            f"give 2 x {len(ERRORS)}: collective and differential on {', '.join(ERRORS)}",
+        )
+
+    @control_law(rate_Hz=rate_Hz, name=name, parameters={"hover_V": hover_V})
+    def law(now: Any, state: Any, parameter: Any) -> Command:
+        wanted = -ca.mtimes(ca.DM(gains), _errors(now))
+        return Command(*motor_volts(parameter.hover_V + wanted[0], wanted[1], dead_zone_V))
+
+    return law
+
+
+def from_state_space(
+    system: control.StateSpace,
+    *,
+    hover_V: float,
+    rate_Hz: float = 1000.0,
+    dead_zone_V: float = 1.0,
+    name: str = "state_space",
+) -> Law:
+    """Make a law of a linear system: from the six errors, as in `from_gain`, to collective and differential.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        Continuous, which is then sampled by a bilinear transform, or discrete at `rate_Hz`.
+    hover_V : float
+        Collective that carries the arm at level, above the dead zones [V].
+    rate_Hz : float
+        Calls a second [Hz].
+    dead_zone_V : float
+        Voltage below which a rotor gives no thrust [V].
+    name : str
+        What people call it.
+
+    Raises
+    ------
+    BadLaw
+        It has other inputs or outputs, or was sampled at another rate.
+    """
+    if (system.noutputs, system.ninputs) != (2, len(ERRORS)):
+        raise BadLaw(
+            f"the system has {system.ninputs} inputs and {system.noutputs} outputs",
+            f"give {len(ERRORS)} inputs ({', '.join(ERRORS)}) and 2 outputs (collective, differential)",
+        )
+    if system.isctime(strict=False) and not system.isdtime(strict=True):
+        system = system.sample(1.0 / rate_Hz, method="bilinear")
+    elif abs(float(system.dt) * rate_Hz - 1.0) > 1e-6 and system.dt is not True:
+        raise BadLaw(f"the system was sampled every {system.dt:g} s", f"give rate_Hz={1.0 / system.dt:g}")
+    A, B, C, D = (ca.DM(np.asarray(one)) for one in (system.A, system.B, system.C, system.D))
+    names = [f"x{k}" for k in range(system.nstates)]
+
+    @control_law(
+        rate_Hz=rate_Hz, name=name, states=dict.fromkeys(names, 0.0), parameters={"hover_V": hover_V}
+    )
+    def law(now: Any, state: Any, parameter: Any) -> Command:
+        x = ca.vertcat(*(getattr(state, one) for one in names)) if names else ca.SX(0, 1)
+        errors = _errors(now)
+        wanted = ca.mtimes(C, x) + ca.mtimes(D, errors)
+        new = ca.mtimes(A, x) + ca.mtimes(B, errors)
+        volts = motor_volts(parameter.hover_V + wanted[0], wanted[1], dead_zone_V)
+        return Command(*volts, states={one: new[k] for k, one in enumerate(names)})
+
+    return law
+
+
+def from_function(
+    function: ca.Function,
+    *,
+    rate_Hz: float = 1000.0,
+    states: Sequence[float] = (),
+    parameters: Mapping[str, float] | None = None,
+    name: str | None = None,
+) -> Law:
+    """Make a law of any function of CasADi.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Of inputs (17, as ``LAW_INPUTS``), states (n) and parameters (m); gives two voltages [V] and new
+        states (n). The latter two arguments, and the new states, may be missing.
+    rate_Hz : float
+        Calls a second [Hz].
+    states : sequence of float
+        First values of the states.
+    parameters : mapping of str to float, optional
+        Names and values of the parameters.
+    name : str, optional
+        What people call it; the function's own name by default.
+
+    Raises
+    ------
+    BadLaw
+        It takes or gives something else.
+    """
+    values = dict(parameters or {})
+    wanted = [len(LAW_INPUTS), len(states), len(values)]
+    sizes = [function.numel_in(k) for k in range(function.n_in())]
+    given = [function.numel_out(k) for k in range(function.n_out())]
+    takes = sizes == wanted[: len(sizes)] and not any(wanted[len(sizes) :])
+    if not takes or given not in ([2], [2, len(states)]) or (len(given) == 1 and len(states)):
+        raise BadLaw(
+            f"the function {function.name()} takes {sizes} and gives {given} numbers",
+            f"let it take {wanted} (inputs, states, parameters), give [2, {len(states)}]: voltages, states",
+        )
+    names = [f"x{k}" for k in range(len(states))]
+    first = dict(zip(names, states, strict=True))
+
+    @control_law(rate_Hz=rate_Hz, name=name or function.name(), states=first, parameters=values)
+    def law(now: Any, state: Any, parameter: Any) -> Command:
+        arguments = [
+            ca.vertcat(*(getattr(now, one) for one in LAW_INPUTS)),
+            ca.vertcat(*(getattr(state, one) for one in names)) if names else ca.SX(0, 1),
+            ca.vertcat(*(getattr(parameter, one) for one in values)) if values else ca.SX(0, 1),
+        ]
+        found = function.call(arguments[: len(sizes)])
+        new = {one: found[1][k] for k, one in enumerate(names)} if names else {}
+        return Command(found[0][0], found[0][1], states=new)
+
+    return law

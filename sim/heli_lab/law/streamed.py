@@ -1,0 +1,132 @@
+"""A law over the link: called with samples, its inputs made from them as the board makes its own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from heli_host.declaration import AXES, LAW_INPUTS
+from heli_host.link.clock import TICK_S
+
+Floats = npt.NDArray[np.float64]
+
+
+class _RateFilter:
+    """Two low-passes in series, the rate being the slope of the second; as firmware/core/control has it."""
+
+    def __init__(self, cutoff_Hz: float) -> None:
+        self.cutoff_Hz = cutoff_Hz
+        self.first: float | None = None
+        self.second = 0.0
+
+    def __call__(self, value: float, dt_s: float) -> float:
+        if self.first is None:
+            self.first = self.second = value
+        smoothing = 1.0 - math.exp(-2.0 * math.pi * self.cutoff_Hz * dt_s)
+        self.first += smoothing * (value - self.first)
+        step = smoothing * (self.first - self.second)
+        self.second += step
+        return step / dt_s
+
+
+class _Shaper:
+    """A setpoint that goes where it is told within a rate and an acceleration, as the board's own do."""
+
+    def __init__(self, rate_rad_s: float, acceleration_rad_s2: float) -> None:
+        self.rate_rad_s, self.acceleration_rad_s2 = rate_rad_s, acceleration_rad_s2
+        self.angle_rad: float | None = None
+        self.now_rad_s = 0.0
+
+    def __call__(self, wanted_rad: float, measured_rad: float, dt_s: float) -> float:
+        if self.angle_rad is None:
+            self.angle_rad = measured_rad
+        left_rad = wanted_rad - self.angle_rad
+        step_rad_s = self.acceleration_rad_s2 * dt_s
+        # Half a step early, so that braking ends at the target and not behind it.
+        braking = math.sqrt(2.0 * self.acceleration_rad_s2 * abs(left_rad) + (step_rad_s / 2) ** 2)
+        fastest_rad_s = min(self.rate_rad_s, braking - step_rad_s / 2, abs(left_rad) / dt_s)
+        change_rad_s = math.copysign(fastest_rad_s, left_rad) - self.now_rad_s
+        self.now_rad_s += min(max(change_rad_s, -step_rad_s), step_rad_s)
+        self.angle_rad += self.now_rad_s * dt_s
+        return self.angle_rad
+
+
+class Streamed:
+    """What `heli_host.Heli.run_controller` calls.
+
+    Setpoints are those given to `follow`, shaped as the board shapes its own, for it has none while voltages
+    are streamed; what the law follows is logged. Time is the samples': a law of 1 kHz, called at 200 Hz, goes
+    five steps at each call, on the same inputs.
+
+    Parameters
+    ----------
+    runner : callable taking the inputs (17,), returning the outputs
+        The law, call by call.
+    dt_s : float
+        Time from one step of the law to the next [s].
+    params : mapping of str to float
+        The board's parameters.
+
+    Attributes
+    ----------
+    setpoints_rad : mapping of str to float
+        Where the law was going at its last call, by axis [rad].
+    """
+
+    def __init__(self, runner: Callable[[Floats], Floats], dt_s: float, params: Mapping[str, float]) -> None:
+        self._runner = runner
+        self._dt_s = dt_s
+        self._angle = {axis: _RateFilter(params[f"{axis}_filter_Hz"]) for axis in AXES}
+        self._setpoint = {axis: _RateFilter(params[f"{axis}_filter_Hz"]) for axis in AXES}
+        self._rate = {axis: _RateFilter(params[f"{axis}_filter_Hz"]) for axis in AXES}
+        self._shaper = {
+            axis: _Shaper(
+                math.radians(params[f"{axis}_slew_deg_s"]),
+                math.radians(params[f"{axis}_acceleration_deg_s2"]),
+            )
+            for axis in ("elevation", "travel")
+        }
+        self._wanted_rad = dict.fromkeys(AXES, 0.0)
+        self._tick: int | None = None
+        self.setpoints_rad: Mapping[str, float] = dict.fromkeys(AXES, 0.0)
+
+    def follow(self, **wanted_rad: float) -> None:
+        """Set where it is to go.
+
+        Parameters
+        ----------
+        **wanted_rad : float
+            Angle of an axis, by its name [rad].
+        """
+        self._wanted_rad.update(wanted_rad)
+
+    def __call__(self, sample: Any) -> tuple[float, float]:
+        """Return front and back voltage [V].
+
+        Parameters
+        ----------
+        sample : Sample
+            As telemetry brought it.
+        """
+        passed_s = self._dt_s if self._tick is None else (sample.tick - self._tick) * TICK_S
+        self._tick = sample.tick
+        values: dict[str, float] = {}
+        for axis in AXES:
+            angle, wanted = getattr(sample, f"{axis}_rad"), self._wanted_rad[axis]
+            shaper = self._shaper.get(axis)
+            if shaper is not None:
+                wanted = shaper(wanted, angle, passed_s)
+            values[f"{axis}_rad"] = angle
+            values[f"{axis}_rad_s"] = self._angle[axis](angle, passed_s)
+            values[f"{axis}_setpoint_rad"] = wanted
+            rate = values[f"{axis}_setpoint_rad_s"] = self._setpoint[axis](wanted, passed_s)
+            values[f"{axis}_setpoint_rad_s2"] = self._rate[axis](rate, passed_s)
+        values["front_V"], values["back_V"] = sample.front_V, sample.back_V
+        inputs = np.array([values[one] for one in LAW_INPUTS])
+        for _ in range(max(1, round(passed_s / self._dt_s))):
+            outputs = self._runner(inputs)
+        self.setpoints_rad = dict(zip(AXES, (float(one) for one in outputs[2:5]), strict=True))
+        return float(outputs[0]), float(outputs[1])

@@ -1,0 +1,201 @@
+"""What a twin knows besides equations: weather, and how far evidence wanders while nothing changed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from heli_lab.errors import TwinError
+from heli_lab.identify.functions import Floats
+from heli_lab.innovations import Weather
+
+SEGMENT_s: Final = 5.0
+"""Evidence whose maxima count as one excursion, s: the onsets that make it outlive some seconds. Longer: few
+excursions to fit. Shorter: one is counted several times, and the alarms are fewer than stated."""
+_LEVEL: Final = 0.8
+"""Share of the segments whose maxima lie below the level from which the tail is exponential."""
+_LEAST_SCALE_nats: Final = 1.0
+"""Of a likelihood ratio's tail for white innovations: by Wilks it falls by a factor e a nat."""
+_AXES: Final = 3
+
+
+QUIET: Final = replace(Weather.start(), quantisation=np.ones(3))
+"""Weather of a rig of which no flight is given: gusts of a quiet room, encoders that round."""
+
+
+@dataclass(frozen=True)
+class Tail:
+    """How often evidence exceeds a level while nothing changed: exponentially less often the higher it is.
+
+    Parameters
+    ----------
+    level_nats : float
+        From here on.
+    per_hour : float
+        Excursions beyond it in an hour of free flight.
+    scale_nats : float
+        Of which one in e goes this much further.
+    excesses : int
+        Excursions that the scale is the mean of.
+    """
+
+    level_nats: float
+    per_hour: float
+    scale_nats: float
+    excesses: int
+
+    def threshold_nats(self, hours: float) -> float:
+        """Level that is exceeded once in so many `hours`, on average over what the excursions may have been.
+
+        A mean of n exponential excesses, T in all, is exceeded c T by another one with the probability
+        (1 + c)^-n: so the tail that is used is longer the fewer there were, and exponential for many.
+        """
+        wanted = max(self.per_hour * hours, 1.0)
+        beyond = self.excesses * math.expm1(math.log(wanted) / self.excesses)
+        return self.level_nats + self.scale_nats * beyond
+
+
+def fit_tail(flights: Sequence[Sequence[tuple[float, float]]]) -> Tail:
+    """Fit the tail of the evidence to healthy flights.
+
+    Parameters
+    ----------
+    flights : sequence of sequence of (float, float)
+        Times [s] and evidence [nats] of each.
+
+    Raises
+    ------
+    TwinError
+        There are too few.
+    """
+    maxima = []
+    for course in flights:
+        times, evidence = np.array(course, float).reshape(-1, 2).T
+        known = np.isfinite(evidence)
+        times, evidence = times[known], evidence[known]
+        if len(times):
+            number = ((times - times[0]) // SEGMENT_s).astype(int)
+            maxima += [evidence[number == one].max() for one in np.unique(number)]
+    if len(maxima) < 10:
+        raise TwinError(
+            f"{len(maxima)} segments of {SEGMENT_s:g} s of healthy flight are too few to tell what is normal",
+            "give a longer flight",
+        )
+    level = float(np.quantile(maxima, _LEVEL))
+    over = np.array([one - level for one in maxima if one > level])
+    scale = max(float(over.mean()), _LEAST_SCALE_nats)
+    hours = len(maxima) * SEGMENT_s / 3600.0
+    return Tail(level, len(over) / hours, scale, len(over))
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Weather and tail.
+
+    Parameters
+    ----------
+    weather : Weather
+        Torques by chance that the rig meets.
+    tail : Tail
+        Of the evidence in healthy flights.
+    source : str
+        Where they come from.
+    """
+
+    weather: Weather
+    tail: Tail
+    source: str = ""
+
+    def threshold_nats(self, hours: float) -> float:
+        """Evidence that is an alarm, for one false one in so many `hours`."""
+        return self.tail.threshold_nats(hours)
+
+
+def calibration_text(calibration: Calibration, rig: str) -> str:
+    """Write a calibration as the text of a twin's file, TOML; `rig` is the name or the path of its rig."""
+    weather, tail = calibration.weather, calibration.tail
+
+    def listed(values: Floats) -> str:
+        return "[" + ", ".join(f"{value:.6g}" for value in values) + "]"
+
+    return (
+        "# A twin: a rig, the weather that it meets, and how far evidence wanders while nothing changed.\n"
+        "# Written by heli-host twin; order of the axes: elevation, pitch, travel.\n"
+        f"rig = {_quoted(rig)}\n"
+        f"source = {_quoted(calibration.source)}\n\n"
+        "[weather]\n"
+        f"gust_Nm = {listed(weather.gust_Nm)}\n"
+        f"memory_s = {listed(weather.memory_s)}\n"
+        f"drift_Nm = {listed(weather.drift_Nm)}\n"
+        f"quantisation = {listed(weather.quantisation)}\n\n"
+        "[tail]\n"
+        f"level_nats = {tail.level_nats:.6g}\n"
+        f"per_hour = {tail.per_hour:.6g}\n"
+        f"scale_nats = {tail.scale_nats:.6g}\n"
+        f"excesses = {tail.excesses}\n"
+    )
+
+
+def write_calibration(path: Path, calibration: Calibration, rig: str) -> None:
+    """Write a twin's file to `path`; `rig` is the name or the path of its rig."""
+    path.write_text(calibration_text(calibration, rig), encoding="utf-8")
+
+
+def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
+    """Read a twin's file.
+
+    Parameters
+    ----------
+    data : Mapping
+        Its TOML.
+    name : str
+        Of the file, for messages.
+
+    Raises
+    ------
+    TwinError
+        Something is missing, or no number.
+    """
+    numbers = {}
+    for key in ("gust_Nm", "memory_s", "drift_Nm", "quantisation"):
+        values = _table(data, "weather", name).get(key)
+        if not isinstance(values, list) or len(values) != _AXES or not all(map(_is_positive, values)):
+            raise TwinError(f"{name}: weather.{key} is not three positive numbers", _AGAIN)
+        numbers[key] = np.array(values, float)
+    excesses = _table(data, "tail", name).get("excesses")
+    if not isinstance(excesses, int) or isinstance(excesses, bool) or excesses < 1:
+        raise TwinError(f"{name}: tail.excesses is no count", _AGAIN)
+    tail = {}
+    for key in ("level_nats", "per_hour", "scale_nats"):
+        value = _table(data, "tail", name).get(key)
+        if value is None or not _is_number(value):
+            raise TwinError(f"{name}: tail.{key} is no number", _AGAIN)
+        tail[key] = float(value)
+    return Calibration(Weather(**numbers), Tail(**tail, excesses=excesses), str(data.get("source", "")))
+
+
+_AGAIN: Final = "write it again with heli-host twin --learn"
+
+
+def _table(data: Mapping[str, Any], key: str, name: str) -> Mapping[str, Any]:
+    table = data.get(key)
+    if not isinstance(table, dict):
+        raise TwinError(f"{name} has no [{key}]", _AGAIN)
+    return table
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_positive(value: Any) -> bool:
+    return _is_number(value) and value > 0
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'

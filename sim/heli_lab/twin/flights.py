@@ -1,0 +1,94 @@
+"""Flights of files and ticks of boards as samples: the same numbers from both."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from heli_host.declaration import Channel, State
+from heli_host.flight import Flight
+from heli_host.link.channels import ENCODERS, numbers, physical, rad_per_count
+from heli_host.link.clock import TICK_S
+from heli_host.log.reader import Log
+from heli_sim.rig import Rig
+
+from heli_lab.errors import TwinError
+from heli_lab.identify.functions import Floats, Integers
+from heli_lab.identify.record import ON_GROUND, encoder_counts
+from heli_lab.twin.samples import Samples
+
+_OFF: Final = np.array([int(state) for state in State if state.name.lower() in ON_GROUND])
+_STRAY: Final = 0.3
+"""Steps by which a row's time may stray from the even grid."""
+
+
+def samples_of(flight: Flight) -> tuple[Samples, float]:
+    """Number the rows of a flight on an even grid; returns them and the time between two numbers.
+
+    Raises
+    ------
+    TwinError
+        Its rows are not evenly spaced.
+    """
+    t_s = flight.t_s
+    step_s = flight.step_s
+    if abs(step_s - 1e-3) < 1e-5:
+        sample_s = 1e-3
+    else:
+        even = np.diff(t_s)
+        sample_s = float(even[even < 1.5 * step_s].mean())
+    whole = t_s / sample_s if sample_s == 1e-3 else (t_s - t_s[0]) / sample_s
+    number: Integers = np.rint(whole).astype(np.int64)
+    if np.any(np.diff(number) < 1) or np.max(np.abs(whole - number)) > _STRAY:
+        raise TwinError("the rows of the flight are not evenly spaced", "log with an even clock, or resample")
+    flying = np.ones(len(flight), bool)
+    if flight.state is not None and flight.state_names:
+        off = [number for number, name in flight.state_names.items() if name in ON_GROUND]
+        flying = ~np.isin(flight.state, off)
+    return Samples(number, flight.angles_rad, flight.voltages_V, flying), sample_s
+
+
+def samples_of_log(log: Log) -> tuple[Samples, float]:
+    """Take a log's ticks as the board numbered them; returns them and the time of the log's zero, s.
+
+    Raises
+    ------
+    TwinError
+        It holds no tick, or does not say how many counts the encoders have.
+    """
+    count_rad = rad_per_count(log.parameters)
+    if not len(log.ticks) or not np.all(np.isfinite(count_rad)):
+        raise TwinError(f"{log.path} holds no ticks, or no counts of the encoders", "record it again")
+    first = int(log.ticks["tick"][0])
+    # The time of a log goes on over restarts of the board and over 2^32 ticks.
+    number = first + np.rint(log.ticks["t_s"] / TICK_S).astype(np.int64)
+    return samples_of_ticks(number, log.raw, count_rad), first * TICK_S
+
+
+def samples_of_ticks(tick: Integers, raw: npt.NDArray[np.int32], count_rad: Floats) -> Samples:
+    """Make samples of ticks as a board sends them.
+
+    Parameters
+    ----------
+    tick : ndarray of int64 (n,)
+        Device time, counted on.
+    raw : ndarray of int32 (n, channels)
+        Raw numbers.
+    count_rad : ndarray (3,)
+        One count of each encoder.
+    """
+    angles = np.column_stack(
+        [numbers(raw, channel) * count_rad[axis] for axis, channel in enumerate(ENCODERS)]
+    )
+    volts = np.column_stack([physical(raw, channel) for channel in (Channel.FRONT, Channel.BACK)])
+    flying = ~np.isin(numbers(raw, Channel.STATE), _OFF)
+    return Samples(tick, angles, volts, flying)
+
+
+def count_rad_of(flight: Flight, rig: Rig) -> Floats:
+    """One count of each encoder, from the board's parameters or, where a table has none, from the angles."""
+    known = rad_per_count(flight.parameters)
+    if np.all(np.isfinite(known)):
+        return known
+    return encoder_counts(flight.angles_rad, rig)[0]

@@ -1,0 +1,63 @@
+"""When a flight is free, told from what came until now: off the table, off the stops, motors on."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from heli_sim.rig import Rig
+
+from heli_lab.identify import thresholds
+from heli_lab.identify.functions import Floats
+
+SETTLE_s: Final = 1.5
+"""Time off the table before a flight counts as free, s: the air of the ground and a take-off's own thrust
+are over, as `identify.thresholds.TAKE_OFF_TAIL_S` after a take-off that is looked back upon. Longer: what
+breaks at take-off is found late. Shorter: the ground is taken for a change."""
+
+
+class FreeFlight:
+    """Tells for one step after the other whether it is free.
+
+    Parameters
+    ----------
+    rig : Rig
+        Its table and stops.
+    step_s : float
+        Length of a step.
+    """
+
+    def __init__(self, rig: Rig, step_s: float) -> None:
+        self._settle = round(SETTLE_s / step_s)
+        self._clear = 0
+        unsure = min(rig["elevation_min"].tolerance, thresholds.MOST_UNSURE_DEG)
+        self._table_deg = rig["elevation_min"].value
+        self._low_deg = self._table_deg + unsure + thresholds.TABLE_MARGIN_DEG
+        self._share = (rig["L_h"].value + thresholds.ROTOR_m) / rig["L_a"].value
+        stops = [rig[name] for name in ("elevation_max", "pitch_max", "travel_max")]
+        self._most_deg = [
+            stop.value - min(stop.tolerance, thresholds.MOST_UNSURE_DEG) - thresholds.STOP_MARGIN_DEG
+            for stop in stops
+        ]
+
+    def take(self, angles_rad: Floats | None, flying: bool) -> bool:
+        """Say whether the step that begins at `angles_rad`, shape (3,), is free; `flying` with motors on."""
+        if not flying:
+            self._clear = 0
+        elif angles_rad is not None:
+            self._clear = 0 if self._touches(angles_rad) else self._clear + 1
+        return self._clear > self._settle
+
+    def _touches(self, angles_rad: Floats) -> bool:
+        elevation_deg, pitch_deg, travel_deg = np.rad2deg(angles_rad)
+        if elevation_deg < self._low_deg:
+            return True
+        # An arm that leans far reaches the table with its lower rotor long before it stands on it.
+        reach = self._share * abs(math.sin(angles_rad[1])) * math.cos(angles_rad[0])
+        if math.sin(angles_rad[0]) - reach < math.sin(math.radians(self._table_deg)):
+            return True
+        elevation_most, pitch_most, travel_most = self._most_deg
+        return bool(
+            elevation_deg > elevation_most or abs(pitch_deg) > pitch_most or abs(travel_deg) > travel_most
+        )

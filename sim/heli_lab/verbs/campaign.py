@@ -1,0 +1,115 @@
+"""``heli-host campaign``: thousands of flights, fits, diagnoses or gain checks."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from heli_host.cli.say import say, say_files
+from heli_host.cli.verb import Verb
+
+if TYPE_CHECKING:
+    from heli_lab.campaign.run import State
+    from heli_lab.campaign.summary import Summary
+
+
+def campaign(
+    file: Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="What is done, over which settings.")],
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            "--scheduler",
+            metavar="ADDRESS",
+            help="Dask cluster to use, such as tcp://10.0.0.1:8786; else this machine.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Where results are kept.  [default: the file's name]"),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers", metavar="N", min=1, help="Cases at once on this machine; its cores unless given."
+        ),
+    ] = None,
+    retry: Annotated[
+        bool, typer.Option("--retry", help="Do those cases again that ended without a result.")
+    ] = False,
+) -> None:
+    """Fly, fit, diagnose or check gains over rigs, effects, plans and seeds, on this machine or a cluster.
+
+    Every case leaves a JSON file and a row of the table. Whatever is killed on the way, the same command goes
+    on with the cases that had not ended.
+
+    Example: `heli-host campaign study.toml --out study`, and on a cluster `--scheduler tcp://head:8786`
+    """
+    from heli_host.cli.outputs import check_result_places
+    from heli_host.cli.progress_bar import WorkBar
+
+    from heli_lab.campaign.file import load_campaign
+    from heli_lab.campaign.page import write_summary
+    from heli_lab.campaign.run import run_campaign
+    from heli_lab.campaign.store import TABLE, Store
+    from heli_lab.campaign.summary import summarise
+    from heli_lab.errors import CampaignError
+
+    if scheduler is not None and workers is not None:
+        raise typer.BadParameter("--workers is of this machine; a cluster has its own")
+    asked = load_campaign(file)
+    folder = out or Path(file.stem)
+    check_result_places(report=folder)
+    store = Store(folder)
+    ended = 0
+    with WorkBar() as bar:
+
+        def show(state: State) -> None:
+            nonlocal ended
+            ended = state.ended
+            if state.note:
+                say(state.note)
+            if state.newest is not None and state.newest.failure:
+                say(f"{state.newest.name}: {state.newest.failure}")
+            failed = f", {state.failed} without a result" if state.failed else ""
+            bar.show(f"{state.ended} of {state.cases} cases{failed}", state.ended / state.cases)
+
+        try:
+            rows = run_campaign(
+                asked,
+                store,
+                scheduler=scheduler,
+                processes=workers or _cores(),
+                again=(lambda answer: bool(answer.failure)) if retry else None,
+                say=show,
+            )
+        except KeyboardInterrupt:
+            raise CampaignError(
+                f"stopped; {ended} of {len(asked.cases)} cases have ended and are kept",
+                "the same command goes on with the others",
+            ) from None
+    found = summarise(asked, rows)
+    page = write_summary(asked, found, folder)
+    _print(found, len(asked.cases))
+    say_files([page, folder / TABLE])
+    if found.failed:
+        raise typer.Exit(1)
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _print(found: Summary, cases: int) -> None:
+    say(f"{found.cases} of {cases} cases have ended, {len(found.failed)} of them without a result")
+    for one in found.columns:
+        if len(one.values):
+            say(f"  {one.name:28s} median {one.median:.4g}, 5 to 95 % {one.low:.4g} to {one.high:.4g}")
+    for name, counts in found.words.items():
+        said = ", ".join(f"{value} {count}" for value, count in list(counts.items())[:6])
+        say(f"  {name:28s} {said}")
+
+
+VERB = Verb(campaign, "Laboratory")

@@ -1,0 +1,155 @@
+"""``heli-host import``: flights from files of others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from heli_host.cli.say import say, say_files
+from heli_host.cli.simulated import DEFAULT_RIG
+from heli_host.cli.verb import Verb
+
+if TYPE_CHECKING:
+    from heli_host.tables import Profile, Table
+    from heli_sim.rig import Rig
+
+    from heli_lab.guess import Guess
+
+
+def import_(
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="Text, .mat, .parquet, .mcap, .bag, .xlsx, folders of bags."),
+    ],
+    profile: Annotated[
+        Path | None, typer.Option("--profile", metavar="FILE", help="Which column is what; TOML.")
+    ] = None,
+    guess: Annotated[
+        bool, typer.Option("--guess", help="Propose the profile from names, ranges and physics.")
+    ] = False,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="DIR", help="Where flights and profile go.")
+    ] = Path("imported"),
+    rig: Annotated[
+        str,
+        typer.Option(
+            "--rig",
+            metavar="NAME|FILE",
+            help=f"What units, table and encoders are held against.  [default: {DEFAULT_RIG}]",
+            show_default=False,
+        ),
+    ] = DEFAULT_RIG,
+    rate: Annotated[
+        float | None, typer.Option("--rate", metavar="HZ", min=1.0, help="Rows a second, without times.")
+    ] = None,
+    anyway: Annotated[
+        bool, typer.Option("--anyway", help="Write the flights though the guess is unsure.")
+    ] = False,
+) -> None:
+    """Import flights of any program: columns, units, signs and zeros by a profile, or guessed.
+
+    A guess is sure, or says between what it is unsure, and then writes profile and picture, but no flight:
+    correct the profile and give it with --profile.
+
+    Example: `heli-host import lab1.mat lab2.mat --guess --rig quanser-course --out flights/lab`
+    """
+    from heli_host.tables import read_profile, read_table
+    from heli_sim.rig import load_rig
+
+    if (profile is None) == (not guess):
+        raise typer.BadParameter("give one of --profile and --guess")
+    known = load_rig(rig)
+    tables = [read_table(path) for path in files]
+    out.mkdir(parents=True, exist_ok=True)
+    if profile is not None:
+        _write_flights(tables, read_profile(profile), known, out)
+        return
+    found = _guesses(tables, known, rate)
+    best = min(found, key=lambda one: len(one.doubts))
+    doubts = {doubt.what: doubt.sentence() for one in found for doubt in one.doubts}
+    doubts |= _differing(found, best, files)
+    written = _write_profile(best, list(doubts.values()), out)
+    for path, one, table in zip(files, found, tables, strict=True):
+        written.append(_draw(one, table, out / f"{_stem(path)}.png"))
+        say(f"{path.name}: {'sure' if one.sure else 'unsure'}")
+        for sentence in one.evidence:
+            say(f"  {sentence}")
+    for sentence in doubts.values():
+        say(sentence)
+    say_files(written)
+    if doubts and not anyway:
+        from heli_lab.errors import UnsureGuess
+
+        raise UnsureGuess(
+            f"unsure of {', '.join(doubts)}: no flight was written",
+            f"correct {out / 'profile.toml'} and import with --profile, or take it as it is with --anyway",
+        )
+    _write_flights(tables, best.profile, known, out)
+
+
+def _guesses(tables: Sequence[Table], rig: Rig, rate_Hz: float | None) -> list[Guess]:
+    from heli_host.cli.progress_bar import WorkBar
+
+    from heli_lab.guess import guess
+
+    found = []
+    with WorkBar() as bar:
+        for number, table in enumerate(tables):
+            bar.show("guessing", number / len(tables))
+            found.append(guess(table, rig, rate_Hz))
+    return found
+
+
+def _differing(found: Sequence[Guess], best: Guess, files: Sequence[Path]) -> dict[str, str]:
+    """Where files of one import do not agree on one profile."""
+    from dataclasses import replace
+
+    differing = {}
+    for one, path in zip(found, files, strict=True):
+        if replace(one.profile, about="") != replace(best.profile, about=""):
+            differing[f"one profile for all: {path.name}"] = (
+                f"unsure of one profile for all: {path.name} by itself would have another one; "
+                "import it alone to see which"
+            )
+    return differing
+
+
+def _write_profile(best: Guess, doubts: Sequence[str], out: Path) -> list[Path]:
+    from heli_host.tables import profile_text
+
+    target = out / "profile.toml"
+    lines = [f"# {line}\n" for line in (*(f"UNSURE: {one}" for one in doubts), *best.evidence)]
+    target.write_text("".join(lines) + "\n" + profile_text(best.profile), encoding="utf-8")
+    return [target]
+
+
+def _draw(one: Guess, table: Table, path: Path) -> Path:
+    from heli_host.tables import flights_of
+
+    from heli_lab.guess.picture import draw
+
+    return draw(one, max(flights_of(table, one.profile), key=len), path)
+
+
+def _write_flights(tables: Sequence[Table], profile: Profile, rig: Rig, out: Path) -> None:
+    from heli_host.flight import check
+    from heli_host.log.table import write_csv
+    from heli_host.tables import flights_of
+
+    for table in tables:
+        flights = flights_of(table, profile)
+        for number, flight in enumerate(flights, 1):
+            check(flight, table.source)
+            stem = _stem(Path(table.source))
+            target = out / (f"{stem}.csv" if len(flights) == 1 else f"{stem}-{number}.csv")
+            write_csv(flight, target)
+            say(f"{len(flight)} rows, {flight.duration_s:.1f} s at {1.0 / flight.step_s:.0f} Hz -> {target}")
+
+
+def _stem(path: Path) -> str:
+    return path.name.removesuffix(".gz").rpartition(".")[0] or path.name
+
+
+VERB = Verb(import_, "Logs", variadic=False)

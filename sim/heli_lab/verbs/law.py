@@ -1,0 +1,184 @@
+"""``heli-host law``: a control law of one's own, checked, flown, compared and exported."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from heli_host.cli.say import say, say_files
+from heli_host.cli.simulated import DEFAULT_RIG, BoardOption, SeedOption
+from heli_host.cli.verb import Verb
+
+if TYPE_CHECKING:
+    from heli_lab.law import Law
+
+app = typer.Typer(no_args_is_help=True, help="Check, fly, compare and export a control law of your own.")
+
+LawArgument = Annotated[
+    Path, typer.Argument(metavar="LAW.py", help="Python file with a LAW; its code is run.")
+]
+_MOST_POLES = 4
+
+
+@app.command()
+def check(
+    law: LawArgument,
+    rig: Annotated[
+        str, typer.Option("--rig", metavar="NAME|FILE", help="Rig to close the loop around.")
+    ] = DEFAULT_RIG,
+    rigs: Annotated[
+        int, typer.Option("--rigs", min=0, help="Rigs to fly it on, their thrust and lag drawn.")
+    ] = 3,
+    seed: SeedOption = 1,
+) -> None:
+    """Say what a law costs on the board and how stable it is, and fly it on random rigs in simulation.
+
+    Example: `heli-host law check lqi.py --rigs 5`
+    """
+    import numpy as np
+    from heli_host.declaration import LAW_TICK_COST
+    from heli_sim.rig import load_rig
+
+    from heli_lab.law.files import load_law
+    from heli_lab.law.linear import linearised
+    from heli_lab.tune.plants import linear_plant
+
+    found = load_law(law)
+    tape = found.tape
+    spread = f", over {tape.ticks} ticks" if tape.ticks > 1 else ""
+    say(
+        f"{found.name}: {found.rate_Hz:g} Hz, {len(tape.instructions)} operations, "
+        f"{len(found.states)} states, {len(tape.words)} words; at most {tape.cost} instructions "
+        f"a call{spread} (a tick has {LAW_TICK_COST})"
+    )
+    linear = linearised(found, linear_plant(load_rig(rig)))
+    slow = sorted(linear.poles, key=lambda pole: -pole.real)[:_MOST_POLES]
+    poles = ", ".join(f"{pole.real:.2f}{pole.imag:+.2f}j" for pole in slow)
+    say(f"{'stable' if linear.stable else 'UNSTABLE'} around level; slowest poles {poles} 1/s")
+    for loop, gain, phase_deg in zip(
+        ("collective", "differential"), linear.gain_up, linear.phase_deg, strict=True
+    ):
+        say(f"{loop:13} gain margin {gain:.2f}, phase margin {phase_deg:.0f} deg")
+    chance = np.random.default_rng(seed)
+    for number in range(rigs):
+        thrust, lag_s = float(chance.uniform(-0.1, 0.1)), float(chance.uniform(0.0, 0.1))
+        off = ";".join(f"thrust_step.{motor}={thrust:.3f}@0.001" for motor in ("front", "back"))
+        address = f"sil://?rig={rig}&seed={seed + number}&effect=rotor_lag={lag_s:.3f};{off}"
+        what = f"thrust {100 * thrust:+.0f} %, lag {1e3 * lag_s:.0f} ms"
+        say(f"rig {number + 1} ({what}): {_flown(found, address, 15.0)}")
+
+
+@app.command()
+def fly(
+    law: LawArgument,
+    port: Annotated[str, typer.Option("--port", help="Serial port, or any address that connect takes.")] = "",
+    board: BoardOption = None,
+    seconds: Annotated[
+        float, typer.Option("--seconds", min=1.0, max=600.0, help="How long the law flies.")
+    ] = 20.0,
+    log: Annotated[Path | None, typer.Option("--log", metavar="FILE", help="Log to write, .mcap.")] = None,
+    plan: Annotated[
+        str, typer.Option("--plan", metavar="NAME|FILE", help="Plan to fly instead, such as sine.")
+    ] = "",
+    seed: SeedOption = 1,
+) -> None:
+    """Fly a law on the board itself: a step of travel, then sines; without --port, in simulation.
+
+    Example: `heli-host law fly lqi.py --board due --log lqi.mcap`
+    """
+    from heli_lab.law.files import load_law
+
+    address = port or f"sil://?board={board or 'native'}&seed={seed}"
+    found = load_law(law)
+    say(_planned(found, address, plan, log) if plan else _flown(found, address, seconds, log))
+
+
+@app.command()
+def compare(
+    law: Annotated[
+        Path,
+        typer.Argument(metavar="A", help="Law (.py, its code is run), or log of a flight (.mcap, .csv)."),
+    ],
+    other: Annotated[
+        Path | None, typer.Argument(metavar="[B]", help="Another law, else the board's own; or another log.")
+    ] = None,
+    board: BoardOption = None,
+    seconds: Annotated[
+        float, typer.Option("--seconds", min=1.0, max=600.0, help="How long each flies.")
+    ] = 30.0,
+    seed: SeedOption = 1,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE.png", help="Figure of two logs to write.")
+    ] = Path("compare.png"),
+) -> None:
+    """Compare two logs, in numbers and a figure; or fly two laws along the same path in simulation.
+
+    Example: `heli-host law compare lqi.mcap lqr.mcap --out both.png`
+    """
+    from heli_lab.law.files import load_law
+
+    if law.suffix != ".py":
+        _compare_logs(law, other, out)
+        return
+    address = f"sil://?board={board or 'native'}&seed={seed}"
+    found = load_law(law)
+    second = load_law(other) if other is not None else None
+    say(f"{found.name}: {_flown(found, address, seconds)}")
+    say(f"{second.name if second else 'board'}: {_flown(second, address, seconds)}")
+
+
+@app.command()
+def export(
+    law: LawArgument,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.c", help="File to write.")],
+) -> None:
+    """Write a law as one file of C, in single precision.
+
+    Example: `heli-host law export lqi.py --out lqi.c`
+    """
+    from heli_lab.law.export_c import c_source
+    from heli_lab.law.files import load_law
+
+    out.write_text(c_source(load_law(law)), encoding="utf-8")
+    say_files((out,))
+
+
+def _planned(law: Law, address: str, plan: str, log: Path | None) -> str:
+    import heli_host
+    from heli_host.errors import FlightAborted
+    from heli_host.fly.runner import fly as fly_plan
+    from heli_host.guest_law import engage
+
+    tape = law.tape
+    with heli_host.connect(address) as heli:
+        summary = fly_plan(heli, plan, log_path=log, on_taken_off=lambda: engage(heli, tape))
+    if not summary.completed:
+        raise FlightAborted(summary.outcome.removeprefix("aborted: "))
+    rms = ", ".join(
+        f"{axis} {error:.2f}" for axis, error in summary.rms_error_deg.items() if error is not None
+    )
+    return f"{law.name} flew {plan}: rms error {rms} deg"
+
+
+def _compare_logs(first: Path, second: Path | None, out: Path) -> None:
+    from heli_host.errors import FlightDataError
+
+    from heli_lab.law.compare import judge, write_comparison
+
+    if second is None:
+        raise FlightDataError("one log alone is nothing to compare", "name two logs, or a law (.py)")
+    flights = [judge(first), judge(second)]
+    for one in flights:
+        say(str(one))
+    write_comparison(flights, out)
+    say_files((out,))
+
+
+def _flown(law: Law | None, address: str, seconds: float, log: Path | None = None) -> str:
+    from heli_lab.law.trial import try_law
+
+    return str(try_law(law, address, seconds, log))
+
+
+VERB = Verb(app, "Laboratory")

@@ -1,0 +1,1 @@
+"""What a scale, a ruler and a stopwatch tell of a rig."""

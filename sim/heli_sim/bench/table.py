@@ -1,0 +1,144 @@
+"""Bench tests as a TOML table, and one to fill in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from heli_sim.bench.thrust_curve import SCALE_N, ThrustCurve
+from heli_sim.bench.weigh import Balance, Swing, Thrust
+from heli_sim.errors import RigError
+
+TEMPLATE: Final = """\
+# Bench tests of a rig, for: heli-host rig weigh RIG THIS.toml --out NEW.toml
+# Leave out a table whose test was not done. Tolerances are half widths that hold the truth with 95 %.
+
+# A scale under each rotor, the arm held; run the motors; read at three voltages or more.
+[thrust]
+volts_V = [2, 3, 4]
+front_g = [60, 119, 179]
+back_g = [59, 119, 178]
+scale_g = 1
+
+# Motors off, pitch level: where the arm stays in the air. Leave this out where it rests on the table.
+[balance]
+elevation_deg = -22.1
+tolerance_deg = 0.5
+
+# Motors off, elevation and travel held: let pitch go, time whole swings, read the amplitude before and after.
+[[swing]]
+axis = "pitch"
+swings = 5
+seconds = 13.2
+tolerance_s = 0.3
+from_deg = 13
+to_deg = 4
+tolerance_deg = 0.5
+"""
+
+
+def bench_tests_from(table: Mapping[str, Any]) -> tuple[Thrust | None, Balance | None, list[Swing]]:
+    """Read bench tests from a TOML `table`, as docs/describe-your-rig.md shows them.
+
+    Raises
+    ------
+    RigError
+        When a key is missing, unknown or not a number that can be.
+    """
+    unknown = sorted(table.keys() - {"thrust", "balance", "swing"})
+    if unknown:
+        raise RigError(f"bench tests have no [{unknown[0]}]", "give [thrust], [balance], [[swing]]")
+    thrust = _thrust_from(_table(table, "thrust")) if "thrust" in table else None
+    balance = None
+    if "balance" in table:
+        balance = Balance(
+            **_numbers("[balance]", _table(table, "balance"), ("elevation_deg",), ("tolerance_deg",))
+        )
+        _positive("[balance]", tolerance_deg=balance.tolerance_deg)
+    listed = table.get("swing", [])
+    if not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
+        raise RigError("swing must be a list of tables", "write [[swing]] above each")
+    return thrust, balance, [_swing_from(one) for one in listed]
+
+
+def _thrust_from(table: Mapping[str, Any]) -> Thrust:
+    known = {"volts_V", "front_g", "back_g", "scale_g"}
+    if set(table) - known or "volts_V" not in table or not {"front_g", "back_g"} & set(table):
+        raise RigError(
+            "[thrust] needs volts_V, and front_g or back_g or both", f"it may have {', '.join(sorted(known))}"
+        )
+    volts = _list("volts_V", table["volts_V"])
+    sides = [_list(name, table[name]) for name in ("front_g", "back_g") if name in table]
+    if any(len(side) != len(volts) for side in sides):
+        raise RigError("[thrust] has not one reading for each voltage", "give lists of the same length")
+    scale_g = float(_numbers("[thrust]", {"scale_g": table.get("scale_g", 1.0)}, ("scale_g",), ())["scale_g"])
+    _positive("[thrust]", scale_g=scale_g)
+    # One rotor on the scale stands for both.
+    grams = np.array([sides[0], sides[-1]]).T
+    curve = ThrustCurve(np.repeat(np.array(volts)[:, None], 2, axis=1), grams * SCALE_N)
+    if len(sides) == 1:
+        curve = ThrustCurve(curve.volts_V[:, :1], curve.thrust_N[:, :1])
+    return Thrust(curve, scale_g * SCALE_N)
+
+
+def _swing_from(table: Mapping[str, Any]) -> Swing:
+    axis = table.get("axis")
+    if axis not in ("elevation", "pitch"):
+        raise RigError(f"[[swing]] has axis = {axis!r}", 'give "elevation" or "pitch": travel has no rest')
+    needed = ("swings", "seconds", "from_deg", "to_deg")
+    optional = ("tolerance_s", "tolerance_deg", "elevation_deg")
+    rest = {name: value for name, value in table.items() if name != "axis"}
+    numbers = _numbers("[[swing]]", rest, needed, optional)
+    swing = Swing(axis, swings=round(numbers.pop("swings")), **numbers)
+    _positive(
+        "[[swing]]",
+        swings=swing.swings,
+        seconds=swing.seconds,
+        to_deg=swing.to_deg,
+        tolerance_s=swing.tolerance_s,
+        tolerance_deg=swing.tolerance_deg,
+    )
+    if swing.from_deg <= swing.to_deg:
+        raise RigError(
+            "[[swing]] grows", "from_deg is the larger amplitude, before the swings that were timed"
+        )
+    return swing
+
+
+def _table(table: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    found = table[name]
+    if not isinstance(found, dict):
+        raise RigError(f"{name} is no table", f"write [{name}] above its numbers")
+    return found
+
+
+def _list(name: str, value: object) -> list[float]:
+    if not isinstance(value, list) or not value or not all(_is_number(one) for one in value):
+        raise RigError(f"[thrust] {name} is no list of numbers", "write it as [2, 4, 6]")
+    return [float(one) for one in value]
+
+
+def _numbers(
+    where: str, table: Mapping[str, Any], needed: Sequence[str], optional: Sequence[str]
+) -> dict[str, float]:
+    for name in needed:
+        if name not in table:
+            raise RigError(f"{where} lacks {name}", "add it")
+    for name, value in table.items():
+        if name not in (*needed, *optional):
+            raise RigError(f"{where} has no {name}", f"it may have {', '.join((*needed, *optional))}")
+        if not _is_number(value):
+            raise RigError(f"{where} {name} = {value!r} is no number", "give a number")
+    return {name: float(value) for name, value in table.items()}
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def _positive(where: str, **values: float) -> None:
+    for name, value in values.items():
+        if not value > 0.0:
+            raise RigError(f"{where} {name} = {value:g}", "give more than 0")

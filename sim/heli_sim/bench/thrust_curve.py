@@ -1,0 +1,69 @@
+"""Thrust against voltage, from a scale under each rotor, and the straight line through the readings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from heli_sim.errors import RigError
+
+Floats = npt.NDArray[np.float64]
+
+SCALE_N: Final = 0.00981
+"""Smallest step of the scale that thrust is read from: a gram."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """Thrust = gain (V - dead zone).
+
+    Parameters
+    ----------
+    gain_N_per_V, gain_half : float
+        Slope, and half its 95 % interval.
+    dead_zone_V, dead_zone_half : float
+        Voltage at which the line is zero, and half its 95 % interval.
+    """
+
+    gain_N_per_V: float
+    gain_half: float
+    dead_zone_V: float
+    dead_zone_half: float
+
+
+@dataclass(frozen=True)
+class ThrustCurve:
+    """Readings of a thrust stand: `thrust_N` of the front and the back rotor at `volts_V`, both
+    shape (n, 2).
+    """
+
+    volts_V: Floats
+    thrust_N: Floats
+
+    def line(self) -> Line:
+        """Fit the straight line to the readings above zero, with intervals from the scatter of the readings,
+        or from the scale's step where that is larger; fewer than three are an RigError.
+        """
+        above = self.thrust_N > 0.0
+        volts, thrust = self.volts_V[above], self.thrust_N[above]
+        if volts.size < 3:
+            raise RigError(
+                f"{volts.size} readings of thrust above zero make no line",
+                "read the scale at three voltages or more above the dead zone",
+            )
+        design = np.column_stack((volts, np.ones_like(volts)))
+        (slope, constant), *_ = np.linalg.lstsq(design, thrust, rcond=None)
+        scatter = np.std(thrust - design @ (slope, constant), ddof=2)
+        noise_N = max(float(scatter), SCALE_N / np.sqrt(12.0))
+        covariance = noise_N**2 * np.linalg.inv(design.T @ design)
+        zero = -constant / slope
+        to_zero = np.array([-zero / slope, -1.0 / slope])
+        return Line(
+            float(slope),
+            2.0 * float(np.sqrt(covariance[0, 0])),
+            float(zero),
+            2.0 * float(np.sqrt(to_zero @ covariance @ to_zero)),
+        )

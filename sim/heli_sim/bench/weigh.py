@@ -1,0 +1,337 @@
+"""A rig's numbers from simple bench tests: thrust on a scale, the angle of balance, swings of a pendulum.
+
+Every test says something of several numbers at once: a balance of masses times lengths, a period of a
+stiffness over an inertia. So they are taken together, with what is known of each number beforehand: the least
+squares
+
+    sum of ((test - what the model gives) / its tolerance)^2 + sum of ((number - rig file) / its tolerance)^2
+
+with the equations of `heli_sim.model`, tolerances being those of 95 %. Thrust stands apart: its line is
+fitted as the paper fits it (`thrust_curve.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from heli_sim.bench.thrust_curve import SCALE_N, ThrustCurve
+from heli_sim.errors import RigError
+from heli_sim.model import MultibodyModel
+from heli_sim.model.parts import AXES
+from heli_sim.rig import Number, Rig
+
+Floats = npt.NDArray[np.float64]
+
+OFF: Final = 2.0
+"""Tolerances by which a test may miss what the numbers found give before it is said: 1 is missed by chance
+once in twenty tests, 2 once in 15,000. Lower: chance. Higher: a wrong reading, or something that the model of
+the rig lacks, goes unsaid."""
+_LEARNED: Final = 0.95
+"""Share of its tolerance that a number must keep at most to be said to be found by the tests."""
+_NEWTON: Final = 30
+
+
+@dataclass(frozen=True)
+class Thrust:
+    """Readings of a scale under the rotors, motors running.
+
+    Parameters
+    ----------
+    curve : ThrustCurve
+        Voltages and thrusts of both rotors.
+    scale_N : float
+        Smallest step of the scale.
+    """
+
+    curve: ThrustCurve
+    scale_N: float = SCALE_N
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Where the arm stays with the motors off and the short arm level, held by nothing.
+
+    Parameters
+    ----------
+    elevation_deg, tolerance_deg : float
+        The angle, and half the width that holds it with 95 %.
+    """
+
+    elevation_deg: float
+    tolerance_deg: float = 0.5
+
+
+@dataclass(frozen=True)
+class Swing:
+    """Free swings of one axis about its rest, motors off, the other two held.
+
+    Parameters
+    ----------
+    axis : str
+        ``elevation`` or ``pitch``.
+    swings : int
+        Full periods that were timed.
+    seconds, tolerance_s : float
+        How long they took, and half the width that holds that with 95 %.
+    from_deg, to_deg : float
+        Amplitude before the first and after the last of them.
+    tolerance_deg : float
+        Half the width that holds each amplitude with 95 %.
+    elevation_deg : float
+        Where the long arm is held while pitch swings.
+    """
+
+    axis: str
+    swings: int
+    seconds: float
+    from_deg: float
+    to_deg: float
+    tolerance_s: float = 0.3
+    tolerance_deg: float = 0.5
+    elevation_deg: float = 0.0
+
+    @property
+    def decrement(self) -> float:
+        """Logarithm of the ratio of one amplitude to that a period later."""
+        return float(np.log(self.from_deg / self.to_deg) / self.swings)
+
+    @property
+    def decrement_tolerance(self) -> float:
+        """Half the width that holds it with 95 %."""
+        relative = np.hypot(self.tolerance_deg / self.from_deg, self.tolerance_deg / self.to_deg)
+        return float(relative / self.swings)
+
+
+@dataclass(frozen=True)
+class Tested:
+    """One reading, and what the rig gives in its place.
+
+    Parameters
+    ----------
+    what, unit : str
+        The reading in words, and its unit.
+    read, tolerance : float
+        The reading, and half the width that holds it with 95 %.
+    before, after : float
+        What the rig gives before and after.
+    """
+
+    what: str
+    unit: str
+    read: float
+    tolerance: float
+    before: float
+    after: float
+
+    @property
+    def off(self) -> float:
+        """What the rig found misses the reading by, in tolerances."""
+        return abs(self.after - self.read) / self.tolerance
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A rig after its bench tests.
+
+    Parameters
+    ----------
+    rig : Rig
+        With the numbers found, their tolerances and sources.
+    found : tuple of str
+        Names of the numbers that the tests tell more closely, or move by more than their tolerance.
+    tested : tuple of Tested
+        Readings.
+    """
+
+    rig: Rig
+    found: tuple[str, ...]
+    tested: tuple[Tested, ...]
+
+
+def weigh(
+    rig: Rig, thrust: Thrust | None = None, balance: Balance | None = None, swings: Sequence[Swing] = ()
+) -> Weighed:
+    """Find a rig's numbers from bench tests.
+
+    Parameters
+    ----------
+    rig : Rig
+        What is known beforehand: values and tolerances.
+
+    Raises
+    ------
+    RigError
+        When nothing was tested, readings make no thrust line, or an axis does not swing.
+    """
+    if thrust is None and balance is None and not swings:
+        raise RigError("no bench test is given", "give at least one of [thrust], [balance] and [[swing]]")
+    found, tested = rig, []
+    learned: list[str] = []
+    if thrust is not None:
+        found, of_thrust = _with_thrust(rig, thrust)
+        learned += ["thrust_gain", "dead_zone"]
+        tested += of_thrust
+    if balance is not None or swings:
+        found, names, of_masses = _with_masses(found, balance, swings)
+        learned += names
+        tested += of_masses
+    return Weighed(found, tuple(learned), tuple(tested))
+
+
+def _with_thrust(rig: Rig, thrust: Thrust) -> tuple[Rig, list[Tested]]:
+    line = thrust.curve.line()
+    volts = thrust.curve.volts_V
+    source = f"bench: line through thrust on a scale at {np.unique(volts).size} voltages"
+    numbers = {
+        "thrust_gain": _number(rig, "thrust_gain", line.gain_N_per_V, line.gain_half, source),
+        "dead_zone": _number(rig, "dead_zone", max(line.dead_zone_V, 0.0), line.dead_zone_half, source),
+    }
+    after = replace(rig, numbers={**rig.numbers, **numbers})
+    tolerance_N = max(2.0 * thrust.scale_N / np.sqrt(12.0), 0.02 * float(thrust.curve.thrust_N.max()))
+    sides = ("front", "back") if volts.shape[1] == 2 else ("a rotor's",)
+    tested = [
+        Tested(
+            f"{side} thrust at {volt:g} V",
+            "N",
+            float(read),
+            float(tolerance_N),
+            *(one["thrust_gain"].value * max(volt - one["dead_zone"].value, 0.0) for one in (rig, after)),
+        )
+        for volts_V, reads in zip(volts, thrust.curve.thrust_N, strict=True)
+        for side, volt, read in zip(sides, map(float, volts_V), reads, strict=True)
+    ]
+    return after, tested
+
+
+def _number(rig: Rig, name: str, value: float, tolerance: float, source: str) -> Number:
+    return Number(float(value), rig[name].unit, float(tolerance), source)
+
+
+class _Axes:
+    """What the model gives in the place of each reading."""
+
+    def __init__(self, rig: Rig) -> None:
+        model = MultibodyModel()
+        x, p, locked = ca.SX.sym("x", 6), ca.SX.sym("p", len(model.parameters)), ca.SX.sym("l", 3)
+        acceleration = model.dynamics(x, ca.SX.zeros(2), p, ca.SX(0), locked)[3:6]
+        self._of = ca.Function("axes", [x, p, locked], [acceleration, ca.jacobian(acceleration, x)])
+        self.names = [quantity.name for quantity in model.parameters]
+        self.values: Floats = model.parameter_values(rig)
+
+    def _at(self, p: Floats, axis: int, angles_rad: Floats) -> tuple[float, float, float]:
+        """Acceleration of an axis at rest, the others held, and its derivatives by angle and rate."""
+        held = np.ones(3)
+        held[axis] = 0.0
+        state = np.concatenate((angles_rad, np.zeros(3)))
+        acceleration, by_state = (np.array(one) for one in self._of(state, p, held))
+        return float(acceleration[axis, 0]), float(by_state[axis, axis]), float(by_state[axis, 3 + axis])
+
+    def balance_deg(self, p: Floats, near_deg: float) -> float:
+        """Where the arm stays, the one that is nearest."""
+        angles = np.array([np.deg2rad(near_deg), 0.0, 0.0])
+        for _ in range(_NEWTON):
+            value, slope, _ = self._at(p, 0, angles)
+            if slope >= 0.0:
+                raise RigError(
+                    f"the arm of this rig does not balance near {near_deg:g} degrees: it falls from there",
+                    "look at L_theta and the masses, or leave [balance] out",
+                )
+            angles[0] -= value / slope
+            if abs(value / slope) < 1e-12:
+                break
+        return float(np.rad2deg(angles[0]))
+
+    def swing(self, p: Floats, swing: Swing) -> tuple[float, float]:
+        """Time that all swings take, s, and the decrement."""
+        axis = AXES.index(swing.axis)
+        rest_deg = self.balance_deg(p, -20.0) if axis == 0 else 0.0
+        angles_rad = np.deg2rad([rest_deg if axis == 0 else swing.elevation_deg, 0.0, 0.0])
+        _, by_angle, by_rate = self._at(p, axis, angles_rad)
+        damped = -by_angle - 0.25 * by_rate**2
+        if damped <= 0.0:
+            raise RigError(f"{swing.axis} of this rig does not swing", "look at its lengths and frictions")
+        amplitude_rad = np.deg2rad(0.5 * (swing.from_deg + swing.to_deg))
+        period_s = 2.0 * np.pi / np.sqrt(damped)
+        # A pendulum is slower at large amplitudes, by the first term of its series.
+        return swing.swings * period_s * (1.0 + amplitude_rad**2 / 16.0), -0.5 * by_rate * period_s
+
+
+def _with_masses(
+    rig: Rig, balance: Balance | None, swings: Sequence[Swing]
+) -> tuple[Rig, list[str], list[Tested]]:
+    from scipy.optimize import least_squares
+
+    axes = _Axes(rig)
+    free = [name for name in axes.names if rig[name].tolerance > 0.0 and not name.startswith("offset")]
+    free = [name for name in free if name not in ("thrust_gain", "dead_zone")]
+    places = [axes.names.index(name) for name in free]
+    mean = np.array([rig[name].value for name in free])
+    tolerance = np.array([rig[name].tolerance for name in free])
+    readings = _readings(balance, swings)
+
+    def given(values: Floats) -> Floats:
+        p = axes.values.copy()
+        p[places] = values
+        found = [] if balance is None else [axes.balance_deg(p, balance.elevation_deg)]
+        for swing in swings:
+            found += axes.swing(p, swing)
+        return np.array(found)
+
+    read = np.array([one[2] for one in readings])
+    half = np.array([one[3] for one in readings])
+
+    def misses(scaled: Floats) -> Floats:
+        return np.concatenate(((given(mean + scaled * tolerance) - read) / half, scaled))
+
+    low = np.array([-np.inf if rig.may_be_negative(name) else 1e-6 * rig[name].value for name in free])
+    start = np.zeros(len(free))
+    fitted = least_squares(misses, start, bounds=((low - mean) / tolerance, np.full(len(free), np.inf)))
+    # In tolerances throughout: those of 95 %, so that no factor 2 appears.
+    spread = np.sqrt(np.diag(np.linalg.inv(fitted.jac.T @ fitted.jac)))
+    values = mean + fitted.x * tolerance
+    which = " and ".join(
+        [
+            *(["the angle of balance"] if balance else []),
+            *dict.fromkeys(f"swings of {s.axis}" for s in swings),
+        ]
+    )
+    names = [
+        name
+        for name, share, moved in zip(free, spread, fitted.x, strict=True)
+        if share < _LEARNED or abs(moved) > 1.0
+    ]
+    numbers = dict(rig.numbers)
+    # All of them move, if by little: the tests hold for all together.
+    for name, value, share, was in zip(free, values, spread, tolerance, strict=True):
+        source = f"bench: {which}, with {rig[name].source}"
+        numbers[name] = _number(rig, name, float(value), float(share * was), source)
+    after = replace(rig, numbers=numbers)
+    final = np.array([after[name].value for name in free])
+    return (
+        after,
+        names,
+        [
+            Tested(what, unit, reading, width, float(before), float(now))
+            for (what, unit, reading, width), before, now in zip(
+                readings, given(mean), given(final), strict=True
+            )
+        ],
+    )
+
+
+def _readings(balance: Balance | None, swings: Sequence[Swing]) -> list[tuple[str, str, float, float]]:
+    found = (
+        []
+        if balance is None
+        else [("elevation of balance", "deg", balance.elevation_deg, balance.tolerance_deg)]
+    )
+    for one in swings:
+        found.append((f"{one.swings} swings of {one.axis}", "s", one.seconds, one.tolerance_s))
+        found.append((f"decrement of {one.axis}", "1", one.decrement, one.decrement_tolerance))
+    return found

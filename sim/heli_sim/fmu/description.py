@@ -1,0 +1,197 @@
+"""The model description of an FMU: what it has, in the standard's XML."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+from xml.etree import ElementTree
+
+from heli_sim.plant import LIMITS, Plant, STEP_s
+from heli_sim.rig import RIG_QUANTITIES
+
+# As sources/fmi3.c has them.
+_INPUTS: Final = 1
+_OUTPUTS: Final = 3
+_INDICATORS: Final = 6
+_CHANCE: Final = 12
+_STATES: Final = 100
+_RATES: Final = 10_000
+_PARAMETERS: Final = 20_000
+
+_AXES: Final = ("elevation", "pitch", "travel")
+_BASE_UNITS: Final[dict[str, dict[str, str]]] = {
+    "rad": {"rad": "1"},
+    "rad/s": {"rad": "1", "s": "-1"},
+    "rad/s2": {"rad": "1", "s": "-2"},
+    "s": {"s": "1"},
+    "1/s": {"s": "-1"},
+    "m": {"m": "1"},
+    "kg": {"kg": "1"},
+    "V": {"kg": "1", "m": "2", "s": "-3", "A": "-1"},
+    "N": {"kg": "1", "m": "1", "s": "-2"},
+    "N/s": {"kg": "1", "m": "1", "s": "-3"},
+    "N m": {"kg": "1", "m": "2", "s": "-2"},
+    "deg": {"rad": "1", "factor": "0.017453292519943295"},
+}
+"""Units in terms of the SI's; those not here have a name only."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of the description; all are 64-bit floats.
+
+    Parameters
+    ----------
+    name : str
+        Its name, structured by dots.
+    reference : int
+        Value reference.
+    unit : str
+        As rigs spell it; ``1`` for none.
+    meaning : str
+        One line.
+    causality, variability, initial : str
+        As the standard has them; empty for what it takes by itself.
+    start : float or None
+        Value to begin with.
+    derivative_of : int
+        Value reference of the state whose rate it is; 0 for none.
+    """
+
+    name: str
+    reference: int
+    unit: str
+    meaning: str
+    causality: str
+    variability: str
+    initial: str = ""
+    start: float | None = None
+    derivative_of: int = 0
+
+
+def variables(plant: Plant) -> list[Variable]:
+    """List what an importer sees of a plant: time, voltages, measured angles, states, rates, numbers."""
+    return list(_variables(plant))
+
+
+def _variables(plant: Plant) -> Iterator[Variable]:
+    yield Variable("time", 0, "s", "simulated time", "independent", "continuous")
+    for place, one in enumerate(plant.model.inputs):
+        yield Variable(one.name, _INPUTS + place, one.unit, one.meaning, "input", "continuous", "", 0.0)
+    for place, axis in enumerate(_AXES):
+        yield Variable(
+            f"{axis}_rad", _OUTPUTS + place, "rad", f"{axis} as an ideal encoder measures it", "output",
+            "continuous", "calculated",
+        )  # fmt: skip
+    for place in range(6):
+        axis, side = _AXES[place % 3], ("lower", "upper")[place // 3]
+        yield Variable(
+            f"gap.{axis}_{side}_rad", _INDICATORS + place, "rad", f"way to the {side} stop of {axis}",
+            "local", "continuous", "calculated",
+        )  # fmt: skip
+    start = plant.rest_state()
+    count = len(plant.model.states)
+    if plant.extras.random:
+        chance = float(start[count + plant.extras.timed])
+        yield Variable(
+            "chance", _CHANCE, "1", "state of the random generator, a whole number from 1", "parameter",
+            "fixed", "exact", chance,
+        )  # fmt: skip
+    for place, state in enumerate(plant.model.states):
+        yield Variable(
+            f"state.{state.name}", _STATES + place, state.unit, state.meaning, "local", "continuous", "exact",
+            float(start[place]),
+        )  # fmt: skip
+    for place, state in enumerate(plant.model.states):
+        unit = "rad/s2" if state.unit == "rad/s" else "1" if state.unit == "1" else f"{state.unit}/s"
+        yield Variable(
+            f"der(state.{state.name})", _RATES + place, unit, f"rate of state.{state.name}",
+            "local", "continuous", "calculated", None, _STATES + place,
+        )  # fmt: skip
+    known = {quantity.name: quantity for quantity in RIG_QUANTITIES}
+    named = [*plant.model.parameters, *(known[name] for name in LIMITS)]
+    seen: set[str] = set()
+    for place, quantity in enumerate(named):
+        fixed = quantity.name == plant.model.delay
+        name = f"rig.{quantity.name}" if quantity.name not in seen else f"rig.stop.{quantity.name}"
+        seen.add(quantity.name)
+        yield Variable(
+            name, _PARAMETERS + place, quantity.unit, quantity.meaning, "local" if fixed else "parameter",
+            "constant" if fixed else "tunable", "exact", float(plant.parameters[place]),
+        )  # fmt: skip
+
+
+def describe(plant: Plant, identifier: str, token: str) -> bytes:
+    """Write ``modelDescription.xml``.
+
+    Parameters
+    ----------
+    identifier : str
+        The model identifier: how the binary is called.
+    token : str
+        The instantiation token.
+    """
+    listed = variables(plant)
+    root = ElementTree.Element(
+        "fmiModelDescription",
+        fmiVersion="3.0",
+        modelName=f"{plant.rig.name} ({plant.model.name})",
+        instantiationToken=token,
+        description=plant.rig.description,
+        generationTool="heli_sim",
+        variableNamingConvention="structured",
+    )
+    able = {"modelIdentifier": identifier, "canGetAndSetFMUState": "true", "canSerializeFMUState": "true"}
+    ElementTree.SubElement(root, "ModelExchange", able)
+    ElementTree.SubElement(
+        root,
+        "CoSimulation",
+        {**able, "canHandleVariableCommunicationStepSize": "true", "fixedInternalStepSize": repr(STEP_s)},
+    )
+    _add_units(root, listed)
+    ElementTree.SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="60.0", stepSize=repr(STEP_s))
+    own = ElementTree.SubElement(root, "ModelVariables")
+    for one in listed:
+        ElementTree.SubElement(own, "Float64", _attributes(one))
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    outputs = [one.reference for one in listed if one.causality == "output"]
+    rates = [one.reference for one in listed if one.derivative_of]
+    indicators = [one.reference for one in listed if one.name.startswith("gap.")]
+    for kind, references in (
+        ("Output", outputs),
+        ("ContinuousStateDerivative", rates),
+        ("InitialUnknown", sorted([*outputs, *rates])),
+        ("EventIndicator", indicators),
+    ):
+        for reference in references:
+            ElementTree.SubElement(structure, kind, valueReference=str(reference))
+    ElementTree.indent(root)
+    return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _attributes(one: Variable) -> dict[str, str]:
+    attributes = {
+        "name": one.name,
+        "valueReference": str(one.reference),
+        "description": one.meaning,
+        "causality": one.causality,
+        "variability": one.variability,
+    }
+    if one.initial:
+        attributes["initial"] = one.initial
+    if one.unit != "1":
+        attributes["unit"] = one.unit
+    if one.start is not None:
+        attributes["start"] = repr(one.start)
+    if one.derivative_of:
+        attributes["derivative"] = str(one.derivative_of)
+    return attributes
+
+
+def _add_units(root: ElementTree.Element, listed: list[Variable]) -> None:
+    definitions = ElementTree.SubElement(root, "UnitDefinitions")
+    for unit in sorted({one.unit for one in listed} - {"1"}):
+        entry = ElementTree.SubElement(definitions, "Unit", name=unit)
+        if unit in _BASE_UNITS:
+            ElementTree.SubElement(entry, "BaseUnit", _BASE_UNITS[unit])

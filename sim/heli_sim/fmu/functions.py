@@ -1,0 +1,109 @@
+"""A plant's equations as the functions that an FMU calls, in C."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from heli_sim.model.effect import Effect
+from heli_sim.plant import Plant, end_of_step, late_volts
+
+
+@dataclass(frozen=True)
+class Generated:
+    """C files of one plant.
+
+    Parameters
+    ----------
+    files : dict of str to str
+        Their texts by name.
+    sampled : bool
+        Whether something of the plant happens once a millisecond: late voltages, resets, chance.
+    """
+
+    files: dict[str, str]
+    sampled: bool
+
+
+def generate(plant: Plant, token: str) -> Generated:
+    """Write the C files that hold a plant's equations and numbers.
+
+    Parameters
+    ----------
+    token : str
+        The instantiation token, by which an importer shows that it has read the right description.
+    """
+    model, extras = plant.model, plant.extras
+    late_ticks = sum(one.name.startswith("front_V_") for one in extras.states)
+    x, u = ca.SX.sym("state", len(model.states)), ca.SX.sym("acting_V", 2)
+    p, t, chance = ca.SX.sym("parameters", len(plant.parameters)), ca.SX.sym("t"), ca.SX.sym("chance")
+    p_model = p[: len(model.parameters)]
+    after, _, next_chance = end_of_step(model, x, u, p, t, chance, ca.SX.zeros(3))
+    functions = [
+        plant.function,
+        _function("model_rates", [x, u, p, t], [model.dynamics(x, u, p_model, t)]),
+        _function("model_measured", [x, u, p, t], [model.measurement(x, u, p_model, t)]),
+        _function("model_end_of_step", [x, u, p, t, chance], [after, next_chance]),
+    ]
+    if late_ticks:
+        past = ca.SX.sym("past_V", 2 * late_ticks)
+        functions.append(_function("model_late_volts", [u, past], [late_volts(u, past, plant.extras.late_s)]))
+    generator = ca.CodeGenerator("model", {"with_header": False})
+    for function in functions:
+        generator.add(function)
+    sampled = bool(late_ticks) or extras.random or any(_resets(effect) for effect in model.effects)
+    numbers = {
+        "STATES": len(model.states),
+        "WHOLE": len(plant.rest_state()),
+        "PARAMETERS": len(plant.parameters),
+        "LIMITS": len(model.parameters),
+        "TIMED": int(extras.timed),
+        "RANDOM": int(extras.random),
+        "LATE": late_ticks,
+        "SAMPLED": int(sampled),
+        "INPUTS": max(one.n_in() for one in functions),
+        "OUTPUTS": max(one.n_out() for one in functions),
+        "WORK_ARGUMENTS": max(one.sz_arg() for one in functions) + 1,
+        "WORK_RESULTS": max(one.sz_res() for one in functions) + 1,
+        "WORK_INTEGERS": max(one.sz_iw() for one in functions) + 1,
+        "WORK_NUMBERS": max(one.sz_w() for one in functions) + 1,
+    }
+    lines = ["#ifndef MODEL_NUMBERS_H", "#define MODEL_NUMBERS_H"]
+    lines += [f"#define MODEL_{name} {number}" for name, number in numbers.items()]
+    lines += [f'#define MODEL_TOKEN "{token}"']
+    lines += ["extern const double model_start_state[];", "extern const double model_start_parameters[];"]
+    starts = (
+        '#include "model_numbers.h"\n'
+        f"const double model_start_state[] = {{{_listed(plant.rest_state().tolist())}}};\n"
+        f"const double model_start_parameters[] = {{{_listed(plant.parameters.tolist())}}};\n"
+    )
+    return Generated(
+        {
+            "model.c": generator.dump(),
+            "model.h": _header(functions),
+            "model_numbers.h": "\n".join([*lines, "#endif", ""]),
+            "model_start.c": starts,
+        },
+        sampled,
+    )
+
+
+def _header(functions: list[ca.Function]) -> str:
+    prototypes = [
+        f"int {one.name()}(const double** arg, double** res, long long int* iw, double* w, int mem);"
+        for one in functions
+    ]
+    return "\n".join(["#ifndef MODEL_H", "#define MODEL_H", *prototypes, "#endif", ""])
+
+
+def _function(name: str, inputs: list[ca.SX], results: list[ca.SX]) -> ca.Function:
+    return ca.Function(name, inputs, ca.cse([ca.densify(result) for result in results]))
+
+
+def _resets(effect: Effect) -> bool:
+    return type(effect).reset_map is not Effect.reset_map
+
+
+def _listed(numbers: list[float]) -> str:
+    return ", ".join(repr(float(number)) for number in numbers)

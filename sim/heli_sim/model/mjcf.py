@@ -1,0 +1,134 @@
+"""A rig as MuJoCo's XML (MJCF): point masses on three hinges, thrust, friction, constant torques, stops.
+
+The equations of `multibody.py` and MuJoCo's recursive algorithms have nothing in common but the masses and
+where they are; a test lets both fly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from heli_sim.rig import Rig
+
+# MuJoCo wants an inertia of every body; this one is a point mass for all that counts.
+_POINT: Final = 'diaginertia="1e-12 1e-12 1e-12"'
+
+
+def unsaid(rig: Rig) -> list[str]:
+    """What the MJCF file of a `rig` does not say, a line each."""
+    found = [f"the effect {name}" for name in rig.effects]
+    if rig["reverse_thrust"].value:
+        found.append("thrust at reversed voltage: rotors pull one way")
+    found += [
+        "air drag: MuJoCo has its own model of it",
+        "the table that the arm rests on but for a stop, and what it damps",
+        "encoders: their counts, zeros and quantisation; sensors give exact angles",
+        "the drivers' dead band, and the supply but for the largest voltage",
+    ]
+    return found
+
+
+def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
+    """Write a rig as MJCF.
+
+    Controls are the front and the back voltage [V]; sensors and joints are elevation, pitch and travel [rad].
+
+    Parameters
+    ----------
+    rig : Rig
+        Its numbers; its effects are left out, see `unsaid`.
+    step_s : float
+        Time step.
+    stops : bool
+        Whether the axes end at their stops.
+    """
+    v = {name: rig[name].value for name in rig}
+    arm_z, body_z = -v["L_theta"], -v["L_phi"]
+
+    def mass(name: str, kg: float, x: float, y: float, z: float) -> str:
+        # No body may weigh nothing.
+        return (
+            f'<body name="{name}" pos="{x:.9g} {y:.9g} {z:.9g}">'
+            f'<inertial pos="0 0 0" mass="{max(kg, 1e-9):.9g}" {_POINT}/>'
+            f'<geom size="0.02" mass="0" contype="0" conaffinity="0"/></body>'
+        )
+
+    def joint(name: str, axis: str, low_deg: float, high_deg: float) -> str:
+        low, high = np.deg2rad([low_deg, high_deg])
+        ends = f' limited="true" range="{low:.9g} {high:.9g}"' if stops else ""
+        return f'<joint name="{name}" axis="{axis}" damping="{v[f"friction_{name}"]:.9g}"{ends}/>'
+
+    def rotor(side: str) -> str:
+        zero_N = -v["thrust_gain"] * v["dead_zone"]
+        most_N = v["thrust_gain"] * max(v["supply"] - v["dead_zone"], 1e-6)
+        return (
+            f'<general name="{side}" site="{side}" gear="0 0 1 0 0 0" gainprm="{v["thrust_gain"]:.9g}" '
+            f'biastype="affine" biasprm="{zero_N:.9g} 0 0" '
+            f'ctrllimited="true" ctrlrange="0 {v["supply"]:.9g}" '
+            f'forcelimited="true" forcerange="0 {most_N:.9g}"/>'
+        )
+
+    def torque(axis: str) -> str:
+        value = v[f"torque_{axis}"]
+        if not value:
+            return ""
+        return (
+            f'<general name="torque_{axis}" joint="{axis}" gainprm="0" biastype="affine" '
+            f'biasprm="{value:.9g} 0 0"/>'
+        )
+
+    still = '<inertial pos="0 0 0" mass="1e-9" ' + _POINT + "/>"
+    said = "".join(f"\n  - {line}" for line in unsaid(rig)).replace("--", "- -")
+    return f"""<?xml version="1.0" encoding="utf-8"?>
+<!-- {_comment(rig.description)}
+Written by heli-host rig export. Controls: volts of the front and the back motor. It does not say:{said}
+-->
+<mujoco model="{escape(rig.name, {'"': "&quot;"})}">
+  <compiler angle="radian" balanceinertia="false"/>
+  <option timestep="{step_s:.9g}" integrator="RK4" gravity="0 0 {-v["g"]:.9g}"/>
+  <worldbody>
+    <body name="post" pos="0 0 1">
+      {still}
+      {joint("travel", "0 0 1", -v["travel_max"], v["travel_max"])}
+      <body name="arm">
+        {still}
+        {joint("elevation", "0 -1 0", v["elevation_min"], v["elevation_max"])}
+        <geom type="capsule" fromto="{-v["L_b"]:.9g} 0 {arm_z:.9g} {v["L_a"]:.9g} 0 {arm_z:.9g}"
+          size="0.01" mass="0" contype="0" conaffinity="0"/>
+        {mass("long_arm", v["M_l"], v["L_x"], 0.0, arm_z)}
+        {mass("counterweight", v["M_w"], -v["L_b"], 0.0, arm_z)}
+        <body name="body" pos="{v["L_a"]:.9g} 0 {arm_z:.9g}">
+          {still}
+          {joint("pitch", "-1 0 0", -v["pitch_max"], v["pitch_max"])}
+          <geom type="capsule" fromto="0 {-v["L_h"]:.9g} {body_z:.9g} 0 {v["L_h"]:.9g} {body_z:.9g}"
+            size="0.01" mass="0" contype="0" conaffinity="0"/>
+          {mass("short_arm", v["M_h"], 0.0, 0.0, body_z)}
+          {mass("front_rotor", v["M_f"], 0.0, -v["L_h"], body_z)}
+          {mass("back_rotor", v["M_b"], 0.0, v["L_h"], body_z)}
+          <site name="front" pos="0 {-v["L_h"]:.9g} 0"/>
+          <site name="back" pos="0 {v["L_h"]:.9g} 0"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    {_lines([rotor("front"), rotor("back"), *(torque(axis) for axis in ("elevation", "pitch", "travel"))])}
+  </actuator>
+  <sensor>
+    {_lines([f'<jointpos name="{axis}" joint="{axis}"/>' for axis in ("elevation", "pitch", "travel")])}
+  </sensor>
+</mujoco>
+"""
+
+
+def _comment(text: str) -> str:
+    # Two hyphens end nothing in an XML comment but are forbidden there.
+    return text.replace("--", "- -")
+
+
+def _lines(parts: Sequence[str]) -> str:
+    return "\n    ".join(part for part in parts if part)

@@ -1,0 +1,183 @@
+"""A rig from what its builder states: some numbers with units and tolerances, the rest as another rig's."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Final
+
+from heli_sim.errors import RigError
+from heli_sim.rig.quantity import Quantity
+from heli_sim.rig.rig import Number, Rig
+from heli_sim.rig.schema import RIG_QUANTITIES
+
+ASKED: Final = (
+    *("M_f", "M_b", "M_w", "M_h", "M_l"),
+    *("L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x"),
+    *("thrust_gain", "dead_zone", "supply", "elevation_min", "elevation_max", "encoder_counts"),
+)
+"""Numbers that a builder can state: what a scale, a ruler and data sheets give, in the order of asking."""
+COLUMNS: Final = ("name", "value", "unit", "tolerance", "source")
+
+UNSTATED_SHARE: Final = 0.3
+"""Tolerance of a number that was not stated, as a share of the other rig's, at least. By judgement: rigs
+of this make differ by a third. Smaller: a fit trusts another rig's numbers. Larger: short flights do not tell
+what is left open."""
+_ALIKE: Final = ("g", "air_density", "table_damping", "driver_dead_band")
+"""Numbers that are no machine's own."""
+_SCALE_SHARE, _RULER_m, _OTHER_SHARE = 0.01, 0.005, 0.1
+"""Tolerances where none is stated: a kitchen scale's, a ruler's between axes, of anything else."""
+
+_FACTORS: Final[Mapping[str, Mapping[str, float]]] = {
+    "kg": {"kg": 1.0, "g": 1e-3},
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "deg": {"deg": 1.0, "\N{DEGREE SIGN}": 1.0, "rad": 180.0 / math.pi},
+    "V": {"V": 1.0, "mV": 1e-3},
+    "N/V": {"N/V": 1.0, "mN/V": 1e-3, "g/V": 9.81e-3},
+    "N m": {"N m": 1.0, "mN m": 1e-3},
+    "N m s/rad": {"N m s/rad": 1.0, "mN m s/rad": 1e-3},
+    "1": {"1": 1.0, "%": 1e-2},
+}
+_WRITTEN: Final = re.compile(
+    r"""^\s*(?P<value>[-+]?[\d.]+(?:[eE][-+]?\d+)?)
+    (?:\s*(?:\+-|\+/-|\N{PLUS-MINUS SIGN})\s*(?P<tolerance>[\d.]+(?:[eE][-+]?\d+)?))?
+    \s*(?P<unit>[^;]*?)\s*(?:;\s*(?P<source>.*?)\s*)?$""",
+    re.VERBOSE,
+)
+
+
+def described(name: str, description: str, like: Rig, given: Mapping[str, Number]) -> Rig:
+    """Make a rig of the numbers `given` and, with wider tolerances, of those of a rig that it is `like`.
+
+    Parameters
+    ----------
+    name, description : str
+        Its short name, and one line.
+
+    Raises
+    ------
+    RigError
+        When the numbers cannot be.
+    """
+    numbers = {}
+    for quantity, known in like.items():
+        if quantity in given:
+            numbers[quantity] = given[quantity]
+            continue
+        own = bool(known.tolerance) and quantity not in _ALIKE
+        wide = max(known.tolerance, UNSTATED_SHARE * abs(known.value)) if own else known.tolerance
+        numbers[quantity] = replace(known, tolerance=wide, source=f"not stated: as {like.name}")
+    return Rig(name, description, numbers)
+
+
+def number_from(name: str, text: str, source: str = "stated by its builder") -> Number:
+    """Read a number as people write it: ``355 g``, ``0.64 +- 0.005 m``, ``12 V; data sheet``.
+
+    Parameters
+    ----------
+    name : str
+        Which number of a rig.
+    text : str
+        The number.
+    source : str
+        Where it comes from, where the text does not say.
+
+    Raises
+    ------
+    RigError
+        When there is no such number, or the text is none with a unit of it.
+    """
+    quantity = _quantity(name)
+    found = _WRITTEN.match(text)
+    if found is None:
+        raise RigError(f"{name}: '{text.strip()}' is no number", f"write it as 0.5 +- 0.01 {quantity.unit}")
+    tolerance = found["tolerance"]
+    return _number(quantity, found["value"], tolerance, found["unit"], found["source"] or source)
+
+
+def numbers_from_table(text: str, where: str) -> dict[str, Number]:
+    """Read a CSV table with the columns name, value, unit, tolerance and source, the last three of which may
+    be empty.
+
+    Parameters
+    ----------
+    text : str
+        The table.
+    where : str
+        What it is called in errors.
+
+    Raises
+    ------
+    RigError
+        When a row names no number of a rig, one twice, or holds none.
+    """
+    rows = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
+    heads = [head.strip() for head in rows.fieldnames or ()]
+    if not {"name", "value"} <= set(heads) or set(heads) - set(COLUMNS):
+        raise RigError(
+            f"{where} has not the columns {', '.join(COLUMNS)}", "name and value at least, no others"
+        )
+    rows.fieldnames = heads
+    found: dict[str, Number] = {}
+    for row in rows:
+        cells = {head: (row.get(head) or "").strip() for head in COLUMNS}
+        if not any(cells.values()):
+            continue
+        quantity = _quantity(cells["name"])
+        if quantity.name in found:
+            raise RigError(f"{where} has {quantity.name} twice", "leave one out")
+        source = cells["source"] or "stated by its builder"
+        found[quantity.name] = _number(
+            quantity, cells["value"], cells["tolerance"] or None, cells["unit"], source
+        )
+    return found
+
+
+def numbers_from_words(words: Iterable[str]) -> dict[str, Number]:
+    """Read `words`, each written as ``NAME=VALUE [+- TOLERANCE] [UNIT] [; SOURCE]``, see `number_from`."""
+    found = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if not equals:
+            raise RigError(f"'{word}' states no number", "write it as M_f=355+-4 g")
+        found[name.strip()] = number_from(name.strip(), text)
+    return found
+
+
+def _quantity(name: str) -> Quantity:
+    for quantity in RIG_QUANTITIES:
+        if quantity.name == name:
+            return quantity
+    raise RigError(f"a rig has no number '{name}'", f"it has: {', '.join(q.name for q in RIG_QUANTITIES)}")
+
+
+def _number(quantity: Quantity, value: str, tolerance: str | None, unit: str, source: str) -> Number:
+    units = _FACTORS.get(quantity.unit, {quantity.unit: 1.0})
+    factor = units.get(unit or quantity.unit)
+    if factor is None:
+        raise RigError(f"{quantity.name} is in {unit}", f"give it in {' or '.join(units)}")
+    try:
+        size = factor * float(value)
+        half = _usual(quantity, size) if tolerance is None else factor * float(tolerance)
+    except ValueError:
+        raise RigError(f"{quantity.name}: '{value}' is no number", "write it with a decimal point") from None
+    return Number(
+        size, quantity.unit, half, source if tolerance is not None else f"{source}; {_why(quantity)}"
+    )
+
+
+def _usual(quantity: Quantity, value: float) -> float:
+    if quantity.unit == "count":
+        return 0.0
+    if quantity.unit == "m":
+        return _RULER_m
+    return abs(value) * (_SCALE_SHARE if quantity.unit == "kg" else _OTHER_SHARE)
+
+
+def _why(quantity: Quantity) -> str:
+    said = {"m": "a ruler's tolerance", "kg": "a kitchen scale's tolerance", "count": "exact"}
+    return said.get(quantity.unit, "tolerance assumed, 10 %")

@@ -1,0 +1,90 @@
+#include <algorithm>
+#include <cmath>
+#include <utility>
+#include <vector>
+
+#include "kalman.hpp"
+
+namespace heli_lab {
+
+void over_blocks(const Signals& signals, std::size_t block, double* out) {
+  const std::size_t states = signals.states;
+  const std::size_t columns = signals.columns;
+  const std::size_t size = states * columns;
+  std::vector<double> now(size);
+  for (std::size_t first = 0; first + block <= signals.steps; first += block) {
+    double* sum = out + first / block * size;
+    std::fill(sum, sum + size, 0.0);
+    for (std::size_t step = first; step < first + block; ++step) {
+      const double* phi = signals.transition + step * states * states;
+      const double* gamma = signals.input + step * states * states;
+      const double* rates = signals.rates + step * size;
+      std::copy(sum, sum + size, now.begin());
+      for (std::size_t i = 0; i < states; ++i) {
+        double* to = sum + i * columns;
+        std::fill(to, to + columns, 0.0);
+        for (std::size_t j = 0; j < states; ++j) {
+          const double by_state = phi[i * states + j];
+          const double by_rate = gamma[i * states + j];
+          const double* state = now.data() + j * columns;
+          const double* rate = rates + j * columns;
+          for (std::size_t c = 0; c < columns; ++c) {
+            to[c] += by_state * state[c] + by_rate * rate[c];
+          }
+        }
+      }
+    }
+  }
+}
+
+void midpoint(const double* jacobian, std::size_t steps, std::size_t states, double step_s,
+              double* transition, double* input) {
+  std::vector<double> left(states * states);
+  for (std::size_t step = 0; step < steps; ++step) {
+    const double* a = jacobian + step * states * states;
+    double* inverse = input + step * states * states;
+    for (std::size_t i = 0; i < states * states; ++i) {
+      const double one = i % (states + 1) == 0 ? 1.0 : 0.0;
+      left[i] = one - 0.5 * step_s * a[i];
+      inverse[i] = one;
+    }
+    // Gauss and Jordan, the largest pivot of each column.
+    for (std::size_t column = 0; column < states; ++column) {
+      std::size_t pivot = column;
+      for (std::size_t i = column + 1; i < states; ++i) {
+        if (std::fabs(left[i * states + column]) > std::fabs(left[pivot * states + column])) {
+          pivot = i;
+        }
+      }
+      if (pivot != column) {
+        for (std::size_t k = 0; k < states; ++k) {
+          std::swap(left[pivot * states + k], left[column * states + k]);
+          std::swap(inverse[pivot * states + k], inverse[column * states + k]);
+        }
+      }
+      const double scale = 1.0 / left[column * states + column];
+      for (std::size_t k = 0; k < states; ++k) {
+        left[column * states + k] *= scale;
+        inverse[column * states + k] *= scale;
+      }
+      for (std::size_t i = 0; i < states; ++i) {
+        const double factor = left[i * states + column];
+        if (i == column || factor == 0.0) {
+          continue;
+        }
+        for (std::size_t k = 0; k < states; ++k) {
+          left[i * states + k] -= factor * left[column * states + k];
+          inverse[i * states + k] -= factor * inverse[column * states + k];
+        }
+      }
+    }
+    double* phi = transition + step * states * states;
+    for (std::size_t i = 0; i < states * states; ++i) {
+      // (I - h A / 2)^-1 (I + h A / 2) = 2 (I - h A / 2)^-1 - I
+      phi[i] = 2.0 * inverse[i] - (i % (states + 1) == 0 ? 1.0 : 0.0);
+      inverse[i] *= step_s;
+    }
+  }
+}
+
+}  // namespace heli_lab

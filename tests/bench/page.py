@@ -1,0 +1,200 @@
+"""The live page: how soon a stop acts on the emulated Due, and what the page costs a host that records."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from heli_host.declaration import Axes, Channel, State
+from heli_host.errors import CommandRefused
+from heli_host.fly.recorder import Recorder
+from heli_host.heli import Heli
+from heli_host.link.telemetry import Ticks
+
+from tests.bench.result import Measured
+from tests.page.page_server import Served, page_of_a_simulated_board
+
+PRESSES = 100
+HOVER_S = 20.0
+TABS = 4
+WATCHED_S = 60.0
+BURN = "while True: pass"
+
+
+@contextlib.contextmanager
+def tabs(served: Served, count: int) -> Iterator[Callable[[str], str]]:
+    """Open tabs in a process of their own; what is yielded asks them.
+
+    Parameters
+    ----------
+    served : Served
+        The page.
+    count : int
+        How many.
+    """
+    address = served.address
+    words = [address.host, str(address.port), address.token, str(count)]
+    with subprocess.Popen(
+        [sys.executable, "-m", "tests.bench.page_tabs", *words],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        sent, heard = process.stdin, process.stdout
+
+        def ask(what: str) -> str:
+            sent.write(f"{what}\n")
+            sent.flush()
+            return heard.readline().strip()
+
+        assert heard.readline().strip() == "ready"
+        yield ask
+        sent.close()
+
+
+@contextlib.contextmanager
+def loaded_cores(count: int) -> Iterator[None]:
+    """Keep cores busy with processes that only count.
+
+    Parameters
+    ----------
+    count : int
+        How many.
+    """
+    burning = [subprocess.Popen([sys.executable, "-c", BURN]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for process in burning:
+            process.kill()
+            process.wait()
+
+
+def run_motors(heli: Heli) -> None:
+    """Bring the motors to a voltage within the dead zone.
+
+    Parameters
+    ----------
+    heli : Heli
+        Idle, or on its way there.
+    """
+    while heli.state is not State.ARMED:
+        heli.session.release_stop(heli.session.stops)
+        with contextlib.suppress(CommandRefused):
+            heli.arm()
+        heli.wait(0.1)
+    heli.control(Axes(0), front_V=0.8, back_V=0.8)
+    heli.wait_until(lambda sample: sample.front_V > 0.0, 2.0)
+
+
+class ZeroDuty:
+    """Notes when this host has seen the motors without voltage, after they ran.
+
+    That is later than the moment itself by the rest of a batch, the line and the reading of it, 10 to 30 ms:
+    what is told is an upper bound. The board's ticks say less where a loaded computer runs it in bursts.
+
+    Parameters
+    ----------
+    heli : Heli
+        Connected.
+    """
+
+    def __init__(self, heli: Heli) -> None:
+        self._heli = heli
+        self._ran = False
+        self._seen_s: float | None = None
+        heli.session.subscribe_ticks(self._take)
+
+    def wait(self) -> float:
+        """Return the host's monotonic time at which it was seen [s], once it has been."""
+        self._heli.session.wait_for(lambda: self._seen_s is not None, 5.0)
+        seen_s, self._seen_s, self._ran = self._seen_s, None, False
+        assert seen_s is not None, "the motors were not stopped in 5 s"
+        return seen_s
+
+    def _take(self, ticks: Ticks) -> None:
+        runs = (ticks.raw[:, Channel.FRONT] != 0) | (ticks.raw[:, Channel.BACK] != 0)
+        self._ran = self._ran or bool(runs.any())
+        if self._ran and not runs[-1] and self._seen_s is None:
+            self._seen_s = time.monotonic()
+
+
+def stop_latencies_ms(presses: int, press: Callable[[], float], heli: Heli) -> list[float]:
+    """Stop running motors again and again; from each press to zero duty [ms].
+
+    Parameters
+    ----------
+    presses : int
+        How often.
+    press : callable
+        Presses, and returns when, in the host's monotonic time [s].
+    heli : Heli
+        Connected.
+    """
+    latencies, zero_duty = [], ZeroDuty(heli)
+    for _ in range(presses):
+        run_motors(heli)
+        pressed_s = press()
+        latencies.append((zero_duty.wait() - pressed_s) * 1e3)
+    return latencies
+
+
+def stop_under_load() -> list[float]:
+    """Four tabs that take every row, both cores busy besides, an emulated Due in real time."""
+    with TemporaryDirectory() as folder, page_of_a_simulated_board(Path(folder), board="due") as served:
+        heli = served.heli
+        with tabs(served, TABS) as ask, loaded_cores(2):
+            return stop_latencies_ms(PRESSES, lambda: float(ask("press")), heli)
+
+
+def core_share(heli: Heli, folder: Path) -> float:
+    """Share of a core that this process takes while it records [1].
+
+    Parameters
+    ----------
+    heli : Heli
+        Connected.
+    folder : Path
+        For the log.
+    """
+    with Recorder(heli, folder / f"bench-{time.monotonic_ns()}.mcap"):
+        start_s, busy_s = time.perf_counter(), time.process_time()
+        heli.wait(HOVER_S)
+        return (time.process_time() - busy_s) / (time.perf_counter() - start_s)
+
+
+def cost_and_gaps(watched_s: float = WATCHED_S) -> tuple[float, int]:
+    """Processor time with three tabs over that without any, and the ticks that three tabs missed.
+
+    Parameters
+    ----------
+    watched_s : float
+        How long they are watched [s].
+    """
+    with TemporaryDirectory() as folder, page_of_a_simulated_board(Path(folder)) as served:
+        alone = core_share(served.heli, Path(folder))
+        with tabs(served, 3) as ask:
+            served.heli.wait(1.0)
+            shown = core_share(served.heli, Path(folder))
+            served.heli.wait(max(watched_s - HOVER_S, 0.0))
+            return shown / alone, int(ask("gaps")) + served.heli.counters.ticks_lost
+
+
+def measure() -> list[Measured]:
+    """Measure the stop, and the page's cost."""
+    latencies = stop_under_load()
+    ratio, gaps = cost_and_gaps()
+    return [
+        Measured("page_stop_p99_ms", [float(np.percentile(latencies, 99))]),
+        Measured("page_stop_median_ms", [float(np.median(latencies))]),
+        Measured("page_cpu_ratio_three_tabs", [ratio]),
+        Measured("page_ticks_missed_three_tabs", [float(gaps)]),
+    ]

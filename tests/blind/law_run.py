@@ -1,0 +1,112 @@
+"""`python -m tests.blind.law_run`: laws on no list, how many are found, and how well."""
+
+from __future__ import annotations
+
+import argparse
+import fnmatch
+import json
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from tests.blind.judge import SEEN
+from tests.blind.weather_case import WeatherCase
+
+CORRELATES, NEAR_TOLD = 0.9, 1.3
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the cases and count.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Instead of the command line's.
+
+    Returns
+    -------
+    int
+        Exit status: 0 when every case ran.
+    """
+    parser = argparse.ArgumentParser(prog="python -m tests.blind.law_run", description=__doc__)
+    parser.add_argument("only", nargs="*", help="names of cases, wildcards allowed; all laws without")
+    parser.add_argument("--first", type=int, help="only so many of them, a fair sample")
+    parser.add_argument("--folder", type=Path, default=Path("build/blind"), help="flights and results")
+    parser.add_argument("--keep", action="store_true", help="take flights that are there")
+    parser.add_argument("--json", type=Path, default=Path("laws.json"))
+    parser.add_argument("--nothing", action="store_true", help="cases without a law instead")
+    given = parser.parse_args(arguments)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from tests.blind.law_cases import law_cases
+    from tests.blind.law_oracle import judged_law
+    from tests.blind.run import prepare
+    from tests.blind.weather_cases import weather_cases
+
+    every = [one for one in weather_cases() if not one.off_list] if given.nothing else law_cases()
+    cases = [one for one in every if _wanted(one, given.only)][: given.first]
+    rows: dict[str, dict[str, Any]] = json.loads(given.json.read_text()) if given.json.exists() else {}
+    for case in cases:
+        if case.name in rows:
+            continue
+        started_s = time.process_time()
+        try:
+            ready = prepare(case, given.folder, keep=given.keep)
+            row: dict[str, Any] = {"told": dict(ready.told) if isinstance(ready.told, dict) else {}}
+            row |= judged_law(case, ready.flights)
+        except Exception as error:  # noqa: BLE001 - a case that dies must not end the others
+            row = {"failure": f"{type(error).__name__}: {error}"}
+        row["cpu_seconds"] = time.process_time() - started_s
+        rows[case.name] = row
+        given.json.write_text(json.dumps(rows, indent=1, default=float) + "\n")
+        print(f"{case.name}: {_said(row)}", flush=True)
+    print(summary(rows))
+    return 0 if all("failure" not in row for row in rows.values()) else 1
+
+
+def _wanted(case: WeatherCase, patterns: Sequence[str]) -> bool:
+    return not patterns or any(fnmatch.fnmatchcase(case.name, pattern) for pattern in patterns)
+
+
+def _said(row: dict[str, Any]) -> str:
+    if "failure" in row:
+        return str(row["failure"])
+    seen = ", ".join(f"{name} {z:.0f}" for name, z in row["told"].items())
+    law = row["expression"] or "no law"
+    numbers = ""
+    if "correlation" in row:
+        numbers = f"; correlation {row['correlation']:.3f}, error {row['error_ratio']:.2f} of told"
+    return f"[{seen}] {row['verdict']}, {', '.join(row['causes']) or 'no cause'}: {law}{numbers}"
+
+
+def summary(rows: dict[str, dict[str, Any]]) -> str:
+    """Count how many laws are found, and how many are proposed where there is none.
+
+    Parameters
+    ----------
+    rows : dict
+        Rows by case, as `main` writes them.
+    """
+    laws = [
+        row
+        for name, row in rows.items()
+        if name.startswith("law-")
+        and "failure" not in row
+        and min((z for what, z in row["told"].items() if what.startswith("off-")), default=0.0) >= SEEN
+    ]
+    others = [row for name, row in rows.items() if not name.startswith("law-") and "failure" not in row]
+    proposed = [row for row in laws if row["expression"]]
+    good = [row for row in laws if row.get("correlation", 0.0) >= CORRELATES]
+    near = [row for row in laws if row.get("error_ratio", 99.0) <= NEAR_TOLD]
+    return (
+        f"visible laws: {len(laws)}, proposed {len(proposed)}, "
+        f"correlation of {CORRELATES} and more {len(good)}, "
+        f"error within {NEAR_TOLD} of told {len(near)}; laws proposed where there is none: "
+        f"{sum(bool(row['expression']) for row in others)} of {len(others)}"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,26 @@
+"""A campaign of its own: ``python -m tests.campaign.driver FOLDER LOG CASES NAP_S [ADDRESS]``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from heli_lab.campaign import Campaign, Case, Store, run_campaign
+from heli_lab.campaign.cage import Limits
+
+CODE = "the code of a test"
+
+
+def cases(count: int, nap_s: float, log: str) -> tuple[Case, ...]:
+    work = "tests.campaign.works:count"
+    settings = [{"number": number, "nap_s": nap_s, "log": log} for number in range(count)]
+    return tuple(Case(f"case {one['number']:03d}", work, one) for one in settings)
+
+
+def main(folder: str, log: str, count: str, nap_s: str, address: str | None = None) -> None:
+    campaign = Campaign("squares", cases(int(count), float(nap_s), log), Limits(30.0, 300.0))
+    run_campaign(campaign, Store(Path(folder)), scheduler=address, processes=2, code=CODE)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

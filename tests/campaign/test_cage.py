@@ -1,0 +1,86 @@
+"""A case that crashes, hangs or runs away is said by name, and the next one is done."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+
+import pytest
+from heli_lab.campaign import Answer, Case
+from heli_lab.campaign.cage import Cage, Limits
+
+from tests.campaign.killer import PATIENCE_s, kill_all, start
+
+pytestmark = pytest.mark.medium
+
+LIMITS = Limits(cpu_s=1.0, wait_s=60.0)
+FINE = Case("fine", "tests.campaign.works:count", {"number": 3})
+
+
+@pytest.fixture(scope="module")
+def cage() -> Iterator[Cage]:
+    with Cage(LIMITS) as one:
+        yield one
+
+
+def done(cage: Cage, how: str) -> Answer:
+    return cage.run(Case(how, "tests.campaign.works:bad", {"how": how}), "key")
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ("crashes", "its process crashed: SIGSEGV"),
+        ("leaves", "its process crashed: exit status 7"),
+        ("runs away", "over 1 s of CPU: it ran away"),
+        ("raises", "ValueError: seven lines of it"),
+        ("refuses", "no such thing; ask for another"),
+        ("returns no JSON", "its result is no JSON: set is no JSON"),
+    ],
+)
+def test_what_a_case_does_wrong_is_said_in_a_line_and_the_next_is_done(
+    cage: Cage, how: str, said: str
+) -> None:
+    answer = done(cage, how)
+    assert (answer.failure, answer.row, answer.name) == (said, {}, how)
+    after = cage.run(FINE, "other")
+    assert (after.failure, dict(after.row)) == ("", {"square": 9})
+
+
+def test_a_case_that_waits_for_ever_is_ended_by_the_clock() -> None:
+    with Cage(Limits(cpu_s=60.0, wait_s=0.5)) as cage:
+        assert done(cage, "hangs").failure == "no answer after 0.5 s: it hung"
+
+
+def test_work_that_does_not_exist_is_the_failure_of_its_case(cage: Cage) -> None:
+    assert "no_such" in cage.run(Case("a", "tests.no_such:work"), "key").failure
+    assert "no_such" in cage.run(Case("a", "tests.campaign.works:no_such"), "key").failure
+
+
+def test_good_cases_share_a_process(cage: Cage) -> None:
+    pids = {cage.run(FINE, "key").detail["pid"] for _ in range(3)}
+    assert len(pids) == 1
+    assert pids != {os.getpid()}
+
+
+def test_a_process_does_not_outlive_whoever_gives_it_orders() -> None:
+    program = """
+import sys, time
+from heli_lab.campaign import Case
+from heli_lab.campaign.cage import Cage, Limits
+case = Case("fine", "tests.campaign.works:count", {"number": 3})
+cage = Cage(Limits())
+print(cage.run(case, "key").detail["pid"], flush=True)
+cage.run(Case("long", "tests.campaign.works:count", {"number": 3, "nap_s": 3600}), "key")
+"""
+    parent = start("-c", program)
+    assert parent.stdout is not None
+    pid = int(parent.stdout.readline())
+    # Killed alone: nobody else ends the process that it started.
+    parent.kill()
+    until_s = time.monotonic() + PATIENCE_s
+    while os.path.exists(f"/proc/{pid}") and time.monotonic() < until_s:  # noqa: PTH110 - a process, no file
+        time.sleep(0.02)
+    assert not os.path.exists(f"/proc/{pid}")  # noqa: PTH110
+    kill_all(parent)

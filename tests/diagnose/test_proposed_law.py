@@ -1,0 +1,213 @@
+"""The law of what is on no list is found, confirmed, drawn, written and flown; or there is none."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from heli_host.log.table import write_csv
+from heli_lab.diagnose import to_json
+from heli_lab.diagnose.candidate import ExtendedModel
+from heli_lab.diagnose.equation_discovery.discover import discover, free_name
+from heli_lab.diagnose.equation_discovery.grammar import Group
+from heli_lab.diagnose.equation_discovery.law import Law, LawTerm, law_effect
+from heli_lab.diagnose.equation_discovery.scoring import Courses, score
+from heli_lab.diagnose.equation_discovery.terms import Factor, Term
+from heli_lab.diagnose.failing_regimes import failing_regimes, false_discoveries
+from heli_lab.diagnose.model_comparison import Comparison
+from heli_lab.diagnose.screening import Screening, score_of
+from heli_lab.diagnose.thresholds import FALSE_DISCOVERY_RATE
+from heli_lab.identify import prepare
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import effects_of
+from heli_sim.rig import load_rig, write_rig
+from scipy.stats import norm
+
+from tests.cli.terminal import Terminal
+from tests.diagnose.hidden import flights
+from tests.diagnose.test_causes import diagnosed
+
+pytestmark = pytest.mark.diagnosis
+
+HIDDEN_Nm_per_rad = 0.05
+
+
+def test_the_law_is_found_with_its_number_and_holds_on_the_other_flight() -> None:
+    found = diagnosed(off_list=True)
+    assert found.label == "unexplained"
+    proposed = found.proposed_law
+    assert proposed is not None
+    assert [one.key for one in proposed.law.terms] == ["torque.pitch: elevation"]
+    ((value, std, unit),) = proposed.discovery.values.values()
+    assert unit == "N m/rad"
+    assert abs(value - HIDDEN_Nm_per_rad) < 3.0 * std < 0.1 * HIDDEN_Nm_per_rad
+    assert proposed.discovery.held_out is not None
+    assert proposed.discovery.held_out > 50.0
+    assert proposed.gains["pitch"].ratio < 0.2
+    law, missing = proposed.course.law_Nm, proposed.course.missing_Nm
+    assert np.corrcoef(law, missing)[0, 1] > 0.9
+
+
+def test_the_json_has_the_keys_that_were_promised() -> None:
+    numbers = json.loads(json.dumps(to_json(diagnosed(off_list=True)), allow_nan=False))
+    law = numbers["proposed_law"]
+    assert (law["channel"], law["unit"]) == ("torque.pitch", "N m")
+    assert law["expression"] == "c1_Nm_per_rad*elevation"
+    assert law["symbols"] == {"elevation": "rad"}
+    assert law["numbers"].keys() == {"c1_Nm_per_rad"}
+    assert law["rivals"] == sorted(law["rivals"], key=lambda one: one["log_likelihood_ratio"])
+    assert 0.5 < law["confidence"] < 1.0
+    (matters,) = law["matters"]
+    assert 0.0 < matters["rms"] < matters["largest"]
+    fails = numbers["where_the_model_fails"]
+    assert (fails["axis"], fails["x"], fails["false_discovery_rate"]) == (
+        "pitch",
+        "elevation",
+        FALSE_DISCOVERY_RATE,
+    )
+    assert fails["before"]["share_of_time"] > 0.5
+    assert fails["after"]["share_of_time"] < 0.1
+
+
+def test_nothing_hidden_and_a_listed_cause_have_no_law() -> None:
+    for found in (diagnosed(), diagnosed("rotor_lag=0.06")):
+        assert to_json(found)["proposed_law"] is None
+
+
+def test_the_law_is_in_the_rig_only_if_asked_for_and_flies_with_its_file(
+    terminal: Terminal, tmp_path: Path
+) -> None:
+    found = diagnosed(off_list=True)
+    proposed = found.proposed_law
+    assert proposed is not None
+    assert found.rig("extended").effects == {}
+    path = tmp_path / "proposed.py"
+    path.write_text(proposed.effect_file("From a test."), encoding="utf-8")
+    write_rig(found.rig("with_law", with_law=True), tmp_path / "with_law.toml")
+    (effect,) = effects_of(load_rig(tmp_path / "with_law.toml"), (path,))
+    assert list(effect.values.values()) == pytest.approx(list(proposed.numbers.values()))
+    plan = "title = 'Up'\n[[segment]]\nkind = 'hold'\nduration_s = 1.0\n"
+    (tmp_path / "up.toml").write_text(plan)
+    by_law = {}
+    for name, more in {
+        "without": (),
+        "with": ("--effects", path, "--effect", "proposed_law"),
+        "in_rig": ("--rig", "with_law.toml", "--effects", path),
+    }.items():
+        ended = terminal("fly", "up.toml", "--sil", *more, "--speed", "max", "--log", f"{name}.mcap")
+        assert ended.code == 0, ended.err
+        by_law[name] = Path(f"{name}.mcap").read_bytes()
+    assert len({*by_law.values()}) == 3
+
+
+def test_a_flight_that_speaks_against_a_law_leaves_none() -> None:
+    fit, _ = flights(off_list=True)
+    rig = load_rig("makki2024")
+    train = prepare(fit, rig, "fit")
+    # The flight held out is one of a rig without the law.
+    other = prepare(flights()[1], rig, "other")
+    comparison = Comparison(MultibodyModel(), rig, [train], [other])
+    assert discover(comparison, comparison.refit([])) is None
+
+
+def test_a_law_beside_one_that_was_proposed_before_has_a_name_of_its_own() -> None:
+    assert free_name(()) == "proposed_law"
+    assert free_name(("proposed_law", "rotor_lag")) == "proposed_law_2"
+    assert free_name(("proposed_law", "proposed_law_2")) == "proposed_law_3"
+    law = Law((LawTerm("torque.pitch", Term((Factor("linear", "elevation"),))),))
+    two = [law_effect(law, dict.fromkeys(law.coefficients, 1.0), name=name) for name in ("one", "two")]
+    assert len(MultibodyModel(tuple(two)).parameters) == len(MultibodyModel().parameters) + 2
+
+
+def test_scores_of_all_channels_are_those_of_the_effect_itself() -> None:
+    rig = load_rig("makki2024")
+    comparison = Comparison(MultibodyModel(), rig, [prepare(flights()[0], rig, "fit")], [])
+    screening = Screening(comparison.refit([]).estimate)
+    courses = Courses(screening)
+    share = Factor("linear", "own_thrust")
+    every = [
+        LawTerm("torque.travel", Term((Factor("signed_square", "travel_rate"),))),
+        LawTerm("thrust.difference", Term((share, Factor("linear", "travel_rate")))),
+        LawTerm("thrust.back", Term((share, Factor("sin", "travel", (("k", 2.0),))))),
+        LawTerm("voltage.both", Term((Factor("square", "own_voltage"),))),
+        LawTerm("measurement.pitch", Term((Factor("linear", "travel"),))),
+    ]
+    for one in every:
+        (scored,) = score(screening, courses, [Group((one,), 1)])
+        law = Law((one,))
+        effect = law_effect(law, dict(zip(law.coefficients, scored.stds, strict=True)))
+        linear = tuple(f"proposed_law_{name}" for name in law.coefficients)
+        extended = ExtendedModel(MultibodyModel(), effect, linear)
+        (flight,) = courses.linears
+        rates, _ = extended.run(flight.trajectory, effect.values)
+        _, angles = extended.run(flight.nodes, effect.values)
+        parts = screening.information([(rates, angles if np.any(angles) else None)], [1])
+        gain, coefficients, _ = score_of(*parts[0], np.array(scored.stds))
+        assert scored.log_likelihood_gain == pytest.approx(gain, rel=1e-6), one.key
+        assert scored.coefficients == pytest.approx(coefficients, rel=1e-6)
+
+
+def test_false_discoveries_are_those_of_benjamini_and_hochberg() -> None:
+    p = np.array([0.001, 0.008, 0.039, 0.041, 0.042, 0.06, 0.074, 0.205, 0.212, 0.216])
+    assert false_discoveries(p).tolist() == [True, True, *[False] * 8]
+    # A larger one below its line carries all smaller ones along.
+    assert false_discoveries(np.array([0.03, 0.04, 0.035])).tolist() == [True, True, True]
+    assert not false_discoveries(np.array([0.2, 0.5])).any()
+    assert not false_discoveries(np.zeros(0)).any()
+
+
+def test_a_model_that_is_right_fails_nowhere_in_nineteen_weathers_of_twenty() -> None:
+    estimate = diagnosed().search.baseline.estimate
+    screening = Screening(estimate)
+    rng = np.random.default_rng(1)
+    # Where the model is right its innovations are white: all but their drawing is as it is in a diagnosis.
+    rows = screening.measurements
+    inside = [
+        (one.trajectory.state[:, 0] > low) & (one.trajectory.state[:, 0] <= low + 0.04)
+        for one in screening.filtered.linears
+        for low in np.arange(-0.16, 0.16, 0.04)
+    ]
+    cells = np.column_stack([one for one in inside if one.sum() > 60]).astype(float)
+    only = list(screening.filtered.torque_regressors(estimate.weather, 1, [cells]))
+    (nuisance,) = (one[:, 1:] for one in screening._innovations.flights)
+    alarms = 0
+    for _ in range(200):
+        white = rng.standard_normal(rows)
+        screening._error = [white - nuisance @ screening._solved(nuisance.T @ white)]
+        parts = screening.projected(only, [1] * cells.shape[1])
+        z = np.array([gradient[0] / np.sqrt(information[0, 0]) for information, gradient in parts])
+        p = 2.0 * norm.sf(np.abs(z))
+        alarms += bool(false_discoveries(p).any())
+    # 5 % of 200 are 10; three standard deviations more are 19.
+    assert alarms <= 19
+
+
+def test_a_regime_in_which_nothing_is_missing_is_not_outlined() -> None:
+    found = diagnosed(off_list=True)
+    proposed = found.proposed_law
+    assert proposed is not None
+    law = proposed.discovery
+    regimes = failing_regimes(law.base.estimate, law.hypothesis.estimate, "travel")
+    assert regimes.after.share < 0.1
+
+
+def test_the_command_writes_law_and_file_and_says_it(
+    terminal: Terminal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The search itself is what the tests above have done.
+    found = diagnosed(off_list=True)
+    monkeypatch.setattr("heli_lab.diagnose.diagnose", lambda *_args, **_more: found)
+    paths = tmp_path / "a.csv.gz", tmp_path / "b.csv.gz"
+    for flight, path in zip(flights(off_list=True), paths, strict=True):
+        write_csv(flight, path)
+    files = ("--report", "why", "--json", "why.json", "--out", "with_law.toml", "--with-law")
+    ended = terminal("diagnose", paths[0], "--validate", paths[1], "--rig", "makki2024", *files)
+    assert ended.code == 0, ended.err
+    assert "proposed law: torque.pitch = 0.0" in ended.out
+    assert "why/proposed.py" in ended.out
+    assert {"law.png", "regimes.png", "proposed.py"} <= {path.name for path in Path("why").iterdir()}
+    assert "proposed_law" in Path("with_law.toml").read_text()
+    page = Path("why/index.html").read_text(encoding="utf-8")
+    assert "A law that is proposed for it" in page

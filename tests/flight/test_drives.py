@@ -1,0 +1,130 @@
+"""Which drives must move an axis: on the table, across zero, from a bench, and after a single odd tick."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import heli_host.declaration as d
+import pytest
+from heli_host.declaration import Event, Fault, State, Trigger
+
+from tests.flight.harness import REST_DEG, Harness
+from tests.flight.test_tracking import COUNT_DEG, ELEVATION, PITCH, TRAVEL, hover, level, tripped
+
+HOVER_V, DEAD_V = (
+    next(spec.default for spec in d.PARAMS if spec.name == name) for name in ("hover_V", "dead_zone_V")
+)
+
+
+def streamed(front_V: float = 0.0, back_V: float = 0.0) -> Harness:
+    """A board on the table that a host's law drives from the first tick on."""
+    harness = Harness(tracked=True)
+    harness.set("elevation_motion_V", 10.0)
+    harness.arm()
+    harness.ask(d.StreamMessage(0))
+    drive(harness, 20, front_V, back_V)
+    return harness
+
+
+def drive(
+    harness: Harness, ticks: int, front_V: float, back_V: float, pitches_deg: Iterable[float] = ()
+) -> None:
+    places_deg = iter(pitches_deg)
+    for k in range(ticks):
+        if k % 20 == 0:
+            harness.send(d.VoltagesMessage(front_V, back_V, 50))
+        harness.move(pitch_deg=next(places_deg, harness.angles_deg[PITCH]))
+        harness.tick()
+
+
+@pytest.mark.parametrize(("low", "high", "moves"), [(-1, 0, False), (-2, 2, True), (-1, 1, True)])
+def test_motion_is_more_than_a_count_on_either_side_of_zero(low: int, high: int, moves: bool) -> None:
+    harness = level(axes=3)
+    hover(harness, 1000)
+    for k in range(1500):
+        if k % 20 == 0:
+            harness.setpoint(pitch_deg=12.0)
+        harness.move(
+            elevation_deg=4 * COUNT_DEG * (k // 10 % 2), pitch_deg=COUNT_DEG * (low, high)[k // 10 % 2]
+        )
+        harness.tick()
+    assert harness.motors_off != moves
+
+
+def test_an_arm_on_the_table_need_not_turn_when_it_is_tilted() -> None:
+    lift_V = DEAD_V + 0.5 * HOVER_V
+    harness = streamed(lift_V, lift_V)
+    drive(harness, 3000, lift_V, lift_V, (min(0.1 * k, 12.0) for k in range(3000)))
+    assert harness.state is State.STREAMED
+
+
+def test_a_pitch_that_does_not_count_is_noticed_on_the_table_too() -> None:
+    harness = streamed()
+    drive(harness, 1500, DEAD_V + 1.0, 0.0)
+    assert tripped(harness) == (Fault.PITCH_MOTIONLESS, Trigger.TRIP)
+
+
+def test_what_a_bench_drove_already_is_no_change_of_drive() -> None:
+    harness = Harness(tracked=True)
+    harness.set("elevation_motion_V", 10.0)
+    harness.arm()
+    harness.ask(d.ControlMessage(0, 0, DEAD_V + 1.0, 0.0))
+    for _ in range(10):
+        harness.ping()
+        harness.tick(100)
+    harness.ask(d.StreamMessage(0))
+    drive(harness, 1500, DEAD_V + 1.0, 0.0)
+    assert harness.state is State.STREAMED
+
+
+def test_the_drive_of_the_single_tick_in_which_a_swing_turns_round_is_none_to_compare_with() -> None:
+    lift_V = DEAD_V + 0.5
+    harness = streamed(lift_V, lift_V)
+    swing_deg = [2 * COUNT_DEG * (k // 2 % 2) for k in range(600)]
+    drive(harness, 600, lift_V, lift_V, swing_deg)
+    harness.send(d.VoltagesMessage(lift_V + 0.5, lift_V - 0.5, 50))
+    for deg in (8.0, 4.0, 8.0):
+        harness.move(pitch_deg=deg * COUNT_DEG)
+        harness.tick()
+    drive(harness, 1500, lift_V, lift_V)
+    assert harness.state is State.STREAMED
+
+
+def test_a_landing_has_its_own_time_and_no_following_error_of_the_elevation() -> None:
+    harness = level()
+    hover(harness, 200)
+    harness.ask(d.LandMessage(0))
+    around = list(harness.angles_deg)
+    for k in range(8000):
+        swing = (0, 2, 4, 2)[k // 10 % 4] * COUNT_DEG
+        harness.move(*(at + swing for at in around))
+        harness.tick()
+    assert harness.state is State.LANDING
+
+
+def test_the_angle_that_is_too_steep_without_a_turn_is_told_in_degrees() -> None:
+    harness = level()
+    hover(harness, 1000)
+    harness.glide(PITCH, 12.0, 60.0)
+    hover(harness, 1300, still=(TRAVEL,))
+    assert harness.last_event(Event.FAULT).value == pytest.approx(12.0, abs=1.5)
+    assert harness.angles_deg[ELEVATION] > REST_DEG
+
+
+def test_lift_that_barely_carries_the_arm_need_not_raise_it() -> None:
+    # Half a volt of lift more than hovering takes; the fault begins at 1.2 V more.
+    each_V = DEAD_V + 0.5 * (HOVER_V + 0.5)
+    harness = Harness(tracked=True)
+    harness.arm()
+    harness.ask(d.StreamMessage(0))
+    drive(harness, 2000, each_V, each_V)
+    assert harness.state is State.STREAMED
+
+
+@pytest.mark.parametrize("count", [-1, 1])
+def test_a_single_count_either_way_does_not_give_a_still_axis_more_time(count: int) -> None:
+    harness = streamed()
+    drive(harness, 340, DEAD_V + 1.0, 0.0)
+    assert harness.state is State.STREAMED
+    drive(harness, 260, DEAD_V + 1.0, 0.0, [count * COUNT_DEG])
+    assert harness.motors_off

@@ -1,0 +1,171 @@
+"""Functional mock-up units are valid, and fly what the simulation flies, by both interfaces."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from heli_sim.fmu import write_fmu
+from heli_sim.model.linear import trim
+from heli_sim.model.multibody import MultibodyModel
+from heli_sim.plant import Plant
+from heli_sim.sil.options import SilOptions
+from heli_sim.sil.plant_factory import plant_of
+
+pytest.importorskip("fmpy", reason="skipped: no fmpy")
+
+from fmpy import read_model_description
+from fmpy.validation import validate_fmu
+
+from tests.fmu.importer import co_simulated, exchanged, opened, plants_flight, voltages
+
+pytestmark = [
+    pytest.mark.medium,
+    pytest.mark.skipif(shutil.which("cc") is None, reason="skipped: no C compiler"),
+]
+
+LONG = os.environ.get("HELI_LONG") == "1"
+SECONDS = 60.0 if LONG else 4.0
+PLANTS = {
+    "as it is": ("makki2024", ()),
+    "continuous states": ("makki2024", ("rotor_lag=0.08", "coulomb_friction.travel", "ground_effect")),
+    "sampled": ("makki2024", ("input_delay=0.0123", "backlash.pitch=0.02", "random_torque.travel")),
+    "timed": ("makki2024", ("thrust_step.front=0.1@2", "periodic_torque.elevation", "thrust_fade")),
+    "effects in its file": ("makki2024-identified", ()),
+    "rests on its table": ("quanser-course", ()),
+}
+
+
+def plant_named(case: str) -> Plant:
+    rig, effects = PLANTS[case]
+    return plant_of(SilOptions(rig=rig, effects=effects))
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("fmu") / "plain.fmu"
+    write_fmu(plant_named("as it is"), path)
+    return path
+
+
+@pytest.mark.parametrize("case", PLANTS)
+def test_fmpy_finds_no_problem_and_both_interfaces_fly_the_plant(case: str, tmp_path: Path) -> None:
+    plant, path = plant_named(case), tmp_path / "rig.fmu"
+    write_fmu(plant, path)
+    assert validate_fmu(str(path)) == []
+    volts_V = voltages(SECONDS, trim(MultibodyModel(), plant.rig).volts_V)
+    own = plants_flight(plant, volts_V)
+    # It flies: up from where it rested, and through its stops where the rig has it so.
+    assert np.ptp(own[:, 0]) > 0.1 and np.ptp(own[:, 1]) > 0.01
+    np.testing.assert_allclose(co_simulated(path, tmp_path / "cs", volts_V), own, rtol=0, atol=1e-9)
+    found, events = exchanged(path, tmp_path / "me", volts_V, len(plant.model.states))
+    np.testing.assert_allclose(found, own, rtol=0, atol=1e-9)
+    assert (events >= len(volts_V)) == (case == "sampled")
+
+
+def test_longer_communication_steps_are_whole_milliseconds_inside(plain: Path, tmp_path: Path) -> None:
+    plant = plant_named("as it is")
+    held = np.repeat(voltages(3.0, np.array([1.8, 1.8]))[::20], 20, axis=0)
+    own = plants_flight(plant, held)[19::20]
+    np.testing.assert_array_equal(co_simulated(plain, tmp_path / "cs", held, 20), own)
+
+
+def test_a_number_of_the_rig_can_be_set_and_has_its_effect(plain: Path, tmp_path: Path) -> None:
+    variables = {one.name: one for one in read_model_description(str(plain)).modelVariables}
+    one = variables["rig.thrust_gain"]
+    slave = opened(plain, tmp_path / "u", co_simulation=True)
+    slave.setFloat64([one.valueReference], [1.1 * float(one.start)])
+    slave.exitInitializationMode()
+    changed = plant_of(SilOptions())
+    other = Plant(changed.model, changed.rig.replace(thrust_gain=1.1 * float(one.start)))
+    volts_V = voltages(2.0, np.array([1.8, 1.8]))
+    for row, volts in enumerate(volts_V):
+        slave.setFloat64([1, 2], volts.tolist())
+        slave.doStep(row * 1e-3, 1e-3)
+    np.testing.assert_allclose(slave.getFloat64([3, 4, 5]), plants_flight(other, volts_V)[-1], atol=1e-12)
+    slave.freeInstance()
+
+
+def test_a_state_kept_and_set_again_gives_the_same_flight_again(tmp_path: Path) -> None:
+    path = tmp_path / "rig.fmu"
+    write_fmu(plant_named("sampled"), path)
+    slave = opened(path, tmp_path / "u", co_simulation=True)
+    slave.exitInitializationMode()
+    slave.setFloat64([1, 2], [2.0, 1.9])
+    slave.doStep(0.0, 0.5)
+    kept = slave.serializeFMUState(slave.getFMUState())
+    slave.doStep(0.5, 0.5)
+    first = slave.getFloat64([3, 4, 5])
+    slave.setFMUState(slave.deserializeFMUState(kept))
+    slave.doStep(0.5, 0.5)
+    assert slave.getFloat64([3, 4, 5]) == first
+    slave.freeInstance()
+
+
+def test_the_sources_compile_by_themselves_without_a_warning(plain: Path, tmp_path: Path) -> None:
+    with zipfile.ZipFile(plain) as archive:
+        archive.extractall(tmp_path)
+        listed = archive.read("sources/buildDescription.xml").decode()
+    # What CasADi generates is not ours to warn about.
+    own = ["rig.c", "fmi3.c", "model_start.c"]
+    assert all(f'name="{name}"' in listed for name in [*own, "model.c"])
+    subprocess.run(
+        ["cc", "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-fsyntax-only", *own],
+        cwd=tmp_path / "sources",
+        check=True,
+    )
+
+
+def test_every_function_of_the_standard_is_there(plain: Path, tmp_path: Path) -> None:
+    import ctypes
+    import re
+
+    import fmpy
+
+    header = (Path(fmpy.__file__).parent / "c-code" / "fmi3Functions.h").read_text()
+    names = set(re.findall(r"\b(fmi3\w+)TYPE\b", header))
+    with zipfile.ZipFile(plain) as archive:
+        (binary,) = (name for name in archive.namelist() if name.startswith("binaries/"))
+        archive.extract(binary, tmp_path)
+    library = ctypes.CDLL(str(tmp_path / binary))
+    assert len(names) > 60
+    assert [name for name in sorted(names) if not hasattr(library, name)] == []
+
+
+def test_another_token_is_refused(plain: Path, tmp_path: Path) -> None:
+    import fmpy
+    from fmpy.fmi3 import FMU3Slave
+
+    slave = FMU3Slave(
+        guid="{other}",
+        unzipDirectory=fmpy.extract(str(plain), str(tmp_path / "u")),
+        modelIdentifier="heli_makki2024",
+        instanceName="rig",
+    )
+    with pytest.raises(Exception, match="instantiate"):
+        slave.instantiate()
+
+
+@pytest.mark.slow
+def test_the_same_rig_gives_the_same_bytes_and_another_another_token(plain: Path, tmp_path: Path) -> None:
+    write_fmu(plant_named("as it is"), tmp_path / "again.fmu")
+    assert (tmp_path / "again.fmu").read_bytes() == plain.read_bytes()
+    tokens = set()
+    for effects in ((), ("rotor_lag=0.1",), ("rotor_lag=0.2",)):
+        write_fmu(plant_of(SilOptions(effects=effects)), tmp_path / "other.fmu")
+        tokens.add(read_model_description(str(tmp_path / "other.fmu")).instantiationToken)
+    assert len(tokens) == 3
+
+
+def test_without_a_compiler_the_sources_are_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("heli_sim.fmu.write.compiler", lambda: None)
+    assert write_fmu(plant_named("as it is"), tmp_path / "a.fmu") == ""
+    with zipfile.ZipFile(tmp_path / "a.fmu") as archive:
+        names = archive.namelist()
+    assert "sources/model.c" in names and not [name for name in names if name.startswith("binaries/")]
+    assert validate_fmu(str(tmp_path / "a.fmu")) == []

@@ -1,0 +1,53 @@
+"""Two hundred distorted flights, guessed: ``python -m tests.guess``."""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from tests.guess.distort import drawn, write
+from tests.guess.flights import SIMULATED, measured, measured_flight, simulated
+from tests.guess.judge import Judged, judged
+
+COUNT = 200
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Distort, guess, print; 1 when one guess is silently wrong."""
+    parser = argparse.ArgumentParser(prog="python -m tests.guess", description=__doc__)
+    parser.add_argument("--count", type=int, default=COUNT)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--measured", action="store_true", help="the flights beside the project instead")
+    given = parser.parse_args(arguments)
+    files = measured() if given.measured else []
+    if given.measured and not files:
+        print("skipped: no shared data")
+        return 0
+    tally: collections.Counter[str] = collections.Counter()
+    for seed in range(given.first, given.first + given.count):
+        path = files[seed % len(files)] if files else None
+        found = one(seed, path)
+        tally[found.verdict] += 1
+        print(f"{seed:4d} {found.verdict:15s} {drawn(seed).text()} | {found.why}", flush=True)
+    print()
+    for verdict, count in tally.most_common():
+        print(f"{count:4d} {verdict}")
+    return 1 if tally["SILENTLY WRONG"] else 0
+
+
+def one(seed: int, path: Path | None = None) -> Judged:
+    """Distort a flight from a `seed` and judge the guess: the measured one at `path`, or a simulated one."""
+    flight, rig = measured_flight(path) if path else simulated(seed % SIMULATED)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "flight.csv"
+        how = drawn(seed)
+        truth = write(flight, rig, how, file, seed)
+        return judged(file, truth, how, rig)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,201 @@
+"""Flights written as other programs and other people write them, from a seed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from heli_host.flight import Flight
+from heli_sim.rig import Rig
+
+Floats = npt.NDArray[np.float64]
+
+NAMES: Final = {
+    "own": ("t_s", "front", "back", "elevation", "pitch", "travel", "sum", "difference"),
+    "short": ("t", "V_f", "V_b", "e", "p", "lambda", "V_s", "V_d"),
+    "long": (
+        "Time",
+        "Front motor",
+        "Rear motor",
+        "Elevation angle",
+        "Pitch angle",
+        "Travel angle",
+        "Vsum",
+        "Vdiff",
+    ),
+    "greek": ("time", "uf", "ub", "theta", "phi", "psi", "us", "ud"),
+    "letters": ("c0", "c1", "c2", "c3", "c4", "c5", "c1", "c2"),
+    "none": ("", "", "", "", "", "", "", ""),
+}
+"""Time, front, back, elevation, pitch, travel, sum, difference."""
+RATES_Hz: Final = (50.0, 100.0, 125.0, 200.0, 250.0, 500.0, 1000.0)
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """What is done to a flight.
+
+    Parameters
+    ----------
+    names : str
+        Key of `NAMES`.
+    angle, voltage, time : str
+        Units.
+    stated : bool
+        Whether names say the unit.
+    signs : tuple of float
+        Of elevation, pitch and travel.
+    swapped : bool
+        Motors exchanged under the same names.
+    summed : bool
+        Sum and difference in place of the motors.
+    rate_Hz : float
+        Rows a second.
+    late : tuple of (str, float)
+        Which column is late, and by how much, s; empty and 0 where none is.
+    at_rest : bool
+        Elevation is 0 where the flight begins, not at level.
+    comma : bool
+        Decimal commas.
+    others : int
+        Columns that are something else.
+    """
+
+    names: str
+    angle: str
+    voltage: str
+    time: str
+    stated: bool
+    signs: tuple[float, float, float]
+    swapped: bool
+    summed: bool
+    rate_Hz: float
+    late: tuple[str, float]
+    at_rest: bool
+    comma: bool
+    others: int
+
+    def text(self) -> str:
+        """What is done, in a line."""
+        turned = [a for a, s in zip(("elevation", "pitch", "travel"), self.signs, strict=True) if s < 0]
+        parts = [
+            f"names {self.names}",
+            f"{self.angle}/{self.voltage}/{self.time}{' stated' if self.stated else ''}",
+            f"{self.rate_Hz:g} Hz",
+            f"turned {'+'.join(turned)}" if turned else "",
+            "swapped" if self.swapped else "",
+            "summed" if self.summed else "",
+            f"{self.late[0]} {self.late[1]:.2f} s late" if self.late[1] else "",
+            "0 at rest" if self.at_rest else "",
+            "commas" if self.comma else "",
+            f"{self.others} others" if self.others else "",
+        ]
+        return ", ".join(part for part in parts if part)
+
+
+def drawn(seed: int) -> Distortion:
+    """Draw a distortion."""
+    random = np.random.default_rng(seed)
+
+    def one(choices: tuple[str, ...], shares: tuple[float, ...] | None = None) -> str:
+        return str(random.choice(choices, p=shares))
+
+    late = ("", 0.0)
+    if random.random() < 0.3:
+        late = (one(("voltages", "elevation", "travel")), float(random.uniform(0.02, 0.25)))
+    return Distortion(
+        one(tuple(NAMES)),
+        one(("rad", "deg", "count")),
+        one(("V", "mV", "duty", "percent", "pwm"), (0.5, 0.1, 0.15, 0.1, 0.15)),
+        one(("s", "ms", "us")),
+        bool(random.random() < 0.5),
+        tuple(float(random.choice((1.0, -1.0), p=(0.7, 0.3))) for _ in range(3)),  # type: ignore[arg-type]
+        bool(random.random() < 0.2),
+        bool(random.random() < 0.3),
+        float(random.choice(RATES_Hz)),
+        late,
+        bool(random.random() < 0.3),
+        bool(random.random() < 0.3),
+        int(random.choice((0, 0, 2, 5))),
+    )
+
+
+def write(flight: Flight, rig: Rig, how: Distortion, path: Path, seed: int = 0) -> Flight:
+    """Write a flight, distorted.
+
+    Returns
+    -------
+    Flight
+        The truth at the rate written: what a right profile makes of the file, delays and all.
+    """
+    step_s = 1.0 / how.rate_Hz
+    t_s = np.arange(flight.t_s[0], flight.t_s[-1], step_s)
+    place = np.clip(np.searchsorted(flight.t_s, t_s + 1e-9, side="right") - 1, 0, None)
+    angles = {axis: getattr(flight, f"{axis}_rad")[place].copy() for axis in ("elevation", "pitch", "travel")}
+    front, back = flight.front_V[place].copy(), flight.back_V[place].copy()
+    rows = round(how.late[1] / step_s)
+    if rows:
+        if how.late[0] == "voltages":
+            front, back = _late(front, rows), _late(back, rows)
+        else:
+            angles[how.late[0]] = _late(angles[how.late[0]], rows)
+    truth = Flight(t_s - t_s[0], front, back, angles["elevation"], angles["pitch"], angles["travel"])
+    named = NAMES[how.names]
+    columns: list[tuple[str, str, Floats]] = []
+    unit_s = {"s": 1.0, "ms": 1e3, "us": 1e6}[how.time]
+    columns.append((named[0], how.time, (t_s - t_s[0]) * unit_s))
+    first, second = (back, front) if how.swapped else (front, back)
+    pair = (first + second, first - second) if how.summed else (first, second)
+    supply = rig["supply"].value
+    per_V = {"V": 1.0, "mV": 1e3, "duty": 1 / supply, "percent": 100 / supply, "pwm": 255 / supply}
+    for name, volts in zip(named[6:] if how.summed else named[1:3], pair, strict=True):
+        scaled = volts * per_V[how.voltage]
+        columns.append((name, how.voltage, np.round(scaled) if how.voltage == "pwm" else scaled))
+    for name, axis, sign in zip(named[3:6], angles, how.signs, strict=True):
+        angle = angles[axis] - (angles[axis][0] if how.at_rest and axis == "elevation" else 0.0)
+        counts = rig["encoder_counts"].value
+        counts *= rig["encoder_travel_ratio"].value if axis == "travel" else 1.0
+        per_rad = {"rad": 1.0, "deg": 180.0 / math.pi, "count": counts / (2.0 * math.pi)}[how.angle]
+        scaled = sign * angle * per_rad
+        columns.append((name, how.angle, np.round(scaled) if how.angle == "count" else scaled))
+    columns += _others(angles, how, np.random.default_rng(seed))
+    order = [0, *(1 + np.random.default_rng(seed).permutation(len(columns) - 1))]
+    _write([columns[i] for i in order], how, path)
+    return truth
+
+
+def _others(
+    angles: dict[str, Floats], how: Distortion, random: np.random.Generator
+) -> list[tuple[str, str, Floats]]:
+    rate = np.gradient(angles["pitch"], 1.0 / how.rate_Hz)
+    slow = np.convolve(angles["pitch"], np.ones(25) / 25.0, mode="same")
+    count = angles["pitch"].size
+    made: list[tuple[str, str, Floats]] = [
+        ("pitch_ref", "", np.sign(slow) * 0.1),
+        ("pitch rate", "", rate),
+        ("temp", "", 20.0 + 0.01 * random.standard_normal(count).cumsum()),
+        ("noise", "", random.standard_normal(count)),
+        ("state", "", np.full(count, 3.0)),
+    ]
+    return made[: how.others]
+
+
+def _late(values: Floats, rows: int) -> Floats:
+    return np.concatenate((np.full(rows, values[0]), values[:-rows]))
+
+
+def _write(columns: list[tuple[str, str, Floats]], how: Distortion, path: Path) -> None:
+    separator = ";" if how.comma else ","
+    lines = []
+    if how.names != "none":
+        shown = [f"{name} [{unit}]" if how.stated and unit else name for name, unit, _ in columns]
+        lines.append(separator.join(shown))
+    table = np.column_stack([values for _, _, values in columns])
+    for row in table:
+        text = separator.join(f"{value:.7g}" if abs(value) < 1e5 else f"{value:.0f}" for value in row)
+        lines.append(text.replace(".", ",") if how.comma else text)
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -1,0 +1,98 @@
+"""Whether a guess is right, unsure, or silently wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from heli_host.errors import HeliError
+from heli_host.flight import Flight
+from heli_host.tables import flights_of, read_table
+from heli_lab.guess import Guess, guess
+from heli_sim.rig import Rig
+
+from tests.guess.distort import Distortion
+
+_MOST_RAD = 0.005
+_MOST_ZERO_RAD = np.radians(6.5)
+"""A table is where the rig file says, within its tolerance and what the guess accepts."""
+_MOST_V_SHARE = 0.01
+_MOST_LATE_s = {"travel": 0.14, "elevation": 0.22, "voltages": 0.25}
+"""A delay longer than this may not pass unsaid: lags as a flight shows them scatter by 0.06 s and more."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What came of a file.
+
+    Parameters
+    ----------
+    verdict : str
+        `right`, `unsure` (right all the same), `unsure, wrong`, `refused`, or `SILENTLY WRONG`.
+    why : str
+        What is wrong, or open.
+    """
+
+    verdict: str
+    why: str
+
+
+def judged(path: Path, truth: Flight, how: Distortion, rig: Rig) -> Judged:
+    """Guess a file and compare with its truth."""
+    try:
+        table = read_table(path)
+        found = guess(table, rig)
+    except HeliError as error:
+        return Judged("refused", str(error))
+    made = flights_of(table, found.profile)[0]
+    wrong = _wrong(made, truth, how, found)
+    if wrong and found.sure and not _wrong(_mirrored(made), truth, how, found):
+        return Judged("right", "in a mirror")
+    open_ = "; ".join(doubt.what for doubt in found.doubts)
+    if not wrong:
+        return Judged("right" if found.sure else "unsure", open_)
+    return Judged("SILENTLY WRONG" if found.sure else "unsure, wrong", f"{wrong} [{open_}]")
+
+
+def _mirrored(flight: Flight) -> Flight:
+    """The same flight with the other rotor called the front one.
+
+    Where names and physics agree, nothing in a file tells it from the flight itself, nor does it matter to
+    any equation.
+    """
+    return replace(
+        flight,
+        front_V=flight.back_V,
+        back_V=flight.front_V,
+        pitch_rad=-flight.pitch_rad,
+        travel_rad=-flight.travel_rad,
+    )
+
+
+def _wrong(made: Flight, truth: Flight, how: Distortion, found: Guess) -> str:
+    wrong = []
+    rows = min(len(made), len(truth))
+    late_s = {axis: one.delay_s for axis, one in found.profile.angles.items()}
+    for name in ("elevation", "pitch", "travel"):
+        shift = round(late_s[name] * how.rate_Hz)
+        mine = getattr(made, f"{name}_rad")[: rows - abs(shift)]
+        true = getattr(truth, f"{name}_rad")[max(shift, 0) :][: len(mine)]
+        if len(true) < 10:
+            return "nothing left"
+        off = mine[: len(true)] - true
+        if np.std(off) > _MOST_RAD or (name == "elevation" and abs(np.mean(off)) > _MOST_ZERO_RAD):
+            wrong.append(name)
+        if name == "pitch" and abs(np.mean(off)) > _MOST_RAD:
+            wrong.append("pitch zero")
+    for name in ("front_V", "back_V"):
+        # Rows are lost at the beginning or the end where a delay was taken out.
+        shift = max(0, round(-min(late_s.values()) * how.rate_Hz))
+        mine, true = getattr(made, name)[: rows - shift], getattr(truth, name)[shift:rows]
+        span = max(float(np.ptp(truth.voltages_V)), 1e-9)
+        if float(np.abs(mine[: len(true)] - true[: len(mine)]).mean()) > _MOST_V_SHARE * span:
+            wrong.append(name)
+    which, seconds = how.late
+    if which and seconds > _MOST_LATE_s[which] and found.sure:
+        wrong.append(f"{which} {seconds:.2f} s late")
+    return ", ".join(wrong)

@@ -1,0 +1,98 @@
+"""A guess is right, or says what it is unsure of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from heli_host.errors import FlightDataError
+from heli_host.tables import Column, Table, flights_of, read_table
+from heli_lab.guess import guess
+
+from tests.guess.__main__ import one
+from tests.guess.distort import Distortion, drawn, write
+from tests.guess.flights import measured, measured_flight, simulated
+from tests.running.long import samples
+
+PLAIN = Distortion(
+    "own", "deg", "V", "s", True, (1.0, 1.0, 1.0), False, False, 250.0, ("", 0.0), False, False, 0
+)
+
+
+def guessed(how: Distortion, folder: Path) -> tuple[object, ...]:
+    flight, rig = simulated(1)
+    path = folder / "flight.csv"
+    write(flight, rig, how, path)
+    found = guess(read_table(path), rig)
+    return found, {doubt.what for doubt in found.doubts}
+
+
+@pytest.mark.slow
+def test_nothing_wrong_is_sure(tmp_path: Path) -> None:
+    found, doubts = guessed(PLAIN, tmp_path)
+    assert found.sure, doubts  # type: ignore[attr-defined]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", range(3))
+def test_a_turned_angle_is_turned_back(axis: int, tmp_path: Path) -> None:
+    signs = [1.0, 1.0, 1.0]
+    signs[axis] = -1.0
+    found, doubts = guessed(replace(PLAIN, signs=tuple(signs)), tmp_path)  # type: ignore[arg-type]
+    angles = found.profile.angles  # type: ignore[attr-defined]
+    assert [angles[name].sign for name in ("elevation", "pitch", "travel")] == signs
+    assert doubts == (set() if axis == 0 else {"which rotor is the front one"})
+
+
+@pytest.mark.slow
+def test_zero_at_rest_is_brought_to_level(tmp_path: Path) -> None:
+    found, doubts = guessed(replace(PLAIN, at_rest=True), tmp_path)
+    assert not doubts
+    assert found.profile.angles["elevation"].offset_deg == pytest.approx(-25.0, abs=0.5)  # type: ignore[attr-defined]
+
+
+@pytest.mark.slow
+def test_columns_without_names_are_found_by_physics(tmp_path: Path) -> None:
+    flight, rig = simulated(1)
+    values = [flight.travel_rad, flight.back_V, flight.pitch_rad, flight.front_V, flight.elevation_rad]
+    columns = {"t": Column(flight.t_s[::5])} | {f"x{i}": Column(one[::5]) for i, one in enumerate(values)}
+    found = guess(Table("memory", columns, named=False), rig)
+    angles = found.profile.angles
+    assert [angles[name].column for name in ("elevation", "pitch", "travel")] == ["x4", "x2", "x0"]
+    assert {one.column for one in found.profile.voltages.values()} == {"x1", "x3"}
+    assert {doubt.what for doubt in found.doubts} == {"which rotor is the front one"}
+
+
+@pytest.mark.slow
+def test_a_flight_without_voltages_is_refused_or_unsure() -> None:
+    flight, rig = simulated(1)
+    columns = {"t_s": Column(flight.t_s[::5])} | {
+        name: Column(getattr(flight, name)[::5]) for name in ("elevation_rad", "pitch_rad", "travel_rad")
+    }
+    with pytest.raises(FlightDataError, match="three angles and two voltages"):
+        guess(Table("memory", columns), rig)
+    columns |= {"a": Column(flight.t_s[::5] % 3.0), "b": Column(flight.t_s[::5] % 7.0)}
+    assert not guess(Table("memory", columns), rig).sure
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(samples(24, 4)))
+def test_no_distorted_flight_is_silently_wrong(seed: int) -> None:
+    found = one(seed)
+    print(seed, drawn(seed).text(), found)
+    assert found.verdict != "SILENTLY WRONG"
+
+
+@pytest.mark.slow
+def test_measured_flights_are_guessed_right(tmp_path: Path) -> None:
+    if not measured():
+        pytest.skip("skipped: no shared data")
+    for path in measured()[:: samples(1, 3)]:
+        flight, rig = measured_flight(path)
+        table = read_table(path)
+        found = guess(table, rig)
+        (made,) = flights_of(table, found.profile)
+        assert found.sure, (path.name, found.doubts)
+        assert made.pitch_rad == pytest.approx(flight.pitch_rad, abs=1e-6)
+        assert made.front_V == pytest.approx(flight.front_V, abs=1e-6)

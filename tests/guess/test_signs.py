@@ -1,0 +1,63 @@
+"""Wrong signs and zeros are named before anything is fitted, and nothing else is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from heli_host.flight import Flight
+from heli_lab.guess.signs import wrong_signs
+
+from tests.guess.flights import EFFECTS, measured, measured_flight, simulated
+from tests.running.long import samples
+
+
+def said(flight: Flight, number: int = 1) -> list[str]:
+    return [one.what for one in wrong_signs(flight, simulated(number)[1])]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(len(EFFECTS)))
+def test_nothing_is_said_of_a_sound_flight(number: int) -> None:
+    assert said(simulated(number)[0], number) == []
+
+
+@pytest.mark.slow
+def test_each_wrong_sign_is_named() -> None:
+    flight = simulated(1)[0]
+    swapped = replace(flight, front_V=flight.back_V, back_V=flight.front_V)
+    for wrong, words in (
+        (replace(flight, travel_rad=-flight.travel_rad), "travel goes against pitch"),
+        (replace(flight, pitch_rad=-flight.pitch_rad), "pitch counts the other way"),
+        (swapped, "the motors are exchanged"),
+        (replace(flight, elevation_rad=-flight.elevation_rad), "elevation falls where the voltages rise"),
+    ):
+        (one,) = said(wrong)
+        assert words in one
+
+
+@pytest.mark.slow
+def test_a_zero_at_rest_and_degrees_are_named() -> None:
+    flight = simulated(1)[0]
+    (one,) = said(replace(flight, elevation_rad=flight.elevation_rad - flight.elevation_rad[0]))
+    assert "zeroed there" in one
+    degrees = {
+        name: np.degrees(getattr(flight, name)) for name in ("elevation_rad", "pitch_rad", "travel_rad")
+    }
+    (one,) = said(replace(flight, **degrees))
+    assert "in degrees" in one
+
+
+@pytest.mark.slow
+def test_measured_flights_are_sound_and_their_wrong_copies_are_not() -> None:
+    if not measured():
+        pytest.skip("skipped: no shared data")
+    for path in measured()[:: samples(1, 3)]:
+        flight, rig = measured_flight(path)
+        assert wrong_signs(flight, rig) == (), path.name
+        (one,) = wrong_signs(replace(flight, travel_rad=-flight.travel_rad), rig)
+        assert one.turned == ("travel",), path.name
+        at_rest = replace(flight, elevation_rad=flight.elevation_rad - math.radians(-30.0))
+        assert any("zeroed there" in one.what for one in wrong_signs(at_rest, rig)), path.name

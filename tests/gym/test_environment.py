@@ -1,0 +1,153 @@
+"""The environment is one that Gymnasium takes, and flies what the plant and the board fly."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+from heli_sim.model.effects import parse_effects
+from heli_sim.model.multibody import MultibodyModel
+from heli_sim.plant import Plant
+from heli_sim.rig import load_rig
+
+gymnasium = pytest.importorskip("gymnasium", reason="skipped: no gymnasium")
+
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+from heli_lab.errors import LearningError  # noqa: E402
+from heli_lab.gym import Domain, HoverEnv, LinearPolicy  # noqa: E402
+
+EXACT = Domain()
+# Found by `heli_lab.gym.cross_entropy` in 15 generations of 20.
+HOVERS = LinearPolicy(
+    np.array(
+        [
+            [-5.5, -0.41, -2.6, -2.23, -0.38, -3.6, 0.0, 0.0],
+            [-5.5, 0.41, 2.6, -2.23, 0.38, 3.6, 0.0, 0.0],
+        ]
+    )
+)
+
+
+def flown(env: Any, seed: int, steps: int = 500) -> tuple[float, Any, int]:
+    """Sum of rewards, last observation and steps flown of `HOVERS`."""
+    seen, _ = env.reset(seed=seed)
+    total = 0.0
+    for step in range(steps):
+        seen, reward, ended, _, _ = env.step(HOVERS(seen))
+        total += reward
+        if ended:
+            return total, seen, step + 1
+    return total, seen, steps
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("through", ["plant", "board"])
+def test_gymnasiums_checker_finds_nothing(through: Any) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make("heli_lab.gym:HeliHover-v0", through=through)
+        check_env(env.unwrapped)
+        env.close()
+
+
+@pytest.mark.medium
+def test_an_episode_of_the_registered_environment_lasts_ten_seconds() -> None:
+    env = gymnasium.make("heli_lab.gym:HeliHover-v0", domain=EXACT)
+    env.reset(seed=1)
+    ends = [env.step(np.zeros(2, np.float32))[3] for _ in range(500)]
+    assert ends == [False] * 499 + [True]
+
+
+@pytest.mark.medium
+def test_the_plant_alone_is_the_plant_tick_by_tick() -> None:
+    drawn = Domain(effects={"rotor_lag": (0.08, 0.08)})
+    env = HoverEnv(drawn)
+    env.reset(seed=3)
+    simulator: Any = env._simulator
+    state = simulator._state.copy()
+    plant = Plant(MultibodyModel(parse_effects(["rotor_lag=0.08"])), load_rig("makki2024"))
+    random = np.random.default_rng(1)
+    for _ in range(5):
+        action = random.uniform(-1.0, 1.0, 2)
+        seen, *_ = env.step(action.astype(np.float32))
+        volts_V = np.maximum(env.hover_V + 2.0 * action.astype(np.float32), 0.0)
+        for _ in range(20):
+            state, measured = plant.step(state, volts_V)
+        np.testing.assert_allclose(simulator._state, state, atol=1e-12)
+        # The encoders count 4096 a revolution.
+        np.testing.assert_allclose(seen[:3], measured, atol=np.pi / 4096 + 1e-6)
+
+
+@pytest.mark.medium
+def test_rates_are_differences_over_a_step_and_the_last_action_is_seen() -> None:
+    env = HoverEnv(EXACT)
+    before, _ = env.reset(seed=2)
+    seen, *_ = env.step(np.array([0.5, -0.25], np.float32))
+    np.testing.assert_allclose(seen[3:6], (seen[:3] - before[:3]) / 0.02, atol=1e-4)
+    np.testing.assert_array_equal(seen[6:], np.array([0.5, -0.25], np.float32))
+
+
+@pytest.mark.medium
+def test_more_voltage_lifts_and_the_front_rotor_pitches_up() -> None:
+    ends = {}
+    for name, action in {"both": (1.0, 1.0), "front": (0.2, -0.2)}.items():
+        env = HoverEnv(EXACT)
+        start, _ = env.reset(seed=4)
+        for _ in range(15):
+            seen, *_ = env.step(np.array(action, np.float32))
+        ends[name] = seen - start
+    assert ends["both"][0] > 0.02 and ends["front"][1] > 0.05
+
+
+@pytest.mark.medium
+def test_a_rig_that_tips_over_ends_the_episode_and_says_why() -> None:
+    env = HoverEnv(EXACT)
+    env.reset(seed=5)
+    reward, ended, info = 1.0, False, dict[str, Any]()
+    for _ in range(500):
+        _, reward, ended, _, info = env.step(np.array([1.0, -1.0], np.float32))
+        if ended:
+            break
+    assert ended and reward == 0.0 and info["why"] == "pitch is at its stop"
+    with pytest.raises(LearningError, match="call reset"):
+        env.step(np.zeros(2, np.float32))
+
+
+@pytest.mark.medium
+def test_rewards_are_from_0_to_1_and_best_at_rest_on_the_setpoint() -> None:
+    best = HoverEnv._reward(np.zeros(3), np.zeros(2))
+    worst = HoverEnv._reward(np.full(3, 2.0), np.ones(2))
+    assert best == 1.0 and worst == pytest.approx(0.0)
+    off = np.deg2rad(2.0)
+    for axis in range(3):
+        assert worst < HoverEnv._reward(off * np.eye(3)[axis], np.zeros(2)) < best
+
+
+@pytest.mark.medium
+def test_a_policy_that_hovers_the_plant_hovers_the_board() -> None:
+    plant, board = HoverEnv(EXACT), HoverEnv(EXACT, through="board")
+    in_plant, seen, _ = flown(plant, seed=7, steps=300)
+    on_board, seen_on_board, steps = flown(board, seed=7, steps=300)
+    board.close()
+    assert steps == 300 and on_board == pytest.approx(in_plant, rel=0.02)
+    assert np.abs(seen[:3]).max() < 0.05 and np.abs(seen_on_board[:3]).max() < 0.05
+
+
+@pytest.mark.medium
+def test_an_episode_repeats_by_its_seed_on_the_board_too() -> None:
+    ends = []
+    for _ in range(2):
+        env = HoverEnv(through="board")
+        ends.append(flown(env, seed=11, steps=20)[1])
+        env.close()
+    np.testing.assert_array_equal(*ends)
+
+
+def test_what_there_is_not_is_refused_in_one_line() -> None:
+    with pytest.raises(LearningError, match="'plant' or 'board'"):
+        HoverEnv(through="wire")  # type: ignore[arg-type]
+    for wrong in ({"rigs": ()}, {"tolerances": -1.0}, {"effects": {"rotor_lag": (0.2, 0.1)}}):
+        with pytest.raises(LearningError):
+            Domain(**wrong)

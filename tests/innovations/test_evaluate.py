@@ -1,0 +1,181 @@
+"""Straight-line programs give what CasADi's own interpreter gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+import pytest
+from heli_lab.innovations import AlongCourse, OwnStates, Trajectory, _straight_line
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import parse_effects
+from hypothesis import given, seed, settings
+from hypothesis import strategies as st
+
+ROWS = 77
+UNARY: dict[str, Callable[[ca.SX], ca.SX]] = {
+    "neg": lambda x: -x,
+    "exp": ca.exp,
+    "log": lambda x: ca.log(ca.fabs(x) + 0.1),
+    "sqrt": lambda x: ca.sqrt(ca.fabs(x)),
+    "sq": lambda x: x**2,
+    "power": lambda x: (ca.fabs(x) + 0.1) ** 1.7,
+    "twice": lambda x: 2 * x,
+    "sin": ca.sin,
+    "cos": ca.cos,
+    "tan": lambda x: ca.tan(0.3 * x),
+    "asin": lambda x: ca.asin(ca.tanh(x)),
+    "acos": lambda x: ca.acos(ca.tanh(x)),
+    "atan": ca.atan,
+    "not": lambda x: ca.logic_not(x > 0.2),
+    "floor": ca.floor,
+    "ceil": ca.ceil,
+    "fabs": ca.fabs,
+    "sign": ca.sign,
+    "erf": ca.erf,
+    "inverse": lambda x: 1 / (x + 3.1),
+    "sinh": ca.sinh,
+    "cosh": ca.cosh,
+    "tanh": ca.tanh,
+    "asinh": ca.asinh,
+    "acosh": lambda x: ca.acosh(1.5 + ca.fabs(x)),
+    "atanh": lambda x: ca.atanh(0.5 * ca.tanh(x)),
+    "log1p": lambda x: ca.log1p(ca.fabs(x)),
+    "expm1": ca.expm1,
+}
+BINARY: dict[str, Callable[[ca.SX, ca.SX], ca.SX]] = {
+    "add": lambda x, y: x + y,
+    "sub": lambda x, y: x - y,
+    "mul": lambda x, y: x * y,
+    "div": lambda x, y: x / (ca.fabs(y) + 0.5),
+    "pow": lambda x, y: (ca.fabs(x) + 0.1) ** y,
+    "less": lambda x, y: x < y,
+    "at_most": lambda x, y: x <= y,
+    "equal": lambda x, y: ca.eq(ca.floor(x), ca.floor(y)),
+    "differs": lambda x, y: ca.ne(ca.floor(x), ca.floor(y)),
+    "and": lambda x, y: ca.logic_and(x > 0, y > 0),
+    "or": lambda x, y: ca.logic_or(x > 0, y > 0),
+    "fmod": lambda x, y: ca.fmod(x, ca.fabs(y) + 0.5),
+    "remainder": lambda x, y: ca.remainder(x, ca.fabs(y) + 0.5),
+    "copysign": ca.copysign,
+    "if_else": lambda x, y: ca.if_else(x > y, x, 2 * y),
+    "fmin": ca.fmin,
+    "fmax": ca.fmax,
+    "atan2": ca.atan2,
+    "hypot": ca.hypot,
+}
+
+
+def course(states: int, parameters: int, number: int = 1) -> Trajectory:
+    """A course of random numbers."""
+    random = np.random.default_rng(number)
+    return Trajectory(
+        np.sort(random.uniform(0.0, 5.0, ROWS)),
+        random.normal(0.0, 1.0, (ROWS, states)),
+        random.normal(0.0, 1.0, (ROWS, 2)),
+        0.01,
+        random.normal(0.0, 1.0, parameters),
+    )
+
+
+def by_casadi(function: ca.Function, along: Trajectory) -> list[np.ndarray]:
+    """The same, a row after the other."""
+    outputs = []
+    for row in range(ROWS):
+        found = function(along.state[row], along.volts_V[row], along.t_s[row], along.parameters)
+        found = found if isinstance(found, tuple | list) else [found]
+        outputs.append([np.array(one) for one in found])
+    return [np.array(one) for one in zip(*outputs, strict=True)]
+
+
+def same(function: ca.Function, along: Trajectory) -> None:
+    for found, expected in zip(AlongCourse(function)(along), by_casadi(function, along), strict=True):
+        assert found.shape == expected.shape
+        assert np.allclose(found, expected, rtol=1e-12, atol=1e-300)
+
+
+@pytest.mark.parametrize("name", [*UNARY, *BINARY])
+def test_each_operation_of_rows_and_of_shared_numbers(name: str) -> None:
+    x, u, t, p = ca.SX.sym("x", 2), ca.SX.sym("u", 2), ca.SX.sym("t"), ca.SX.sym("p", 3)
+    values = [x[0], p[0], t]
+    if name in UNARY:
+        found = [UNARY[name](one) for one in values]
+    else:
+        found = [BINARY[name](one, other) for one in values for other in (x[1], p[1])]
+    same(ca.Function("f", [x, u, t, p], [ca.vertcat(*found)]), course(2, 3))
+
+
+def test_no_operation_of_the_table_is_left_untried() -> None:
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    made = [one(x) for one in UNARY.values()] + [one(x, y) for one in BINARY.values()]
+    function = ca.Function("f", [x, y], [ca.vertcat(*made)])
+    codes = {function.instruction_id(k) for k in range(function.n_instructions())}
+    missing = {name for name in _straight_line.OPERATIONS if getattr(ca, f"OP_{name}") not in codes}
+    # An assignment is no operation of its own in an expression.
+    assert missing <= {"ASSIGN"}
+
+
+@seed(20)
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 1000), st.integers(0, 1000), st.integers(0, 1000)), max_size=60))
+def test_random_programs(recipe: list[tuple[int, int, int]]) -> None:
+    x, u, t, p = ca.SX.sym("x", 2), ca.SX.sym("u", 2), ca.SX.sym("t"), ca.SX.sym("p", 3)
+    values = [*ca.vertsplit(x), *ca.vertsplit(u), t, *ca.vertsplit(p), ca.SX(0.7)]
+    calls = [*(lambda a, b, f=f: f(a) for f in UNARY.values()), *BINARY.values()]
+    for which, a, b in recipe:
+        # What grows without bound would end in infinity, where nothing can be compared.
+        values.append(ca.tanh(calls[which % len(calls)](values[a % len(values)], values[b % len(values)])))
+    wanted = [ca.vertcat(*values[-6:]), ca.horzcat(*values[:4])]
+    same(ca.Function("f", [x, u, t, p], wanted), course(2, 3, len(recipe)))
+
+
+def test_a_models_derivatives() -> None:
+    model = MultibodyModel(parse_effects(["rotor_lag=0.08", "coulomb_friction.pitch=0.01"]))
+    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
+    t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
+    rates = model.dynamics(x, u, p, t)
+    function = ca.Function("f", [x, u, t, p], [ca.densify(rates), ca.densify(ca.jacobian(rates, p))])
+    along = course(len(model.states), len(model.parameters))
+    for found, expected in zip(AlongCourse(function)(along), by_casadi(function, along), strict=True):
+        scale = np.abs(expected).max()
+        assert np.allclose(found, expected, rtol=1e-9, atol=1e-12 * scale)
+
+
+@pytest.mark.parametrize("seen", [None, 1])
+def test_own_states_follow_the_rule_of_runge_and_kutta(seen: int | None) -> None:
+    z, y, u = ca.SX.sym("z", 2), ca.SX.sym("y", 2), ca.SX.sym("u", 2)
+    t, p = ca.SX.sym("t"), ca.SX.sym("p", 3)
+    rate = ca.vertcat((u[0] * y[1] - z[0]) / (0.1 + p[0] ** 2), ca.sin(t + z[0]) - p[1] * z[1] + y[0])
+    reset = ca.vertcat(z[0], ca.fmin(ca.fmax(z[1], -0.02), 0.02 + 0.01 * ca.cos(t)))
+    inputs = [z, t, y, u, p]
+    rates, resets = ca.Function("f", inputs, [rate]), ca.Function("r", inputs, [reset])
+    along = course(2, 3)
+    substeps = 4
+    found = OwnStates(rates, resets).integrate(
+        [along.state, along.volts_V], along.t_s, along.parameters, along.step_s, substeps, seen
+    )
+    h, state = along.step_s / substeps, np.zeros(2)
+    for row in range(ROWS):
+        rest = along.state[row], along.volts_V[row], along.parameters
+        for sub in range(substeps):
+            now = along.t_s[row] + h * (sub - substeps / 2)
+            k1 = np.array(rates(state, now, *rest)).ravel()
+            k2 = np.array(rates(state + 0.5 * h * k1, now, *rest)).ravel()
+            k3 = np.array(rates(state + 0.5 * h * k2, now, *rest)).ravel()
+            k4 = np.array(rates(state + h * k3, now, *rest)).ravel()
+            state = np.array(resets(state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), now + h, *rest)).ravel()
+            if sub == (substeps - 1 if seen is None else seen):
+                assert np.allclose(found[row], state, rtol=1e-10, atol=1e-12)
+
+
+def test_what_is_no_program_is_refused() -> None:
+    with pytest.raises(ValueError, match="read before"):
+        _straight_line.TableProgram([1], [0], [1], [0.0], [1, 1], [[0]])
+    with pytest.raises(ValueError, match="no such value"):
+        _straight_line.TableProgram([len(_straight_line.OPERATIONS) - 2], [0], [0], [1.0], [1, 1], [[3]])
+    program = _straight_line.TableProgram(
+        [len(_straight_line.OPERATIONS) - 1], [0], [0], [1.0], [2, 1], [[0]]
+    )
+    with pytest.raises(ValueError, match="another width"):
+        program.evaluate([np.zeros((3, 1))], np.zeros(1))

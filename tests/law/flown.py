@@ -1,0 +1,126 @@
+"""Flights of laws on simulated boards, and the same flights replayed on the host."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import heli_host
+import numpy as np
+import numpy.typing as npt
+from heli_host.declaration import AXES, PARAMS, Channel, Flags
+from heli_host.guest_law import LawReport, engage
+from heli_host.link.telemetry import Ticks
+from heli_host.tape import Tape
+from heli_lab.law import Law
+from heli_test_native import law as native_law
+
+from tests.firmware.cost import PERIOD_S, Flight
+
+DUTY_FULL = {"native": 2100, "due": 2100}
+COUNTS = [Channel.ELEVATION_COUNT, Channel.PITCH_COUNT, Channel.TRAVEL_COUNT]
+SETPOINTS = [Channel.ELEVATION_SETPOINT, Channel.PITCH_SETPOINT, Channel.TRAVEL_SETPOINT]
+MOTORS = [Channel.FRONT, Channel.BACK]
+SIGNALS = [Channel.SIGNAL_1, Channel.SIGNAL_2, Channel.SIGNAL_3, Channel.SIGNAL_4]
+
+
+def law_of(path: Path) -> Law:
+    """The ``LAW`` of a file."""
+    import runpy
+
+    law = runpy.run_path(str(path))["LAW"]
+    assert isinstance(law, Law)
+    return law
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A flight of a law: every tick since the session began.
+
+    ``raw`` (n, channels) as logged; ``flying`` (n,) where the law's voltages acted.
+    """
+
+    report: LawReport
+    raw: npt.NDArray[np.int32]
+    params: tuple[float, ...]
+
+    @property
+    def flying(self) -> npt.NDArray[np.bool_]:
+        return np.asarray(self.raw[:, Channel.FLAGS] & Flags.LAW, bool)
+
+
+def fly(tape: Tape, board: str = "native", seconds: float = 20.0, options: str = "", **change: Any) -> Flown:
+    """Take off, fly the law through steps and sines of both setpoints, land.
+
+    ``change`` holds parameters of the law to set half-way.
+    """
+    ticks: list[Ticks] = []
+    with heli_host.connect(f"sil://?board={board}{options}") as heli:
+        heli.session.subscribe_ticks(ticks.append)
+        params = tuple(heli.params[spec.name] for spec in PARAMS)
+        heli.take_off()
+        start = heli.latest.tick
+
+        def steer(new: Ticks) -> None:
+            t_s = (int(new.tick[-1]) - start) * 1e-3
+            heli.setpoint(
+                elevation_deg=4.0 * np.sin(2.0 * np.pi * t_s / 15.0),
+                travel_deg=15.0 * np.sin(2.0 * np.pi * t_s / 20.0) if t_s > 6.0 else 6.0,
+            )
+
+        unsubscribe = heli.session.subscribe_ticks(steer)
+        report = heli.fly_law(tape, duration_s=seconds / 2 if change else seconds, after="hold")
+        if change and not report.taken_over:
+            report = heli.fly_law(tape, duration_s=seconds / 2, after="hold", parameters=change)
+        unsubscribe()
+        heli.wait(0.5)
+        heli.land()
+    raw = np.concatenate([one.raw for one in ticks])
+    tick = np.concatenate([one.tick for one in ticks]).astype(np.int64)
+    assert (np.diff(tick) == 1).all(), "a tick was lost"
+    return Flown(report, raw, params)
+
+
+def fly_and_steer(flight: Flight, tape: Tape, seconds: float) -> None:
+    """Fly a law on a board whose instructions are counted, with setpoints that move."""
+    heli = flight.heli
+    heli.take_off(0.0)
+    engage(heli, tape)
+    for k in range(round(seconds / PERIOD_S)):
+        t_s = k * PERIOD_S
+        heli.setpoint(elevation_deg=5.0 * float(np.sin(2.0 * t_s)), travel_deg=8.0 * float(np.sin(1.3 * t_s)))
+        heli.wait(PERIOD_S)
+    heli.stop()
+
+
+def replayed(flown: Flown, tape: Tape, board: str = "native") -> int:
+    """Replay every tick in which the law's voltages acted; how many there were. The first that differs fails.
+
+    Where the law logs a setpoint of its own, the board's comes from the signal that holds it.
+    """
+    told = {f"board_{axis}_setpoint_rad": k for k, axis in enumerate(AXES)}
+    given = {told[name]: SIGNALS[k] for k, name in enumerate(tape.told) if name in told}
+    replay = native_law.LawReplay(flown.params, DUTY_FULL[board])
+    assert replay.load(tape.words, tape.hash) == 0
+    flying, count = flown.flying, 0
+    for k, row in enumerate(flown.raw.tolist()):
+        replay.measure([row[channel] for channel in COUNTS])
+        if not flying[k]:
+            continue
+        before = flown.raw[k - 1]
+        if not flying[k - 1]:
+            assert replay.engage(int(before[Channel.FRONT]), int(before[Channel.BACK])), "not loaded"
+        setpoints = [row[channel] for channel in SETPOINTS]
+        setpoints[1] = 0
+        for axis, signal in given.items():
+            setpoints[axis] = row[signal]
+        acted = replay.update(setpoints)
+        assert acted is not None, f"the replay was taken over at tick {k}"
+        wanted = (row[Channel.FRONT], row[Channel.BACK])
+        assert acted == wanted, f"tick {k}, {count} after the first: replayed {acted}, flown {wanted}"
+        told_setpoints, told_signals = replay.told()
+        assert list(told_setpoints) == [row[channel] for channel in SETPOINTS], k
+        assert list(told_signals) == [row[channel] for channel in SIGNALS], k
+        count += 1
+    return count

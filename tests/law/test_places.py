@@ -1,0 +1,167 @@
+"""One law, four places: numpy, over the link, a tape on the board, and C."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import heli_host
+import numpy as np
+import numpy.typing as npt
+import pytest
+from heli_host.declaration import LAW_INPUTS
+from heli_host.fly.recorder import Recorder
+from heli_host.log.reader import read_log
+from heli_host.log.summary import summarise
+from heli_lab.law import Command, Law, control_law
+from heli_lab.law.compare import judge, write_comparison
+from heli_lab.law.export_c import c_source
+from heli_lab.law.streamed import Streamed
+from heli_test_native import law as native_law
+
+from tests.law.flown import law_of
+from tests.running.long import LONG
+
+LAWS = Path(__file__).resolve().parents[2] / "docs" / "laws"
+NAMES = tuple(sorted(one.stem for one in LAWS.glob("*.py")))
+Floats = npt.NDArray[np.float64]
+
+
+class Compiled:
+    """A law's C, called step by step as `heli_lab.law.law.Runner` is."""
+
+    def __init__(self, law: Law, folder: Path) -> None:
+        compiler = shutil.which("cc")
+        if compiler is None:
+            pytest.skip("no C compiler on PATH")
+        source, library = folder / "law.c", folder / "law.so"
+        source.write_text(c_source(law))
+        subprocess.run([compiler, "-O1", "-shared", "-fPIC", source, "-o", library, "-lm"], check=True)
+        self.call = ctypes.CDLL(str(library)).law
+        self.state = np.array([*law.states.values()], np.float32)
+        self.parameters = np.array([*law.parameters.values()], np.float32)
+        self.outputs = np.zeros(5 + len(law.signals), np.float32)
+        self.work = np.zeros(max(1, law.function.sz_w()), np.float32)
+
+    def __call__(self, inputs: Floats) -> Floats:
+        def pointers(*arrays: npt.NDArray[np.float32]) -> ctypes.Array[ctypes.c_void_p]:
+            return (ctypes.c_void_p * len(arrays))(*(one.ctypes.data for one in arrays))
+
+        new = self.state.copy()
+        given = inputs.astype(np.float32)
+        arguments = pointers(given, self.state, self.parameters)
+        self.call(arguments, pointers(self.outputs, new), None, ctypes.c_void_p(self.work.ctypes.data), 0)
+        self.state = new
+        return self.outputs.astype(float)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES if LONG else ("feedback_linearisation",))
+def test_numpy_tape_and_c_give_the_same_to_single_precision(name: str, tmp_path: Path) -> None:
+    law = law_of(LAWS / f"{name}.py")
+    chance = np.random.default_rng(4)
+    inputs = chance.normal(scale=0.05, size=(40, len(LAW_INPUTS))).astype(np.float32)
+    tape = native_law.Tape()
+    assert tape.load(law.tape.words, law.tape.hash)[0] == 0
+    on_board = tape.run(np.ascontiguousarray(inputs))
+    runner, compiled = law.runner(), Compiled(law, tmp_path)
+    for row, found in zip(inputs.astype(float), on_board, strict=True):
+        wanted = runner(row)
+        # Gains of some hundred volts a radian amplify the last bit of single precision.
+        np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=2e-4)
+        np.testing.assert_allclose(compiled(row), wanted, rtol=1e-4, atol=2e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES if LONG else ("lqr",))
+@pytest.mark.parametrize("place", ["numpy", "c"])
+def test_a_law_flies_over_the_link_and_its_errors_are_told_as_they_are(
+    name: str, place: str, tmp_path: Path
+) -> None:
+    law = law_of(LAWS / f"{name}.py")
+    log = tmp_path / "streamed.mcap"
+    with heli_host.connect("sil://", land_on_exit=True) as heli, Recorder(heli, log):
+        heli.take_off()
+        runner = law.runner() if place == "numpy" else Compiled(law, tmp_path)
+        streamed = Streamed(runner, law.dt_s, heli.params)
+        streamed.follow(travel=np.radians(20.0))
+        report = heli.run_controller(streamed, rate_Hz=min(200.0, law.rate_Hz), duration_s=6.0)
+        assert report.takeovers == 0
+        assert abs(heli.latest.travel_deg - 20.0) < 10.0
+    flight = read_log(log).flight()
+    in_flight = flight.state == next(k for k, one in flight.state_names.items() if one == "streamed")
+    assert flight.travel_setpoint_rad is not None
+    error_deg = np.degrees(flight.travel_rad - flight.travel_setpoint_rad)[in_flight]
+    assert 0.2 < float(np.sqrt(np.mean(error_deg**2))) < 6.0
+    worst = summarise(read_log(log)).max_error_deg["travel"]
+    assert worst is not None
+    assert worst == pytest.approx(np.abs(error_deg).max(), abs=0.3)
+
+
+@pytest.mark.medium
+def test_the_names_of_signals_travel_into_log_tables_and_figures(tmp_path: Path) -> None:
+    from heli_host.log.export import export_mat, export_parquet
+    from heli_host.log.figure import draw
+    from heli_host.log.flight_file import read_flight
+    from heli_host.log.table import write_csv
+    from scipy.io import loadmat
+
+    law = law_of(LAWS / "sliding_mode.py")
+    log = tmp_path / "a.mcap"
+    with heli_host.connect("sil://", land_on_exit=True) as heli:
+        heli.take_off()
+        with Recorder(heli, log):
+            heli.setpoint(travel_deg=10.0)
+            heli.fly_law(law.tape, duration_s=5.0)
+    flight = read_log(log).flight()
+    assert law.signals == ("slide_elevation", "slide_travel")
+    assert set(law.signals) < set(flight.extra)
+    assert "signal_1" not in flight.extra
+    assert np.ptp(flight.extra["slide_travel"]) > 0.01
+    export_mat(flight, tmp_path / "a.mat")
+    assert loadmat(tmp_path / "a.mat")["slide_travel"].shape == (len(flight), 1)
+    export_parquet(flight, tmp_path / "a.parquet")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    assert "slide_elevation" in parquet.read_schema(tmp_path / "a.parquet").names
+    write_csv(flight, tmp_path / "a.csv")
+    assert "slide_elevation" in read_flight(tmp_path / "a.csv").extra
+    legends = [panel.get_legend() for panel in draw(flight, summarise(read_log(log))).axes]
+    labels = [text.get_text() for one in legends if one is not None for text in one.get_texts()]
+    assert {"slide_elevation", "slide_travel"} < set(labels)
+    judged = judge(log)
+    assert 0.1 < judged.rms_deg["travel"] < 5.0
+    write_comparison([judged, judged], tmp_path / "both.png")
+    assert (tmp_path / "both.png").stat().st_size > 10_000
+
+
+def test_a_law_compiles_to_what_is_needed_and_no_more() -> None:
+    @control_law(states={"x": 0.0}, parameters={"k": 2.0})
+    def law(now, state, parameter):  # type: ignore[no-untyped-def]
+        wasted = now.travel_rad * 1.0 + 0.0
+        front = 0.5 * now.pitch_rad - 0.25 * now.elevation_rad + parameter.k * state.x + wasted - 3.0
+        return Command(front, 1.0, states={"x": state.x})
+
+    codes = [one.code for one in law.tape.instructions]
+    # One sum of five products; and a copy of the state, which may not be read once it is written.
+    assert len(codes) == 2
+    assert max(len(one.terms) for one in law.tape.instructions) == 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("board", ["native", "due"])
+def test_a_law_flies_where_no_compiler_is_on_the_path(board: str, tmp_path: Path) -> None:
+    if board == "due":
+        pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
+    (tmp_path / "bin").mkdir()
+    start = "from heli_host.cli.entry import main; main()"
+    asked = ["law", "fly", str(LAWS / "lqr.py"), "--board", board, "--seconds", "2"]
+    done = subprocess.run(
+        [sys.executable, "-c", start, *asked],
+        capture_output=True, text=True, check=False, env={**os.environ, "PATH": str(tmp_path / "bin")},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "rms error" in done.stdout

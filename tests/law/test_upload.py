@@ -1,0 +1,124 @@
+"""A law gets to the board whole or not at all, stays there, and comes again after a reset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import heli_host
+import pytest
+from heli_host.declaration import (
+    LINK_HASH,
+    Channel,
+    Flags,
+    HelloMessage,
+    LawBeginMessage,
+    LawEndMessage,
+    LawMessage,
+    LawPartMessage,
+    LawReadMessage,
+    LawState,
+    MessageId,
+)
+from heli_host.guest_law import PART_WORDS, loaded
+from heli_host.link.telemetry import Ticks
+from heli_host.tape import Tape
+from heli_lab.law import Command, Law, control_law
+from heli_sim.sil.inprocess import InProcessTransport
+
+from tests.law.flown import law_of
+from tests.link.core_harness import Harness, of_kind, open_harness
+
+LAWS = Path(__file__).resolve().parents[2] / "docs" / "laws"
+
+
+def small(name: str, gain: float) -> Law:
+    @control_law(name=name)
+    def law(now, state, parameter):  # type: ignore[no-untyped-def]
+        return Command(gain * now.pitch_rad + 1.0, 1.0)
+
+    return law
+
+
+def upload_frames(harness: Harness, tape: Tape, request: int) -> list[bytes]:
+    """Frames of an upload, in order."""
+    words = tape.words
+    frames = [harness.frame(LawBeginMessage(request, tape.hash, len(words)))]
+    for first in range(0, len(words), PART_WORDS):
+        part = [*words[first : first + PART_WORDS], *([0] * PART_WORDS)][:PART_WORDS]
+        frames.append(harness.frame(LawPartMessage(request + len(frames), first, *part)))
+    frames.append(harness.frame(LawEndMessage(request + len(frames))))
+    return frames
+
+
+def law_on(harness: Harness) -> LawMessage:
+    """What the board says that it has, to a host that has just come back."""
+    # Half a frame swallows what follows it, as on a line; a host greets until it is answered.
+    hello = HelloMessage(240, LINK_HASH, 2)
+    greeted = any(of_kind(harness.turn(harness.frame(hello), ticks=2), MessageId.WELCOME) for _ in range(9))
+    assert greeted
+    (told,) = of_kind(harness.ask(LawReadMessage(241)), MessageId.LAW)
+    return LawMessage.unpack(told)
+
+
+def test_an_upload_cut_at_every_byte_leaves_the_old_law_or_none() -> None:
+    old, new = small("old", 0.5).tape, small("new", 0.25).tape
+    whole = len(b"".join(upload_frames(open_harness(), new, 50)))
+    seen = set()
+    for cut in range(whole + 1):
+        harness = open_harness()
+        for frame in upload_frames(harness, old, 1):
+            harness.turn(frame, ticks=2)
+        left = cut
+        for frame in upload_frames(harness, new, 50):
+            harness.turn(frame[:left], ticks=2)
+            left = max(0, left - len(frame))
+        law = law_on(harness)
+        if law.state == LawState.READY:
+            assert law.hash == (new.hash if cut == whole else old.hash), cut
+        else:
+            assert law.state in (LawState.NONE, LawState.RECEIVING), cut
+            assert cut < whole
+        seen.add((law.state, law.hash if law.state == LawState.READY else 0))
+    assert seen >= {(LawState.READY, old.hash), (LawState.READY, new.hash), (LawState.RECEIVING, 0)}
+
+
+@pytest.mark.medium
+def test_a_board_that_was_reset_gets_its_law_again_when_it_is_armed() -> None:
+    law = law_of(LAWS / "lqr.py")
+    with heli_host.connect("sil://") as heli:
+        heli.load_law(law.tape)
+        transport = heli.session.transport
+        assert isinstance(transport, InProcessTransport)
+        transport.world.cycle_power()
+        assert heli.session.wait_for(lambda: heli.counters.restarts > 0, 8.0)
+        assert loaded(heli.session).state == LawState.NONE
+        heli.take_off()
+        assert loaded(heli.session).hash == law.tape.hash
+        assert loaded(heli.session).state == LawState.READY
+
+
+@pytest.mark.medium
+def test_a_cable_that_was_out_costs_no_law() -> None:
+    law = law_of(LAWS / "lqr.py")
+    with heli_host.connect("sil://?unplug=2:1") as heli:
+        heli.load_law(law.tape)
+        heli.session.wait_for(lambda: heli.counters.reconnects > 0, 8.0)
+        assert heli.counters.reconnects == 1
+        assert loaded(heli.session).hash == law.tape.hash
+
+
+@pytest.mark.medium
+def test_from_the_beginning_of_an_upload_to_a_voltage_of_the_law_it_takes_half_a_second_at_most() -> None:
+    law = law_of(LAWS / "lqg.py")
+    with heli_host.connect("sil://") as heli:
+        heli.take_off()
+        start = heli.latest.tick
+        acting: list[int] = []
+
+        def look(new: Ticks) -> None:
+            flown = new.raw[:, Channel.FLAGS] & Flags.LAW
+            acting.extend(new.tick[flown != 0].tolist())
+
+        heli.session.subscribe_ticks(look)
+        heli.fly_law(law.tape, duration_s=0.1)
+        assert 0 < acting[0] - start <= 500

@@ -1,0 +1,116 @@
+"""Chromium for tests, where the system has one: it draws in software, and reaches this machine only."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from urllib.parse import urlsplit
+
+import pytest
+
+pytest.importorskip("playwright.sync_api", reason="playwright is not installed: make setup")
+
+from playwright.sync_api import Browser, BrowserContext, Page, Route, expect, sync_playwright
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+PATIENCE_S = 90.0
+expect.set_options(timeout=PATIENCE_S * 1e3)
+WIDE, TABLET = (1280, 720), (768, 1024)
+FLAGS = [
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+    "--disable-component-update",
+    # Root may not use its sandbox; what it opens here is our own page.
+    "--no-sandbox",
+    "--disable-dev-shm-usage",
+]
+
+
+def find_browser() -> str | None:
+    """The system's Chromium: what HELI_BROWSER says, or the first that is installed."""
+    given = os.environ.get("HELI_BROWSER")
+    return given or next((path for name in NAMES if (path := shutil.which(name))), None)
+
+
+@contextmanager
+def chromium() -> Iterator[Browser]:
+    """Start it; skips where there is none."""
+    path = find_browser()
+    if path is None:
+        pytest.skip("skipped: no Chromium: apt-get install chromium, or name one in HELI_BROWSER")
+    with sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=path, args=FLAGS)
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+def until(page: Page, expression: str) -> None:
+    """Wait until an expression of JavaScript is true. Playwright's own wait needs what the page's policy
+    refuses."""
+    end_s = time.monotonic() + PATIENCE_S
+    while not page.evaluate(expression):
+        assert time.monotonic() < end_s, f"waited in vain for {expression}"
+        page.wait_for_timeout(30)
+
+
+def click(page: Page, selector: str) -> None:
+    """Click what is enabled. Playwright's own click waits for drawn frames, which a busy computer makes
+    rare."""
+    found = page.locator(selector).first
+    expect(found).to_be_enabled(timeout=PATIENCE_S * 1e3)
+    found.click(force=True)
+
+
+@dataclass
+class Tabs:
+    """Tabs, and everything that went wrong in them."""
+
+    context: BrowserContext
+    wrong: list[str] = field(default_factory=list)
+    pages: list[Page] = field(default_factory=list)
+
+    def open(self, url: str) -> Page:
+        """Open a tab and wait until it knows who flies."""
+        page = self.context.new_page()
+        self.pages.append(page)
+        page.on("pageerror", lambda error: self.wrong.append(f"error: {error}"))
+        page.on("requestfailed", lambda request: self.wrong.append(f"failed: {request.url}"))
+        page.on(
+            "console",
+            lambda said: self.wrong.append(f"said: {said.text}") if said.type == "error" else None,
+        )
+        page.on(
+            "response",
+            lambda answer: (
+                self.wrong.append(f"{answer.status}: {answer.url}") if answer.status >= 400 else None
+            ),
+        )
+        page.goto(url)
+        until(page, "Boolean(heliPage?.status && document.querySelector('#seat').textContent)")
+        return page
+
+    def _guard(self, route: Route) -> None:
+        if urlsplit(route.request.url).hostname in ("127.0.0.1", "localhost"):
+            route.continue_()
+        else:
+            self.wrong.append(f"left this machine: {route.request.url}")
+            route.abort()
+
+
+@contextmanager
+def tabs(browser: Browser, size: tuple[int, int] = WIDE) -> Iterator[Tabs]:
+    """Tabs of one window, closed at the end."""
+    with ExitStack() as stack:
+        context = browser.new_context(viewport={"width": size[0], "height": size[1]})
+        stack.callback(context.close)
+        opened = Tabs(context)
+        context.route("**/*", opened._guard)
+        context.set_default_timeout(60_000)
+        yield opened

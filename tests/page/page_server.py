@@ -1,0 +1,87 @@
+"""A page's server over a simulated board in real time behind a port, as `heli-host page --sil` has it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import heli_host
+from heli_host.fly.plan import Plan, load_plan, plan_names
+from heli_host.fly.recorder import Recorder
+from heli_host.heli import Heli
+from heli_host.page.cockpit import Cockpit
+from heli_host.page.rigs import outline
+from heli_host.page.serve import Address, serving
+
+RIG = "makki2024"
+SHORT_PLAN = """
+title = "Hover for two seconds"
+[start]
+elevation_deg = 0
+rate_deg_s = 15
+settle_s = 1
+[[segment]]
+kind = "hold"
+duration_s = 2
+"""
+
+
+@dataclass(frozen=True)
+class Served:
+    """What a test has in hand."""
+
+    heli: Heli
+    address: Address
+    folder: Path
+
+    def logs(self) -> list[Path]:
+        return sorted(self.folder.glob("*.mcap"))
+
+
+@contextlib.contextmanager
+def page_of_a_simulated_board(folder: Path, speed: float = 1.0, board: str = "native") -> Iterator[Served]:
+    """Serve a page in this process."""
+    short = Plan.parse(SHORT_PLAN, "short")
+    url = f"sil://?rig={RIG}&seed=1&speed={speed}&process=1&board={board}"
+    with heli_host.connect(url) as heli:
+
+        def new_recorder(plans: Sequence[Plan], duration_s: float) -> Recorder:
+            path = folder / f"{len(list(folder.glob('*.mcap')))}.mcap"
+            return Recorder(heli, path, rig_name=RIG, plans=plans, duration_s=duration_s)
+
+        plans = [short, *(load_plan(name) for name in plan_names())]
+        cockpit = Cockpit(heli, new_recorder, plans, "simulated board", outline(RIG))
+        try:
+            with serving(cockpit) as address:
+                yield Served(heli, address, folder)
+        finally:
+            cockpit.close()
+
+
+@contextlib.contextmanager
+def page_process(*arguments: str, folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Run ``heli-host page`` as a person does; yields the process and the page's address."""
+    command = [sys.executable, "-c", "from heli_host.cli import main; main()", "page", *arguments]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=folder, env={**os.environ}
+    )
+    try:
+        assert process.stdout is not None
+        said = []
+        for line in process.stdout:
+            said.append(line)
+            if line.startswith("page: "):
+                yield process, line.split()[1]
+                break
+        else:
+            raise AssertionError("".join(said))
+    finally:
+        process.kill()
+        process.wait()
+        if process.stdout is not None:
+            process.stdout.close()

@@ -1,0 +1,108 @@
+"""A page without a browser: what its script does with its sockets, as slowly as a test wants."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from heli_host.page.serve import Address
+from heli_host.page.wire import Rows, unpack
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import ClientConnection, connect
+
+PATIENCE_S = 60.0
+
+
+class SocketPage:
+    """One tab. While `answers` is set it acknowledges frames, as a page that lives does."""
+
+    def __init__(self, address: Address, client: str = "", token: str | None = None) -> None:
+        base = f"ws://{address.host}:{address.port}"
+        token = address.token if token is None else token
+        self._opened = contextlib.ExitStack()
+        self.socket = self._open(f"{base}/ws?token={token}&client={client}")
+        self.stop_socket = self._open(f"{base}/stop?token={token}")
+        self.rows: list[Rows] = []
+        self.words: list[dict[str, Any]] = []
+        self.known: dict[str, Any] = {}
+        self.answers = threading.Event()
+        self.answers.set()
+        self.number = 0
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+        self.until(lambda: "seats" in self.known)
+
+    def __enter__(self) -> SocketPage:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._opened.close()
+        self._thread.join(5.0)
+
+    def _open(self, address: str) -> ClientConnection:
+        return self._opened.enter_context(connect(address, compression=None, proxy=None))
+
+    @property
+    def state(self) -> str:
+        hello, status = self.known["hello"], self.known["status"]
+        return str(hello["states"][str(status["state"])]["name"])
+
+    @property
+    def flies(self) -> bool:
+        return bool(self.known["seats"]["pilot"] == self.known["hello"]["you"])
+
+    def until(self, so: Callable[[], bool]) -> None:
+        """Wait for something; how long is nobody's claim, so long as it is not for ever."""
+        end_s = time.monotonic() + PATIENCE_S
+        while not so():
+            assert time.monotonic() < end_s, f"waited in vain; last words: {self.words[-3:]}"
+            time.sleep(0.01)
+
+    def until_state(self, *names: str) -> str:
+        self.until(lambda: self.state in names)
+        return self.state
+
+    def send(self, name: str, /, **arguments: Any) -> int:
+        self.number += 1
+        self.socket.send(json.dumps({"do": name, "id": self.number, **arguments}))
+        return self.number
+
+    def ask(self, name: str, /, **arguments: Any) -> dict[str, Any]:
+        return self.answer(self.send(name, **arguments))
+
+    def answer(self, number: int) -> dict[str, Any]:
+        def found() -> list[dict[str, Any]]:
+            return [words for words in list(self.words) if words.get("answer") == number]
+
+        self.until(lambda: bool(found()))
+        return found()[0]
+
+    def stop(self) -> str:
+        self.stop_socket.send("stop")
+        return str(self.stop_socket.recv(PATIENCE_S))
+
+    def events(self, kind: str) -> list[str]:
+        told = [*self.known["hello"]["events"], *(one["event"] for one in list(self.words) if "event" in one)]
+        return [one["text"] for one in told if one["kind"] == kind]
+
+    def _read(self) -> None:
+        with contextlib.suppress(WebSocketException, OSError):
+            for message in self.socket:
+                if isinstance(message, bytes):
+                    rows = unpack(message)
+                    self.rows.append(rows)
+                    if self.answers.is_set():
+                        self.socket.send(rows.number.to_bytes(4, "little"))
+                else:
+                    words = json.loads(message)
+                    self.words.append(words)
+                    self.known.update(
+                        {name: words[name] for name in ("hello", "status", "seats") if name in words}
+                    )

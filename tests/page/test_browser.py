@@ -1,0 +1,346 @@
+"""The page in Chromium: flown, stopped by each way, handed over, lost; nothing asked of any other machine."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from heli_host.declaration import Axes, State
+from heli_host.errors import CommandRefused
+from heli_host.log.reader import read_log
+
+from tests.page import browser as browsers
+
+pytest.importorskip("axe_playwright_python", reason="axe-playwright-python is not installed: make setup")
+
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, Page, expect
+
+from tests.page.browser import PATIENCE_S, TABLET, WIDE, Tabs, click, tabs, until
+from tests.page.page_server import Served, page_of_a_simulated_board
+from tests.running.long import LONG, samples
+
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("browser")]
+
+GAMEPAD = """
+window.pad = {connected: true, axes: [0, 0, 0, 0], buttons: [0, 1, 2, 3].map(() => ({pressed: false}))};
+navigator.getGamepads = () => [window.pad];
+"""
+TABS = ("fly", "parameters", "events", "link")
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+    with browsers.chromium() as started:
+        yield started
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[Served]:
+    with page_of_a_simulated_board(tmp_path) as one:
+        yield one
+
+
+@pytest.fixture
+def window(chromium: Browser) -> Iterator[Tabs]:
+    with tabs(chromium) as opened:
+        yield opened
+        assert not opened.wrong, "\n".join(opened.wrong)
+
+
+def until_state(page: Page, *names: str) -> None:
+    expect(page.locator("#state")).to_have_text(re.compile("|".join(names)), timeout=60_000)
+
+
+def run_motors(served: Served) -> None:
+    """Both motors at a voltage within the dead zone: as quick to begin as to end."""
+    heli, end_s = served.heli, time.monotonic() + PATIENCE_S
+    while heli.state is not State.ARMED:
+        assert time.monotonic() < end_s, f"it does not arm: {heli.events[-3:]}"
+        heli.session.release_stop(heli.session.stops)
+        # With its drivers on, the arm of this rig floats up from its table, and stays there.
+        with contextlib.suppress(CommandRefused):
+            heli.zero()
+            heli.arm()
+        time.sleep(0.05)
+    heli.control(Axes(0), front_V=0.8, back_V=0.8)
+
+
+# What has the focus, and what is pressed then.
+WAYS = {
+    "space": ("body", "Space"),
+    "escape": ("body", "Escape"),
+    "enter on the button": ("#stop", "Enter"),
+    "space on another button": ("#land", "Space"),
+    "space on a slider": ("#set-travel", "Space"),
+    "space among words": ("#mark-text", "Space"),
+    "escape among words": ("#mark-text", "Escape"),
+    "space on a tab": ("#tab-events", "Space"),
+    "space in a number": ("#p-travel_kp", "Space"),
+    "a click": ("#stop", "click"),
+    "a finger": ("#stop", "touch"),
+    "a gamepad": ("body", "pad"),
+}
+
+
+def press(page: Page, focus: str, key: str) -> None:
+    if focus.startswith("#p-"):
+        click(page, "#tab-parameters")
+    page.focus(focus)
+    if key == "click":
+        page.click(focus)
+    elif key == "touch":
+        page.dispatch_event(focus, "pointerdown", {"pointerType": "touch"})
+    elif key == "pad":
+        page.evaluate("pad.buttons[1].pressed = true")
+        until(page, "['idle'].includes(document.querySelector('#state').textContent)")
+        page.evaluate("pad.buttons[1].pressed = false")
+    else:
+        page.keyboard.press(key)
+
+
+def test_every_way_to_stop_stops(served: Served, window: Tabs) -> None:
+    window.context.add_init_script(GAMEPAD)
+    page = window.open(served.address.page)
+    for number, (name, (focus, key)) in enumerate(WAYS.items(), 1):
+        click(page, "#tab-fly")
+        run_motors(served)
+        until_state(page, "open loop")
+        press(page, focus, key)
+        # On a machine that stalls voltages go stale before the press: the state alone proves nothing.
+        end_s = time.monotonic() + PATIENCE_S
+        while served.heli.session.stops < number:
+            assert time.monotonic() < end_s, name
+            time.sleep(0.01)
+        assert served.heli.session.stops == number, name
+        until_state(page, "idle")
+    assert page.input_value("#mark-text") == ""
+
+
+def test_who_watches_stops_from_every_tab_of_the_panel(served: Served, window: Tabs) -> None:
+    window.open(served.address.page)
+    second = window.open(served.address.page)
+    for name in TABS:
+        click(second, f"#tab-{name}")
+        run_motors(served)
+        until_state(second, "open loop")
+        second.keyboard.press("Space")
+        until_state(second, "idle")
+
+
+def test_a_plan_is_flown_from_the_page_and_the_page_holds_what_the_log_holds(
+    served: Served, window: Tabs
+) -> None:
+    page = window.open(served.address.page)
+    click(page, "text=Fly short")
+    until_state(page, "closed loop")
+    page.keyboard.press("m")
+    expect(page.locator("#said")).to_have_text("plan: completed", timeout=90_000)
+    expect(page.locator("#recording")).to_contain_text("recorded")
+    log = read_log(served.logs()[0])
+    assert "mark 1" in [event["message"] for event in log.events]
+    first, last = (int(log.ticks["tick"][place]) for place in (0, -1))
+    until(page, f"heliPage.history.latestTick >= {last}")
+    held = page.evaluate(
+        """([first, last]) => {
+          const h = heliPage.history, from = h.find(first), to = h.find(last) + 1;
+          const plain = (all) => Array.from(all.slice(from, to));
+          return [h.gaps, h.thinned, plain(h.tick), h.raw.map(plain)];
+        }""",
+        [first, last],
+    )
+    gaps, thinned, tick, raw = held
+    logged = log.ticks["tick"].tolist()
+    assert gaps == 0
+    # A computer too busy to show every tick says so, and each that it shows is still the log's.
+    assert tick == logged or (thinned > 0 and set(tick) < set(logged))
+    np.testing.assert_array_equal(np.array(raw).T, log.raw[np.searchsorted(logged, tick)])
+
+
+def test_by_hand_with_button_slider_keys_and_gamepad(served: Served, window: Tabs) -> None:
+    window.context.add_init_script(GAMEPAD)
+    page = window.open(served.address.page)
+    click(page, "#take-off")
+    expect(page.locator("#hold")).to_be_enabled()
+    until(page, "document.querySelector('#progress').textContent === ''")
+    page.fill("#set-travel", "6")
+    until(page, "Math.abs(heliPage.history.latest(5) * 57.3 - 6) < 0.2")
+    page.focus("#hold")
+    page.keyboard.press("Shift+ArrowRight")
+    until(page, "Math.abs(heliPage.history.latest(5) * 57.3 - 11) < 0.2")
+    page.keyboard.press("ArrowDown")
+    until(page, "Math.abs(heliPage.history.latest(3) * 57.3 + 1) < 0.2")
+    page.evaluate("pad.axes[1] = -1")
+    until(page, "heliPage.history.latest(3) * 57.3 > 1")
+    page.evaluate("pad.axes[1] = 0")
+    click(page, "#land")
+    until_state(page, "landing")
+    until_state(page, "idle")
+    assert served.heli.session.stops == 0
+
+
+def test_a_parameter_is_changed_in_flight_and_taken_back(served: Served, window: Tabs) -> None:
+    page = window.open(served.address.page)
+    run_motors(served)
+    until_state(page, "open loop")
+    click(page, "#tab-parameters")
+    page.fill("#filter", "travel_k")
+    page.fill("#p-travel_kp", "0.7")
+    page.keyboard.press("Enter")
+    expect(page.locator("#parameter-said")).to_contain_text("travel_kp is 0.7")
+    assert served.heli.params["travel_kp"] == 0.7
+    page.fill("#p-travel_kp", "-3")
+    page.keyboard.press("Enter")
+    expect(page.locator("#parameter-said")).to_contain_text("out of range")
+    expect(page.locator("#p-travel_kp")).to_have_value("0.7")
+    page.fill("#filter", "supply")
+    expect(page.locator("#p-supply_V")).to_be_disabled()
+    expect(page.locator("#parameter-list")).to_contain_text("only while idle")
+    expect(page.locator("#save")).to_be_disabled()
+    click(page, "#undo")
+    expect(page.locator("#undo")).to_be_disabled()
+    assert served.heli.params["travel_kp"] == pytest.approx(0.6)
+    page.keyboard.press("Escape")
+    until_state(page, "idle")
+    expect(page.locator("#p-supply_V")).to_be_enabled()
+    click(page, "#save")
+    expect(page.locator("#said")).to_contain_text("saved in the board's flash")
+
+
+def test_two_tabs_one_flies_and_hands_over_when_asked(served: Served, window: Tabs) -> None:
+    first, second = window.open(served.address.page), window.open(served.address.page)
+    expect(second.locator("#seat")).to_contain_text("You watch; page 1 flies")
+    expect(second.locator("#take-off")).to_be_disabled()
+    click(second, "text=Ask for control")
+    click(first, "text=Hand over")
+    expect(second.locator("#seat")).to_contain_text("You fly")
+    expect(first.locator("#seat")).to_contain_text("You watch")
+    expect(second.locator("#take-off")).to_be_enabled()
+
+
+@pytest.mark.parametrize("fate", ["closed", "crashed", "suspended"][: samples(3, 1)])
+def test_the_pilot_s_tab_is_lost_and_the_board_lands(served: Served, chromium: Browser, fate: str) -> None:
+    with tabs(chromium) as one, tabs(chromium) as other:
+        pilot, watcher = one.open(served.address.page), other.open(served.address.page)
+        click(pilot, "#take-off")
+        until_state(watcher, "closed loop")
+        if fate == "closed":
+            pilot.close()
+        elif fate == "crashed":
+            with pytest.raises(Exception, match="crash"):
+                pilot.goto("chrome://crash")
+        else:
+            pilot.evaluate("setTimeout(() => { const t = Date.now(); while (Date.now() - t < 9000); })")
+        until_state(watcher, "hold")
+        until_state(watcher, "landing")
+        until_state(watcher, "idle")
+        assert served.heli.session.stops == 0
+
+
+def test_a_tab_that_is_loaded_anew_keeps_its_seat(served: Served, window: Tabs) -> None:
+    page = window.open(served.address.page)
+    window.open(served.address.page)
+    page.reload()
+    expect(page.locator("#seat")).to_contain_text("You fly")
+
+
+def test_a_server_that_is_gone_is_said_large(tmp_path: Path, chromium: Browser) -> None:
+    with tabs(chromium) as opened:
+        with page_of_a_simulated_board(tmp_path) as served:
+            page = opened.open(served.address.page)
+        expect(page.locator("#alarm")).to_contain_text("Nobody answers")
+        page.keyboard.press("Space")
+        expect(page.locator("#said")).to_contain_text("use the rig's own stop switch")
+
+
+def test_strips_pause_zoom_and_go_on(served: Served, window: Tabs) -> None:
+    page = window.open(served.address.page)
+    until(page, "heliPage.history.end > 2000")
+    box = page.locator("#strips .u-over").first.bounding_box()
+    assert box is not None
+    x, y = box["x"], box["y"] + box["height"] / 2
+    page.mouse.move(x + box["width"] * 0.9, y)
+    expect(page.locator("#strips .u-legend").first).to_contain_text(re.compile(r"\d\.\d{3} s"))
+    page.mouse.down()
+    page.mouse.move(x + box["width"] * 0.98, y, steps=4)
+    page.mouse.up()
+    expect(page.locator("#pause")).to_have_text("Go on")
+    from_s, to_s = page.evaluate("heliPage.strips.range()")
+    assert to_s - from_s == pytest.approx(0.08 * 20, rel=0.1)
+    page.wait_for_timeout(300)
+    assert page.evaluate("heliPage.strips.range()") == [from_s, to_s]
+    page.mouse.wheel(0, 300)
+    until(page, f"heliPage.strips.range()[1] - heliPage.strips.range()[0] > {to_s - from_s}")
+    click(page, "#pause")
+    click(page, "text=5 min")
+    low, high = page.evaluate("heliPage.strips.range()")
+    assert high - low == pytest.approx(300.0)
+
+
+@pytest.mark.parametrize("size", [WIDE, TABLET], ids=["wide", "tablet"])
+def test_everything_has_its_place_and_axe_finds_nothing_serious(
+    served: Served, chromium: Browser, size: tuple[int, int], tmp_path: Path
+) -> None:
+    with tabs(chromium, size) as opened:
+        page, axe = opened.open(served.address.page), Axe()
+        for name in TABS:
+            click(page, f"#tab-{name}")
+            page.wait_for_timeout(200)
+            # What axe finds goes by the page's text and colours, which are the same at every size.
+            if size == WIDE or name == TABS[0] or LONG:
+                found = axe.run(page).response["violations"]
+                serious = [one for one in found if one["impact"] in ("serious", "critical")]
+                assert not serious, [(one["id"], [node["html"] for node in one["nodes"]]) for one in serious]
+            box = page.locator("#stop").bounding_box()
+            assert box is not None
+            assert box["x"] >= 0
+            assert box["x"] + box["width"] <= size[0]
+            assert box["y"] + box["height"] <= size[1]
+            assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+        bottoms = page.evaluate(
+            """['#strips .uplot:last-child', '#plots'].map((one) =>
+                 document.querySelector(one).getBoundingClientRect().bottom)"""
+        )
+        assert bottoms[0] <= bottoms[1]
+        page.screenshot(path=tmp_path / "page.png")
+        assert not opened.wrong
+
+
+def test_the_keyboard_alone_flies(served: Served, window: Tabs) -> None:
+    page = window.open(served.address.page)
+
+    def reach(selector: str) -> None:
+        for _ in range(60):
+            if page.evaluate(f"document.activeElement.matches({selector!r})"):
+                return
+            page.keyboard.press("Tab")
+        raise AssertionError(f"{selector} is not reached")
+
+    reach("#take-off")
+    page.keyboard.press("Enter")
+    until_state(page, "closed loop")
+    until(page, "document.querySelector('#progress').textContent === ''")
+    reach("#set-travel")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowRight")
+    until(page, "Math.abs(heliPage.history.latest(5) * 57.3 - 1) < 0.1")
+    reach("#record")
+    page.keyboard.press("Enter")
+    expect(page.locator("#record")).to_have_text("Stop recording")
+    reach("#mark-text")
+    page.keyboard.type("windy")
+    page.keyboard.press("Enter")
+    reach("#record")
+    page.keyboard.press("Enter")
+    expect(page.locator("#record")).to_have_text("Record")
+    reach("[role=tab][aria-selected=true]")
+    page.keyboard.press("ArrowRight")
+    reach("#p-travel_kp")
+    page.keyboard.press("Space")
+    until_state(page, "idle")
+    assert "windy" in [event["message"] for event in read_log(served.logs()[0]).events]

@@ -1,0 +1,95 @@
+"""Every reader of a tape gets every row while it keeps up, and the newest ones always."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from heli_host.errors import LinkError
+from heli_host.link.telemetry import CHANNEL_COUNT
+from heli_host.page.tape import Cut, Tape
+from heli_host.page.wire import RESET, THINNED, pack, unpack
+from hypothesis import given
+from hypothesis import strategies as st
+
+
+def rows(first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    tick = np.arange(first, first + count, dtype=np.int64)
+    raw = (tick[:, None] * (1 + np.arange(CHANNEL_COUNT))).astype(np.int32)
+    return tick, raw
+
+
+def check_rows(cut: Cut) -> None:
+    np.testing.assert_array_equal(
+        cut.raw, (cut.tick[:, None] * (1 + np.arange(CHANNEL_COUNT))).astype(np.int32)
+    )
+
+
+@given(st.lists(st.integers(0, 40), max_size=20), st.lists(st.booleans(), min_size=20, max_size=20))
+def test_a_reader_that_keeps_up_gets_each_row_once(counts: list[int], reads: list[bool]) -> None:
+    tape, position, written, got = Tape(1000), 0, 0, []
+    for count, read in zip(counts, reads, strict=False):
+        tape.append(*rows(written, count))
+        written += count
+        if read:
+            cut = tape.cut(position, 1000)
+            position = cut.end
+            got += cut.tick.tolist()
+            assert not cut.reset
+            assert not cut.thinned
+            check_rows(cut)
+    got += tape.cut(position, 1000).tick.tolist()
+    assert got == list(range(written))
+
+
+@given(st.integers(1, 500), st.integers(1, 60))
+def test_a_reader_that_fell_behind_gets_some_rows_and_the_newest(written: int, most: int) -> None:
+    tape = Tape(100)
+    for first in range(0, written, 7):
+        tape.append(*rows(first, min(7, written - first)))
+    cut = tape.cut(0, most)
+    assert 0 < len(cut.tick) <= most
+    assert cut.tick[-1] == written - 1
+    assert cut.reset == (written > 100)
+    assert cut.thinned == (
+        len(set(np.diff(cut.tick).tolist()) - {1}) > 0 or (len(cut.tick) == 1 < min(written, 100))
+    )
+    check_rows(cut)
+
+
+def test_more_than_fits_keeps_the_newest() -> None:
+    tape = Tape(10)
+    tape.append(*rows(0, 25))
+    cut = tape.cut(0, 100)
+    assert cut.tick.tolist() == list(range(15, 25))
+    assert tape.end == 25
+    check_rows(cut)
+
+
+def test_what_was_cleared_is_not_read_and_the_reader_is_told() -> None:
+    tape = Tape(100)
+    tape.append(*rows(0, 20))
+    tape.clear()
+    tape.append(*rows(5, 3))
+    cut = tape.cut(10, 100)
+    assert cut.tick.tolist() == [5, 6, 7]
+    assert cut.reset
+
+
+@given(st.integers(0, 2**40), st.integers(0, 50), st.booleans(), st.booleans())
+def test_a_frame_holds_what_was_packed(first: int, count: int, reset: bool, thinned: bool) -> None:
+    tick = np.arange(first, first + count, dtype=np.int64)
+    raw = np.random.default_rng(1).integers(-(2**31), 2**31, (count, CHANNEL_COUNT)).astype(np.int32)
+    got = unpack(pack(Cut(tick, raw, count, reset, thinned), 7))
+    assert got.tick.tolist() == tick.tolist()
+    np.testing.assert_array_equal(got.raw, raw)
+    assert got.number == 7
+    assert got.flags == RESET * reset + THINNED * thinned
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda b: b[:-1], lambda b: b[:10], lambda b: b"\2" + b[1:], lambda b: b + b"\0"]
+)
+def test_what_is_no_frame_is_told_apart(damage: object) -> None:
+    assert callable(damage)
+    with pytest.raises(LinkError):
+        unpack(damage(pack(Cut(*rows(3, 4), 4, False, False), 1)))

@@ -1,0 +1,90 @@
+"""With what Windows lacks hidden, a board is flown over TCP, and errors say what to do."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from heli_host.cli import modem_manager
+from heli_host.cli.board import ARDUINO_VID
+
+ROOT = Path(__file__).resolve().parents[2]
+WITHOUT = Path(__file__).parent / "without"
+
+HELI_HOST = "import sys; from heli_host.cli import main; sys.exit(main())"
+FLIES_OVER_TCP = """
+import heli_host
+with heli_host.connect("sil://?process=1&speed=max") as heli:
+    assert heli.session.transport.url.startswith("socket://127.0.0.1:"), heli.session.transport.url
+    assert not heli.session.lockstep
+    heli.take_off(elevation_deg=0.0)
+    sample = heli.wait_until(lambda now: abs(now.elevation_deg) < 2.0, 20.0)
+    assert "rig makki2024" in repr(heli), repr(heli)
+    heli.land()
+print(sample.elevation_deg)
+"""
+
+
+def run(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(WITHOUT), "PYTHONDONTWRITEBYTECODE": "1"}
+    return subprocess.run(
+        [sys.executable, *words], cwd=cwd, env=environment, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.medium
+def test_the_modules_are_hidden() -> None:
+    script = (
+        "import os, signal\n"
+        "for name in ('termios', 'tty', 'pty', 'fcntl'):\n"
+        "    try: __import__(name)\n"
+        "    except ImportError: pass\n"
+        "    else: raise SystemExit(name)\n"
+        "assert not hasattr(os, 'openpty') and not hasattr(signal, 'SIGHUP')\n"
+    )
+    done = run("-c", script)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+def test_a_board_in_a_process_of_its_own_is_flown_over_tcp() -> None:
+    done = run("-c", FLIES_OVER_TCP)
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+@pytest.mark.slow
+def test_the_command_line_flies_in_process_and_reads_its_log(tmp_path: Path) -> None:
+    flown = run("-c", HELI_HOST, "fly", "hover", "--sil", "--speed", "max", "--log", "a.mcap", cwd=tmp_path)
+    assert flown.returncode == 0, flown.stderr[-2000:]
+    assert "completed" in run("-c", HELI_HOST, "info", "a.mcap", cwd=tmp_path).stdout
+
+
+@pytest.mark.medium
+def test_a_pseudo_terminal_is_refused_with_the_other_way(tmp_path: Path) -> None:
+    done = run("-c", HELI_HOST, "sil", "--pty", "due", cwd=tmp_path)
+    assert done.returncode != 0 and "Traceback" not in done.stderr
+    assert "no pseudo-terminals" in done.stderr and "--tcp 127.0.0.1:5000" in done.stderr
+
+
+def test_the_udev_file_is_for_the_board_and_keeps_modem_manager_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (ROOT / "docs" / "99-heli.rules").read_text()
+    rules = [line for line in text.splitlines() if line and not line.startswith("#")]
+    assert all(f'ATTRS{{idVendor}}=="{ARDUINO_VID:04x}"' in rule for rule in rules)
+    monkeypatch.setattr(modem_manager, "UDEV_FOLDERS", (ROOT / "docs",))
+    assert modem_manager._udev_ignores_arduino()
+    assert sum('GROUP="dialout"' in rule for rule in rules) == 2
+
+
+def test_wheels_are_configured_for_every_python_that_the_project_takes() -> None:
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        project = tomllib.load(file)
+    wheels = project["tool"]["cibuildwheel"]
+    oldest = re.fullmatch(r">=3\.(\d+)", project["project"]["requires-python"])
+    assert oldest is not None and f"cp3{oldest[1]}-*" in wheels["build"]
+    assert any("fly hover --sil" in command for command in wheels["test-command"])
+    assert wheels["windows"]["environment"]["CXX"] == "clang++"

@@ -1,0 +1,87 @@
+"""Flights of one rig in weather, and its numbers from some of them together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from heli_host.flight import Flight
+from heli_lab.identify import Record, prepare
+from heli_lab.innovations import ModelFunctions, Unknowns, estimate, follow
+from heli_lab.pool.machine import Estimate, by_flights_alone
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import parse_effects
+from heli_sim.rig import Rig, load_rig
+
+from tests.identify import made
+from tests.identify.made import flown, perturbed, thinned
+from tests.running.kept import FLOWN, KEPT
+
+SECONDS = 14.0
+GUST_Nm = {"elevation": 0.012, "pitch": 0.004, "travel": 0.008}
+MADE_BY = (Path(__file__), Path(made.__file__))
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """Numbers of a rig from some flights together.
+
+    Parameters
+    ----------
+    off : dict of float
+        By name, estimate minus truth in standard errors.
+    alone : dict of Estimate
+        By name, what the flights alone say, where they say more than the rig's file.
+    """
+
+    off: dict[str, float]
+    alone: dict[str, Estimate]
+
+
+def true_rig(rig: int) -> tuple[Rig, float]:
+    """Numbers of a rig, drawn from what the file says of them, and the lag of its rotors in s."""
+    return perturbed(rig), float(np.random.default_rng([rig, 8]).uniform(0.04, 0.12))
+
+
+def _flown(rig: int, seed: int) -> Flight:
+    true, lag_s = true_rig(rig)
+    gusts = [f"random_torque.{axis}={size}" for axis, size in GUST_Nm.items()]
+    model = MultibodyModel(parse_effects([f"rotor_lag={lag_s}", *gusts]))
+    return thinned(flown(true, 1000 * rig + seed, SECONDS, model), 4)
+
+
+@cache
+def record(rig: int, seed: int) -> Record:
+    name = f"pooled {rig} {seed} {SECONDS} {GUST_Nm}"
+    flight = KEPT(name, lambda: _flown(rig, seed), made_by=MADE_BY, rooms=FLOWN)
+    return prepare(flight, load_rig("makki2024"), f"flight {seed}")
+
+
+@cache
+def pooled(rig: int, count: int) -> Pooled:
+    """Estimate a rig's numbers from its first flights together."""
+    nominal, (true, lag_s) = load_rig("makki2024"), true_rig(rig)
+    records = [record(rig, seed) for seed in range(count)]
+    model = MultibodyModel(parse_effects(["rotor_lag=0.06"]))
+    unknowns = Unknowns(model, nominal, records)
+    functions = ModelFunctions(model, unknowns.quantities)
+    courses, theta, weather = [follow(one) for one in records], unknowns.start, None
+    for _ in range(2):
+        found = estimate(unknowns, courses, functions, theta, weather)
+        theta, weather = found.theta, found.weather
+        courses = found.filtered().followed(weather)
+    std = np.sqrt(np.diag(found.covariance))
+    truth = {**{name: number.value for name, number in true.items()}, "rotor_lag_s": lag_s}
+    shared = [(i, one) for i, one in enumerate(unknowns.free) if one.record is None]
+    alone = {
+        one.name: by_flights_alone(
+            float(theta[i]), float(std[i]), Estimate(one.prior.mean, one.prior.std, one.unit)
+        )
+        for i, one in shared
+    }
+    return Pooled(
+        {one.name: float((theta[i] - truth[one.quantity]) / std[i]) for i, one in shared},
+        {name: one for name, one in alone.items() if one is not None},
+    )

@@ -1,0 +1,155 @@
+"""Diagnoses are read, pooled, and made into what a new machine begins with."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from heli_lab.errors import PoolError
+from heli_lab.pool import Make, pool, read_machine
+from heli_lab.pool.machine import Estimate, by_flights_alone
+from heli_sim.model.effects import effects_of
+from heli_sim.rig import load_rig, write_rig
+
+RIG = load_rig("makki2024")
+
+
+def number(value: float, std: float, mean: float, prior_std: float, unit: str) -> dict[str, Any]:
+    return {"value": value, "std": std, "prior": {"value": mean, "std": prior_std}, "unit": unit}
+
+
+def diagnosis(gain: float, lag_s: float | None, hidden: tuple[str, ...] = ()) -> dict[str, Any]:
+    """What a machine's flights say, of the prior of the rig's file and a measurement of 2 % of the gain."""
+    was = RIG["thrust_gain"]
+    before, flights = 0.5 * was.tolerance, 0.02 * was.value
+    precision = before**-2.0 + flights**-2.0
+    value = (was.value * before**-2.0 + gain * flights**-2.0) / precision
+    heavy = RIG["M_f"].tolerance
+    numbers = {
+        "thrust_gain": number(value, precision**-0.5, was.value, before, was.unit),
+        "M_f": number(RIG["M_f"].value, 0.4999 * heavy, RIG["M_f"].value, 0.5 * heavy, "kg"),
+    }
+    causes = []
+    if lag_s is not None:
+        numbers["rotor_lag_s"] = number(lag_s, 0.002, 0.05, 0.1, "s")
+        causes = [
+            {"effect": "rotor_lag", "confidence": 0.97},
+            {"effect": "backlash.pitch", "confidence": 0.5},
+        ]
+    return {
+        "causes": causes,
+        "undetectable": list(hidden),
+        "rig": {"name": "makki2024", "model": "multibody", "numbers": numbers},
+    }
+
+
+def make(folder: Path, *machines: dict[str, Any]) -> Make:
+    paths = [folder / f"machine{n}.json" for n in range(len(machines))]
+    for path, content in zip(paths, machines, strict=True):
+        path.write_text(json.dumps(content))
+    return pool([read_machine(path) for path in paths])
+
+
+def test_the_prior_is_taken_out_of_what_machines_share(tmp_path: Path) -> None:
+    gains = [1.05 * RIG["thrust_gain"].value, 1.09 * RIG["thrust_gain"].value]
+    made = make(tmp_path, *(diagnosis(gain, None) for gain in gains))
+    for machine, gain in zip(made.machines, gains, strict=True):
+        assert machine.numbers["thrust_gain"].value == pytest.approx(gain)
+        assert machine.numbers["thrust_gain"].std == pytest.approx(0.02 * RIG["thrust_gain"].value)
+    assert made.numbers["thrust_gain"].mean == pytest.approx(np.mean(gains))
+
+
+def test_a_number_that_flights_tell_nothing_of_has_no_say() -> None:
+    prior = Estimate(1.0, 0.1, "1")
+    assert by_flights_alone(1.0, 0.0999, prior) is None
+    assert by_flights_alone(1.01, 0.05, prior) is not None
+
+
+def test_a_cause_is_counted_among_the_machines_that_would_show_it(tmp_path: Path) -> None:
+    gain = RIG["thrust_gain"].value
+    blind = diagnosis(gain, None, hidden=("rotor_lag",))
+    made = make(tmp_path, *(diagnosis(gain, lag) for lag in (0.08, 0.09, 0.1)), diagnosis(gain, None), blind)
+    counted = made.causes["rotor_lag"]
+    assert (counted.found, counted.seen) == (3, 4)
+    assert counted.interval == pytest.approx((0.1941, 0.9937), abs=1e-4)
+    # What was named without being sure counts as seen and not found.
+    assert made.causes["backlash.pitch"].found == 0
+    assert next(iter(made.causes)) == "rotor_lag"
+
+
+def test_the_next_machine_is_expected_where_the_others_are(tmp_path: Path) -> None:
+    was = RIG["thrust_gain"]
+    gains = [1.2 * was.value * (1.0 + 0.01 * z) for z in (-1.0, 0.0, 1.0, 0.5, -0.5)]
+    made = make(tmp_path, *(diagnosis(gain, 0.09 + 0.001 * n) for n, gain in enumerate(gains)))
+    prior = made.prior(RIG, "make")
+    assert prior["thrust_gain"].value == pytest.approx(1.2 * was.value, rel=0.02)
+    assert prior["thrust_gain"].tolerance < 0.6 * was.tolerance
+    assert prior["M_f"] == RIG["M_f"], "no flight told anything of it"
+    assert "before:" in prior["thrust_gain"].source
+    lag = prior.effects["rotor_lag"]["s"]
+    assert lag.value == pytest.approx(0.092, abs=0.004)
+    assert "backlash.pitch" not in prior.effects
+    path = tmp_path / "make.toml"
+    write_rig(prior, path)
+    (effect,) = effects_of(load_rig(path))
+    assert effect.priors["rotor_lag_s"].mean == pytest.approx(lag.value, rel=1e-6)
+    assert effect.priors["rotor_lag_s"].std == pytest.approx(0.5 * lag.tolerance, rel=1e-6)
+
+
+def test_one_machine_says_less_of_the_next_than_several_alike(tmp_path: Path) -> None:
+    gain = 1.1 * RIG["thrust_gain"].value
+    tolerances = [
+        make(tmp_path, *(diagnosis(gain, None) for _ in range(count)))
+        .prior(RIG, "make")["thrust_gain"]
+        .tolerance
+        for count in (1, 2, 5)
+    ]
+    assert tolerances[0] > 1.2 * tolerances[1] > 1.4 * tolerances[2]
+    assert tolerances[0] < RIG["thrust_gain"].tolerance
+
+
+def test_a_make_whose_machines_differ_is_expected_to_differ(tmp_path: Path) -> None:
+    """The next machine lies within two standard deviations of what is expected, as often as that says."""
+    random = np.random.default_rng(1)
+    was, held = RIG["thrust_gain"], 0
+    spread = 0.3 * 0.5 * was.tolerance
+    for _ in range(60):
+        gains = 1.1 * was.value + spread * random.standard_normal(5)
+        seen = gains[:4] + 0.02 * was.value * random.standard_normal(4)
+        prior = make(tmp_path, *(diagnosis(float(gain), None) for gain in seen)).prior(RIG, "m")[
+            "thrust_gain"
+        ]
+        held += abs(gains[4] - prior.value) < prior.tolerance
+    assert held / 60 > 0.88
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is no JSON"),
+        ("[]", "is no diagnosis"),
+        ("{}", "is no diagnosis"),
+        ('{"rig": null, "causes": [], "undetectable": []}', "is no diagnosis"),
+    ],
+)
+def test_what_is_no_diagnosis_is_refused_in_a_line(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "x.json"
+    path.write_text(text)
+    with pytest.raises(PoolError, match=said) as caught:
+        read_machine(path)
+    assert "x.json" in str(caught.value)
+
+
+def test_machines_of_two_makes_and_of_one_name_are_refused(tmp_path: Path) -> None:
+    one, other = diagnosis(1.0, None), diagnosis(1.0, None)
+    other["rig"]["name"] = "quanser-course"
+    with pytest.raises(PoolError, match="not of one make: machine0: rig makki2024"):
+        make(tmp_path, one, other)
+    machine = make(tmp_path, one).machines[0]
+    with pytest.raises(PoolError, match="two diagnoses are called machine0"):
+        pool([machine, machine])
+    with pytest.raises(PoolError, match="no diagnosis to pool"):
+        pool([])

@@ -1,0 +1,70 @@
+"""DerSimonian and Laird's estimate against another implementation, and against what it promises."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from heli_lab.pool import der_simonian_laird, share
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from statsmodels.stats.meta_analysis import combine_effects
+
+MEASURED = st.tuples(st.floats(-10.0, 10.0), st.floats(0.05, 5.0))
+
+
+@given(st.lists(MEASURED, min_size=2, max_size=12))
+@settings(max_examples=25, deadline=None)
+@pytest.mark.medium
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_it_is_what_statsmodels_has(measured: list[tuple[float, float]]) -> None:
+    values, stds = (np.array(one) for one in zip(*measured, strict=True))
+    ours = der_simonian_laird(values.tolist(), stds.tolist())
+    theirs = combine_effects(values, stds**2, method_re="dl", use_t=True)
+    assert ours.tau**2 == pytest.approx(max(0.0, theirs.tau2), abs=1e-9)
+    assert ours.q == pytest.approx(theirs.q, rel=1e-9, abs=1e-12)
+    # Scatter below what the errors say is no variance below 0: they leave that to the reader.
+    kind = "random effect" if theirs.tau2 > 0.0 else "fixed effect"
+    row = theirs.summary_frame().loc[kind]
+    assert ours.mean == pytest.approx(row["eff"], abs=1e-9)
+    assert ours.std == pytest.approx(row["sd_eff"], rel=1e-9)
+    # Theirs of Hartung and Knapp may be narrower than the errors allow.
+    scaled = theirs.summary_frame().loc[f"{kind} wls"]
+    wider = scaled if scaled["sd_eff"] > row["sd_eff"] else row
+    assert ours.interval == pytest.approx((wider["ci_low"], wider["ci_upp"]), abs=1e-6)
+
+
+def test_the_intervals_hold_the_make_and_the_next_machine() -> None:
+    random = np.random.default_rng(3)
+    held_mean = held_next = 0
+    for _ in range(400):
+        stds = random.uniform(0.5, 1.5, 12)
+        machines = random.normal(5.0, 1.0, 13)
+        seen = machines[:12] + stds * random.standard_normal(12)
+        found = der_simonian_laird(seen.tolist(), stds.tolist())
+        assert found.prediction is not None
+        held_mean += found.interval[0] < 5.0 < found.interval[1]
+        held_next += found.prediction[0] < machines[12] < found.prediction[1]
+    assert 0.92 < held_mean / 400 < 0.98
+    # A make whose machines differ as much as they are measured badly: its tau is hard to tell.
+    assert 0.84 < held_next / 400 < 0.99
+
+
+def test_one_machine_is_itself_and_machines_that_agree_differ_by_nothing() -> None:
+    alone = der_simonian_laird([3.0], [0.2])
+    assert (alone.mean, alone.std, alone.tau, alone.prediction) == (3.0, pytest.approx(0.2), 0.0, None)
+    same = der_simonian_laird([3.0, 3.0, 3.0], [0.3, 0.3, 0.3])
+    assert (same.tau, same.i2) == (0.0, 0.0)
+    assert same.std == pytest.approx(0.3 / math.sqrt(3.0))
+
+
+@pytest.mark.parametrize(
+    ("found", "seen", "low", "high"),
+    # Table values of the exact interval: all of n has the lower end 0.025^(1/n).
+    [(5, 5, 0.025**0.2, 1.0), (0, 5, 0.0, 1.0 - 0.025**0.2), (1, 2, 0.01258, 0.98742)],
+)
+def test_a_share_has_its_exact_interval(found: int, seen: int, low: float, high: float) -> None:
+    counted = share(found, seen)
+    assert counted.interval == pytest.approx((low, high), abs=1e-4)
+    assert counted.share == found / seen

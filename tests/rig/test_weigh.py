@@ -1,0 +1,139 @@
+"""Bench tests of a rig that MuJoCo swings, read as a person reads them, find the numbers that were hidden."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from heli_sim.bench.table import TEMPLATE, bench_tests_from
+from heli_sim.bench.weigh import weigh
+from heli_sim.errors import RigError
+from heli_sim.rig import Rig, load_rig
+
+from tests.cli.terminal import Terminal, refusal, terminal
+from tests.mujoco_rig import mujoco_rig
+
+__all__ = ["terminal"]
+
+pytestmark = pytest.mark.medium
+
+mujoco = pytest.importorskip("mujoco")
+HIDDEN = {"M_w": 1.571, "friction_pitch": 0.012, "L_phi": 0.032, "thrust_gain": 0.66, "dead_zone": 0.93}
+
+
+def truth() -> Rig:
+    return load_rig("makki2024").replace(**HIDDEN)
+
+
+def swung(rig: Rig, from_deg: float, swings: int) -> tuple[float, float]:
+    """Let pitch go in MuJoCo, elevation and travel held: time of so many swings, and the amplitude then."""
+    model = mujoco_rig(rig)
+    data = mujoco.MjData(model)
+    data.joint("pitch").qpos[0] = np.deg2rad(from_deg)
+    angles = []
+    for _ in range(30_000):
+        for held in ("elevation", "travel"):
+            data.joint(held).qpos[0] = data.joint(held).qvel[0] = 0.0
+        mujoco.mj_step(model, data)
+        angles.append(float(np.rad2deg(data.joint("pitch").qpos[0])))
+    seen = np.array(angles)
+    tops = np.flatnonzero((seen[1:-1] > seen[:-2]) & (seen[1:-1] >= seen[2:])) + 1
+    return float(tops[swings - 1]) * 1e-3, float(seen[tops[swings - 1]])
+
+
+def balanced_deg(rig: Rig) -> float:
+    """Where the arm stays in MuJoCo, its fall much braked."""
+    model = mujoco_rig(rig.replace(friction_elevation=2.0))
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 40_000)
+    return float(np.rad2deg(data.joint("elevation").qpos[0]))
+
+
+def bench(rig: Rig) -> dict[str, Any]:
+    volts = [2.0, 3.0, 4.5]
+    grams = [round(1e3 * rig["thrust_gain"].value * (v - rig["dead_zone"].value) / 9.81) for v in volts]
+    seconds, to_deg = swung(rig, 10.0, 3)
+    return {
+        "thrust": {"volts_V": volts, "front_g": grams, "back_g": grams},
+        "balance": {"elevation_deg": round(balanced_deg(rig), 1)},
+        "swing": [
+            {
+                "axis": "pitch",
+                "swings": 3,
+                "seconds": round(seconds, 1),
+                "from_deg": 10.0,
+                "to_deg": round(to_deg, 1),
+            }
+        ],
+    }
+
+
+def test_numbers_that_were_hidden_are_found_within_their_tolerances() -> None:
+    known = load_rig("makki2024")
+    weighed = weigh(known, *bench_tests_from(bench(truth())))
+    assert {"thrust_gain", "dead_zone", "friction_pitch"} <= set(weighed.found)
+    for name in weighed.found:
+        number = weighed.rig[name]
+        assert abs(number.value - truth()[name].value) <= 1.3 * number.tolerance, name
+        assert number.tolerance < known[name].tolerance
+        assert "bench" in number.source
+    assert weighed.rig["thrust_gain"].tolerance < 0.02
+    # What the tests tell together they tell better than any number by itself.
+    assert all(one.off < 0.5 for one in weighed.tested if "thrust" not in one.what)
+    before = {one.what: abs(one.before - one.read) / one.tolerance for one in weighed.tested}
+    assert before["elevation of balance"] > 1.0 and before["decrement of pitch"] > 1.0
+
+
+def test_reading_that_no_such_rig_gives_is_said(terminal: Terminal) -> None:
+    table = TEMPLATE.replace("seconds = 13.2", "seconds = 60.0")
+    Path("bench.toml").write_text(table)
+    Path("good.toml").write_text(TEMPLATE)
+    ended = terminal("rig", "weigh", "makki2024", "bench.toml", "--out", "new.toml")
+    assert ended.code == 0, ended
+    # A pendulum of 12 s hangs from its own middle: lengths and masses would have to be far from stated.
+    assert "tolerances off: a wrong reading" in ended.out
+    assert "tolerances off" not in terminal("rig", "weigh", "makki2024", "good.toml").out
+    assert load_rig("new.toml").name == "new"
+
+
+def test_template_is_a_table_that_is_read(terminal: Terminal) -> None:
+    assert terminal("rig", "weigh", "makki2024", "--template", "bench.toml").code == 0
+    told = json.loads(terminal("rig", "weigh", "makki2024", "bench.toml", "--json").out)
+    assert told["numbers"]["thrust_gain"]["unit"] == "N/V"
+    assert {one["what"] for one in told["tests"]} >= {"elevation of balance", "5 swings of pitch"}
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("", "no bench test"),
+        ("[trust]\n", "no [trust]"),
+        ("thrust = 3", "is no table"),
+        ("[thrust]\nvolts_V = [1, 2]\n", "needs volts_V"),
+        ("[thrust]\nvolts_V = [1, 2]\nfront_g = [1]\n", "same length"),
+        ("[thrust]\nvolts_V = [1, 2]\nfront_g = [0, 0]\n", "make no line"),
+        ("[thrust]\nvolts_V = ['a']\nfront_g = [1]\n", "no list of numbers"),
+        ("[balance]\n", "lacks elevation_deg"),
+        ("[balance]\nelevation_deg = true\n", "is no number"),
+        ("[balance]\nelevation_deg = nan\n", "is no number"),
+        ("[balance]\nelevation_deg = -20\ntolerance_deg = 0\n", "more than 0"),
+        ("[[swing]]\naxis = 'travel'\n", "travel has no rest"),
+        ("[[swing]]\naxis = 'pitch'\nswings = 2\nseconds = 5\nfrom_deg = 3\nto_deg = 4\n", "grows"),
+        ("[swing]\naxis = 'pitch'\n", "must be a list"),
+        ("[balance", "is not TOML"),
+    ],
+)
+def test_tests_that_cannot_be_are_refused_in_one_line(terminal: Terminal, table: str, said: str) -> None:
+    Path("bench.toml").write_text(table)
+    assert said in refusal(terminal("rig", "weigh", "makki2024", "bench.toml"), code=2)
+
+
+def test_arm_that_does_not_balance_is_said() -> None:
+    with pytest.raises(RigError, match="does not balance"):
+        weigh(
+            load_rig("makki2024").replace(L_theta=-0.03, L_phi=0.01),
+            *bench_tests_from({"balance": {"elevation_deg": -20.0}}),
+        )

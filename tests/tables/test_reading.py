@@ -1,0 +1,188 @@
+"""Every kind of file gives the same columns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from heli_host.errors import FlightDataError
+from heli_host.tables import Table, read_table
+from heli_host.tables.units import split_unit
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+T_S = np.arange(200) * 0.01
+X = np.round(np.sin(T_S) * 7.0, 4)
+Y = np.round(np.cos(3.0 * T_S) - 2.5, 4)
+
+
+def same(table: Table, x: str = "x", y: str = "y") -> None:
+    assert table.columns[x].values == pytest.approx(X)
+    assert table.columns[y].values == pytest.approx(Y)
+
+
+def rows(separator: str, decimal: str) -> str:
+    made = [separator.join(f"{one:.4f}" for one in row) for row in zip(T_S, X, Y, strict=True)]
+    return "\n".join(made).replace(".", decimal)
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize(
+    ("separator", "decimal"),
+    [(",", "."), (";", "."), (";", ","), ("\t", ","), ("\t", "."), (" ", "."), ("|", ",")],
+)
+def test_dialects_of_text(separator: str, decimal: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(f"# made by hand\nt{separator}x{separator}y\n{rows(separator, decimal)}\n")
+    table = read_table(path)
+    same(table)
+    assert table.notes == "made by hand"
+
+
+def test_text_without_names_and_with_a_separator_at_each_end(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text(rows(";", ".").replace("\n", ";\n") + ";\n")
+    table = read_table(path)
+    same(table, "column 2", "column 3")
+    assert not table.named
+
+
+def test_a_row_of_units_and_a_title(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("Measurement 7\nt,x,y\n[ms],[deg],[V]\n" + rows(",", "."))
+    table = read_table(path)
+    same(table)
+    assert [one.unit for one in table.columns.values()] == ["ms", "deg", "V"]
+
+
+def test_utf16_as_spreadsheets_save_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(("t\tx\ty\n" + rows("\t", ".")).encode("utf-16"))
+    same(read_table(path))
+
+
+@pytest.mark.parametrize(
+    ("name", "split"),
+    [
+        ("pitch [deg]", ("pitch", "deg")),
+        ("pitch (rad)", ("pitch", "rad")),
+        ("travel / deg", ("travel", "deg")),
+        ("elevation_counts", ("elevation", "count")),
+        ("t_ms", ("t", "ms")),
+        ("t_s", ("t", "s")),
+        ("V_s", ("V_s", "")),
+        ("front_V", ("front", "V")),
+        ("pitch_v", ("pitch_v", "")),
+        ("Vinkel °", ("Vinkel", "deg")),
+        ("pitch", ("pitch", "")),
+    ],
+)
+def test_units_in_names(name: str, split: tuple[str, str]) -> None:
+    assert split_unit(name) == split
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("lying", [False, True])
+def test_a_matrix_of_matlab_in_rows_or_columns(lying: bool, tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    matrix = np.column_stack((T_S, X, Y))
+    savemat(tmp_path / "a.mat", {"ans": matrix.T if lying else matrix})
+    table = read_table(tmp_path / "a.mat")
+    same(table, "ans[2]", "ans[3]")
+
+
+@pytest.mark.medium
+def test_simulinks_structure_with_time(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    signals = np.array([(X[:, None], "x"), (Y[:, None], "y")], dtype=[("values", object), ("label", object)])
+    savemat(tmp_path / "a.mat", {"log": {"time": T_S[:, None], "signals": signals}})
+    table = read_table(tmp_path / "a.mat")
+    same(table)
+    assert table.columns["x"].t_s == pytest.approx(T_S)
+
+
+@pytest.mark.medium
+def test_a_time_series_as_its_fields(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    series = {
+        "Name": "x",
+        "Data_": X[:, None],
+        "TimeInfo": {"Start": 0.0, "Increment": 0.01, "Length": 200.0},
+    }
+    savemat(tmp_path / "a.mat", {"x": series})
+    column = read_table(tmp_path / "a.mat").columns["x"]
+    assert column.values == pytest.approx(X)
+    assert column.t_s == pytest.approx(T_S)
+
+
+@pytest.mark.medium
+def test_matlab_7_3(tmp_path: Path) -> None:
+    import matio
+
+    matio.save_to_mat(str(tmp_path / "a.mat"), {"t": T_S, "x": X, "y": Y}, version="v7.3")
+    same(read_table(tmp_path / "a.mat"))
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("suffix", ["parquet", "xlsx"])
+def test_parquet_and_excel(suffix: str, tmp_path: Path) -> None:
+    import pandas
+
+    frame = pandas.DataFrame({"t": T_S, "x": X, "y": Y})
+    path = tmp_path / f"a.{suffix}"
+    if suffix == "parquet":
+        frame.to_parquet(path)
+    else:
+        frame.to_excel(path, index=False)
+    same(read_table(path))
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_bags_of_ros_2(storage: str, tmp_path: Path) -> None:
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    made: Any = store.types["std_msgs/msg/Float64MultiArray"]
+    layout: Any = store.types["std_msgs/msg/MultiArrayLayout"]
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin[storage.upper()]) as writer:
+        connection = writer.add_connection("/heli", made.__msgtype__, typestore=store)
+        for t_s, x, y in zip(T_S, X, Y, strict=True):
+            message = made(layout(dim=[], data_offset=0), np.array([x, y]))
+            writer.write(connection, round(t_s * 1e9), store.serialize_cdr(message, made.__msgtype__))
+    table = read_table(tmp_path / "bag")
+    same(table, "heli.data[0]", "heli.data[1]")
+    assert table.columns["heli.data[0]"].t_s == pytest.approx(T_S)
+    (file,) = (tmp_path / "bag").glob("*.mcap" if storage == "mcap" else "*.db3")
+    same(read_table(file), "heli.data[0]", "heli.data[1]")
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("suffix", ["mat", "parquet", "xlsx", "mcap", "csv", "docx", "db3", "bag"])
+@pytest.mark.parametrize("content", [b"", b"\x00\x01\x02" * 99, b"hello\nworld\n"])
+def test_a_file_of_anything_is_refused_in_a_line(suffix: str, content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / f"a.{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(FlightDataError) as refused:
+        read_table(path)
+    assert str(path) in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.medium
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(lines=st.lists(st.text(alphabet='t,;x1.5-e \t#"°\n', max_size=12), max_size=12))
+def test_any_text_is_a_table_or_one_refusal(lines: list[str], tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    try:
+        table = read_table(tmp_path / "a.csv")
+    except FlightDataError as error:
+        assert "\n" not in str(error)
+    else:
+        assert table.columns

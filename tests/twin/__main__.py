@@ -1,0 +1,144 @@
+"""Fly healthy and changed rigs with their twins: ``python -m tests.twin``; goes on where it was stopped.
+
+Writes twin.json after each rig, and prints the tables of docs/twin.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from heli_host.flight import Flight
+from heli_lab.twin.calibration import Tail
+from heli_lab.twin.follow import follow_flight
+from heli_sim.model.multibody import MultibodyModel
+from scipy.stats import binom
+
+from tests.twin.changes import SIZES, ONSET_s, change
+from tests.twin.rigs import Known, flights, known
+
+HOURS = 10.0
+
+
+def main() -> None:
+    """Read options, run what is missing, print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rigs", type=int, default=20)
+    parser.add_argument(
+        "--healthy", type=int, default=10, help="flights of each rig in which nothing changes"
+    )
+    parser.add_argument("--changed", type=int, default=5, help="flights of each change and size")
+    parser.add_argument("--simulated", type=int, default=12, help="flights that set the alarm of each rig")
+    parser.add_argument("--out", type=Path, default=Path("twin.json"))
+    parser.add_argument("--read", action="store_true", help="only print what the file holds")
+    asked = parser.parse_args()
+    results: dict[str, Any] = json.loads(asked.out.read_text()) if asked.out.exists() else {}
+    cases = [(name, size) for name, sizes in SIZES.items() for size in sizes]
+    for seed in range(1, asked.rigs + 1):
+        if asked.read:
+            break
+        if str(seed) not in results:
+            # Each change and size flies on `changed` different rigs.
+            of_rig = [
+                case
+                for number, case in enumerate(cases)
+                for repeat in range(asked.changed)
+                if (number + repeat * asked.rigs // asked.changed) % asked.rigs == seed - 1
+            ]
+            results[str(seed)] = of_one(known(seed, asked.simulated), asked.healthy, of_rig)
+            asked.out.write_text(json.dumps(results, indent=1))
+            print(f"rig {seed} done", flush=True)
+    print("\n".join(healthy_table(results)))
+    print("\n".join(changed_table(results)))
+
+
+def of_one(rig: Known, healthy: int, cases: list[tuple[str, float]]) -> dict[str, Any]:
+    """Fly one rig."""
+    found: dict[str, Any] = {"healthy": [], "changed": []}
+    started_s, flown_s = time.process_time(), 0.0
+    tail = rig.twin.calibration.tail
+    found["tail"] = [tail.level_nats, tail.per_hour, tail.scale_nats, tail.excesses]
+    for flight in flights(rig.model, rig.rig, 10_000 * rig.seed + 1_000, healthy):
+        seen = follow_flight(rig.twin, flight, "healthy", HOURS)
+        found["healthy"].append(
+            {"most_nats": seen.most_nats, "free_s": seen.free_s, "alarms": len(seen.alarms)}
+        )
+        flown_s += flight.duration_s
+    for number, (name, size) in enumerate(cases):
+        model = MultibodyModel((*rig.model.effects, change(name, size)))
+        (flight,) = flights(model, rig.rig, 10_000 * rig.seed + 2_000 + 20 * number, 1)
+        seen = follow_flight(rig.twin, flight, name, HOURS)
+        onset_s = motors_on_s(flight) + ONSET_s
+        early = [event for event in seen.events if event.kind == "parted" and event.t_s < onset_s]
+        late = [event for event in seen.events if event.kind == "parted" and event.t_s >= onset_s]
+        words = [event for event in seen.alarms if event.t_s >= onset_s]
+        entry: dict[str, Any] = {"change": name, "size": size, "early": len(early), "delay_s": None}
+        if late and words:
+            first = words[0].ranking[0]
+            entry |= {
+                "delay_s": late[0].t_s - onset_s,
+                "first_name": late[0].ranking[0].change.id,
+                "name": first.change.id,
+                "said": first.size,
+                "std": first.std,
+                "ranking": [[one.change.id, round(one.log_evidence, 1)] for one in words[0].ranking[:4]],
+            }
+        found["changed"].append(entry)
+    found["cpu_s"] = time.process_time() - started_s
+    return found
+
+
+def motors_on_s(flight: Flight) -> float:
+    """When the motors first turned."""
+    return float(flight.t_s[np.flatnonzero(np.abs(flight.voltages_V).max(axis=1) > 0)[0]])
+
+
+def healthy_table(results: dict[str, Any]) -> list[str]:
+    """Alarms in healthy flights against what was stated."""
+    flown = [one for rig in results.values() for one in rig["healthy"]]
+    hours = sum(one["free_s"] for one in flown) / 3600.0
+    lines = [f"{len(flown)} healthy flights of {len(results)} rigs, {hours:.2f} h free"]
+    for stated in (HOURS, 1.0, 0.2):
+        expected = alarms = 0.0
+        chance = []
+        for rig in results.values():
+            threshold = Tail(*rig["tail"]).threshold_nats(stated)
+            for one in rig["healthy"]:
+                chance.append(1.0 - math.exp(-one["free_s"] / 3600.0 / stated))
+                expected += chance[-1]
+                alarms += one["most_nats"] > threshold
+        mean = float(np.mean(chance)) if chance else 0.0
+        p = float(binom.sf(alarms - 1, len(chance), mean)) if chance else 1.0
+        lines.append(
+            f"stated once in {stated:g} h: {alarms:.0f} flights with an alarm, {expected:.1f} expected, "
+            f"p of so many or more {p:.2f}"
+        )
+    return lines
+
+
+def changed_table(results: dict[str, Any]) -> list[str]:
+    """Found, delay and name for each change and size."""
+    flown = [one for rig in results.values() for one in rig["changed"]]
+    lines = ["| change | size | found | delay, s | named first |", "|---|---|---|---|---|"]
+    right = total = 0
+    for name, sizes in SIZES.items():
+        for size in sizes:
+            here = [one for one in flown if one["change"] == name and one["size"] == size]
+            found = [one for one in here if one["delay_s"] is not None]
+            named = [one for one in found if one["name"] == name]
+            right, total = right + len(named), total + len(found)
+            delay = f"{np.median([one['delay_s'] for one in found]):.1f}" if found else ""
+            share = f"{len(named)} of {len(found)}" if found else ""
+            lines.append(f"| {name} | {size:g} | {len(found)} of {len(here)} | {delay} | {share} |")
+    early = sum(one["early"] for one in flown)
+    lines.append(f"named first {right} of {total} found; {early} alarms before the change")
+    return lines
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,87 @@
+"""Twins of real machines: ``python -m tests.twin.measured``; needs ../shared/data/measured.
+
+The model is found on one flight of a pair, with the effects that docs/measured.md names; its twin flies
+beside the other one, as it is, and with its voltages told 5 % too high from a moment on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from heli_host.flight import Flight
+from heli_host.log.flight_file import read_flight
+from heli_lab.innovations import ModelFunctions, Unknowns, estimate, follow
+from heli_lab.twin.calibration import Calibration
+from heli_lab.twin.files import USUAL, TwinRig
+from heli_lab.twin.follow import Followed, follow_flight
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import parse_effects
+from heli_sim.rig import load_rig
+
+from tests.measured.pairs import MEASURED, PAIRS, RIG, FROM_s, LANDS_s, flights
+
+EFFECTS = ("rotor_speed_lag", "gyroscopic_torque", "edgewise_flow")
+SCALE = 1.05
+MOMENTS = (0.3, 0.4, 0.5, 0.6)
+"""Of the free flight, when the voltages begin to be told wrong."""
+
+
+def twin_of(pair: str, back: bool = False) -> TwinRig:
+    """Find numbers and weather on the flight of a pair that teaches."""
+    rig = load_rig(RIG)
+    record, _ = flights(pair, back)
+    model = MultibodyModel(parse_effects(EFFECTS))
+    unknowns = Unknowns(model, rig, [record])
+    found = estimate(unknowns, [follow(record)], ModelFunctions(model, unknowns.quantities), unknowns.start)
+    values = {one.quantity: float(value) for one, value in zip(unknowns.free, found.theta, strict=True)}
+    numbers = rig.replace(**{name: value for name, value in values.items() if name in rig})
+    effects = tuple(
+        replace(effect, values={name: values.get(name, was) for name, was in effect.values.items()})
+        for effect in model.effects
+    )
+    return TwinRig(numbers, MultibodyModel(effects), Calibration(found.weather, USUAL.tail), pair)
+
+
+def other(pair: str, back: bool = False) -> tuple[str, Flight]:
+    """The flight of a pair that judges."""
+    name = PAIRS[pair][0 if back else 1]
+    return name, read_flight(MEASURED / f"{name}.csv.gz")
+
+
+def beside(twin: TwinRig, name: str, flight: Flight) -> Followed:
+    """Fly the twin beside the part of a flight that its description calls sound."""
+    return follow_flight(twin, flight, name, 10.0, FROM_s, LANDS_s.get(name))
+
+
+def told_wrong(flight: Flight, from_s: float) -> Flight:
+    """Scale the voltages of a flight from a moment on."""
+    factor = np.where(flight.t_s >= from_s, SCALE, 1.0)
+    return replace(flight, front_V=flight.front_V * factor, back_V=flight.back_V * factor)
+
+
+def main() -> None:
+    """Print a line a pair and direction."""
+    for pair in PAIRS:
+        for back in (False, True):
+            twin = twin_of(pair, back)
+            name, flight = other(pair, back)
+            quiet = beside(twin, name, flight)
+            print(
+                f"{pair}{' back' if back else ''}: most {quiet.most_nats:.0f} nats; {quiet.sentences()[0]}",
+                flush=True,
+            )
+            end_s = LANDS_s.get(name, float(flight.t_s[-1]))
+            delays = []
+            for share in MOMENTS:
+                at_s = FROM_s + share * (end_s - FROM_s)
+                seen = beside(twin, name, told_wrong(flight, at_s))
+                parted = [event for event in seen.events if event.kind == "parted"]
+                last = list(seen.alarms)
+                delays.append(
+                    (round(parted[0].t_s - at_s, 1), last[0].ranking[0].change.id) if parted else None
+                )
+            print(f"  5 % more told from {MOMENTS} of it on: delay and name {delays}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,125 @@
+"""Random rigs in weather, and what a user would know of them: numbers and weather from two flights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from heli_host.errors import HeliError
+from heli_host.flight import Flight
+from heli_lab.identify import prepare
+from heli_lab.innovations import ModelFunctions, Unknowns, Weather, estimate, follow
+from heli_lab.twin.calibration import Calibration, fit_tail
+from heli_lab.twin.files import TwinRig
+from heli_lab.twin.healthy_flights import fly_simulated, in_weather, random_plan
+from heli_lab.twin.kalman_filter import TwinModel
+from heli_lab.twin.learn import evidence
+from heli_sim.model import MultibodyModel
+from heli_sim.model.base import Effect, Model
+from heli_sim.model.effects import parse_effects
+from heli_sim.rig import Rig, load_rig
+
+STRENGTHS_Nm = ((0.006, 0.002, 0.004), (0.012, 0.004, 0.008), (0.02, 0.006, 0.012))
+"""Gusts about elevation, pitch and travel: a still room, a draughty one, a windy one."""
+DRIFT_Nm = (1e-3, 5e-4, 5e-4)
+TEACHING = 2
+"""Flights from which the user identifies the rig and learns its weather."""
+FIXED = frozenset({"g", "elevation_min", "elevation_max", "pitch_max", "travel_max"})
+
+
+@dataclass(frozen=True)
+class Known:
+    """A rig, and what is known of it.
+
+    Parameters
+    ----------
+    seed : int
+        Gives it all that it has.
+    rig : Rig
+        True numbers.
+    model : Model
+        True equations, weather among the effects.
+    twin : TwinRig
+        What the user has.
+    evidence : list
+        Of the flights that the alarm was set by.
+    """
+
+    seed: int
+    rig: Rig
+    model: Model
+    twin: TwinRig
+    evidence: list[list[tuple[float, float]]]
+
+
+def true_rig(seed: int) -> tuple[Rig, Model, Weather]:
+    """Draw a rig within the tolerances of makki2024, half of them with a rotor lag, in a weather."""
+    rng = np.random.default_rng([seed, 16])
+    base = load_rig("makki2024")
+    model = MultibodyModel()
+    names = [
+        q.name for q in model.parameters if q.name in base and base[q.name].tolerance and q.name not in FIXED
+    ]
+    drawn = {
+        name: base[name].value + 0.5 * base[name].tolerance * float(np.clip(rng.normal(), -2, 2))
+        for name in names
+        if not name.startswith(("torque_", "offset_"))
+    }
+    lag = parse_effects([f"rotor_lag={rng.uniform(0.05, 0.15):.3f}"]) if seed % 2 else ()
+    weather = Weather(
+        np.array(STRENGTHS_Nm[rng.integers(3)]),
+        np.full(3, float(rng.choice((0.3, 0.6, 1.2)))),
+        np.array(DRIFT_Nm),
+        np.ones(3),
+    )
+    return base.replace(**drawn), MultibodyModel(lag), weather
+
+
+def known(seed: int, simulated: int) -> Known:
+    """Draw a rig, fly it, identify it, and set the alarm by as many flights `simulated` of what was found."""
+    rig, calm, weather = true_rig(seed)
+    model = in_weather(calm, weather)
+    taught = flights(model, rig, 10_000 * seed, TEACHING)
+    found, numbers, felt = identified(calm, taught)
+    twin = TwinModel(found, numbers)
+    courses = [evidence(twin, felt, flight) for flight in taught]
+    again = in_weather(found, felt)
+    courses += [
+        evidence(twin, felt, flight) for flight in flights(again, numbers, 10_000 * seed + 5_000, simulated)
+    ]
+    calibration = Calibration(felt, fit_tail(courses))
+    return Known(seed, rig, model, TwinRig(numbers, found, calibration, f"rig {seed}"), courses)
+
+
+def flights(model: Model, rig: Rig, seed: int, count: int) -> list[Flight]:
+    """Fly random plans; an arm that the weather moves too much to be armed is tried again."""
+    found: list[Flight] = []
+    for number in range(10 * count):
+        if len(found) == count:
+            break
+        try:
+            found.append(fly_simulated(model, rig, random_plan(seed + number), seed + number))
+        except HeliError:
+            continue
+    return found
+
+
+def identified(model: Model, taught: list[Flight]) -> tuple[Model, Rig, Weather]:
+    """Estimate numbers and weather from flights, from the nominal rig and typical effects on."""
+    base = load_rig("makki2024")
+    start = type(model)(parse_effects([effect.name for effect in model.effects]))
+    records = [prepare(flight, base, f"teaching {i}") for i, flight in enumerate(taught)]
+    unknowns = Unknowns(start, base, records)
+    functions = ModelFunctions(start, unknowns.quantities)
+    found = estimate(unknowns, [follow(record) for record in records], functions, unknowns.start)
+    values = {
+        one.quantity: float(value)
+        for one, value in zip(unknowns.free, found.theta, strict=True)
+        if one.record is None
+    }
+    numbers = base.replace(**{name: value for name, value in values.items() if name in base})
+    effects: list[Effect] = [
+        replace(effect, values={name: values.get(name, was) for name, was in effect.values.items()})
+        for effect in start.effects
+    ]
+    return type(model)(tuple(effects)), numbers, found.weather

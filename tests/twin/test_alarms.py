@@ -1,0 +1,45 @@
+"""Healthy rigs in weather give no more alarms than stated, and what changes is found under its name."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from heli_lab.innovations import Weather
+from heli_lab.twin.calibration import Calibration
+from heli_lab.twin.files import USUAL, TwinRig
+from heli_lab.twin.healthy_flights import in_weather
+from scipy.stats import binom
+
+from tests.running.long import LONG, samples
+from tests.twin.__main__ import HOURS, of_one
+from tests.twin.rigs import Known, known, true_rig
+
+pytestmark = pytest.mark.slow
+SEEDS = samples(20, 1)
+HEALTHY = samples(10, 1)
+CASES = [("thrust_step.back", 0.1), ("zero_offset.elevation", 0.02), ("coulomb_friction.pitch", 0.02)]
+
+
+def of(seed: int) -> Known:
+    """A rig with what a user finds out, or in the short share with what is true."""
+    if LONG:
+        return known(seed, 12)
+    rig, model, weather = true_rig(seed)
+    # An angle's quantisation error repeats itself, which the filter takes for a larger one.
+    felt = Weather(weather.gust_Nm, weather.memory_s, weather.drift_Nm, np.array([1.8, 1.4, 1.1]))
+    twin = TwinRig(rig, model, Calibration(felt, USUAL.tail), f"rig {seed}")
+    return Known(seed, rig, in_weather(model, weather), twin, [])
+
+
+def test_alarms_are_as_seldom_as_stated_and_changes_have_their_names() -> None:
+    alarms, chance, found = 0, [], []
+    for seed in range(1, SEEDS + 1):
+        result = of_one(of(seed), HEALTHY, CASES[: samples(3, 1)])
+        alarms += sum(one["alarms"] > 0 for one in result["healthy"])
+        chance += [1.0 - math.exp(-one["free_s"] / 3600.0 / HOURS) for one in result["healthy"]]
+        found += result["changed"]
+    assert binom.sf(alarms - 1, len(chance), float(np.mean(chance))) > 0.01
+    named = [one for one in found if one.get("name") == one["change"]]
+    assert len(named) >= 0.9 * len(found)

@@ -1,0 +1,74 @@
+"""Twin's files keep what they are given; what is wrong with one is told in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from heli_host.cli import run
+from heli_host.errors import HeliError
+from heli_lab.innovations import Weather
+from heli_lab.twin.calibration import Calibration, Tail, write_calibration
+from heli_lab.twin.files import USUAL, open_rig
+
+CALIBRATION = Calibration(
+    Weather(np.array([0.01, 0.002, 0.003]), np.array([0.4, 0.5, 0.6]), np.full(3, 1e-3), np.ones(3)),
+    Tail(5.0, 140.0, 1.25, 30),
+    'two flights, "a" and b',
+)
+
+
+def test_a_file_gives_back_what_was_learned(tmp_path: Path) -> None:
+    path = tmp_path / "mine.twin.toml"
+    write_calibration(path, CALIBRATION, "quanser-course")
+    read = open_rig(str(path))
+    assert read.rig.name == "quanser-course"
+    assert read.calibration.tail == CALIBRATION.tail and read.calibration.source == CALIBRATION.source
+    assert np.array_equal(read.calibration.weather.gust_Nm, CALIBRATION.weather.gust_Nm)
+
+
+def test_a_rig_alone_has_the_usual_weather() -> None:
+    assert open_rig("makki2024").calibration is USUAL
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("gust_Nm = [", "gust_Nm = [-", "weather.gust_Nm"),
+        ("level_nats = 5", "level_nats = nan", "tail.level_nats"),
+        ('rig = "makki2024"', "", "names no rig"),
+        ("[tail]", "[tail", "is not TOML"),
+        ("scale_nats", "scale", "tail.scale_nats"),
+        ("excesses = 30", "excesses = 0", "tail.excesses"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_told(tmp_path: Path, old: str, new: str, told: str) -> None:
+    path = tmp_path / "wrong.toml"
+    write_calibration(path, CALIBRATION, "makki2024")
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(HeliError, match=told) as error:
+        open_rig(str(path))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("twin", "give a flight"),
+        ("twin nowhere.mcap", "nowhere.mcap"),
+        ("twin nowhere.mcap --rig nobody", "nobody"),
+        ("fly hover --sil --on-change land", "--on-change needs --twin"),
+        ("fly hover --sil --twin makki2024 --on-change fall", "give tell or land"),
+        ("fly hover --sil --twin nobody", "nobody"),
+        ("page --log nothere", "nothere"),
+        ("page --log nothere --twin makki2024", "heli-host twin nothere"),
+    ],
+)
+def test_words_that_cannot_be_are_refused_in_one_line(
+    words: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(words.split()) != 0
+    shown = capsys.readouterr()
+    assert told in " ".join((shown.out + shown.err).split())
+    assert "Traceback" not in shown.err

@@ -1,0 +1,95 @@
+"""Innovations are white where nothing changed, and sensitivities are what changes do to them."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from heli_host.flight import Flight
+from heli_lab.innovations import Weather
+from heli_lab.twin import twin as twin_module
+from heli_lab.twin.calibration import Calibration, Tail
+from heli_lab.twin.flights import count_rad_of, samples_of
+from heli_lab.twin.healthy_flights import fly_simulated, in_weather, random_plan
+from heli_lab.twin.kalman_filter import KalmanFilter, TwinModel
+from heli_lab.twin.twin import Twin
+from heli_sim.model import MultibodyModel
+from heli_sim.rig import Rig, load_rig
+
+NEVER = Tail(np.inf, 0.0, 0.0, 1)
+WEATHER = Weather(
+    np.array([0.01, 0.003, 0.006]), np.full(3, 0.5), np.array([1e-3, 5e-4, 5e-4]), np.array([1.6, 1.4, 1.1])
+)
+
+
+@cache
+def healthy() -> tuple[Rig, Flight]:
+    rig = load_rig("makki2024")
+    return rig, fly_simulated(in_weather(MultibodyModel(), WEATHER), rig, random_plan(4, 46.0), 4)
+
+
+def innovations(monkeypatch: pytest.MonkeyPatch, twin: Twin, flight: Flight) -> np.ndarray:
+    found = []
+    update = KalmanFilter.update
+
+    def kept(self: KalmanFilter, *arguments: object) -> object:
+        result = update(self, *arguments)  # type: ignore[arg-type]
+        found.append(result.value.copy())
+        return result
+
+    monkeypatch.setattr(KalmanFilter, "update", kept)
+    twin.take(samples_of(flight)[0])
+    return np.array(found)
+
+
+@pytest.mark.slow
+def test_innovations_are_white_and_of_unit_variance(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig, flight = healthy()
+    twin = Twin(
+        TwinModel(MultibodyModel(), rig), Calibration(WEATHER, NEVER), count_rad_of(flight, rig), 1e-3
+    )
+    seen = innovations(monkeypatch, twin, flight)
+    assert len(seen) > 900
+    # Angles at rest are told to be worth less than they are: below one is safe, above is a false alarm.
+    assert np.all((seen.std(axis=0) > 0.6) & (seen.std(axis=0) < 1.15))
+    lag = (seen[1:] * seen[:-1]).mean(axis=0) / (seen**2).mean(axis=0)
+    assert np.all(np.abs(lag) < 0.15)
+
+
+@pytest.mark.slow
+def test_sensitivities_are_what_a_change_does_to_the_innovations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The oracle is the filter itself on a rig whose number is otherwise from the beginning."""
+    rig, flight = healthy()
+    share = 1e-3
+    values = {}
+    for sign in (-1.0, 1.0):
+        moved = rig.replace(L_b=rig["L_b"].value + sign * share)
+        model = TwinModel(MultibodyModel(), moved)
+        twin = Twin(model, Calibration(WEATHER, NEVER), count_rad_of(flight, rig), 1e-3)
+        values[sign] = innovations(monkeypatch, twin, flight)
+        monkeypatch.undo()
+    numeric = -(values[1.0] - values[-1.0]) / (2 * share)
+    kept: list[np.ndarray] = []
+    monkeypatch.setattr(twin_module, "BEGINS_AFTER_s", np.inf)
+    update = KalmanFilter.update
+
+    def told(self: KalmanFilter, *arguments: object) -> object:
+        # A single onset, before the filter began.
+        result = update(self, *arguments)  # type: ignore[arg-type]
+        place = next(i for i, c in enumerate(columns) if c == "counterweight_shift_m")
+        kept.append(result.sensitivity[:, place, 0].copy())
+        return result
+
+    model = TwinModel(MultibodyModel(), rig)
+    columns = [entry for change in model.changes for entry in change.numbers]
+    twin = Twin(model, Calibration(WEATHER, NEVER), count_rad_of(flight, rig), 1e-3)
+    monkeypatch.setattr(KalmanFilter, "update", told)
+    monkeypatch.setattr(
+        "heli_lab.twin.likelihood_ratio.LikelihoodRatio.ages", lambda self, block: np.ones((len(columns), 42))
+    )
+    twin.take(samples_of(flight)[0])
+    linear = np.array(kept)
+    scale = np.abs(numeric).max()
+    assert scale > 10.0
+    assert np.sqrt(((linear - numeric) ** 2).mean()) < 0.05 * scale

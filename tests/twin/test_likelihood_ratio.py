@@ -1,0 +1,109 @@
+"""Evidence is the logarithm of a ratio of Gaussian likelihoods; alarms come as often as stated."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from heli_lab.twin.calibration import SEGMENT_s, Tail, fit_tail
+from heli_lab.twin.changes import CHANGES
+from heli_lab.twin.likelihood_ratio import KEPT, ONSETS, RECENT, Innovation, LikelihoodRatio
+from scipy.stats import multivariate_normal
+
+COUNT_rad = np.full(3, 2 * np.pi / 4096)
+COLUMNS = sum(len(change.numbers) for change in CHANGES)
+
+
+def column(name: str) -> int:
+    before = 0
+    for change in CHANGES:
+        if change.id == name:
+            return before
+        before += len(change.numbers)
+    raise KeyError(name)
+
+
+def fed(values: np.ndarray, sensitivity: np.ndarray) -> LikelihoodRatio:
+    """One onset before all innovations, (n, 3), with the same sensitivity, (n, 3, columns)."""
+    ratio = LikelihoodRatio(CHANGES, COUNT_rad)
+    ratio.begin_onset(0, np.zeros((4, COLUMNS, ONSETS)))
+    for value, one in zip(values, sensitivity, strict=True):
+        ratio.take(Innovation(value, np.repeat(one[:, :, None], ONSETS, axis=2)))
+    return ratio
+
+
+@pytest.mark.parametrize("name", ["thrust_step.front", "cable_spring.travel"])
+def test_evidence_is_the_ratio_of_two_gaussian_densities(name: str) -> None:
+    rng = np.random.default_rng(1)
+    values, sensitivity = rng.normal(size=(6, 3)), rng.normal(size=(6, 3, COLUMNS))
+    ratio = fed(values, sensitivity)
+    (change,) = (one for one in CHANGES if one.id == name)
+    low = column(name)
+    own = sensitivity[:, :, low : low + len(change.numbers)].reshape(18, -1)
+    # Marginalised over the size: white noise plus what a size of the prior adds.
+    covariance = np.eye(18) + own @ np.diag(np.square(change.sizes)) @ own.T
+    whole = multivariate_normal.logpdf(values.ravel(), np.zeros(18), covariance)
+    none = multivariate_normal.logpdf(values.ravel(), np.zeros(18), np.eye(18))
+    (found,) = (one for one in ratio.ranking() if one.change.id == name)
+    assert found.log_evidence == pytest.approx(whole - none)
+
+
+def test_a_change_that_cannot_be_negative_is_integrated_over_one_side() -> None:
+    rng = np.random.default_rng(2)
+    values, sensitivity = rng.normal(size=(5, 3)), rng.normal(size=(5, 3, COLUMNS))
+    ratio = fed(values, sensitivity)
+    (change,) = (one for one in CHANGES if one.id == "coulomb_friction.pitch")
+    own = sensitivity[:, :, column(change.id)].ravel()
+    sizes = np.linspace(0, 8 * change.sizes[0], 20_001)
+    density = 2 * np.exp(-0.5 * (sizes / change.sizes[0]) ** 2) / change.sizes[0] / math.sqrt(2 * np.pi)
+    gain = np.exp(sizes * (own @ values.ravel()) - 0.5 * sizes**2 * (own @ own))
+    expected = math.log(float(np.trapezoid(density * gain, sizes)))
+    (found,) = (one for one in ratio.ranking() if one.change.id == change.id)
+    assert found.log_evidence == pytest.approx(expected, abs=1e-4)
+
+
+def test_the_size_and_its_error_are_those_of_least_squares() -> None:
+    rng = np.random.default_rng(3)
+    sensitivity = 30.0 * rng.normal(size=(40, 3, COLUMNS))
+    low = column("thrust_step.back")
+    values = 0.2 * sensitivity[:, :, low] + rng.normal(size=(40, 3))
+    found = fed(values, sensitivity).ranking()[0]
+    own = sensitivity[:, :, low].ravel()
+    assert found.change.id == "thrust_step.back"
+    assert found.size == pytest.approx(own @ values.ravel() / (own @ own), rel=2e-3)
+    assert found.std == pytest.approx((own @ own) ** -0.5, rel=2e-3)
+
+
+def test_the_window_keeps_the_likeliest_onset_of_each_half_second() -> None:
+    ratio = LikelihoodRatio(CHANGES, COUNT_rad)
+    moved = np.zeros((4, COLUMNS, ONSETS))
+    rng = np.random.default_rng(4)
+    low = column("thrust_step.front")
+    for block in range(1, 6 * RECENT):
+        ages = ratio.ages(block)
+        seen = np.zeros((3, COLUMNS, ONSETS))
+        seen[:] = np.where(ages > 0, 1.0, 0.0)
+        jump = 2.0 if block > 2 * RECENT + 5 else 0.0
+        ratio.take(Innovation(rng.normal(size=3) + jump, 5.0 * seen))
+        ratio.begin_onset(block, moved)
+    (found,) = (one for one in ratio.ranking() if one.change.id == "thrust_step.front")
+    assert abs(found.onset_block - (2 * RECENT + 5)) <= 3
+    assert low == 0 and KEPT * RECENT * 0.04 > 14
+
+
+@pytest.mark.medium
+def test_a_tail_gives_the_rate_that_is_asked_for_however_few_it_was_fitted_to() -> None:
+    rng = np.random.default_rng(5)
+    scale, per_hour = 1.5, 3600.0 / SEGMENT_s
+    rates = []
+    for _ in range(800):
+        maxima = [(SEGMENT_s * i + (i > 0), 4.0 + scale * rng.exponential()) for i in range(100)]
+        threshold = fit_tail([maxima]).threshold_nats(1.0)
+        rates.append(per_hour * math.exp(-(threshold - 4.0) / scale))
+    # Averaged over what the user may have learned; the level's own error and the scale's floor are left.
+    assert 0.75 < float(np.mean(rates)) < 1.3
+
+
+def test_no_alarm_is_called_for_before_the_level() -> None:
+    assert Tail(5.0, 100.0, 2.0, 20).threshold_nats(1e-6) == 5.0

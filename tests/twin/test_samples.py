@@ -1,0 +1,75 @@
+"""Steps are the same whatever pieces the samples come in; what is lost is bridged or begins anew."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from heli_lab.twin.samples import Samples, Step, Stepper
+from hypothesis import given
+from hypothesis import strategies as st
+
+
+def made(first: int, count: int) -> Samples:
+    number = np.arange(first, first + count)
+    angles = np.sin(number[:, None] * 0.01 + np.arange(3))
+    return Samples(number, angles, np.cos(number[:, None] * 0.02 + np.arange(2)), number % 97 > 3)
+
+
+def part(samples: Samples, rows: Sequence[int] | slice) -> Samples:
+    return Samples(
+        samples.number[rows], samples.angles_rad[rows], samples.volts_V[rows], samples.flying[rows]
+    )
+
+
+def told(steps: list[Step]) -> list[object]:
+    return [
+        (
+            s.index,
+            s.begins,
+            s.flying,
+            s.samples,
+            s.volts_V.tolist(),
+            s.measured_rad is not None and s.measured_rad.tolist(),
+        )
+        for s in steps
+    ]
+
+
+@given(st.integers(0, 50), st.lists(st.integers(1, 60), min_size=1, max_size=12))
+def test_steps_do_not_depend_on_the_pieces(first: int, sizes: list[int]) -> None:
+    whole = made(first, sum(sizes))
+    at_once = list(Stepper(0.001).take(whole))
+    stepper, pieces, low = Stepper(0.001), [], 0
+    for size in sizes:
+        pieces += list(stepper.take(part(whole, slice(low, low + size))))
+        low += size
+    assert told(pieces) == told(at_once)
+
+
+def test_a_step_holds_the_samples_of_its_ten_milliseconds() -> None:
+    samples = made(13, 100)
+    first, second, *_ = Stepper(0.001).take(samples)
+    assert (first.index, first.begins, second.begins) == (2, True, False)
+    assert np.array_equal(first.volts_V, samples.volts_V[7:17])
+    about = samples.angles_rad[(samples.number >= 25) & (samples.number <= 35)]
+    assert second.measured_rad is not None
+    assert np.allclose(second.measured_rad, about.mean(axis=0))
+
+
+def test_a_short_gap_is_bridged_and_a_long_one_begins_anew() -> None:
+    samples = made(0, 300)
+    short = np.r_[0:103, 131:300]
+    steps = list(Stepper(0.001).take(part(samples, short)))
+    assert [s.index for s in steps] == list(range(30))
+    assert [s.begins for s in steps] == [True] + 29 * [False]
+    assert steps[12].measured_rad is None
+    assert np.allclose(steps[11].volts_V, samples.volts_V[102])
+    long = np.r_[0:103, 183:300]
+    assert [s.index for s in Stepper(0.001).take(part(samples, long)) if s.begins] == [0, 19]
+
+
+def test_a_clock_that_begins_anew_begins_anew() -> None:
+    stepper = Stepper(0.001)
+    list(stepper.take(made(500, 100)))
+    assert next(iter(stepper.take(made(0, 50)))).begins
