@@ -26,7 +26,10 @@ pytestmark = pytest.mark.medium
 pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not built")
 
 BLOCKS_S = {4.0: 0.7, 6.0: 2.5, 10.0: 6.0}
-"""Device time at which the disk blocks, and for how long: past the board's hold and its landing [s]."""
+"""Device time at which the disk blocks, and for how long [s]."""
+HOLD_S, LAND_S = 5.0, 30.0
+"""What the board waits for a setpoint: less than the longest block, and long enough at ten times real time for
+a machine that stalls [s]."""
 GIVE_UP_S = 3.0
 
 
@@ -37,6 +40,7 @@ def test_a_disk_that_blocks_for_seconds_is_not_noticed_by_the_board(
     due = dict(BLOCKS_S)
     plan = short(SHORT.replace('kind = "hold"\nduration_s = 2', 'kind = "hold"\nduration_s = 10'))
     with process.SilProcess(speed=10.0) as sil, connect(sil.url) as heli:
+        heli.params.restore({"setpoint_hold_s": HOLD_S, "setpoint_land_s": LAND_S})
 
         def device_s() -> float:
             newest = heli.session.latest

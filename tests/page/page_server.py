@@ -64,6 +64,15 @@ def page_of_a_simulated_board(folder: Path, speed: float = 1.0, board: str = "na
 
 
 @contextlib.contextmanager
+def patient_page(folder: Path) -> Iterator[Served]:
+    """Serve a page of a board that waits longer for its pilot than it does by default: a machine that stalls
+    for a second must not end what a test flies."""
+    with page_of_a_simulated_board(folder) as served:
+        served.heli.params.restore({"setpoint_hold_s": 2.0, "setpoint_land_s": 5.0})
+        yield served
+
+
+@contextlib.contextmanager
 def page_process(*arguments: str, folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """Run ``heli-host page`` as a person does; yields the process and the page's address."""
     command = [sys.executable, "-c", "from heli_host.cli import main; main()", "page", *arguments]

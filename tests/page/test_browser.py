@@ -22,7 +22,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect
 
 from tests.page.browser import PATIENCE_S, TABLET, WIDE, Tabs, click, tabs, until
-from tests.page.page_server import Served, page_of_a_simulated_board
+from tests.page.page_server import Served, page_of_a_simulated_board, patient_page
 from tests.running.long import LONG, samples
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("browser")]
@@ -42,7 +42,7 @@ def chromium() -> Iterator[Browser]:
 
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[Served]:
-    with page_of_a_simulated_board(tmp_path) as one:
+    with patient_page(tmp_path) as one:
         yield one
 
 

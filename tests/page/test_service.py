@@ -22,7 +22,7 @@ from heli_sim.sil.process import SilProcess
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from tests.page.page_server import Served, page_of_a_simulated_board, page_process
+from tests.page.page_server import Served, page_process, patient_page
 from tests.page.socket_page import SocketPage
 
 pytest.importorskip("starlette", reason="the extra 'page' is not installed: make setup")
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[Served]:
-    with page_of_a_simulated_board(tmp_path) as one:
+    with patient_page(tmp_path) as one:
         yield one
 
 
