@@ -8,6 +8,7 @@ show the law.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -17,7 +18,6 @@ import numpy as np
 from heli_sim.model.base import Model
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Prior
-from scipy.signal import lfilter
 
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.diagnose.result import Diagnosis
@@ -231,9 +231,10 @@ def _quantities(linear: Linear) -> dict[str, Floats]:
     """
     found = quantity_values(linear.model, linear.trajectory)
     for name, time_s in itertools.product(("thrust", "thrust_difference"), _LAGS_s):
-        rho = np.exp(-linear.trajectory.step_s / time_s)
-        late = lfilter([1.0 - rho], [1.0, -rho], found[name], zi=[rho * found[name][0]])[0]
-        found[f"change of {name} within {time_s:g} s"] = found[name] - late
+        share = -math.expm1(-linear.trajectory.step_s / time_s)
+        # In plain Python: scipy.signal takes longer to import than this takes for an hour of flight.
+        late = itertools.accumulate(found[name].tolist(), lambda held, value: held + share * (value - held))
+        found[f"change of {name} within {time_s:g} s"] = found[name] - np.fromiter(late, float)
     return found
 
 
