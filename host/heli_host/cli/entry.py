@@ -78,8 +78,8 @@ EXIT_ASKED, EXIT_FILE, EXIT_BUG, EXIT_INTERRUPTED = 2, 5, 70, 130
 
 
 _COLLECT_AFTER: Final = 20_000
-"""Objects that may be made before Python looks for cycles among them. With its own 700 a diagnosis spent 8 % of
-its time looking, because of the thousands of objects that libraries keep; memory did not change."""
+"""Objects that may be made before Python looks for cycles among them. With its own 700 a diagnosis spent 8 %
+of its time looking, because of the thousands of objects that libraries keep; memory did not change."""
 
 
 def main() -> NoReturn:

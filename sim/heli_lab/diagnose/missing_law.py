@@ -231,11 +231,18 @@ def _quantities(linear: Linear) -> dict[str, Floats]:
     """
     found = quantity_values(linear.model, linear.trajectory)
     for name, time_s in itertools.product(("thrust", "thrust_difference"), _LAGS_s):
-        share = -math.expm1(-linear.trajectory.step_s / time_s)
-        # In plain Python: scipy.signal takes longer to import than this takes for an hour of flight.
-        late = itertools.accumulate(found[name].tolist(), lambda held, value: held + share * (value - held))
-        found[f"change of {name} within {time_s:g} s"] = found[name] - np.fromiter(late, float)
+        late = _lagged(found[name], linear.trajectory.step_s / time_s)
+        found[f"change of {name} within {time_s:g} s"] = found[name] - late
     return found
+
+
+def _lagged(values: Floats, step: float) -> Floats:
+    """Values (n,) behind a lag of first order that was at rest, a `step` being a share of its time constant.
+    In plain Python: scipy.signal takes longer to import than this takes for an hour of flight.
+    """
+    share = -math.expm1(-step)
+    lagged = itertools.accumulate(values.tolist(), lambda held, value: held + share * (value - held))
+    return np.fromiter(lagged, float)
 
 
 def _best_place(
