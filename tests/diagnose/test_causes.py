@@ -193,7 +193,9 @@ def test_number_that_flights_pull_far_from_the_rig_file_is_said() -> None:
     pulled = replace(found, after=replace(found.after, fit=replace(fit, theta=theta)))
     (said,) = pulled.pulled
     assert said.deviations == pytest.approx(4.1)
-    assert to_json(pulled)["pulled"][0]["parameter"] == "offset_pitch"
+    (written,) = to_json(pulled)["pulled"]
+    assert written["parameter"] == "offset_pitch"
+    assert written["without_prior"]["std"] > 0.0
     assert any("offset_pitch" in line and "4.1 standard deviations" in line for line in pulled.cautions)
 
 

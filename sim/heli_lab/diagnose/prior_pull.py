@@ -2,17 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
+import numpy as np
 from heli_sim.rig import Prior
 
 from heli_lab.identify import Fit
+from heli_lab.innovations import Estimate
+from heli_lab.innovations.estimate import estimate as estimated
 
 FAR_STD: Final = 3.0
 """Standard deviations of its prior from which on a number is said to be pulled: by chance one of twenty
 numbers in 18 flights. By judgement. Lower: lines that nobody minds. Higher: a number that stands for what the
 model lacks, or a wrong rig file, goes unsaid."""
+
+
+@dataclass(frozen=True)
+class Freed:
+    """What the flights alone say of a number that is pulled.
+
+    Parameters
+    ----------
+    value, std : float
+        Its estimate and standard error with no prior of it, nor of any other number that is pulled.
+    log_likelihood_gain : float
+        By how much the flights are likelier then, nats: of all the pulled numbers together.
+    """
+
+    value: float
+    std: float
+    log_likelihood_gain: float
 
 
 @dataclass(frozen=True)
@@ -27,6 +48,8 @@ class PriorPull:
         Its estimate and standard error.
     prior : Prior
         What the rig file says.
+    freed : Freed or None
+        The same without its prior, where that was tried.
     """
 
     name: str
@@ -34,6 +57,7 @@ class PriorPull:
     value: float
     std: float
     prior: Prior
+    freed: Freed | None = None
 
     @property
     def deviations(self) -> float:
@@ -48,6 +72,14 @@ class PriorPull:
             f"{self.name} is found at {self.value:.3g}{unit}, {abs(self.deviations):.1f} standard "
             f"deviations from the {self.prior.mean:.3g} +- {2.0 * self.prior.std:.2g}{unit} known "
             "beforehand: that is wrong, or the number stands for what the model lacks"
+        ) + self._alone(unit)
+
+    def _alone(self, unit: str) -> str:
+        if self.freed is None:
+            return ""
+        return (
+            f"; these flights alone say {self.freed.value:.3g} +- {2.0 * self.freed.std:.2g}{unit}, "
+            f"{self.freed.log_likelihood_gain:.0f} nats likelier"
         )
 
 
@@ -61,3 +93,31 @@ def prior_pulls(fit: Fit) -> tuple[PriorPull, ...]:
     )
     far = [one for one in every if abs(one.deviations) > FAR_STD]
     return tuple(sorted(far, key=lambda one: -abs(one.deviations)))
+
+
+def tried_without(pulls: Sequence[PriorPull], estimate: Estimate) -> tuple[PriorPull, ...]:
+    """Estimate again without the priors of numbers that are pulled, and tell what they are then.
+
+    Parameters
+    ----------
+    pulls : sequence of PriorPull
+        The numbers; without any nothing is estimated.
+    estimate : Estimate
+        The model with all priors, of which they are free parameters.
+    """
+    if not pulls:
+        return ()
+    own = estimate.unknowns
+    names = [one.name for one in pulls]
+    places = [own.names.index(name) for name in names]
+    free = estimated(
+        own.without_priors(names), estimate.courses, estimate.functions, estimate.theta, estimate.weather
+    )
+    # Likelihoods hold what priors take off: these numbers' is no part of what the flights say.
+    off = (estimate.theta - own.mean) / own.std
+    gain = free.log_likelihood - estimate.log_likelihood - 0.5 * float(off[places] @ off[places])
+    std = np.sqrt(np.diag(free.covariance))
+    return tuple(
+        replace(one, freed=Freed(float(free.theta[place]), float(std[place]), gain))
+        for one, place in zip(pulls, places, strict=True)
+    )

@@ -23,7 +23,7 @@ from heli_lab.diagnose.experiment_design import ExperimentDesign
 from heli_lab.diagnose.failing_regimes import FailingRegimes, failing_regimes
 from heli_lab.diagnose.model_comparison import Hypothesis
 from heli_lab.diagnose.prediction import Prediction
-from heli_lab.diagnose.prior_pull import PriorPull, prior_pulls
+from heli_lab.diagnose.prior_pull import PriorPull, prior_pulls, tried_without
 from heli_lab.diagnose.residual_analysis import ResidualAnalysis
 from heli_lab.diagnose.search_record import Cause, Search
 from heli_lab.diagnose.spline_curve import SplineCurve, spline_curve_of
@@ -164,10 +164,12 @@ class Diagnosis:
             f"{prefix}_s": (memory_s, 2.0 * memory_s * relative, "s"),
         }
 
-    @property
+    @cached_property
     def pulled(self) -> tuple[PriorPull, ...]:
-        """Numbers of the rig that the extended model has far from what its file says."""
-        return prior_pulls(self.after.fit)
+        """Numbers of the rig that the extended model has far from what its file says, and what they are
+        without that.
+        """
+        return tried_without(prior_pulls(self.after.fit), self.extended.estimate)
 
     @property
     def cautions(self) -> list[str]:

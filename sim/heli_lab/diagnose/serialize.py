@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from heli_sim.model.parts import AXES
@@ -44,6 +45,7 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
                 "prior": {"value": one.prior.mean, "std": one.prior.std},
                 "deviations": one.deviations,
                 "unit": one.unit,
+                "without_prior": asdict(one.freed) if one.freed else None,
             }
             for one in result.pulled
         ],

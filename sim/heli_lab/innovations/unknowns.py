@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -20,6 +21,9 @@ TORQUE_STD_Nm: Final = dict(zip((f"torque_{axis}" for axis in AXES), (0.02, 0.01
 """Prior standard deviation of the constant torque about each axis that every flight has of its own: what an
 unlevel table, a cable or a draught leave. By judgement, of the order of the weather. Smaller: a rig whose
 balance moves from flight to flight bends its other numbers. Larger: elevation's hides in the masses."""
+
+_VAGUE: Final = 1e3
+"""How many times wider a prior is that says next to nothing: a flight's own information is larger by far."""
 
 
 class Unknowns:
@@ -74,8 +78,22 @@ class Unknowns:
         for name, value in (fixed or {}).items():
             self._base[names.index(name)] = value
         self._place = np.array([names.index(one.quantity) for one in self.free], int)
+        self._know()
+
+    def _know(self) -> None:
+        """Lay out the priors of what is free."""
         self.mean: Floats = np.array([one.prior.mean for one in self.free])
         self.std: Floats = np.array([one.prior.std for one in self.free])
+
+    def without_priors(self, names: Collection[str]) -> Unknowns:
+        """The same, with next to nothing known beforehand of the free parameters `names` but their bounds."""
+        less = copy.copy(self)
+        less.free = tuple(
+            replace(one, prior=replace(one.prior, std=_VAGUE * one.prior.std)) if one.name in names else one
+            for one in self.free
+        )
+        less._know()
+        return less
 
     @property
     def names(self) -> tuple[str, ...]:
