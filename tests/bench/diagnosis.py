@@ -35,20 +35,24 @@ PAIRS: Final = {
 }
 """For each key the flight to fit, the one to validate on, and the rig."""
 REPETITIONS: Final = 2
-LONG_S: Final = 600
-LONG: Final = f"""
+LONG: Final = (
+    """
 title = "Ten minutes"
 [start]
 settle_s = 2
+"""
+    + 5
+    * """
 [[segment]]
 kind = "sine"
 travel_amplitude_deg = 40
 travel_period_s = 16
 elevation_amplitude_deg = 7
 elevation_period_s = 9
-duration_s = {LONG_S}
-excite = {{ signal = "multisine", front_V = 0.25, back_V = 0.25, start_Hz = 0.1, stop_Hz = 4 }}
+duration_s = 120
+excite = { signal = "multisine", front_V = 0.25, back_V = 0.25, start_Hz = 0.1, stop_Hz = 4 }
 """
+)
 
 
 @dataclass(frozen=True)
@@ -124,6 +128,7 @@ def ratios(say: Callable[[str], None]) -> list[Measured]:
         measured = []
         for key, (fit, validation, rig) in PAIRS.items():
             words = ["diagnose", str(DATA / fit), "--validate", str(DATA / validation), "--rig", rig]
+            words += ["--report", "page", "--out", "found.toml", "--json", "found.json"]
             taken = [(before(words), here(words)) for _ in range(REPETITIONS)]
             measured += [
                 Measured(key, [old.elapsed_s / new.elapsed_s for old, new in taken]),

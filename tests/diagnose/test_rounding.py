@@ -1,0 +1,67 @@
+"""What a diagnosis says does not hang on how the processor rounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from heli_lab.diagnose import Diagnosis, diagnose, to_json
+from heli_lab.identify.functions import Floats
+from heli_lab.innovations import _kalman
+from heli_lab.innovations.evaluate import AlongCourse, Trajectory
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue
+from heli_sim.rig import load_rig
+
+from tests.diagnose.hidden import flights
+
+pytestmark = pytest.mark.diagnosis
+
+TRIED = ("rotor_lag", "input_delay", "thrust_asymmetry", "coulomb_friction.travel")
+ROUNDING = 4e-16
+"""Of a double, twice over."""
+
+
+def diagnosed() -> Diagnosis:
+    fit, held_out = flights("rotor_lag=0.06")
+    kinds = {id_: kind for id_, kind in catalogue().items() if id_ in TRIED}
+    return diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held_out], kinds=kinds)
+
+
+def test_verdict_and_log_likelihoods_survive_a_kernel_that_rounds_differently(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    plain = diagnosed()
+    rng, along, filtered = np.random.default_rng(5), AlongCourse.__call__, _kalman.filter
+    rounded = 0
+
+    def otherwise(values: Floats) -> Floats:
+        nonlocal rounded
+        rounded += 1
+        return values * (1.0 + ROUNDING * rng.uniform(-1.0, 1.0, values.shape))
+
+    def rounds_differently(self: AlongCourse, trajectory: Trajectory) -> list[Floats]:
+        return [otherwise(one) for one in along(self, trajectory)]
+
+    def filters_differently(*system: Floats) -> tuple[Floats, ...]:
+        return tuple(otherwise(np.asarray(one)) for one in filtered(*system))
+
+    monkeypatch.setattr(AlongCourse, "__call__", rounds_differently)
+    monkeypatch.setattr(_kalman, "filter", filters_differently)
+    other = diagnosed()
+    assert rounded > 100
+    assert other.label == plain.label == "cause_found"
+    assert [one.candidate.id for one in other.verdict.causes] == ["rotor_lag"]
+    refits = [
+        {
+            one.candidate.id: one.hypothesis.log_likelihood
+            for tried in found.search.rounds
+            for one in tried.refits
+        }
+        for found in (plain, other)
+    ]
+    assert refits[0].keys() == refits[1].keys()
+    for id_, log_likelihood in refits[0].items():
+        assert refits[1][id_] == pytest.approx(log_likelihood, abs=0.1), id_
+    gains = [to_json(found)["gain"]["axis"] for found in (plain, other)]
+    for axis, one in gains[0].items():
+        assert gains[1][axis]["ratio"] == pytest.approx(one["ratio"], rel=0.01)
