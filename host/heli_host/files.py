@@ -46,10 +46,10 @@ def read_file(path: Path, most_bytes: int) -> bytes:
             raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
         if not stat.S_ISREG(status.st_mode):
             raise OSError(errno.EINVAL, "it is a pipe or a device, not a file")
-        data = file.read(most_bytes + 1) if status.st_size <= most_bytes else b""
-        if max(status.st_size, len(data)) > most_bytes:
+        if status.st_size > most_bytes:
             raise OSError(errno.EFBIG, f"it has more than {most_bytes >> 20} MiB")
-    return data
+        # No more than this: Python sets aside as much memory as a read may need.
+        return file.read(status.st_size)
 
 
 def parse_toml(text: str) -> dict[str, Any]:

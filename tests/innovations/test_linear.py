@@ -109,3 +109,16 @@ def test_axis_is_at_rest_where_its_count_stays_the_same_for_long() -> None:
         assert states[:, 3].any()
     again = course.followed(course.predicted + 0.1, course.filtered + 0.1)
     assert not again.predicted[:, 3:][again.at_rest].any()
+
+
+def test_an_axis_that_friction_holds_needs_no_torque_and_the_others_theirs() -> None:
+    linear = changed("", "thrust_gain", 0.0)
+    wanted = np.random.default_rng(3).normal(size=(linear.rows, 3))
+    torque_Nm = linear.torque_for(wanted)
+    made = np.einsum("nij,nj->ni", linear.steps.by_torque[:, 3:6], torque_Nm)
+    assert np.abs(made - wanted).max() < 1e-9
+    held = linear.steps.by_torque
+    held[100, 5] = held[100, :, 2] = 0.0
+    torque_Nm = linear.torque_for(wanted)
+    assert torque_Nm[100, 2] == 0.0
+    assert np.abs(held[100, 3:6] @ torque_Nm[100] - wanted[100])[:2].max() < 1e-9

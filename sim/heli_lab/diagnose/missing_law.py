@@ -210,7 +210,7 @@ def _torque_by_chance(estimate: Estimate) -> tuple[Floats, Floats]:
 def _torque_of_law(with_: Linear, without: Linear) -> Floats:
     """Torque about each axis that does what an effect does, along the course, shape (n, 3)."""
     change = _accelerations(with_) - _accelerations(without)
-    return np.asarray(np.linalg.solve(without.steps.by_torque[:, 3:6], change[:, :, None])[:, :, 0], float)
+    return without.torque_for(change)
 
 
 def _accelerations(linear: Linear) -> Floats:

@@ -38,6 +38,10 @@ _TOGETHER: Final = 4096
 """Steps that are linearised together: derivatives by all parameters take 2 kB each. The result does not
 depend on it, memory does."""
 
+_HELD: Final = 1e-6
+"""Share of the nimblest axis' response to a torque below which an axis is held. Moments of inertia differ by
+a factor of 100 at most; rounding leaves 1e-15."""
+
 
 class ModelFunctions:
     """Rates and angles of a `model` with their derivatives, by state, `free` parameters and torques, as
@@ -344,6 +348,14 @@ class Linear:
             kept.drive[rows] = found.Gamma @ found.rates[:, :, :1] + found.Phi @ self._moved(rows)
             kept.angle_error_rad[rows] = found.angles_rad[:, :, :1]
         return kept
+
+    def torque_for(self, accelerations_rad_s2: Floats) -> Floats:
+        """Torques about the axes that make accelerations along the course, both of shape (n, 3).
+
+        An axis that friction holds obeys no torque: there the torque is zero.
+        """
+        inverse = np.linalg.pinv(self.steps.by_torque[:, 3:6], rcond=_HELD)
+        return np.asarray(inverse @ accelerations_rad_s2[:, :, None], float)[:, :, 0]
 
     def over_blocks(self, rates: Floats) -> list[Floats]:
         """What changes of the `rates`, shape (n, states, s), move in each block of each window."""

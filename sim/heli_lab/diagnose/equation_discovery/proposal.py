@@ -276,7 +276,7 @@ def course_of(found: Discovery) -> LawCourse:
     law_s, change = accelerations(beside, found.effect.name)
     courses = Courses(Screening(beside))
     linear = courses.linears[0]
-    torque = np.linalg.solve(linear.steps.by_torque[:, 3:6], change[:, :, None])[:, :, 0]
+    torque = linear.torque_for(change)
     axis = int(np.argmax(torque.std(axis=0)))
     t_s, missing, std = without.filtered().smoothed_torques(without.weather, np.zeros(len(without.theta)))[0]
     law = np.interp(t_s, law_s, torque[:, axis])
