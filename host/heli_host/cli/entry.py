@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import contextvars
 import copy
-import gc
 import os
 import signal
 import stat
 import sys
-from typing import TYPE_CHECKING, Annotated, Final, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 import typer.main
@@ -77,14 +76,8 @@ _UsageError = next(base for base in typer.BadParameter.__mro__ if base.__name__ 
 EXIT_ASKED, EXIT_FILE, EXIT_BUG, EXIT_INTERRUPTED = 2, 5, 70, 130
 
 
-_COLLECT_AFTER: Final = 20_000
-"""Objects that may be made before Python looks for cycles among them. With its own 700 a diagnosis spent 8 %
-of its time looking, because of the thousands of objects that libraries keep; memory did not change."""
-
-
 def main() -> NoReturn:
     """Run the command line; ends the process."""
-    gc.set_threshold(_COLLECT_AFTER)
     _land_on_signals()
     sys.exit(run())
 

@@ -119,6 +119,8 @@ class _Searcher:
             left = [kind for kind in self.kinds.values() if all(_together(kind, one) for one in known)]
             screened = screening.effects(left)
             splines = screening.splines(number)
+            for linear in screening.filtered.linears:
+                linear.release()
             full = len(hypothesis.candidates) >= thresholds.MAX_CAUSES or not self.refits_left()
             refits: list[Refit] = []
             taken: Refit | None = None

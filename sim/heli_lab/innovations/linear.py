@@ -335,7 +335,7 @@ class Linear:
 
     @cached_property
     def steps(self) -> Steps:
-        """The model in every step; once asked for it is kept."""
+        """The model in every step; once asked for it is kept, until `release`."""
         n, nx = self.rows, self.states
         kept = Steps(
             *(np.empty((n, *shape)) for shape in ((nx, nx), (nx, nx), (nx, 3), (3, nx), (nx, 1), (3, 1)))
@@ -348,6 +348,10 @@ class Linear:
             kept.drive[rows] = found.Gamma @ found.rates[:, :, :1] + found.Phi @ self._moved(rows)
             kept.angle_error_rad[rows] = found.angles_rad[:, :, :1]
         return kept
+
+    def release(self) -> None:
+        """Give back what `steps` keeps: 100 MB of ten minutes; they are laid out again when asked for."""
+        self.__dict__.pop("steps", None)
 
     def torque_for(self, accelerations_rad_s2: Floats) -> Floats:
         """Torques about the axes that make accelerations along the course, both of shape (n, 3).
