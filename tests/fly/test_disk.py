@@ -28,8 +28,8 @@ pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not b
 BLOCKS_S = {4.0: 0.7, 6.0: 2.5, 10.0: 6.0}
 """Device time at which the disk blocks, and for how long [s]."""
 HOLD_S, LAND_S = 5.0, 30.0
-"""What the board waits for a setpoint: less than the longest block, and long enough at ten times real time for
-a machine that stalls [s]."""
+"""What the board waits for a setpoint: less than the longest block, and long enough at ten times real time
+for a machine that stalls [s]."""
 GIVE_UP_S = 3.0
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from heli_sim.model.parts import AXES
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from heli_lab.diagnose.screening import Screening
 from heli_lab.diagnose.spline_term import QUANTITIES, quantity_values
@@ -233,7 +233,7 @@ def _regimes(
     z = _scores(screening, axis, place, _CELLS**2)
     tested = np.nonzero(np.isfinite(z))[0]
     fails = np.zeros(_CELLS**2, bool)
-    fails[tested] = false_discoveries(2.0 * norm.sf(np.abs(z[tested])))
+    fails[tested] = false_discoveries(2.0 * ndtr(-np.abs(z[tested])))
     smoothed = screening.filtered.smoothed_torques(estimate.weather, np.zeros(len(estimate.theta)))
     moments = []
     for linear, (_, torque_Nm, _) in zip(screening.filtered.linears, smoothed, strict=True):

@@ -17,7 +17,6 @@ import numpy as np
 from heli_sim.model.base import Model
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Prior
-from scipy.signal import lfilter
 
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.diagnose.result import Diagnosis
@@ -229,6 +228,8 @@ def _quantities(linear: Linear) -> dict[str, Floats]:
     """Quantities that a law may go with, shape (n,), by name: those of spline terms, and how fast the thrust
     changes, which is what a lag and a delay go with.
     """
+    from scipy.signal import lfilter
+
     found = quantity_values(linear.model, linear.trajectory)
     for name, time_s in itertools.product(("thrust", "thrust_difference"), _LAGS_s):
         rho = np.exp(-linear.trajectory.step_s / time_s)

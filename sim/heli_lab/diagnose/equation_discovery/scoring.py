@@ -11,7 +11,6 @@ from typing import Final
 import casadi as ca
 import numpy as np
 from heli_sim.model.parts import AXES
-from scipy.signal import lfilter
 
 from heli_lab.diagnose.candidate import ExtendedModel
 from heli_lab.diagnose.equation_discovery.grammar import Group
@@ -97,6 +96,8 @@ class Courses:
     def _remembered(self, index: int, x: Floats, factor: Factor) -> Floats:
         if not factor.memory:
             return x
+        from scipy.signal import lfilter
+
         linear = self.linears[index]
         keep = math.exp(-linear.trajectory.step_s / dict(factor.numbers)["s"])
         late = np.empty_like(x)
