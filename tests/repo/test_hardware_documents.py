@@ -156,6 +156,8 @@ def test_what_is_to_be_rehearsed_ends_as_the_checklist_says(
         assert server.stdout is not None
         assert "Ctrl-C ends it" in server.stdout.readline()
         server.stdout.readline()
+        with heli_host.connect(str(tmp_path / "due")) as heli:
+            heli.params.restore(PATIENT)
         for typed, given, end in rows:
             os.write(keyboard, f"{typed}\n".encode())
             server.stdout.readline()

@@ -60,7 +60,7 @@ def imports(source: str, part: str) -> bool:
     library, _, last = part.rpartition(".")
     ways = [rf"(?:from|import) {re.escape(part)}\b"]
     ways += [rf"from {re.escape(library)} import [^\n]*\b{last}\b"] if library else []
-    return part.split(".")[0] in source and any(re.search(rf"^\s*{way}", source, re.M) for way in ways)
+    return part.partition(".")[0] in source and any(re.search(rf"^\s*{way}", source, re.M) for way in ways)
 
 
 def test_nothing_is_used_whose_types_mypy_does_not_read() -> None:
