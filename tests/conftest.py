@@ -5,6 +5,13 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from tests.repo.typed import Typed
 
 pytest_plugins = ["tests.running.cost", "tests.running.order", "tests.running.quick"]
 
@@ -20,6 +27,15 @@ for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 # A shell that runs the tests in the background ignores Ctrl-C; processes started here would inherit
 # that, were it not set back.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="session")
+def typed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Typed]:
+    """What documents say to type, run by one process of a worker: what that reads takes seconds."""
+    from tests.repo.typed import Typed
+
+    with Typed(tmp_path_factory.mktemp("typed") / "said") as started:
+        yield started
 
 
 def pytest_configure() -> None:

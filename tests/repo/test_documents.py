@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -131,13 +130,6 @@ def parse(arguments: list[str]) -> None:
             *context.args,
         ]
         name, command, arguments = command.resolve_command(context, left)
-
-
-@pytest.fixture(scope="session")
-def typed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Typed]:
-    """One for all documents of a worker: what it reads takes seconds."""
-    with Typed(tmp_path_factory.mktemp("typed") / "said") as started:
-        yield started
 
 
 @pytest.mark.documents

@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import heli_host
 import pytest
 from heli_host.cli import run
 from heli_host.flash.bossac import Bossac
@@ -20,6 +21,7 @@ from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Process, command
 from tests.repo.test_documents import ROOT, blocks, verbs
+from tests.sil.patient import PATIENT
 
 DOCS = ROOT / "docs"
 PINS = ROOT / "firmware/due/pins.hpp"

@@ -35,7 +35,7 @@ LIBRARIES: Final = (
 """What commands of several documents need."""
 HELI_HOST: Final = "heli-host"
 PYTHON: Final = "python"
-PATIENCE_S: Final = 300
+PATIENCE_S: Final = 900
 """After which a command is ended by SIGALRM: no test waits for ever."""
 
 
