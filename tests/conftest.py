@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from tests.repo.typed import Typed
 
 pytest_plugins = ["tests.running.cost", "tests.running.order", "tests.running.quick"]
 
@@ -17,9 +25,27 @@ sys.dont_write_bytecode = False
 for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_threads] = "1"
 
+# What is read before the first test stays; to look for garbage in it took a third of the time until then.
+gc.disable()
+
 # A shell that runs the tests in the background ignores Ctrl-C; processes started here would inherit
 # that, were it not set back.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="session")
+def typed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Typed]:
+    """What documents say to type, run by one process of a worker: what that reads takes seconds."""
+    from tests.repo.typed import Typed
+
+    with Typed(tmp_path_factory.mktemp("typed") / "said") as started:
+        yield started
+
+
+def pytest_collection_finish() -> None:
+    """Leave out of every later collection what was read until here: hundreds of thousands of objects."""
+    gc.enable()
+    gc.freeze()
 
 
 def pytest_configure() -> None:

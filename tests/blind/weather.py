@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from tests.blind.mujoco_rig import STEP_S, Floats, Hidden, Moment
 
@@ -62,6 +61,8 @@ class Air(Hidden):
 
 def _wander(memory_s: float, steps: int, chance: np.random.Generator) -> Floats:
     """Three stationary Ornstein-Uhlenbeck processes of unit variance, (steps, 3)."""
+    from scipy.signal import lfilter
+
     keep = np.exp(-STEP_S / memory_s)
     kicks = np.sqrt(1.0 - keep**2) * chance.standard_normal((steps, 3))
     kicks[0] = chance.standard_normal(3)

@@ -13,8 +13,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from distributed import Client
-
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE_s = 120.0
 
@@ -82,6 +80,8 @@ class Cluster:
         self.parts.append(start("-m", "distributed.cli.dask_worker", self.address, *words, path=path))
 
     def wait_for_workers(self, count: int) -> None:
+        from distributed import Client
+
         with Client(self.address, timeout=PATIENCE_s) as client:
             client.wait_for_workers(count, timeout=PATIENCE_s)
 

@@ -21,7 +21,7 @@ from tests.running.long import samples
 pytestmark = pytest.mark.slow
 
 COUNT, NAP_s = 60, 0.02
-KILLS = samples(20, 4)
+KILLS = samples(20, 2)
 TAKEN = {"cpu_s", "seconds", "where"}
 
 

@@ -6,7 +6,6 @@ import json
 import re
 from pathlib import Path
 
-import pyarrow.parquet as pq
 import pytest
 
 from tests.cli.terminal import Terminal, terminal
@@ -26,6 +25,8 @@ BAD = 'work = "tests.campaign.works:bad"\n[cases]\nhow = ["fine", "crashes", "ra
 
 
 def test_a_campaign_leaves_results_a_table_and_a_page(terminal: Terminal, tmp_path: Path) -> None:
+    import pyarrow.parquet as pq
+
     file, out = tmp_path / "squares.toml", tmp_path / "out"
     file.write_text(SQUARES)
     said = terminal("campaign", str(file), "--out", str(out), "--workers", "2")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +32,7 @@ class Ended:
     err: str
 
 
+PATIENCE_S = 60.0
 Terminal = Callable[..., Ended]
 
 
@@ -73,6 +76,15 @@ def process(folder: Path, *arguments: str | Path, prepare: Callable[[], object] 
         text=True,
         preexec_fn=prepare,
     )
+
+
+def until_open(running: Process, port: str) -> None:
+    """Wait until a process has opened a port, which on a busy machine takes it seconds."""
+    device, end_s = os.path.realpath(port), time.monotonic() + PATIENCE_S
+    files = Path(f"/proc/{running.pid}/fd")
+    while device not in {os.path.realpath(file) for file in files.iterdir()}:
+        assert running.poll() is None and time.monotonic() < end_s, f"{port} is not opened"
+        time.sleep(0.02)
 
 
 def refusal(ended: Ended, *, code: int) -> str:

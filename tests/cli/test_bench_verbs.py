@@ -24,7 +24,8 @@ from heli_host.link.requests import Command
 from heli_host.link.session import Session
 from heli_sim.sil.process import SilProcess
 
-from tests.cli.terminal import Process, Terminal, command, process, refusal
+from tests.cli.terminal import Process, Terminal, command, process, refusal, until_open
+from tests.sil.patient import PATIENT
 
 pytestmark = pytest.mark.medium
 
@@ -122,11 +123,14 @@ def test_motors_that_the_board_switches_off_say_why(terminal: Terminal) -> None:
 @pytest.mark.slow
 def test_ctrl_c_switches_the_motors_off(tmp_path: Path) -> None:
     with SilProcess() as board:
+        with heli_host.connect(board.url) as heli:
+            heli.params.restore(PATIENT)
         with process(tmp_path, "motors", "--port", board.url, "--for-s", "30") as running:
+            until_open(running, board.url)
             with pytest.raises(subprocess.TimeoutExpired):
-                running.wait(timeout=3.0)
+                running.wait(timeout=1.0)
             running.send_signal(signal.SIGINT)
-            running.communicate(timeout=20.0)
+            running.communicate(timeout=60.0)
             assert running.returncode == 130
         with heli_host.connect(board.url) as heli:
             assert heli.state is State.IDLE

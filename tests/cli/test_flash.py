@@ -28,6 +28,7 @@ from serial.tools import list_ports
 
 from tests.cli.terminal import Terminal, refusal
 from tests.cli.uploader import Uploader
+from tests.sil.patient import PATIENT
 
 ASKED, LINK, FILE = 2, 3, 5
 ENTRY = FLASH_START + 4 * VECTORS + 1
@@ -391,6 +392,7 @@ def test_a_board_that_flies_is_not_flashed(
     uploader = Uploader(tmp_path / "bin")
     with SilProcess(speed=5.0) as board:
         heli = heli_host.connect(board.url)
+        heli.params.restore(PATIENT)
         heli.take_off()
         # Ends the session but not the flight: the board holds level for a while.
         heli.session.close()

@@ -18,11 +18,12 @@ from heli_host.log.reader import Log, read_log
 
 from tests.cli.terminal import Terminal, command, process
 from tests.running.long import LONG, samples
+from tests.sil.patient import patient_file
 
 pytestmark = pytest.mark.slow
 
 SIL = ("--sil", "--speed", "max")
-FLY = ("fly", "hover", "--sil", "--speed", "10", "--log", "f.mcap")
+FLY = ("fly", "hover", "--sil", "--speed", "10", "--log", "f.mcap", "--params", "patient.toml")
 
 
 def test_a_flight_leaves_log_summary_and_figure(terminal: Terminal, tmp_path: Path) -> None:
@@ -83,6 +84,7 @@ def assert_landed(log: Log) -> None:
 
 
 def test_a_terminal_that_is_closed_lands_the_flight_and_keeps_its_log(tmp_path: Path) -> None:
+    patient_file(tmp_path)
     child, terminal = pty.fork()
     if child == 0:
         os.chdir(tmp_path)
@@ -99,6 +101,7 @@ def test_a_terminal_that_is_closed_lands_the_flight_and_keeps_its_log(tmp_path: 
 
 
 def test_under_nohup_a_hang_up_ends_nothing(tmp_path: Path) -> None:
+    patient_file(tmp_path)
     with process(tmp_path, *FLY, prepare=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)) as host:
         assert host.stdout is not None
         while "closed_loop" not in (line := host.stdout.readline()):
@@ -120,6 +123,7 @@ def test_under_nohup_a_hang_up_ends_nothing(tmp_path: Path) -> None:
 def test_an_interrupted_flight_lands_and_keeps_its_log(
     tmp_path: Path, number: signal.Signals, prepare: Callable[[], None] | None
 ) -> None:
+    patient_file(tmp_path)
     with process(tmp_path, *FLY, prepare=prepare) as host:
         assert host.stdout is not None
         while "closed_loop" not in (line := host.stdout.readline()):

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests.repo.typed import Typed
 
 COURSE = Path(__file__).resolve().parents[2] / "docs" / "course"
 NOTEBOOKS = sorted(COURSE.glob("*.py"))
 LONG = os.environ.get("HELI_LONG") == "1"
 PARTS = ("**Goals.**", "**Before.**", "**Task 1", "**Check.**", "**Common mistakes.**")
-TIMEOUT_S = 900
+STRICTLY = "import warnings; warnings.filterwarnings('error', '', DeprecationWarning, '__main__'); "
 
 
 def cells(path: Path) -> list[tuple[str, str]]:
@@ -48,15 +48,6 @@ def test_a_notebook_has_goals_tasks_a_check_and_common_mistakes(path: Path) -> N
 
 @pytest.mark.documents
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs_and_its_check_holds(path: Path, tmp_path: Path) -> None:
-    environment = {**os.environ, "MPLBACKEND": "agg", "OPENBLAS_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [sys.executable, "-W", "error::DeprecationWarning:__main__", "-c", script(path)],
-        cwd=tmp_path,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-        check=False,
-    )
-    assert done.returncode == 0, f"{done.stdout[-2000:]}\n{done.stderr[-3000:]}"
+def test_a_notebook_runs_and_its_check_holds(path: Path, typed: Typed, tmp_path: Path) -> None:
+    code, said = typed.run(["python", "-c", STRICTLY + script(path)], tmp_path)
+    assert code == 0, said[-5000:]

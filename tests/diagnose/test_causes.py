@@ -19,8 +19,9 @@ from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import effects_of
 from heli_sim.rig import load_rig, write_rig
 
-from tests.diagnose.hidden import flights
+from tests.diagnose.hidden import MADE_BY, SHORT_S, flights
 from tests.diagnose.schema import conforms
+from tests.running.kept import KEPT
 from tests.running.long import samples
 
 pytestmark = pytest.mark.diagnosis
@@ -28,9 +29,15 @@ pytestmark = pytest.mark.diagnosis
 
 @cache
 def diagnosed(*effects: str, off_list: bool = False) -> Diagnosis:
-    """Diagnose a flight with something hidden in it."""
+    """Diagnose a flight with something hidden in it; once for all files of this room."""
     fit, held_out = flights(*effects, off_list=off_list)
-    return diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held_out], labels=["fit", "held out"])
+    return KEPT(
+        f"diagnosed {effects} {off_list} {SHORT_S}",
+        lambda: diagnose(
+            MultibodyModel(), load_rig("makki2024"), [fit], [held_out], labels=["fit", "held out"]
+        ),
+        made_by=MADE_BY,
+    )
 
 
 def test_answer_has_the_keys_and_units_that_were_promised_whatever_the_verdict() -> None:

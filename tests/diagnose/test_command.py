@@ -13,6 +13,7 @@ from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Terminal
 from tests.diagnose.hidden import flights
+from tests.diagnose.test_causes import diagnosed
 from tests.running.long import LONG
 
 pytestmark = pytest.mark.diagnosis
@@ -27,8 +28,13 @@ def tables(tmp_path: Path) -> tuple[Path, Path]:
     return paths
 
 
-def test_command_writes_numbers_rig_and_page(terminal: Terminal, tables: tuple[Path, Path]) -> None:
+def test_command_writes_numbers_rig_and_page(
+    terminal: Terminal, tables: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
     fit, held_out = tables
+    found = diagnosed()
+    # The search itself is what test_causes has done, on the same flights.
+    monkeypatch.setattr("heli_lab.diagnose.diagnose", lambda *_args, **_more: found)
     files = ("--report", "why", "--json", "why.json", "--out", "extended.toml")
     ended = terminal("diagnose", fit, "--validate", held_out, "--rig", "makki2024", *files)
     assert ended.code == 0, ended.err

@@ -7,7 +7,6 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-import sympy
 from heli_lab.diagnose.equation_discovery.grammar import groups, tried_up_to
 from heli_lab.diagnose.equation_discovery.law import NAME, Law, LawTerm, law_effect, rotor_signs
 from heli_lab.diagnose.equation_discovery.notation import effect_file, expression
@@ -77,6 +76,8 @@ def test_thousands_of_terms_are_tried_on_every_kind_of_channel_and_none_twice() 
 
 @pytest.mark.medium
 def test_what_sympy_reads_is_what_is_computed_along_a_flight() -> None:
+    import sympy
+
     numbers = np.random.default_rng(1).uniform(0.2, 1.0, len(QUANTITIES))
     values = dict(zip(QUANTITIES, numbers, strict=True))
     for group in OF_EACH_SORT:

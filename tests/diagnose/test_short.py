@@ -39,12 +39,13 @@ def on_table() -> Flight:
     return Flight(np.arange(rows) / 500.0, still, still, np.full(rows, -0.48), still, still)
 
 
-def answered(terminal: Terminal, *arguments: str | Path) -> tuple[Ended, dict[str, Any]]:
-    """Diagnose, and read the answer."""
-    ended = terminal("diagnose", *arguments, "--json", "why.json", "--report", "why", "--out", "found.toml")
+def answered(terminal: Terminal, *arguments: str | Path, drawn: bool = LONG) -> tuple[Ended, dict[str, Any]]:
+    """Diagnose, and read the answer; with its page, which takes two seconds, always in `make long`."""
+    page = ("--report", "why") if drawn else ()
+    ended = terminal("diagnose", *arguments, "--json", "why.json", *page, "--out", "found.toml")
     assert ended.code == 0, ended.err
     numbers: dict[str, Any] = json.loads(Path("why.json").read_text())
-    assert Path("why/index.html").exists()
+    assert Path("why/index.html").exists() is drawn
     conforms(numbers, silent=not numbers["flights"])
     return ended, numbers
 
@@ -53,7 +54,7 @@ def test_three_seconds_name_nothing_wrong_and_say_what_they_cannot_show(terminal
     fit, held_out = flights("rotor_lag=0.06")
     write_csv(part(fit, 10.0, 13.0), "a.csv")
     write_csv(held_out, "b.csv")
-    ended, numbers = answered(terminal, "a.csv", "--validate", "b.csv")
+    ended, numbers = answered(terminal, "a.csv", "--validate", "b.csv", drawn=True)
     assert {"cable_spring.elevation", "thrust_fade"} <= set(numbers["undetectable"])
     assert numbers["unidentifiable"]
     # The lag is plain even in three seconds, for the flight held out confirms it; nothing else may be named.
@@ -78,7 +79,8 @@ def test_hovering_still_names_no_cause_and_asks_for_motion(terminal: Terminal) -
 @pytest.mark.parametrize("which", ["table", "asked for"])
 def test_flight_in_which_nothing_flies_is_answered_and_writes_no_rig(terminal: Terminal, which: str) -> None:
     write_csv(on_table() if which == "table" else flights()[0], "a.csv")
-    ended, numbers = answered(terminal, "a.csv", *(("--from", "500") if which == "asked for" else ()))
+    begin = ("--from", "500") if which == "asked for" else ()
+    ended, numbers = answered(terminal, "a.csv", *begin, drawn=LONG or which == "table")
     assert numbers["verdict"] == "ambiguous"
     assert numbers["causes"] == []
     assert "rotor_lag" in numbers["undetectable"]

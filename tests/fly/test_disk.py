@@ -20,6 +20,7 @@ from heli_host.log.disk import BackgroundFile
 from heli_host.log.reader import read_log
 
 from tests.fly.test_runner import SHORT, flown, short
+from tests.sil.patient import PATIENT
 
 pytestmark = pytest.mark.medium
 
@@ -27,9 +28,6 @@ pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not b
 
 BLOCKS_S = {4.0: 0.7, 6.0: 2.5, 10.0: 6.0}
 """Device time at which the disk blocks, and for how long [s]."""
-HOLD_S, LAND_S = 5.0, 30.0
-"""What the board waits for a setpoint: less than the longest block, and long enough at ten times real time
-for a machine that stalls [s]."""
 GIVE_UP_S = 3.0
 
 
@@ -40,7 +38,7 @@ def test_a_disk_that_blocks_for_seconds_is_not_noticed_by_the_board(
     due = dict(BLOCKS_S)
     plan = short(SHORT.replace('kind = "hold"\nduration_s = 2', 'kind = "hold"\nduration_s = 10'))
     with process.SilProcess(speed=10.0) as sil, connect(sil.url) as heli:
-        heli.params.restore({"setpoint_hold_s": HOLD_S, "setpoint_land_s": LAND_S})
+        heli.params.restore(PATIENT)
 
         def device_s() -> float:
             newest = heli.session.latest
@@ -86,6 +84,7 @@ def test_over_a_port_a_full_disk_lands_the_rig_and_is_the_first_thing_told(
 
     monkeypatch.setattr("heli_host.log.disk.io.FileIO", FullDisk)
     with process.SilProcess(speed=10.0) as sil, connect(sil.url) as heli:
+        heli.params.restore(PATIENT)
         summary = fly(heli, short(), log_path=tmp_path / "a.mcap")
         assert heli.state is State.IDLE
     assert summary.outcome.startswith("aborted: cannot write the log"), summary.outcome
@@ -139,6 +138,7 @@ def test_a_disk_that_takes_not_even_the_beginning_is_what_is_told(
 
     monkeypatch.setattr("heli_host.log.disk.io.FileIO", FullDisk)
     with process.SilProcess(speed=10.0) as sil, connect(sil.url) as heli:
+        heli.params.restore(PATIENT)
         try:
             outcome = fly(heli, short(), log_path=tmp_path / "a.mcap").outcome
         except LogWriteError as error:

@@ -26,6 +26,8 @@ from heli_host.log.flight_file import read_flight
 from heli_host.log.reader import Log, read_log
 from heli_host.log.summary import FlightSummary
 
+from tests.sil.patient import PATIENT, SOON_LANDING
+
 pytestmark = pytest.mark.medium
 
 pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not built")
@@ -379,6 +381,7 @@ def test_a_recorder_without_a_plan_takes_what_comes(tmp_path: Path) -> None:
 def test_over_a_pseudo_terminal_it_flies_the_same(tmp_path: Path) -> None:
     process = pytest.importorskip("heli_sim.sil.process", reason="skipped: no simulation")
     with process.SilProcess(speed=10.0) as sil, connect(sil.url) as heli:
+        heli.params.restore(PATIENT)
         seen: list[Progress] = []
         summary = fly(heli, short(), log_path=tmp_path / "a.mcap", on_progress=seen.append)
         assert heli.state is State.IDLE
@@ -396,6 +399,7 @@ def test_after_kill_9_of_the_host_the_board_lands_and_the_log_opens(tmp_path: Pa
         "from heli_host.heli import connect\n"
         "from heli_host.fly.runner import fly\n"
         "with connect(sys.argv[1]) as heli:\n"
+        f"    heli.params.restore({SOON_LANDING})\n"
         "    fly(heli, 'hover', log_path=sys.argv[2], on_progress=lambda p: print(p.t_s, flush=True))\n"
     )
     with process.SilProcess(speed=5.0) as sil:
@@ -408,7 +412,7 @@ def test_after_kill_9_of_the_host_the_board_lands_and_the_log_opens(tmp_path: Pa
         host.send_signal(signal.SIGKILL)
         host.wait(timeout=30)
         with connect(sil.url) as heli:
-            deadline_s = time.monotonic() + 20.0
+            deadline_s = time.monotonic() + 60.0
             while heli.state is not State.IDLE and time.monotonic() < deadline_s:
                 heli.wait(0.2)
             assert heli.state is State.IDLE

@@ -54,7 +54,7 @@ def test_a_zero_at_rest_and_degrees_are_named() -> None:
 def test_measured_flights_are_sound_and_their_wrong_copies_are_not() -> None:
     if not measured():
         pytest.skip("skipped: no shared data")
-    for path in measured()[:: samples(1, 3)]:
+    for path in measured()[:: samples(1, 6)]:
         flight, rig = measured_flight(path)
         assert wrong_signs(flight, rig) == (), path.name
         (one,) = wrong_signs(replace(flight, travel_rad=-flight.travel_rad), rig)

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
-import control
 import numpy as np
 import pytest
 from heli_host.errors import BadLaw
@@ -29,6 +28,12 @@ def branches(now: Any, state: Any, parameter: Any) -> Command:
     return Command(2.0, 2.0)
 
 
+def of_the_wrong_shape() -> Law:
+    import control
+
+    return from_state_space(control.ss(1, 1, 1, 0), hover_V=1.4)
+
+
 BAD: dict[str, tuple[Callable[[], Any], str]] = {
     "a Python if": (lambda: law(branches), "write if_else"),
     "three outputs": (lambda: law(lambda now, state, parameter: (1.0, 2.0, 3.0)), "return Command"),
@@ -44,7 +49,7 @@ BAD: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "a state that is not there": (lambda: law(lambda n, s, p: Command(1.0, 1.0, states={"x": 0.0})), "name it"),
     "a gain of the wrong shape": (lambda: from_gain(np.eye(3), hover_V=1.4), "give 2 x 6"),
-    "a system of the wrong shape": (lambda: from_state_space(control.ss(1, 1, 1, 0), hover_V=1.4), "6 inputs"),
+    "a system of the wrong shape": (of_the_wrong_shape, "6 inputs"),
     "a function of the wrong shape": (
         lambda: from_function(ca.Function("f", [ca.SX.sym("x", 3)], [ca.SX(2, 1)])), "let it take [17",
     ),

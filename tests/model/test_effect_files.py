@@ -21,7 +21,6 @@ from heli_sim.plant import Plant
 from heli_sim.rig import Number, Rig, load_rig, write_rig
 from heli_sim.sil.options import SilOptions, parse_url
 from heli_sim.sil.plant_factory import plant_of
-from matplotlib.mathtext import MathTextParser
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "effects.md"
 COMMON = [
@@ -77,6 +76,8 @@ def test_no_two_effects_share_a_number_and_each_has_a_size_and_a_range() -> None
 @pytest.mark.medium
 @pytest.mark.parametrize("id", catalogue())
 def test_an_equation_can_be_drawn_and_a_sentence_said(id: str) -> None:
+    from matplotlib.mathtext import MathTextParser
+
     kind = catalogue()[id]
     MathTextParser("path").parse(f"${kind.equation}$")
     sentence = kind.describe(kind.typical, {name: 0.01 * abs(value) for name, value in kind.typical.items()})

@@ -20,6 +20,11 @@ NAMES = ("chromium", "chromium-browser", "google-chrome")
 PATIENCE_S = 90.0
 expect.set_options(timeout=PATIENCE_S * 1e3)
 WIDE, TABLET = (1280, 720), (768, 1024)
+SELDOM_DRAWN = """
+const drawn = window.requestAnimationFrame.bind(window);
+window.requestAnimationFrame = (draw) => setTimeout(() => drawn(draw), 200);
+"""
+"""Sixty pictures a second are drawn in software, at a cost, and no claim is about their number."""
 FLAGS = [
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
@@ -112,5 +117,6 @@ def tabs(browser: Browser, size: tuple[int, int] = WIDE) -> Iterator[Tabs]:
         stack.callback(context.close)
         opened = Tabs(context)
         context.route("**/*", opened._guard)
+        context.add_init_script(SELDOM_DRAWN)
         context.set_default_timeout(60_000)
         yield opened

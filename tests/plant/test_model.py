@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from heli_sim.errors import PlantError
 from heli_sim.model import PaperModel
-from scipy.optimize import brentq
 
 from tests.plant.toys import ConstantTorque, FirstOrderLag, TiltedEncoder, paper_rig, rates
 
@@ -24,6 +23,8 @@ def test_inertias_are_those_of_27_to_29_and_not_table_2s_elevation() -> None:
 
 
 def test_hover_at_level_needs_1_70_V_on_each_motor() -> None:
+    from scipy.optimize import brentq
+
     model, rig = PaperModel(), paper_rig()
     hover_V = brentq(lambda volts: rates(model, rig, LEVEL, (volts, volts))[3], 1.0, 5.0)
     assert hover_V == pytest.approx(1.70, abs=0.005)

@@ -22,6 +22,7 @@ import heli_host
 with heli_host.connect("sil://?process=1&speed=max") as heli:
     assert heli.session.transport.url.startswith("socket://127.0.0.1:"), heli.session.transport.url
     assert not heli.session.lockstep
+    heli.params.restore({"setpoint_hold_s": 5.0, "setpoint_land_s": 30.0})
     heli.take_off(elevation_deg=0.0)
     sample = heli.wait_until(lambda now: abs(now.elevation_deg) < 2.0, 20.0)
     assert "rig makki2024" in repr(heli), repr(heli)

@@ -9,7 +9,6 @@ import pytest
 from heli_lab.pool import der_simonian_laird, share
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from statsmodels.stats.meta_analysis import combine_effects
 
 MEASURED = st.tuples(st.floats(-10.0, 10.0), st.floats(0.05, 5.0))
 
@@ -19,6 +18,8 @@ MEASURED = st.tuples(st.floats(-10.0, 10.0), st.floats(0.05, 5.0))
 @pytest.mark.medium
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_it_is_what_statsmodels_has(measured: list[tuple[float, float]]) -> None:
+    from statsmodels.stats.meta_analysis import combine_effects
+
     values, stds = (np.array(one) for one in zip(*measured, strict=True))
     ours = der_simonian_laird(values.tolist(), stds.tolist())
     theirs = combine_effects(values, stds**2, method_re="dl", use_t=True)

@@ -2,7 +2,8 @@
 
 In a fence ```console every line that starts with ``$`` is a command: its verb and options must exist. A fence
 ```console run, or ```python run, is run, each document in one empty folder from top to bottom; one with
-```console long, or ```python long, in `make long` only, because tests/tune or tests/identify do the same.
+```console long, or ```python long, in `make long` only, because a room of the
+tests does the same.
 """
 
 from __future__ import annotations
@@ -140,15 +141,14 @@ def parse(arguments: list[str]) -> None:
         if any(block.runs for block in blocks(path))
     ],
 )
-def test_what_a_document_says_to_run_runs(path: Path, tmp_path: Path) -> None:
-    with Typed(tmp_path) as typed:
-        for block in blocks(path):
-            if not block.runs or (block.is_long and not LONG):
-                continue
-            is_python = block.language == "python"
-            for words in [["python", "-c", block.text]] if is_python else block.commands:
-                code, said = typed.run(words)
-                assert code == 0, f"{words[-1] if is_python else shlex.join(words)}\n{said[-4000:]}"
+def test_what_a_document_says_to_run_runs(path: Path, typed: Typed, tmp_path: Path) -> None:
+    for block in blocks(path):
+        if not block.runs or (block.is_long and not LONG):
+            continue
+        is_python = block.language == "python"
+        for words in [["python", "-c", block.text]] if is_python else block.commands:
+            code, said = typed.run(words, tmp_path)
+            assert code == 0, f"{words[-1] if is_python else shlex.join(words)}\n{said[-4000:]}"
 
 
 def anchors(path: Path) -> set[str]:

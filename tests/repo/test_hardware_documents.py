@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import heli_host
 import pytest
 from heli_host.cli import run
 from heli_host.flash.bossac import Bossac
@@ -20,6 +21,7 @@ from heli_sim.rig import load_rig, write_rig
 
 from tests.cli.terminal import Process, command
 from tests.repo.test_documents import ROOT, blocks, verbs
+from tests.sil.patient import PATIENT
 
 DOCS = ROOT / "docs"
 PINS = ROOT / "firmware/due/pins.hpp"
@@ -156,6 +158,8 @@ def test_what_is_to_be_rehearsed_ends_as_the_checklist_says(
         assert server.stdout is not None
         assert "Ctrl-C ends it" in server.stdout.readline()
         server.stdout.readline()
+        with heli_host.connect(str(tmp_path / "due")) as heli:
+            heli.params.restore(PATIENT)
         for typed, given, end in rows:
             os.write(keyboard, f"{typed}\n".encode())
             server.stdout.readline()

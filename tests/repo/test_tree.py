@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -45,6 +46,28 @@ def test_no_path_of_a_build_machine() -> None:
             if MACHINE_PATH.search(line):
                 found.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()}")
     assert not found, "\n".join(found)
+
+
+def skipped_by_mypy() -> list[str]:
+    """Parts of libraries whose types mypy is told not to read."""
+    overrides = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mypy"]["overrides"]
+    (skipped,) = (one["module"] for one in overrides if one.get("follow_imports") == "skip")
+    return [name.removesuffix(".*") for name in skipped]
+
+
+def imports(source: str, part: str) -> bool:
+    """Whether a source imports a part of a library, or something of it."""
+    library, _, last = part.rpartition(".")
+    ways = [rf"(?:from|import) {re.escape(part)}\b"]
+    ways += [rf"from {re.escape(library)} import [^\n]*\b{last}\b"] if library else []
+    return part.partition(".")[0] in source and any(re.search(rf"^\s*{way}", source, re.M) for way in ways)
+
+
+def test_nothing_is_used_whose_types_mypy_does_not_read() -> None:
+    sources = {path: path.read_text() for path in tracked() if path.suffix == ".py"}
+    for part in skipped_by_mypy():
+        found = [path.relative_to(ROOT) for path, text in sources.items() if imports(text, part)]
+        assert not found, f"{part}: {found}"
 
 
 def test_no_large_file() -> None:

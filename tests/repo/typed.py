@@ -1,12 +1,13 @@
 """Runs what a document says to type: each command a process, forked from one that has read the libraries.
 
 Most commands compute for a moment; to start Python and read NumPy, CasADi and the host takes each of them
-half a second of CPU. As a program this is that process: it takes commands from its standard input, one a
-line as JSON, and answers each with its exit code.
+half a second of CPU, and SciPy's signals and matplotlib two more. As a program this is that process: it takes
+commands from its standard input, one a line as JSON, and answers each with its exit code and its CPU time.
 """
 
 from __future__ import annotations
 
+import gc
 import importlib
 import json
 import os
@@ -18,35 +19,46 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
+from tests.running import clock
+
+ROOT: Final = Path(__file__).resolve().parents[2]
 LIBRARIES: Final = (
     "heli_host.fly.runner",
     "heli_sim.sil.transport",
     "heli_sim.sil.world",
     "heli_lab.identify",
+    "heli_lab.diagnose",
+    "matplotlib.backends.backend_agg",
+    "matplotlib.pyplot",
+    "scipy.signal",
 )
-"""What nearly all commands need; matplotlib and SciPy's signals take a second, and a command that wants them
-reads them itself."""
+"""What commands of several documents need."""
 HELI_HOST: Final = "heli-host"
 PYTHON: Final = "python"
-PATIENCE_S: Final = 300
+PATIENCE_S: Final = 900
 """After which a command is ended by SIGALRM: no test waits for ever."""
 
 
 class Typed:
-    """Commands and programs, run one after the other in one folder.
+    """Commands and programs, run one after the other.
 
     Parameters
     ----------
-    folder : Path
-        Where they run.
+    said : Path
+        File for what they say.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._said = folder.with_name(folder.name + ".said")
+    def __init__(self, said: Path) -> None:
+        self._said = said
+        self._charged_s = 0.0
         environment = {**os.environ, "MPLBACKEND": "agg"}
-        command = [sys.executable, __file__, str(self._said)]
         self._started = subprocess.Popen(
-            command, cwd=folder, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            [sys.executable, "-m", "tests.repo.typed", str(said)],
+            cwd=ROOT,
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
         )
 
     def __enter__(self) -> Typed:
@@ -57,16 +69,19 @@ class Typed:
     ) -> None:
         if kind is not None:
             self._started.kill()
-        # Waited for, so that what all of them took is charged to the test.
         self._started.communicate()
+        # Waited for, it brings along what its commands took.
+        clock.charge(-self._charged_s)
 
-    def run(self, words: Sequence[str]) -> tuple[int, str]:
-        """Run ``heli-host ...`` or ``python -c ...``; its exit code, and what it said."""
+    def run(self, words: Sequence[str], folder: Path) -> tuple[int, str]:
+        """Run ``heli-host ...`` or ``python -c ...`` in a folder; its exit code, and what it said."""
         assert self._started.stdin is not None
         assert self._started.stdout is not None
-        self._started.stdin.write(json.dumps(list(words)) + "\n")
+        self._started.stdin.write(json.dumps([str(folder), *words]) + "\n")
         self._started.stdin.flush()
-        code = int(self._started.stdout.readline() or -1)
+        code, cpu_s = json.loads(self._started.stdout.readline() or "[-1, 0.0]")
+        self._charged_s += cpu_s
+        clock.charge(cpu_s)
         return code, self._said.read_text(encoding="utf-8", errors="replace")
 
 
@@ -74,13 +89,18 @@ def main() -> None:
     """Fork for each command, and in its process become it."""
     for name in LIBRARIES:
         importlib.import_module(name)
+    # What is there already is shared with each command; a collector that looks at it would copy it.
+    gc.collect()
+    gc.freeze()
     for line in sys.stdin:
         child = os.fork()
         if child == 0:
-            become(json.loads(line), sys.argv[1])
+            folder, *words = json.loads(line)
+            os.chdir(folder)
+            become(words, sys.argv[1])
             return
-        _, status = os.waitpid(child, 0)
-        print(os.waitstatus_to_exitcode(status), flush=True)
+        _, status, used = os.wait4(child, 0)
+        print(json.dumps([os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime]), flush=True)
 
 
 def become(words: list[str], said: str) -> None:
@@ -91,6 +111,8 @@ def become(words: list[str], said: str) -> None:
         for number in (1, 2):
             os.dup2(output.fileno(), number)
     program, *sys.argv[1:] = words
+    # Where it lies itself is no place for what a document imports; where a command runs is.
+    sys.path[0] = ""
     if program == HELI_HOST:
         from heli_host.cli import main as heli_host
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.running import cost
+from tests.running import clock, cost
 from tests.running.kept import KEPT
 
 pytestmark = pytest.mark.medium
@@ -136,3 +136,11 @@ def test_a_machine_is_never_taken_for_faster_than_idle(monkeypatch: pytest.Monke
     assert cost.slowness() == 1.0
     monkeypatch.setattr(cost, "_work", lambda: 3.0 * cost.UNHURRIED_S)
     assert cost.slowness() == pytest.approx(3.0)
+
+
+def test_what_is_charged_for_a_process_is_taken_back_when_it_is_waited_for() -> None:
+    before_s = clock.spent_s()
+    clock.charge(1000.0)
+    assert clock.spent_s() - before_s >= 1000.0
+    clock.charge(-1000.0)
+    assert clock.spent_s() - before_s < 1000.0

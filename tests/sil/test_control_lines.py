@@ -28,6 +28,7 @@ from heli_sim.sil.server import serve
 from heli_sim.sil.world import SilWorld
 
 from tests.sil.harness import world
+from tests.sil.patient import PATIENT
 from tests.sil.ports import Bench, PtyHost
 
 pytestmark = pytest.mark.medium
@@ -121,9 +122,9 @@ def test_an_erased_native_board_is_silent_too() -> None:
 
 def test_a_flight_survives_a_host_that_dies_where_opening_resets_nothing(elf: Path) -> None:
     options = {"board": "due", "elf": str(elf), "reset_on_open": "0"}
-    # The next host has six simulated seconds before the board has landed.
     with SilProcess(speed=2.0, options=options) as board:
         first = heli_host.connect(board.url, land_on_exit=False)
+        first.params.restore(PATIENT)
         first.take_off(0.0)
         # As a host that is killed: the port is closed, nothing is said.
         first.session.close()

@@ -9,7 +9,8 @@ import pytest
 from heli_lab.twin.calibration import SEGMENT_s, Tail, fit_tail
 from heli_lab.twin.changes import CHANGES
 from heli_lab.twin.likelihood_ratio import KEPT, ONSETS, RECENT, Innovation, LikelihoodRatio
-from scipy.stats import multivariate_normal
+
+from tests.innovations.density import log_density
 
 COUNT_rad = np.full(3, 2 * np.pi / 4096)
 COLUMNS = sum(len(change.numbers) for change in CHANGES)
@@ -43,8 +44,7 @@ def test_evidence_is_the_ratio_of_two_gaussian_densities(name: str) -> None:
     own = sensitivity[:, :, low : low + len(change.numbers)].reshape(18, -1)
     # Marginalised over the size: white noise plus what a size of the prior adds.
     covariance = np.eye(18) + own @ np.diag(np.square(change.sizes)) @ own.T
-    whole = multivariate_normal.logpdf(values.ravel(), np.zeros(18), covariance)
-    none = multivariate_normal.logpdf(values.ravel(), np.zeros(18), np.eye(18))
+    whole, none = (log_density(values.ravel(), one) for one in (covariance, np.eye(18)))
     (found,) = (one for one in ratio.ranking() if one.change.id == name)
     assert found.log_evidence == pytest.approx(whole - none)
 

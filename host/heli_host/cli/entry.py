@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextvars
 import copy
+import functools
 import os
 import signal
 import stat
@@ -107,6 +108,7 @@ def run(arguments: list[str] | None = None) -> int:
     return code if isinstance(code, int) else 0
 
 
+@functools.cache
 def command_line() -> Callable[..., object]:
     """Make the whole command line, with ``--quiet`` behind each verb too."""
     whole = typer.main.get_command(app)

@@ -1,0 +1,22 @@
+"""Boards whose time goes on with the machine's, flown on a machine that may stall.
+
+At ten times real time the half second after which a board holds is 50 ms of the machine's, and the two after
+which it lands are 200: a machine that stalls for a second must not end what a test flies.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+PATIENT: Final = {"setpoint_hold_s": 5.0, "setpoint_land_s": 30.0}
+"""What a board waits for a setpoint, s, as long as its declaration lets it; for `Parameters.restore`."""
+SOON_LANDING: Final = {"setpoint_hold_s": 5.0, "setpoint_land_s": 10.0}
+"""The same where a test waits for the landing."""
+
+
+def patient_file(folder: Path) -> Path:
+    """Write them as a file for ``--params``."""
+    path = folder / "patient.toml"
+    path.write_text("[parameters]\n" + "".join(f"{name} = {value}\n" for name, value in PATIENT.items()))
+    return path
