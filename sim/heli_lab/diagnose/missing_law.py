@@ -229,8 +229,6 @@ def _quantities(linear: Linear) -> dict[str, Floats]:
     """Quantities that a law may go with, shape (n,), by name: those of spline terms, and how fast the thrust
     changes, which is what a lag and a delay go with.
     """
-    from scipy.signal import lfilter
-
     found = quantity_values(linear.model, linear.trajectory)
     for name, time_s in itertools.product(("thrust", "thrust_difference"), _LAGS_s):
         late = _lagged(found[name], linear.trajectory.step_s / time_s)
