@@ -24,7 +24,7 @@ from heli_host.fly.tracking import Tolerance, TrackingMonitor
 from heli_host.link.channels import rad_per_count
 from heli_host.link.events import BOARD_RESTARTED, LinkEvent
 from heli_host.log.schema import LEVEL_WARNING
-from heli_host.log.summary import LANDING
+from heli_host.flight.flown import LANDING
 
 if TYPE_CHECKING:
     from heli_host.fly.recorder import Recorder
