@@ -238,7 +238,8 @@ def control_law(
         may_change = SimpleNamespace(**{one: parameter[k] for k, one in enumerate(values)})
         if not _takes_three(function):
             raise BadLaw(
-                f"the law {called} does not take three arguments", f"write def {called}(now, state, parameter):"
+                f"the law {called} does not take three arguments",
+                f"write def {called}(now, state, parameter):",
             )
         try:
             command = function(now, own, may_change)
