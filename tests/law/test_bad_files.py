@@ -1,4 +1,6 @@
-"""``heli-host law`` on files that hold no law a board could fly: one line with cause and remedy, nothing sent."""
+"""``heli-host law`` on files that hold no law a board could fly: one line with its remedy, nothing sent."""
+
+# ruff: noqa: E501  -- a row each
 
 from __future__ import annotations
 

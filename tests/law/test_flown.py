@@ -9,7 +9,7 @@ from typing import Any
 import heli_host
 import numpy as np
 import pytest
-from heli_host.declaration import Channel, LawFlyMessage
+from heli_host.declaration import Channel, Fault, LawFlyMessage
 from heli_host.link.telemetry import Ticks
 from heli_lab.law import Command, Law, control_law, if_else, motor_volts, sqrt
 
@@ -67,8 +67,9 @@ def follows(now: Any, more_V: Any = 0.0, share: float = 1.0) -> Volts:
 def hostile(
     name: str, volts: Callable[[Any, Volts, Any], Volts], grows: Callable[[Any], Any] = lambda now: 0.0
 ) -> Law:
-    """A law that follows well for three seconds, then does what ``volts(now, well, grown)`` says; ``grown`` is
-    then the integral of ``grows(now)`` a second.
+    """A law that follows well for three seconds, then does what ``volts(now, well, grown)`` says.
+
+    ``grown`` is then the integral of ``grows(now)``.
     """
 
     @control_law(states={"t_s": 0.0, "grown": 0.0}, name=name)
@@ -124,7 +125,11 @@ HOSTILE: dict[str, tuple[Law, tuple[str, ...]]] = {
     ),
     # An integral that nothing limits, of an error that nothing can answer.
     "wind_up": (
-        hostile("wind_up", lambda now, well, v: follows(now, v), lambda now: 15.0 * (UNREACHABLE_rad - now.elevation_rad)),
+        hostile(
+            "wind_up",
+            lambda now, well, v: follows(now, v),
+            lambda now: 15.0 * (UNREACHABLE_rad - now.elevation_rad),
+        ),
         ("elevation_envelope", "elevation_following"),
     ),
     "drift_up": (
@@ -141,11 +146,20 @@ HOSTILE: dict[str, tuple[Law, tuple[str, ...]]] = {
     ),
 }  # fmt: skip
 RIGS = ("", "&effect=rotor_lag=0.12", "&effect=thrust_step.front=-0.1@0.001;thrust_step.back=-0.1@0.001")
+# Chatter within what a voltage may jump by, about what carries the arm: rotors and arm hardly move. Nobody
+# need take over while it stays near its setpoint, as each flight is asked.
+HARMLESS = ("small_bang_bang",)
+NEAR_deg = 3.0
+# A pitch of -24 degrees that runs away at 80 deg/s is turned round by 2.4 V of difference and rotors that lag by
+# 0.12 s in 0.7 s. Until then up to 40 degrees of tilt throw travel 38 degrees away from its setpoint; beyond 30
+# for a second the supervisor gives travel up, and lands on elevation and pitch.
+LANDS = ("sign_error_of_pitch", RIGS[1])
 # The table is at -25 degrees, the upper stop at +25 (makki2024.toml); where they are is known to a degree.
 STOP_deg = 24.0
 PITCH_STOP_deg = 50.0
-# The slowest of the cascade's loops, travel's integral, takes as long to let go.
-CALM_s = 20.0
+# The slowest of the cascade's loops, travel's integral, takes as long to let go: 20 s after a takeover that left
+# travel 25 degrees away, 6 are left of them, after 40 s none.
+CALM_s = 40.0
 LONGEST_s = 40.0
 
 
@@ -162,9 +176,20 @@ def tries(name: str, rig: str, seed: int) -> heli_host.guest_law.LawReport:
         since = heli.samples(last_s=LONGEST_s + 2 * CALM_s)
         rows = since.tick > start
         elevation_deg = np.degrees(since.elevation_rad[rows])
-        assert np.abs(elevation_deg).max() < STOP_deg, f"{rig} {seed}: {report}"
-        assert np.degrees(np.abs(since.pitch_rad[rows])).max() < PITCH_STOP_deg, f"{rig} {seed}: {report}"
-        assert heli.state is heli_host.State.CLOSED_LOOP, f"{rig} {seed}: {report}"
+        which = f"{rig} {seed}: {report}"
+        assert np.degrees(np.abs(since.pitch_rad[rows])).max() < PITCH_STOP_deg, which
+        assert elevation_deg.max() < STOP_deg, which
+        if (name, rig) == LANDS and heli.state is not heli_host.State.CLOSED_LOOP:
+            assert heli.latest.fault is Fault.TRAVEL_FOLLOWING, which
+            flying = since.state[rows] == heli_host.State.CLOSED_LOOP
+            assert elevation_deg[flying].min() > -STOP_deg, which
+            return report
+        assert heli.state is heli_host.State.CLOSED_LOOP, which
+        assert elevation_deg.min() > -STOP_deg, which
+        if not report.taken_over:
+            late = elevation_deg[since.t_s[rows] > since.t_s[rows][0] + 10.0]
+            wanted_deg = np.degrees(heli.latest.elevation_setpoint_rad)
+            assert np.abs(late - wanted_deg).max() < NEAR_deg, which
         sample = heli.latest
         assert abs(sample.elevation_deg - np.degrees(sample.elevation_setpoint_rad)) < 1.0, f"{rig} {seed}"
         assert abs(sample.travel_deg - np.degrees(sample.travel_setpoint_rad)) < 2.0, f"{rig} {seed}"
@@ -193,7 +218,7 @@ def test_the_board_takes_over_from_a_hostile_law_before_the_arm_hits_a_stop(name
     _, reasons = HOSTILE[name]
     for seed in range(1, samples(31, 2)):
         report = tries(name, rig, seed)
-        assert report.taken_over, f"{rig} {seed}: nobody took over"
+        assert report.taken_over or name in HARMLESS, f"{rig} {seed}: nobody took over"
         assert not reasons or report.taken_over in reasons, f"{rig} {seed}: {report}"
 
 
@@ -202,7 +227,7 @@ def test_the_board_takes_over_from_a_hostile_law_before_the_arm_hits_a_stop(name
     ("name", "volts", "reason"),
     [
         # More lift on both sides, until elevation could not be braked any more before its limit.
-        ("climbs", lambda now, good, _: (good[0] + 2.0, good[1] + 2.0), "elevation_envelope"),
+        ("climbs", lambda now, good, _: (good[0] + 4.0, good[1] + 4.0), "elevation_envelope"),
         # One rotor pulls, the other does not: the arm rolls over.
         ("rolls", lambda now, good, _: (2.6, 0.6), "pitch_envelope"),
     ],
@@ -236,7 +261,7 @@ def test_an_axis_that_stays_away_from_its_setpoint_is_taken_over(axis: str, want
 
 @pytest.mark.medium
 def test_the_board_takes_over_without_a_bump() -> None:
-    flown = fly(law_of(LAWS / "lqi.py").tape, seconds=3.0)
+    flown = fly(hostile("well", lambda now, well, _: well).tape, seconds=2.5)
     last = int(np.flatnonzero(flown.flying)[-1])
     motors = flown.raw[last - 5 : last + 6][:, [Channel.FRONT, Channel.BACK]].astype(int)
     assert np.abs(np.diff(motors, axis=0)).max() < 60, "more than 60 mV from one tick to the next"
