@@ -150,15 +150,15 @@ RIGS = ("", "&effect=rotor_lag=0.12", "&effect=thrust_step.front=-0.1@0.001;thru
 # need take over while it stays near its setpoint, as each flight is asked.
 HARMLESS = ("small_bang_bang",)
 NEAR_deg = 3.0
-# A pitch of -24 degrees that runs away at 80 deg/s is turned round by 2.4 V of difference and rotors that lag by
-# 0.12 s in 0.7 s. Until then up to 40 degrees of tilt throw travel 38 degrees away from its setpoint; beyond 30
-# for a second the supervisor gives travel up, and lands on elevation and pitch.
+# A pitch of -24 degrees that runs away at 80 deg/s is turned round by 2.4 V of difference and rotors that lag
+# by 0.12 s in 0.7 s. Until then up to 40 degrees of tilt throw travel 38 degrees away from its setpoint;
+# beyond 30 for a second the supervisor gives travel up, and lands on elevation and pitch.
 LANDS = ("sign_error_of_pitch", RIGS[1])
 # The table is at -25 degrees, the upper stop at +25 (makki2024.toml); where they are is known to a degree.
 STOP_deg = 24.0
 PITCH_STOP_deg = 50.0
-# The slowest of the cascade's loops, travel's integral, takes as long to let go: 20 s after a takeover that left
-# travel 25 degrees away, 6 are left of them, after 40 s none.
+# The slowest of the cascade's loops, travel's integral, takes as long to let go: 20 s after a takeover that
+# left travel 25 degrees away, 6 are left of them, after 40 s none.
 CALM_s = 40.0
 LONGEST_s = 40.0
 
@@ -233,7 +233,7 @@ def test_the_board_takes_over_from_a_hostile_law_before_the_arm_hits_a_stop(name
     ],
 )
 def test_the_reason_for_a_takeover_is_the_one_that_was_provoked(
-    name: str, volts: Callable[[Any, Any], Any], reason: str
+    name: str, volts: Callable[[Any, Volts, Any], Volts], reason: str
 ) -> None:
     law = hostile(name, volts)
     with heli_host.connect("sil://") as heli:

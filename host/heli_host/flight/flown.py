@@ -1,4 +1,4 @@
-"""Which rows of a flight count: those in which a control law flew, and of them those in which it led an axis."""
+"""Which rows of a flight count: those in which a control law flew, and those in which it led an axis."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ def flown_rows(flight: Flight) -> Rows:
 def led_rows(flight: Flight, axis: str) -> Rows:
     """Return the rows of `flown_rows` in which an axis was led by a setpoint.
 
-    A law of the host's that tells no setpoints, and one on the board that has none for an axis, is logged with
-    the measured angle in their place: an error of nothing, which is no merit.
+    A law of the host's that tells no setpoints, and one on the board that has none for an axis, is logged
+    with the measured angle in their place: an error of nothing, which is no merit.
 
     Parameters
     ----------

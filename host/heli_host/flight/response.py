@@ -1,7 +1,7 @@
 """How well each axis of a flight followed: its answer to steps, its following error, and the effort.
 
-The one definition of these numbers, as control textbooks have them: whoever judges a flight by them takes them
-from here.
+The one definition of these numbers, as control textbooks have them: whoever judges a flight by them takes
+them from here.
 """
 
 from __future__ import annotations
@@ -193,7 +193,7 @@ def _response(flight: Flight, axis: str) -> Response:
 
 
 def _moves(flight: Flight, wanted_deg: Floats, led: Rows) -> list[tuple[int, int]]:
-    """Steps of a setpoint as rows: the first away from the place it was held at, and behind the next place."""
+    """Steps of a setpoint as rows: the first away from where it was held, and behind the next such place."""
     return [
         (first, stop)
         for (_, first), (_, stop) in itertools.pairwise(_held(flight, wanted_deg, led))
