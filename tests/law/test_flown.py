@@ -107,7 +107,7 @@ HOSTILE: dict[str, tuple[Law, tuple[str, ...]]] = {
     ),
     "sign_error": (
         hostile("sign_error", lambda now, well, _: (2.0 + HOVER_V - well[1], 2.0 + HOVER_V - well[0])),
-        ("elevation_envelope",),
+        ("elevation_envelope", "elevation_following"),
     ),
     "sign_error_of_pitch": (
         hostile("sign_error_of_pitch", lambda now, well, _: (well[1], well[0])),
@@ -117,11 +117,11 @@ HOSTILE: dict[str, tuple[Law, tuple[str, ...]]] = {
     # Climbs to full voltage in a quarter of a second: no jump from call to call.
     "full_voltage_by_a_ramp": (
         hostile("full_voltage_by_a_ramp", lambda now, well, v: (well[0] + v, well[1] + v), lambda now: 40.0),
-        ("elevation_envelope",),
+        ("elevation_envelope", "elevation_following"),
     ),
     "motors_off": (
         hostile("motors_off", lambda now, well, v: (well[0] - v, well[1] - v), lambda now: 40.0),
-        ("elevation_envelope",),
+        ("elevation_envelope", "elevation_following"),
     ),
     # An integral that nothing limits, of an error that nothing can answer.
     "wind_up": (
