@@ -167,7 +167,13 @@ def answer_of(t_s: Floats, angle_deg: Floats, start_deg: float, end_deg: float) 
 
 
 def rms(values: Floats) -> float:
-    """Root mean square; nan of nothing."""
+    """Return the root mean square; nan of nothing.
+
+    Parameters
+    ----------
+    values : ndarray
+        In any unit.
+    """
     return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
 
 
