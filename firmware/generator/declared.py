@@ -31,7 +31,7 @@ TAKEN = ("t_s", "tick", "parameters", "plan", "notes", "events")
 # What is declared of laws that come over the link. Five bits of an instruction say which operation it
 # is, nine which cell.
 LAW_LIMITS = (
-    "format", "cells", "words", "signals", "most_ticks", "most_terms", "tick_cost", "fixed_cost",
+    "format", "cells", "words", "signals", "most_ticks", "most_terms", "tick_cost", "fixed_cost", "output_cost",
     "input_cost", "moving_cost", "term_cost", "state_cost", "signal_cost",
 )  # fmt: skip
 MOST_OPERATIONS = 32

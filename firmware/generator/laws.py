@@ -74,10 +74,10 @@ nearest, ties to even, like IEEE 754 single precision; a result below its normal
 comes before is exact to 2^-30 of its largest product. Every end computes by the same integer arithmetic (`firmware/core/law`), so that a tape gives
 the same bits everywhere.
 
-A call costs at most {fixed_cost} instructions of the processor a tick, {input_cost} for an input that it reads, {moving_cost} for an axis whose
-setpoint's rate or acceleration it reads, {state_cost} a state, {signal_cost} a signal, the costs of its operations and {term_cost} for each term of a
-sum. When that is more than {tick_cost}, it is spread over as many ticks as it needs, at most {most_ticks} and at most its divisor: the inputs
-are those of the first of them, the outputs act from the last on.
+Each tick of a call costs at most {fixed_cost} instructions of the processor, {moving_cost} for an axis whose setpoint's rate or acceleration it
+reads, and the costs of its operations, with {term_cost} for each term of a sum; the first tick {input_cost} more for each input, the last {output_cost}
+more, {state_cost} a state and {signal_cost} a signal. When that is more than {tick_cost}, the call is spread over as many ticks as it needs, at most
+{most_ticks} and at most its divisor: the inputs are those of the first of them, the outputs act from the last on.
 """
 
 

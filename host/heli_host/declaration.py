@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-LINK_HASH = 0x4297D6E2
+LINK_HASH = 0x914737CE
 LINK_VERSION = "1.2"
 FIRMWARE_VERSION = "0.1.0"
 PROTOCOL = 1
@@ -727,10 +727,11 @@ LAW_SIGNALS = 4
 LAW_MOST_TICKS = 16
 LAW_MOST_TERMS = 64
 LAW_TICK_COST = 20000
-LAW_FIXED_COST = 1440
+LAW_FIXED_COST = 1120
+LAW_OUTPUT_COST = 320
 LAW_INPUT_COST = 22
 LAW_MOVING_COST = 135
-LAW_TERM_COST = 47
+LAW_TERM_COST = 41
 LAW_STATE_COST = 6
 LAW_SIGNAL_COST = 70
 LAW_INPUTS: tuple[str, ...] = (
@@ -792,7 +793,7 @@ OPERATIONS: tuple[OperationSpec, ...] = (
     OperationSpec("arctangent", 22, 2, 238, "of a / b, in the quadrant of (b, a), rad"),
     OperationSpec("hyperbolic_tangent", 23, 1, 277, "of a"),
     OperationSpec("exponential", 24, 1, 127, "e to the power of a"),
-    OperationSpec("sum_of_products", 25, 0, 62, "a b + c d - ... of the terms that follow it, rounded once; no number where one of them is not finite"),
+    OperationSpec("sum_of_products", 25, 0, 63, "a b + c d - ... of the terms that follow it, rounded once; no number where one of them is not finite"),
 )
 
 

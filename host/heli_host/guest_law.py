@@ -23,7 +23,7 @@ from heli_host.declaration import (
 from heli_host.errors import BadLaw, FlightAborted, fault_text
 from heli_host.link.events import LAW_SIGNALS
 from heli_host.samples import Sample
-from heli_host.tape import Tape
+from heli_host.tape import Tape, check_number
 
 if TYPE_CHECKING:
     from heli_host.link.events import LinkEvent
@@ -101,7 +101,7 @@ def set_parameter(session: Session, tape: Tape, name: str, value: float) -> floa
     Raises
     ------
     BadLaw
-        The law has no such parameter.
+        The law has no such parameter, or the value is no finite number.
     CommandRefused
         The board has no such law.
     """
@@ -109,6 +109,7 @@ def set_parameter(session: Session, tape: Tape, name: str, value: float) -> floa
     if name not in names:
         known = ", ".join(names) or "none"
         raise BadLaw(f"the law {tape.name} has no parameter {name}", f"it has: {known}")
+    check_number(f"parameter {name}", value)
     return session.command(LawSetMessage(0, names.index(name), value)).value
 
 

@@ -6,6 +6,7 @@ what every word means.
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from collections.abc import Sequence
@@ -22,6 +23,7 @@ from heli_host.declaration import (
     LAW_INPUTS,
     LAW_MOST_TICKS,
     LAW_MOVING_COST,
+    LAW_OUTPUT_COST,
     LAW_SIGNAL_COST,
     LAW_SIGNALS,
     LAW_STATE_COST,
@@ -215,34 +217,33 @@ class Tape:
         given = (f"board_{axis}_setpoint_rad" for axis in self.own_setpoints)
         return (*self.signals, *given)[:LAW_SIGNALS]
 
+    @property
+    def cost(self) -> int:
+        """Instructions of the Due's processor that a call takes in the worst case."""
+        return sum(self.tick_costs)
+
+    @property
+    def ticks(self) -> int:
+        """Ticks that a call is spread over."""
+        return len(self.tick_costs)
+
     @cached_property
-    def _around(self) -> int:
+    def tick_costs(self) -> tuple[int, ...]:
+        """What each tick of a call takes in the worst case, in instructions, as the board works it out."""
         moving = sum(
             any(f"{axis}_setpoint_{unit}" in self.inputs_read for unit in ("rad_s", "rad_s2"))
             for axis in AXES
         )
-        return (
-            LAW_FIXED_COST
-            + LAW_INPUT_COST * len(self.inputs_read)
-            + LAW_MOVING_COST * moving
-            + LAW_STATE_COST * len(self.states)
-            + LAW_SIGNAL_COST * len(self.signals)
-        )
-
-    @property
-    def cost(self) -> int:
-        """Instructions of the Due's processor that a call takes in the worst case."""
-        return self._around + sum(one.cost for one in self.instructions)
-
-    @property
-    def ticks(self) -> int:
-        """Ticks that a call is spread over, as the board works it out."""
-        ticks, spent = 1, self._around
+        every = LAW_FIXED_COST + LAW_MOVING_COST * moving
+        end = LAW_OUTPUT_COST + LAW_STATE_COST * len(self.states) + LAW_SIGNAL_COST * len(self.signals)
+        ticks = [LAW_INPUT_COST * len(self.inputs_read) + every]
         for one in self.instructions:
-            if spent + one.cost > LAW_TICK_COST:
-                ticks, spent = ticks + 1, self._around
-            spent += one.cost
-        return ticks
+            # Each tick has room to be the last.
+            if ticks[-1] + one.cost + end > LAW_TICK_COST:
+                ticks.append(every)
+            ticks[-1] += one.cost
+        ticks[-1] += end
+        return tuple(ticks)
 
 
 def hash_of(words: Sequence[int]) -> int:
@@ -254,6 +255,31 @@ def hash_of(words: Sequence[int]) -> int:
         32 bits each.
     """
     return zlib.crc32(struct.pack(f"<{len(words)}I", *words))
+
+
+def check_number(what: str, value: float) -> None:
+    """Refuse what no board can hold.
+
+    Parameters
+    ----------
+    what : str
+        What it is, for people.
+    value : float
+        A number of a law.
+
+    Raises
+    ------
+    BadLaw
+        It is not finite, or beyond single precision.
+    """
+    try:
+        single = struct.unpack("<f", struct.pack("<f", value))[0]
+    except (struct.error, TypeError):
+        raise BadLaw(f"the {what} is {value!r}, no number", "give a number") from None
+    except OverflowError:
+        single = math.inf
+    if not math.isfinite(single):
+        raise BadLaw(f"the {what} is {value:g}", "give a finite number; single precision ends at 3.4e38")
 
 
 def rate_problem(rate_Hz: float) -> tuple[str, str]:

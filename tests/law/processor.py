@@ -6,13 +6,13 @@ Command line: ``python -m tests.law.processor ELF`` prints what each operation c
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from heli_host.declaration import LAW_CELLS, LAW_TERM_COST, OPERATIONS
+from heli_host.declaration import LAW_CELLS, LAW_MOST_TERMS, LAW_TERM_COST, OPERATIONS
 from heli_sim.due._due import BareCore
 from heli_sim.due.image import read_image
 
@@ -24,6 +24,7 @@ STACK: Final = 0x20087000
 STOP: Final = 0x000FE000
 MOST_INSTRUCTIONS: Final = 500
 HALT: Final = b"\xfe\xe7"
+Terms = tuple[int, int, bool]
 SP, LR, PC = 13, 14, 15
 CODE: Final = {one.name: one.code for one in OPERATIONS}
 
@@ -117,22 +118,42 @@ def operation_cost(processor: Processor, code: int, operands: npt.NDArray[np.flo
     return most
 
 
-def sum_words(target: int, terms: Sequence[tuple[int, int, bool]]) -> list[int]:
+def sum_words(target: int, terms: Sequence[Terms]) -> list[int]:
     """Words of a sum of products over pairs of cells."""
     head = CODE["sum_of_products"] << 27 | target << 18 | len(terms)
     return [head, *(negative << 31 | first << 9 | second for first, second, negative in terms)]
 
 
-def sum_cost(processor: Processor, terms: int, growing: bool = True) -> int:
-    """Instructions of a sum of so many terms, the step to the next operation included.
-
-    ``growing``: each term is larger than all before it, so that the sum is shifted each time.
-    """
-    cells = np.array([3.3 * 2.0 ** (k if growing else -k) for k in range(terms)], np.float32)
-    pairs = [(k, k, k % 2 == 1) for k in range(terms)]
-    one = np.array(sum_words(400, pairs), np.uint32)
+def sum_cost(processor: Processor, cells: npt.NDArray[np.float32], terms: Sequence[Terms]) -> int:
+    """Instructions of a sum over cells, the step to the next operation included."""
+    one = np.array(sum_words(400, terms), np.uint32)
     two = np.concatenate([one, one])
     return processor.cost(two, cells) - processor.cost(one, cells)
+
+
+def adversarial_sums(
+    chance: np.random.Generator, count: int
+) -> Iterator[tuple[npt.NDArray[np.float32], list[Terms]]]:
+    """Sums that take long: cells, and terms over them.
+
+    Any bits; terms that grow, so that what was summed is shifted each time; terms that nearly cancel, so that
+    hardly anything is left to be rounded; and numbers near the least normal ones.
+    """
+    for k in range(count):
+        terms = int(chance.integers(1, 10)) if k % 50 else LAW_MOST_TERMS
+        size = 2 * terms
+        sizes = (chance.uniform(1.0, 2.0, size) * chance.choice((-1.0, 1.0), size)).astype(np.float32)
+        if k % 4 == 0:
+            cells = chance.integers(0, 1 << 32, size, np.uint64).astype(np.uint32).view(np.float32)
+        elif k % 4 == 1:
+            cells = np.ldexp(sizes, np.sort(chance.integers(-60, 60, size))).astype(np.float32)
+        elif k % 4 == 2:
+            cells = np.ldexp(np.full(size, abs(sizes[0])), int(chance.integers(-50, 50))).astype(np.float32)
+            cells.view(np.uint32)[:] += chance.integers(0, 3, size).astype(np.uint32)
+        else:
+            cells = np.ldexp(sizes, chance.integers(-126, -60, size)).astype(np.float32)
+        cells[np.abs(cells) < np.finfo(np.float32).tiny] = 0.0
+        yield cells, [(2 * n, 2 * n + 1, bool(chance.integers(0, 2))) for n in range(terms)]
 
 
 def main() -> None:
@@ -148,10 +169,11 @@ def main() -> None:
             continue
         most = operation_cost(processor, one.code, operands, one.operands == 2)
         print(f"{one.name:20} {most:5} declared {one.cost:5}")
-    first, second = (sum_cost(processor, terms) for terms in (1, 21))
-    term = (second - first) / 20
-    print(f"{'sum_of_products':20} {first - term:5.0f} declared {OPERATIONS[-1].cost:5}")
-    print(f"{'  a term':20} {term:5.1f} declared {LAW_TERM_COST:5}")
+    most = max(
+        sum_cost(processor, cells, terms) - LAW_TERM_COST * len(terms)
+        for cells, terms in adversarial_sums(np.random.default_rng(7), arguments.count)
+    )
+    print(f"{'sum_of_products':20} {most:5} declared {OPERATIONS[-1].cost:5}, and {LAW_TERM_COST} a term")
 
 
 if __name__ == "__main__":

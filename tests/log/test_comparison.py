@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.declaration import Flags
 from heli_host.flight import Flight
-from heli_host.flight.response import effort_V, responses
+from heli_host.flight.flown import of_its_law
+from heli_host.flight.response import effort_V, responses, steps
 from heli_host.log.table import write_csv
 
 from tests.cli.terminal import Terminal, refusal, terminal
@@ -63,13 +66,67 @@ def test_metrics_of_a_step_are_those_of_the_textbook(ramp_s: float) -> None:
     assert pitch.rms_deg == 0.0
 
 
-def test_effort_is_the_rms_voltage_under_control_alone() -> None:
-    flight = second_order()
-    assert effort_V(flight) == pytest.approx(math.sqrt((1.5**2 + 2.5**2) / 2.0))
+def test_effort_is_the_rms_of_what_control_adds_to_the_mean_voltage() -> None:
+    steady = second_order()
+    assert effort_V(steady) == pytest.approx(0.0, abs=1e-9)
+    swing_V = 0.3 * np.sin(2.0 * np.pi * steady.t_s)
+    flight = replace(steady, front_V=steady.front_V + swing_V, back_V=steady.back_V - swing_V)
+    assert effort_V(flight) == pytest.approx(0.3 / math.sqrt(2.0), rel=1e-3)
     assert flight.state is not None
     flight.state[:] = 0
     assert math.isnan(effort_V(flight))
     assert all(math.isnan(one.rms_deg) for one in responses(flight))
+
+
+def test_a_small_step_settles_within_a_count_of_the_encoder() -> None:
+    small = replace(
+        second_order(),
+        travel_rad=second_order().travel_rad / 15.0 + np.deg2rad(0.08),
+        travel_setpoint_rad=np.deg2rad(STEP_deg / 15.0) * (second_order().t_s >= AT_s),
+    )
+    (_, _, travel) = responses(small)
+    assert travel.step_deg == pytest.approx(STEP_deg / 15.0)
+    # 0.08 degrees stay: more than 5 % of the step, less than a count.
+    assert not math.isnan(travel.settling_s)
+
+
+def test_a_sine_has_no_steps_at_any_rate_of_samples() -> None:
+    for step_s in (0.001, 0.01):
+        t_s = np.arange(0.0, 40.0, step_s)
+        zero = np.zeros_like(t_s)
+        sine = np.deg2rad(4.0) * np.sin(2.0 * np.pi * t_s / 15.0)
+        flight = Flight(
+            t_s, zero, zero, sine, zero, sine,
+            elevation_setpoint_rad=sine, pitch_setpoint_rad=zero, travel_setpoint_rad=5.0 * sine,
+        )  # fmt: skip
+        assert not steps(flight, "elevation") and not steps(flight, "travel")
+
+
+def test_all_steps_are_found_and_the_largest_is_told() -> None:
+    t_s = np.arange(0.0, 30.0, 0.001)
+    zero = np.zeros_like(t_s)
+    wanted = np.deg2rad(np.select([t_s < 5.0, t_s < 15.0], [0.0, 6.0], -4.0))
+    flight = Flight(t_s, zero, zero, zero, zero, wanted, zero, zero, wanted)
+    assert [(step.start_s, round(step.size_deg, 6)) for step in steps(flight, "travel")] == [
+        (pytest.approx(5.0), 6.0),
+        (pytest.approx(15.0), -10.0),
+    ]
+    assert responses(flight)[2].step_deg == pytest.approx(-10.0)
+
+
+def test_an_axis_that_a_law_does_not_lead_has_no_error() -> None:
+    flight = second_order()
+    assert flight.state is not None
+    law = np.where(flight.t_s > 10.0, Flags.LAW, 0).astype(np.uint8)
+    untold = replace(flight, flags=law, pitch_rad=flight.pitch_rad + 0.1)
+    led = np.where(law > 0, untold.pitch_rad, 0.0)
+    both = responses(replace(untold, pitch_setpoint_rad=led))
+    # Over the rows in which the board led it alone: no merit for the law.
+    assert both[1].rms_deg == pytest.approx(math.degrees(0.1))
+    alone = of_its_law(replace(untold, pitch_setpoint_rad=led))
+    assert alone.t_s[0] > 10.0
+    assert math.isnan(responses(alone)[1].rms_deg)
+    assert responses(alone)[0].rms_deg == pytest.approx(math.degrees(0.01))
 
 
 def test_step_that_does_not_settle_has_no_settling_time() -> None:

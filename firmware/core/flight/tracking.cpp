@@ -80,9 +80,14 @@ Verdict Tracking::check(const Tracked& tracked, const TrackingLimits& limits) {
       axis.count = seen.count[i];
       axis.drive = axis.average;
     }
+    const Quantity apart = drive[i] - axis.drive;
     const Quantity change =
-        i == kElevation && on_table ? drive[i] - limits.hover_V : magnitude(drive[i] - axis.drive);
-    axis.driven_ticks = still && change > limits.drive_max[i] ? axis.driven_ticks + 1U : 0U;
+        i == kElevation && on_table ? drive[i] - limits.hover_V : magnitude(apart);
+    // What is driven to and fro need not move.
+    const bool forth = apart > Quantity{};
+    axis.driven_ticks =
+        still && change > limits.drive_max[i] && forth == axis.forth ? axis.driven_ticks + 1U : 0U;
+    axis.forth = forth;
     const Quantity error_rad = magnitude(tracked.setpoint_rad[i] - seen.angle_rad[i]);
     const bool astray = (tracked.closed & (1U << i)) != 0U && error_rad > limits.error_max_rad[i];
     axis.error_ticks = astray && started_ ? axis.error_ticks + 1U : 0U;

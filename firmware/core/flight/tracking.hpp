@@ -52,6 +52,7 @@ class Tracking {
     std::int32_t count = 0;  // where it was when it last moved
     Quantity average;        // of the drive, over the last half second
     Quantity drive;          // that average when it last moved
+    bool forth = false;      // which way it was driven from there
     std::uint32_t driven_ticks = 0;
     std::uint32_t error_ticks = 0;
   };

@@ -51,6 +51,9 @@ GuardLimits guard_limits_of(const params::Params& params) {
         Quantity::of(axis == kPitch ? share * rad(angle[axis]) : rad(angle[axis]) - inside_rad);
     l.rate_max_rad_s[axis] = Quantity::of(share * rad(rate[axis]));
     l.following_max_rad[axis] = Quantity::of(share * rad(following[axis]));
+    // A law may ask itself for a step of pitch, which is then far for a moment.
+    l.following_end_rad[axis] =
+        axis == kPitch ? Quantity::from_raw(INT32_MAX) : Quantity::of(rad(following[axis]));
   }
   l.following_ticks = control::ticks_of(share * params.get(Param::following_s));
   l.table_rad = Quantity::of(rad(Param::elevation_rest_deg) - kInside_deg[kElevation] * kRadPerDeg);
@@ -105,7 +108,8 @@ Judgement Guard::check_following(const ControlInput& in, const Wish& wish,
     const Quantity error_rad = magnitude(wanted_rad - in.angle_rad[axis]);
     const bool astray = error_rad > limits.following_max_rad[axis];
     astray_ticks_[axis] = astray ? astray_ticks_[axis] + 1U : 0U;
-    if (astray_ticks_[axis] > limits.following_ticks) {
+    if (astray_ticks_[axis] > limits.following_ticks ||
+        error_rad > limits.following_end_rad[axis]) {
       return {kFollowing[axis], deg(error_rad)};
     }
   }

@@ -29,6 +29,8 @@ struct GuardLimits {
   Quantity hover_V;
   control::DeadZone dead_zone;
   Quantity following_max_rad[kAxisCount];
+  // From here on the supervisor counts as well, and the way back takes part of its time.
+  Quantity following_end_rad[kAxisCount];
   std::uint32_t following_ticks = 0;
 };
 

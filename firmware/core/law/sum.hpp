@@ -66,8 +66,20 @@ class Sum {
   // Above all that two factors may have: whatever comes then does not count.
   static constexpr std::int32_t kNotFinite = 10000;
 
+  // By halves: the compiler's shift of 64 bits by any number takes twice as long.
   void grow(std::uint32_t bits) {
-    sum_ = static_cast<std::uint64_t>(static_cast<std::int64_t>(sum_) >> (bits < 63U ? bits : 63U));
+    const auto low = static_cast<std::uint32_t>(sum_);
+    const auto high = static_cast<std::int32_t>(sum_ >> 32U);
+    if (bits < 32U) {
+      set(high >> bits, (low >> bits) | (static_cast<std::uint32_t>(high) << (32U - bits)));
+    } else if (bits < 64U) {
+      set(high >> 31, static_cast<std::uint32_t>(high >> (bits - 32U)));
+    } else {
+      set(high >> 31, static_cast<std::uint32_t>(high >> 31));
+    }
+  }
+  void set(std::int32_t high, std::uint32_t low) {
+    sum_ = static_cast<std::uint64_t>(static_cast<std::uint32_t>(high)) << 32U | low;
   }
 
   std::uint64_t sum_ = 0;      // of two's complement

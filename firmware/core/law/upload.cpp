@@ -38,15 +38,23 @@ class Cells {
   std::uint32_t bits_[link::kLawCells / 32U] = {};
 };
 
-// What a call and each of its ticks cost besides the operations.
-std::uint32_t around_of(const Shape& shape, std::uint32_t inputs_read) {
-  std::uint32_t cost = link::kLawFixedCost + link::kLawStateCost * shape.states +
-                       link::kLawSignalCost * shape.signals;
+// What a call costs besides its operations.
+struct Around {
+  std::uint32_t begin = 0;  // its first tick
+  std::uint32_t every = 0;  // each tick
+  std::uint32_t end = 0;    // its last tick
+};
+
+Around around_of(const Shape& shape, std::uint32_t inputs_read) {
+  Around cost;
+  cost.every = link::kLawFixedCost;
+  cost.end = link::kLawOutputCost + link::kLawStateCost * shape.states +
+             link::kLawSignalCost * shape.signals;
   for (std::uint32_t input = 0; input < link::kLawInputCount; ++input) {
-    cost += (inputs_read >> input & 1U) != 0U ? link::kLawInputCost : 0U;
+    cost.begin += (inputs_read >> input & 1U) != 0U ? link::kLawInputCost : 0U;
   }
   for (std::uint32_t axis = 0; axis < link::kAxisCount; ++axis) {
-    cost += (inputs_read & moving_inputs(axis)) != 0U ? link::kLawMovingCost : 0U;
+    cost.every += (inputs_read & moving_inputs(axis)) != 0U ? link::kLawMovingCost : 0U;
   }
   return cost;
 }
@@ -220,11 +228,11 @@ Finding Tape::check_instructions() {
   return {};
 }
 
-// Over how many ticks a call is spread, and what it costs.
+// Over how many ticks a call is spread, and what it costs. Each tick has room to be the last.
 Finding Tape::spread() {
-  const std::uint32_t around = around_of(shape_, inputs_read_);
-  std::uint32_t in_tick = around;
-  cost_ = around;
+  const Around around = around_of(shape_, inputs_read_);
+  std::uint32_t in_tick = around.begin + around.every;
+  cost_ = in_tick + around.end;
   ticks_ = 1;
   std::uint32_t words = 0;
   for (std::uint32_t k = 0; k < shape_.instructions; k += words) {
@@ -232,15 +240,16 @@ Finding Tape::spread() {
     words = words_of(word);
     const std::uint32_t cost =
         link::kOperationCost[word >> 27U] + (words - 1U) * link::kLawTermCost;
-    cost_ += cost;
-    if (in_tick + cost > link::kLawTickCost) {
+    if (in_tick + cost + around.end > link::kLawTickCost) {
       if (ticks_ <= link::kLawMostTicks) {
         ends_[ticks_ - 1U] = static_cast<std::uint16_t>(k);
       }
       ++ticks_;
-      in_tick = around;
+      in_tick = around.every;
+      cost_ += around.every;
     }
     in_tick += cost;
+    cost_ += cost;
   }
   if (ticks_ > shape_.divisor || ticks_ > link::kLawMostTicks) {
     return {LawError::too_costly, ticks_};

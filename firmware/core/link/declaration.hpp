@@ -9,7 +9,7 @@
 
 namespace heli::link {
 
-inline constexpr std::uint32_t kLinkHash = 0x4297d6e2U;
+inline constexpr std::uint32_t kLinkHash = 0x914737ceU;
 inline constexpr std::uint8_t kLinkMajor = 1;
 inline constexpr std::uint8_t kLinkMinor = 2;
 inline constexpr std::uint8_t kFirmwareMajor = 0;
@@ -414,10 +414,11 @@ inline constexpr std::uint32_t kLawSignals = 4;
 inline constexpr std::uint32_t kLawMostTicks = 16;
 inline constexpr std::uint32_t kLawMostTerms = 64;
 inline constexpr std::uint32_t kLawTickCost = 20000;
-inline constexpr std::uint32_t kLawFixedCost = 1440;
+inline constexpr std::uint32_t kLawFixedCost = 1120;
+inline constexpr std::uint32_t kLawOutputCost = 320;
 inline constexpr std::uint32_t kLawInputCost = 22;
 inline constexpr std::uint32_t kLawMovingCost = 135;
-inline constexpr std::uint32_t kLawTermCost = 47;
+inline constexpr std::uint32_t kLawTermCost = 41;
 inline constexpr std::uint32_t kLawStateCost = 6;
 inline constexpr std::uint32_t kLawSignalCost = 70;
 enum class LawInput : std::uint8_t {
@@ -469,7 +470,7 @@ enum class Operation : std::uint8_t {
   sum_of_products = 25,  // a b + c d - ... of the terms that follow it, rounded once; no number where one of them is not finite
 };
 inline constexpr std::size_t kOperationCount = 26;
-inline constexpr std::uint16_t kOperationCost[kOperationCount] = {15, 63, 64, 51, 78, 17, 17, 29, 29, 34, 34, 33, 33, 21, 20, 20, 19, 31, 299, 93, 89, 228, 238, 277, 127, 62};
+inline constexpr std::uint16_t kOperationCost[kOperationCount] = {15, 63, 64, 51, 78, 17, 17, 29, 29, 34, 34, 33, 33, 21, 20, 20, 19, 31, 299, 93, 89, 228, 238, 277, 127, 63};
 // A bit for each that has two operands.
 inline constexpr std::uint32_t kBinaryOperations = 0x00417f9eU;
 

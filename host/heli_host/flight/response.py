@@ -1,10 +1,14 @@
-"""How well each axis of a flight followed: metrics of its largest step, tracking error, effort."""
+"""How well each axis of a flight followed: its answer to steps, its following error, and the effort.
+
+The one definition of these numbers, as control textbooks have them: whoever judges a flight by them takes
+them from here.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -12,6 +16,9 @@ from numpy.typing import NDArray
 
 from heli_host.declaration import AXES
 from heli_host.flight.flight import Flight
+from heli_host.flight.flown import Rows, flown_rows, led_rows
+
+Floats = NDArray[np.float64]
 
 LEAST_STEP_DEG: Final = 1.0
 """Move of a setpoint from one that was held to the next from which on it is a step. By judgement. Lower: what
@@ -19,11 +26,52 @@ trims the flight is taken for steps. Higher: small steps have no metrics."""
 HELD_s: Final = 1.0
 """Time for which a setpoint stays where it is to count as held: the board shapes a step into a ramp of less,
 and a sine stays nowhere. By judgement. Shorter: a sine's crests count. Longer: quick steps are missed."""
-_STILL_DEG: Final = 1e-3
-"""Motion of a setpoint from row to row that is rounding."""
 SETTLED_SHARE: Final = 0.05
 """Share of the step within which a response counts as settled, as is usual; less is lost in draughts."""
-_FLYING: Final = ("closed_loop", "streamed")
+COUNT_DEG: Final = 360.0 / 4096.0
+"""A count of the encoders: nothing settles within less."""
+_HELD_DEG: Final = 0.01
+_SAME_DEG: Final = 1e-3
+"""Rounding of a setpoint in a log."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """How an angle answered a step.
+
+    Parameters
+    ----------
+    rise_s : float
+        From 10 % to 90 % of the step [s]; nan where it does not get there.
+    overshoot_percent : float
+        Furthest beyond its end, as a share of the step [%].
+    settling_s : float
+        From the step until the angle stays within 5 % of it, or within a count of the encoder where that is
+        more [s]; nan where it does not.
+    """
+
+    rise_s: float
+    overshoot_percent: float
+    settling_s: float
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of a setpoint, from one that was held to the next.
+
+    Parameters
+    ----------
+    start_s : float
+        When the setpoint began to move, on the flight's axis [s].
+    size_deg : float
+        By how much [deg].
+    answer : Answer
+        How the axis followed, until the setpoint moves again.
+    """
+
+    start_s: float
+    size_deg: float
+    answer: Answer
 
 
 @dataclass(frozen=True)
@@ -35,18 +83,13 @@ class Response:
     axis : str
         Which.
     step_s : float
-        When its setpoint began its largest move from one that was held to the next, on the flight's axis; nan
-        where it made none.
+        When its setpoint began its largest step [s]; nan where it made none.
     step_deg : float
-        By how much; the metrics below are nan without a step.
-    rise_s : float
-        From 10 % to 90 % of the step.
-    overshoot_percent : float
-        Of the step.
-    settling_s : float
-        From the step until the angle stays within 5 % of it; nan where it does not before the next move.
+        By how much [deg]; the metrics below are nan without a step.
+    rise_s, overshoot_percent, settling_s : float
+        As in `Answer`.
     rms_deg : float
-        Root mean square error over all rows under control; nan without setpoints.
+        Root mean square error over the rows in which it was led [deg]; nan without setpoints.
     """
 
     axis: str
@@ -59,69 +102,127 @@ class Response:
 
 
 def responses(flight: Flight) -> tuple[Response, ...]:
-    """Measure each axis of a flight, in the order elevation, pitch, travel."""
-    flown = under_control(flight)
-    return tuple(_response(flight, axis, flown) for axis in AXES)
+    """Measure each axis of a flight, in the order elevation, pitch, travel; of several steps the largest."""
+    return tuple(_response(flight, axis) for axis in AXES)
 
 
 def effort_V(flight: Flight) -> float:
-    """Root mean square of both motors' voltages under control, V; nan where a flight never was."""
-    flown = flight.voltages_V[under_control(flight)]
-    return float(np.sqrt(np.mean(flown**2))) if flown.size else math.nan
+    """Root mean square of both motors' voltages about the mean of each, where a law flew, V: what it moves
+    them by to control, without what carries the arm. nan where none flew.
+    """
+    flown = flight.voltages_V[flown_rows(flight)]
+    return float(np.sqrt(np.mean(flown.var(axis=0)))) if flown.size else math.nan
 
 
-def under_control(flight: Flight) -> NDArray[np.bool_]:
-    """Rows in which a control law flew, shape (n,); all of a flight without states."""
-    if flight.state is None:
-        return np.ones(len(flight), bool)
-    numbers = [number for number, name in flight.state_names.items() if name in _FLYING]
-    return np.isin(flight.state, numbers)
+def steps(flight: Flight, axis: str) -> tuple[Step, ...]:
+    """Find the steps of an axis' setpoint, and how each was answered.
+
+    Parameters
+    ----------
+    flight : Flight
+        Any.
+    axis : str
+        Which axis.
+
+    Returns
+    -------
+    tuple of Step
+        In their order; none of a flight without setpoints.
+    """
+    setpoint_rad = getattr(flight, f"{axis}_setpoint_rad")
+    if setpoint_rad is None:
+        return ()
+    angle_deg, wanted_deg = np.rad2deg(getattr(flight, f"{axis}_rad")), np.rad2deg(setpoint_rad)
+    found = []
+    for first, stop in _moves(flight, wanted_deg, led_rows(flight, axis)):
+        start_deg, end_deg, t_s = wanted_deg[first - 1], wanted_deg[stop - 1], flight.t_s[first:stop]
+        answer = answer_of(t_s - t_s[0], angle_deg[first:stop], float(start_deg), float(end_deg))
+        found.append(Step(float(t_s[0]), float(end_deg - start_deg), answer))
+    return tuple(found)
 
 
-def _response(flight: Flight, axis: str, flown: NDArray[np.bool_]) -> Response:
-    setpoint = getattr(flight, f"{axis}_setpoint_rad")
-    nan = math.nan
-    none = Response(axis, nan, nan, nan, nan, nan, nan)
-    if setpoint is None or not flown.any():
-        return none
-    angle_deg, wanted_deg = np.rad2deg(getattr(flight, f"{axis}_rad")), np.rad2deg(setpoint)
-    rms_deg = float(np.sqrt(np.mean((angle_deg - wanted_deg)[flown] ** 2)))
-    moves = _moves(flight, wanted_deg, flown)
-    if not moves:
-        return replace(none, rms_deg=rms_deg)
-    first, stop = max(moves, key=lambda move: abs(wanted_deg[move[1] - 1] - wanted_deg[move[0]]))
-    size_deg, t_s = float(wanted_deg[stop - 1] - wanted_deg[first]), flight.t_s[first:stop]
-    rise_s, overshoot, settling_s = _step_info(
-        t_s - t_s[0], (angle_deg[first:stop] - wanted_deg[first]) / size_deg
+def answer_of(t_s: Floats, angle_deg: Floats, start_deg: float, end_deg: float) -> Answer:
+    """Measure the answer to a step, as `control.step_info` does; that takes two seconds to import.
+
+    Parameters
+    ----------
+    t_s : ndarray (n,)
+        Time since the step [s].
+    angle_deg : ndarray (n,)
+        What answered [deg].
+    start_deg, end_deg : float
+        Where the step began and where it ended [deg].
+    """
+    if not len(t_s):
+        return Answer(math.nan, math.nan, math.nan)
+    size_deg = end_deg - start_deg
+    share = (angle_deg - start_deg) / size_deg
+    reached = [np.flatnonzero(share >= level) for level in (0.1, 0.9)]
+    rise_s = float(t_s[reached[1][0]] - t_s[reached[0][0]]) if reached[1].size else math.nan
+    band_deg = max(SETTLED_SHARE * abs(size_deg), COUNT_DEG)
+    outside = np.flatnonzero(np.abs(angle_deg - end_deg) > band_deg)
+    settled = not outside.size or outside[-1] < len(share) - 1
+    settling_s = float(t_s[outside[-1] + 1] if outside.size else 0.0) if settled else math.nan
+    return Answer(rise_s, 100.0 * max(float(share.max()) - 1.0, 0.0), settling_s)
+
+
+def rms(values: Floats) -> float:
+    """Return the root mean square; nan of nothing.
+
+    Parameters
+    ----------
+    values : ndarray
+        In any unit.
+    """
+    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
+
+
+def _response(flight: Flight, axis: str) -> Response:
+    led, nan = led_rows(flight, axis), math.nan
+    if not led.any():
+        return Response(axis, nan, nan, nan, nan, nan, nan)
+    error_rad = getattr(flight, f"{axis}_rad") - getattr(flight, f"{axis}_setpoint_rad")
+    rms_deg = rms(np.rad2deg(error_rad[led]))
+    largest = max(steps(flight, axis), key=lambda step: abs(step.size_deg), default=None)
+    if largest is None:
+        return Response(axis, nan, nan, nan, nan, nan, rms_deg)
+    answer = largest.answer
+    return Response(
+        axis,
+        largest.start_s,
+        largest.size_deg,
+        answer.rise_s,
+        answer.overshoot_percent,
+        answer.settling_s,
+        rms_deg,
     )
-    return Response(axis, float(t_s[0]), size_deg, rise_s, overshoot, settling_s, rms_deg)
 
 
-def _moves(
-    flight: Flight, wanted_deg: NDArray[np.float64], flown: NDArray[np.bool_]
-) -> list[tuple[int, int]]:
-    """Steps of a setpoint as rows: where it leaves the place it was held at, and where it leaves the next."""
-    still = np.concatenate(
-        ([False], (np.abs(np.diff(wanted_deg)) < _STILL_DEG) & flown[1:] & flown[:-1], [False])
-    )
-    edges = np.flatnonzero(np.diff(still.astype(np.int8)))
-    least = round(HELD_s / max(flight.step_s, 1e-9))
-    held = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]
+def _moves(flight: Flight, wanted_deg: Floats, led: Rows) -> list[tuple[int, int]]:
+    """Steps of a setpoint as rows: the first away from where it was held, and behind the next such place."""
     return [
-        (before[1], after[1])
-        for before, after in itertools.pairwise(held)
-        if flown[before[1] : after[0] + 1].all()
-        and abs(wanted_deg[after[0]] - wanted_deg[before[1]]) > LEAST_STEP_DEG
+        (first, stop)
+        for (_, first), (_, stop) in itertools.pairwise(_held(flight, wanted_deg, led))
+        if led[first:stop].all() and abs(wanted_deg[stop - 1] - wanted_deg[first - 1]) > LEAST_STEP_DEG
     ]
 
 
-def _step_info(t_s: NDArray[np.float64], share: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Rise time, overshoot in per cent and settling time of a response to a step from 0 to 1, as
-    `control.step_info` has them; that takes two seconds to import.
-    """
-    reached = [np.flatnonzero(share >= level) for level in (0.1, 0.9)]
-    rise_s = float(t_s[reached[1][0]] - t_s[reached[0][0]]) if reached[1].size else math.nan
-    outside = np.flatnonzero(np.abs(share - 1.0) > SETTLED_SHARE)
-    settled = not outside.size or outside[-1] < len(share) - 1
-    settling_s = float(t_s[outside[-1] + 1] if outside.size else 0.0) if settled else math.nan
-    return rise_s, 100.0 * max(float(share.max()) - 1.0, 0.0), settling_s
+def _held(flight: Flight, wanted_deg: Floats, led: Rows) -> list[tuple[int, int]]:
+    """Stretches of rows, first and behind the last, in which a setpoint is held."""
+    rows = max(4, round(HELD_s / max(flight.step_s, 1e-9)))
+    if len(wanted_deg) <= rows:
+        return []
+    # A sine is at the same place before and behind a crest, but not upon it.
+    still = led[:-rows] & led[rows:]
+    for part in (1, 2, 3, 4):
+        ahead = wanted_deg[part * rows // 4 :][: len(still)]
+        still = still & (np.abs(ahead - wanted_deg[: len(still)]) < _HELD_DEG)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], still, [False])).astype(np.int8)))
+    held = []
+    for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        first, stop = a, b + rows
+        # To the row: a ramp begins slower than what counts as held.
+        level_deg = wanted_deg[(first + stop) // 2]
+        same = np.flatnonzero(np.abs(wanted_deg[first:stop] - level_deg) < _SAME_DEG)
+        held.append((first + int(same[0]), first + int(same[-1]) + 1))
+    return held

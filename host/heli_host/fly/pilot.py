@@ -17,6 +17,7 @@ import numpy as np
 
 from heli_host.declaration import AXES, TICK_US, Axes, Channel, Event, Fault, SetpointMessage, State
 from heli_host.errors import FlightAborted, HeliError, LinkLost, fault_text
+from heli_host.flight.flown import LANDING
 from heli_host.fly.interrupts import Interrupts, name_of, was_interrupted
 from heli_host.fly.plan import TAKE_OFF
 from heli_host.fly.route import Piece, Route
@@ -24,7 +25,6 @@ from heli_host.fly.tracking import Tolerance, TrackingMonitor
 from heli_host.link.channels import rad_per_count
 from heli_host.link.events import BOARD_RESTARTED, LinkEvent
 from heli_host.log.schema import LEVEL_WARNING
-from heli_host.log.summary import LANDING
 
 if TYPE_CHECKING:
     from heli_host.fly.recorder import Recorder

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 from heli_host.declaration import LINK_HASH, LINK_VERSION, StatusMessage
 from heli_host.errors import HeliError, LogError
+from heli_host.flight.flown import PHASE_EVENT
 from heli_host.link.channels import rad_per_count
 from heli_host.link.events import BOARD_RESTARTED, LAW_SIGNALS, LINK_LOST, LINK_SILENT, LinkEvent
 from heli_host.log.disk import check_free_space
 from heli_host.log.schema import LEVEL_ERROR, LEVEL_INFO, LEVEL_WARNING
-from heli_host.log.summary import PHASE_EVENT
 from heli_host.log.writer import LogCounters, LogWriter
 
 if TYPE_CHECKING:

@@ -12,7 +12,8 @@ import numpy as np
 from heli_host.declaration import AXES
 from heli_host.errors import LogWriteError
 from heli_host.flight import Flight
-from heli_host.flight.response import effort_V, responses, under_control
+from heli_host.flight.flown import flown_rows, led_rows
+from heli_host.flight.response import effort_V, responses
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,6 +31,8 @@ HEADS: Final = (
 _COLOURS: Final = ("#0b5fa5", "#d1495b", "#157a4a", "#c98a00", "#6b3fa0", "#4a8c94", "#8a5a3b", "#5b5f66")
 MOST: Final = len(_COLOURS)
 """Flights that are told apart on one page."""
+_WORDS: Final = 2
+"""Columns of a table that hold words; the others hold numbers."""
 _POINTS: Final = 4000
 _DPI: Final = 130
 
@@ -88,6 +91,19 @@ def comparison_rows(numbers: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     return rows
 
 
+def comparison_lines(numbers: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The table of `numbers`, as `comparison_numbers` gives them, with its heads, in lines of text."""
+    rows = [list(HEADS), *comparison_rows(numbers)]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(HEADS))]
+    return [
+        "  ".join(
+            cell.ljust(width) if i < _WORDS else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
+
 def _cell(value: float, form: str) -> str:
     return "–" if math.isnan(value) else f"{value:{form}}"
 
@@ -127,13 +143,13 @@ def figure_of_flights(flights: Mapping[str, Flight]) -> Figure:
     panels = figure.subplots(4, 1, sharex=True, height_ratios=[3, 3, 3, 2])
     figure.subplots_adjust(0.07, (table_in + 0.75) / height_in, 0.985, 1.0 - 0.5 / height_in, hspace=0.12)
     for (label, flight), colour in zip(flights.items(), _COLOURS, strict=False):
-        flown = np.flatnonzero(under_control(flight))
+        flown = np.flatnonzero(flown_rows(flight))
         t_s = flight.t_s - flight.t_s[flown[0] if flown.size else 0]
         keep = slice(None, None, max(1, len(flight) // _POINTS))
         for axis, panel in zip(AXES, panels, strict=False):
             setpoint = getattr(flight, f"{axis}_setpoint_rad")
             if setpoint is not None:
-                wanted_deg = np.where(under_control(flight), np.rad2deg(setpoint), np.nan)
+                wanted_deg = np.where(led_rows(flight, axis), np.rad2deg(setpoint), np.nan)
                 panel.plot(t_s[keep], wanted_deg[keep], "--", color=colour, lw=0.9, alpha=0.6)
             panel.plot(
                 t_s[keep], np.rad2deg(getattr(flight, f"{axis}_rad"))[keep], color=colour, lw=1.3, label=label

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from heli_host.declaration import AXES
 from heli_host.errors import LogWriteError
 from heli_host.flight import Flight, FlightEvent
-from heli_host.log.summary import LANDING, PHASE_EVENT, TAKE_OFF, FlightSummary
+from heli_host.flight.flown import LANDING, PHASE_EVENT, TAKE_OFF
+from heli_host.log.summary import FlightSummary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

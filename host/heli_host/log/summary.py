@@ -21,18 +21,13 @@ from numpy.typing import NDArray
 from heli_host.declaration import AXES
 from heli_host.errors import LogWriteError
 from heli_host.flight import Flight
+from heli_host.flight.flown import flown_rows, led_rows
+from heli_host.flight.response import rms
 from heli_host.log.reader import Log
 from heli_host.log.writer import DISK_BLOCKED, TICKS_DROPPED
 
-PHASE_EVENT = "phase"
-"""Name of the events with which a flight marks its phases."""
-TAKE_OFF, LANDING = "take-off", "landing"
-"""Phases around the plans."""
-
 _MOST_COUNT = 2**63
 _LONGEST_COUNT = 24
-# A tenth of an encoder's count, far above the rounding of a setpoint in the log.
-_TOLD_RAD = 1.5e-4
 _TOLD = (DISK_BLOCKED, TICKS_DROPPED)
 
 
@@ -135,11 +130,11 @@ def summarise(log: Log) -> FlightSummary:
     max_deg: dict[str, float | None] = dict.fromkeys(AXES)
     if len(log.ticks):
         flight = log.flight()
-        errors_deg = tracking_errors_deg(flight)
-        for index, axis in enumerate(AXES):
-            if len(errors_deg) and axis in closed:
-                rms_deg[axis] = round(float(np.sqrt(np.mean(errors_deg[:, index] ** 2))), 4)
-                max_deg[axis] = round(float(np.max(np.abs(errors_deg[:, index]))), 4)
+        for axis, errors_deg in zip(AXES, tracking_errors_deg(flight).T, strict=True):
+            led_deg = errors_deg[~np.isnan(errors_deg)]
+            if len(led_deg) and axis in closed:
+                rms_deg[axis] = round(rms(led_deg), 4)
+                max_deg[axis] = round(float(np.max(np.abs(led_deg))), 4)
     outcome = result.get("outcome") or (
         "recorded" if log.complete else "not closed: the host ended before the flight did"
     )
@@ -163,44 +158,23 @@ def summarise(log: Log) -> FlightSummary:
     )
 
 
-def flown_rows(flight: Flight) -> NDArray[np.bool_]:
-    """Return which rows count as flown: led by setpoints, after take-off, before landing."""
-    if flight.state is None:
-        return np.zeros(len(flight), np.bool_)
-    numbers = {name: number for number, name in flight.state_names.items()}
-    rows: NDArray[np.bool_] = np.asarray(flight.state == numbers.get("closed_loop", -1))
-    streamed = flight.state == numbers.get("streamed", -1)
-    # Where no law of the host's told its setpoints, the board logs the angles themselves.
-    setpoints_rad = flight.setpoints_rad
-    if streamed.any() and setpoints_rad is not None:
-        apart_rad = np.abs(flight.angles_rad[streamed] - setpoints_rad[streamed])
-        if apart_rad.max() > _TOLD_RAD:
-            rows = rows | streamed
-    phases = [event for event in flight.events if event.name == PHASE_EVENT]
-    flown = [event.t_s for event in phases if event.text not in (TAKE_OFF, LANDING)]
-    if phases:
-        first_s = flown[0] if flown else np.inf
-        rows &= flight.t_s >= first_s
-    landing = [event.t_s for event in phases if event.text == LANDING]
-    if landing:
-        rows &= flight.t_s < landing[0]
-    return rows
-
-
 def tracking_errors_deg(flight: Flight) -> NDArray[np.float64]:
-    """Return measured angle less setpoint in the rows that count.
+    """Return measured angle less setpoint in the rows that count, see `heli_host.flight.flown`.
 
     Returns
     -------
     ndarray (m, axes)
-        Errors of elevation, pitch and travel in degrees; m is 0 when nothing was flown in closed loop.
+        Errors of elevation, pitch and travel in degrees, nan where an axis was not led; m is 0 when nothing
+        was flown under setpoints.
     """
     setpoints_rad = flight.setpoints_rad
     if setpoints_rad is None:
         return np.zeros((0, len(AXES)))
     rows = flown_rows(flight)
-    errors_deg: NDArray[np.float64] = np.rad2deg(flight.angles_rad[rows] - setpoints_rad[rows])
-    return errors_deg
+    errors_deg: NDArray[np.float64] = np.rad2deg(flight.angles_rad - setpoints_rad)
+    for index, axis in enumerate(AXES):
+        errors_deg[~led_rows(flight, axis), index] = np.nan
+    return errors_deg[rows]
 
 
 def _closed_axes(text: str) -> tuple[str, ...]:

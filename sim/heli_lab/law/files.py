@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import runpy
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from heli_host.errors import BadLaw, HeliError
@@ -16,7 +20,7 @@ def load_law(path: Path) -> Law:
     Parameters
     ----------
     path : Path
-        The file; its code is run.
+        The file; its code is run, with its folder on the path of imports.
 
     Raises
     ------
@@ -26,14 +30,44 @@ def load_law(path: Path) -> Law:
     if not path.is_file():
         raise BadLaw(f"there is no file {path}", "name a Python file that ends with LAW = ...")
     try:
-        law = runpy.run_path(str(path)).get("LAW")
+        with _importing_from(path.parent):
+            held = runpy.run_path(str(path))
     except HeliError:
         raise
-    except Exception as error:
+    except SyntaxError as error:
+        raise BadLaw(f"{path.name} is no Python: {error.msg}{_at(error.lineno)}", "correct it") from error
+    # SystemExit: a file that ends the program would otherwise end with its own code, and no word.
+    except (Exception, SystemExit) as error:
         text = str(error).split("\n")[0]
+        lines = [one.lineno for one in traceback.extract_tb(error.__traceback__) if one.filename == str(path)]
         raise BadLaw(
-            f"{path.name} fails: {type(error).__name__}: {text}", "run it with python to see where"
+            f"{path.name} fails: {type(error).__name__}: {text}{_at(lines[-1] if lines else None)}",
+            "correct it; run alone with python, it says more",
         ) from error
-    if not isinstance(law, Law):
-        raise BadLaw(f"{path.name} has no LAW", "end it with LAW = ..., a law of heli_lab.law")
-    return law
+    law = held.get("LAW")
+    if isinstance(law, Law):
+        return law
+    own = next((name for name, value in held.items() if isinstance(value, Law)), "")
+    if law is not None:
+        raise BadLaw(f"the LAW of {path.name} is a {type(law).__name__}", _remedy(own))
+    raise BadLaw(f"{path.name} has no LAW", _remedy(own))
+
+
+def _remedy(own: str) -> str:
+    if own:
+        return f"end it with LAW = {own}"
+    return "end it with LAW = ..., what @control_law or from_gain of heli_lab.law makes"
+
+
+def _at(line: int | None) -> str:
+    return "" if line is None else f" (line {line})"
+
+
+@contextmanager
+def _importing_from(folder: Path) -> Iterator[None]:
+    where = str(folder.resolve())
+    sys.path.insert(0, where)
+    try:
+        yield
+    finally:
+        sys.path.remove(where)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import linecache
 import traceback
 from collections.abc import Callable, Mapping
@@ -15,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from heli_host.declaration import AXES, CHANNELS, LAW_INPUTS, LAW_SIGNALS
 from heli_host.errors import BadLaw
-from heli_host.tape import Tape, divisor_of
+from heli_host.tape import Tape, check_number, divisor_of
 
 from heli_lab.law.compile import compile_tape
 from heli_lab.law.streamed import Streamed
@@ -97,11 +98,16 @@ class Law:
                     f"a signal cannot be named {signal[:_LONGEST_NAME]!r}",
                     f"give letters, digits and _, at most {_LONGEST_NAME}, and no name of a channel",
                 )
-        if len(self.states) > MOST_STATES:
-            raise BadLaw(
-                f"{len(self.states)} states are too many for a board",
-                f"give at most {MOST_STATES}: reduce the order",
-            )
+        for kind, values, remedy in (
+            ("states", self.states, "reduce the order"),
+            ("parameters", self.parameters, "write as numbers what is not changed in flight"),
+        ):
+            if len(values) > MOST_STATES:
+                raise BadLaw(
+                    f"{len(values)} {kind} are too many for a board", f"give at most {MOST_STATES}: {remedy}"
+                )
+            for name, value in values.items():
+                check_number(f"{kind[:-1]} {name}", value)
 
     @property
     def dt_s(self) -> float:
@@ -230,6 +236,11 @@ def control_law(
         now = SimpleNamespace(**{one: inputs[k] for k, one in enumerate(LAW_INPUTS)})
         own = SimpleNamespace(**{one: state[k] for k, one in enumerate(first)})
         may_change = SimpleNamespace(**{one: parameter[k] for k, one in enumerate(values)})
+        if not _takes_three(function):
+            raise BadLaw(
+                f"the law {called} does not take three arguments",
+                f"write def {called}(now, state, parameter):",
+            )
         try:
             command = function(now, own, may_change)
         except BadLaw:
@@ -263,8 +274,26 @@ def control_law(
     return make
 
 
+def _takes_three(function: Callable[..., Any]) -> bool:
+    try:
+        inspect.signature(function).bind(None, None, None)
+    except TypeError:
+        return False
+    return True
+
+
+def _symbol(value: Any, place: int, name: str) -> ca.SX:
+    try:
+        return ca.SX(value)
+    except (NotImplementedError, TypeError, RuntimeError) as error:
+        raise BadLaw(
+            f"output {place} of the law {name} is a {type(value).__name__}",
+            "give a number, or what comes of now, state and parameter",
+        ) from error
+
+
 def _column(values: list[Any], name: str) -> ca.SX:
-    column = [ca.SX(value) for value in values]
+    column = [_symbol(value, place, name) for place, value in enumerate(values)]
     wide = next((k for k, value in enumerate(column) if value.numel() != 1), None)
     if wide is not None:
         raise BadLaw(

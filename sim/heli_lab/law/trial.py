@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-import contextlib
+import math
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import heli_host
-import numpy as np
-import numpy.typing as npt
-from heli_host.declaration import Channel
+from heli_host.flight import Flight
+from heli_host.flight.flown import LANDING
+from heli_host.flight.response import effort_V, responses
 from heli_host.fly.recorder import Recorder
 from heli_host.guest_law import LawReport, engage, fly_law
-from heli_host.link.channels import physical
 from heli_host.link.telemetry import Ticks
 
+from heli_lab.law.compare import flight_of_law
 from heli_lab.law.law import Law
 
-Floats = npt.NDArray[np.float64]
-
 STEP_deg: Final = 10.0
-STEP_s: Final = 10.0
-BAND_deg: Final = 1.0
+STEP_AT_s: Final = 2.0
+"""Until then the setpoint is held, so that the step begins at rest."""
+SINES_AT_s: Final = 12.0
+PHASE: Final = "trial"
 
 
 @dataclass(frozen=True)
@@ -33,28 +34,22 @@ class LawTrial:
     ----------
     report : LawReport or None
         What ended it; None for the board's own law.
-    overshoot_percent, settling_s : float
-        Of the step of travel, from the shaped setpoint's end value, to within a degree; nan when it did not
-        settle.
-    elevation_rms_deg, travel_rms_deg : float
-        Errors from the setpoints that the law followed, as logged [deg].
-    effort_V : float
-        Root mean square of the voltages' change around their mean [V].
+    flight : Flight
+        What it flew, with time from its first tick on.
     """
 
     report: LawReport | None
-    overshoot_percent: float
-    settling_s: float
-    elevation_rms_deg: float
-    travel_rms_deg: float
-    effort_V: float
+    flight: Flight
 
     def __str__(self) -> str:
+        elevation, _, travel = responses(self.flight)
+        settled = "not settled" if math.isnan(travel.settling_s) else f"settled in {travel.settling_s:.1f} s"
+        step = f"{travel.overshoot_percent:.0f} % over, {settled}"
         over = f"; taken over: {self.report.taken_over}" if self.report and self.report.taken_over else ""
         return (
-            f"step of travel: {self.overshoot_percent:.0f} % over, settled in {self.settling_s:.1f} s; "
-            f"rms error {self.elevation_rms_deg:.2f} deg of elevation, {self.travel_rms_deg:.2f} of travel; "
-            f"effort {self.effort_V:.2f} V{over}"
+            f"step of travel: {'not flown to its end' if math.isnan(travel.step_deg) else step}; "
+            f"rms error {elevation.rms_deg:.2f} deg of elevation, {travel.rms_deg:.2f} of travel; "
+            f"effort {effort_V(self.flight):.2f} V{over}"
         )
 
 
@@ -77,52 +72,35 @@ def try_law(law: Law | None, address: str, seconds: float, log: Path | None = No
     HeliError
         The board does not take the law, or the flight ended with a fault.
     """
-    kept: list[Ticks] = []
-    with heli_host.connect(address, land_on_exit=True) as heli:
-        recorder = Recorder(heli, log) if log is not None else contextlib.nullcontext()
-        with recorder:
-            heli.take_off()
-            if law is not None:
-                engage(heli, law.tape)
-            start = heli.latest.tick
-
-            def steer(new: Ticks) -> None:
-                kept.append(new)
-                t_s = (int(new.tick[-1]) - start) * 1e-3 - STEP_s
-                sine = t_s > 0.0
-                heli.setpoint(
-                    elevation_deg=4.0 * float(np.sin(2.0 * np.pi * t_s / 15.0)) if sine else 0.0,
-                    travel_deg=STEP_deg * (1.0 + (float(np.sin(2.0 * np.pi * t_s / 20.0)) if sine else 0.0)),
-                )
-
-            unsubscribe = heli.session.subscribe_ticks(steer)
-            report = None
-            if law is not None:
-                report = fly_law(heli, law.tape, duration_s=seconds)
-            else:
-                heli.wait(seconds)
-            unsubscribe()
-            heli.land()
-    return _judged(np.concatenate([one.raw for one in kept]), report)
+    with tempfile.TemporaryDirectory() as folder:
+        path = log if log is not None else Path(folder) / "trial.mcap"
+        report = _fly(law, address, seconds, path)
+        return LawTrial(report, flight_of_law(path))
 
 
-def _judged(raw: npt.NDArray[np.int32], report: LawReport | None) -> LawTrial:
-    def column(channel: Channel) -> Floats:
-        return np.asarray(physical(raw, channel), float)
+def _fly(law: Law | None, address: str, seconds: float, log: Path) -> LawReport | None:
+    with heli_host.connect(address, land_on_exit=True) as heli, Recorder(heli, log) as recorder:
+        heli.take_off()
+        heli.setpoint(elevation_deg=0.0, travel_deg=0.0)
+        start = heli.latest.tick if law is None else engage(heli, law.tape)
+        recorder.mark_phase(start, PHASE)
 
-    per_count = 360.0 / 4096.0
-    elevation_deg = raw[:, Channel.ELEVATION_COUNT] * per_count
-    travel_deg = raw[:, Channel.TRAVEL_COUNT] * per_count
-    wanted = np.degrees(column(Channel.ELEVATION_SETPOINT)), np.degrees(column(Channel.TRAVEL_SETPOINT))
-    step = travel_deg[: round(STEP_s * 1e3)]
-    outside = np.flatnonzero(np.abs(step - STEP_deg) > BAND_deg)
-    settled = len(outside) == 0 or outside[-1] < len(step) - 1
-    volts = np.column_stack([column(Channel.FRONT), column(Channel.BACK)])
-    return LawTrial(
-        report,
-        max(0.0, float(step.max() - STEP_deg)) / STEP_deg * 100.0,
-        (float(outside[-1] + 1) * 1e-3 if len(outside) else 0.0) if settled else float("nan"),
-        float(np.sqrt(np.mean((elevation_deg - wanted[0]) ** 2))),
-        float(np.sqrt(np.mean((travel_deg - wanted[1]) ** 2))),
-        float(np.sqrt(np.mean(volts.var(axis=0)))),
-    )
+        def steer(new: Ticks) -> None:
+            t_s = (int(new.tick[-1]) - start) * 1e-3
+            swings_s = max(0.0, t_s - SINES_AT_s)
+            stepped_deg = STEP_deg if t_s >= STEP_AT_s else 0.0
+            heli.setpoint(
+                elevation_deg=4.0 * math.sin(2.0 * math.pi * swings_s / 15.0),
+                travel_deg=stepped_deg + STEP_deg * math.sin(2.0 * math.pi * swings_s / 20.0),
+            )
+
+        unsubscribe = heli.session.subscribe_ticks(steer)
+        report = None
+        if law is not None:
+            report = fly_law(heli, law.tape, duration_s=seconds)
+        else:
+            heli.wait(seconds)
+        unsubscribe()
+        recorder.mark_phase(heli.latest.tick, LANDING)
+        heli.land()
+    return report

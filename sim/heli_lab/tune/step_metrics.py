@@ -1,10 +1,11 @@
 """Step metrics of a flight with given gains: take-off, a step of travel and back, sines.
 
-Overshoot and settling time are those of `control.step_info`, with a band of half a degree.
+Overshoot and settling time are those of `heli_host.flight.response`, from the path that was asked for.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
@@ -12,10 +13,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 from heli_host.flight import Flight
+from heli_host.flight.response import Answer, answer_of, rms
 
 Floats = npt.NDArray[np.float64]
 
-BAND_DEG: Final = 0.5
 STEP_DEG: Final = 15.0
 
 
@@ -45,12 +46,11 @@ class StepMetrics:
     outcome : str
         ``completed``, or what ended the flight.
     take_off_s : float
-        Settling time of the take-off: until elevation stays within half a degree of level; infinite if it
-        never does.
+        Settling time of the take-off; infinite if it never settles.
     overshoot_percent : float
         Of the travel step, the worse of both ways.
     settling_time_s : float
-        From the step until travel stays within half a degree of its setpoint, the worse of both ways.
+        Of the travel step, the worse of both ways; infinite if it never settles.
     travel_rms_deg, elevation_rms_deg : float
         Tracking error along the sines.
     pitch_max_deg : float
@@ -83,18 +83,17 @@ def step_metrics(
     rise, there = _between(t_s, phases.take_off_s, phases.step_s), _between(t_s, phases.step_s, phases.back_s)
     back, sine = _between(t_s, phases.back_s, phases.sine_s), _between(t_s, phases.sine_s, phases.end_s)
     error_deg = angles_deg[sine] - path_deg(t_s[sine])
-    beyond = max(_most(travel[there] - STEP_DEG), _most(-travel[back]))
-    settling_time_s = max(
-        _last_outside_s(t_s[there] - phases.step_s, travel[there] - STEP_DEG),
-        _last_outside_s(t_s[back] - phases.back_s, travel[back]),
-    )
+    asked = ((there, phases.step_s, 0.0, STEP_DEG), (back, phases.back_s, STEP_DEG, 0.0))
+    answers = [answer_of(t_s[rows] - at_s, travel[rows], *ends) for rows, at_s, *ends in asked]
+    start_deg = float(elevation[rise][0]) if rise.any() else 0.0
+    take_off = answer_of(t_s[rise] - phases.take_off_s, elevation[rise], start_deg, 0.0)
     return StepMetrics(
         outcome=outcome,
-        take_off_s=_last_outside_s(t_s[rise] - phases.take_off_s, elevation[rise]),
-        overshoot_percent=100.0 * max(beyond, 0.0) / STEP_DEG,
-        settling_time_s=settling_time_s,
-        travel_rms_deg=_rms(error_deg[:, 2]),
-        elevation_rms_deg=_rms(error_deg[:, 0]),
+        take_off_s=_settling_s(take_off),
+        overshoot_percent=max(_or_infinite(one.overshoot_percent) for one in answers),
+        settling_time_s=max(_settling_s(one) for one in answers),
+        travel_rms_deg=_or_infinite(rms(error_deg[:, 2])),
+        elevation_rms_deg=_or_infinite(rms(error_deg[:, 0])),
         pitch_max_deg=float(np.abs(pitch).max(initial=0.0)),
     )
 
@@ -103,16 +102,9 @@ def _between(t_s: Floats, start_s: float, stop_s: float) -> npt.NDArray[np.bool_
     return (t_s >= start_s) & (t_s < stop_s)
 
 
-def _most(values: Floats) -> float:
-    return float(values.max()) if values.size else float("inf")
+def _settling_s(answer: Answer) -> float:
+    return _or_infinite(answer.settling_s)
 
 
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else float("inf")
-
-
-def _last_outside_s(t_s: Floats, error_deg: Floats) -> float:
-    outside = np.flatnonzero(np.abs(error_deg) > BAND_DEG)
-    if t_s.size == 0 or (outside.size and outside[-1] >= t_s.size - 2):
-        return float("inf")
-    return float(t_s[outside[-1] + 1]) if outside.size else 0.0
+def _or_infinite(value: float) -> float:
+    return math.inf if math.isnan(value) else value

@@ -11,6 +11,8 @@ from heli_host.cli.simulated import DEFAULT_RIG, BoardOption, SeedOption
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
+    from heli_host.flight import Flight
+
     from heli_lab.law import Law
 
 app = typer.Typer(no_args_is_help=True, help="Check, fly, compare and export a control law of your own.")
@@ -36,13 +38,9 @@ def check(
 
     Example: `heli-host law check lqi.py --rigs 5`
     """
-    import numpy as np
     from heli_host.declaration import LAW_TICK_COST
-    from heli_sim.rig import load_rig
 
     from heli_lab.law.files import load_law
-    from heli_lab.law.linear import linearised
-    from heli_lab.tune.plants import linear_plant
 
     found = load_law(law)
     tape = found.tape
@@ -52,6 +50,13 @@ def check(
         f"{len(found.states)} states, {len(tape.words)} words; at most {tape.cost} instructions "
         f"a call{spread} (a tick has {LAW_TICK_COST})"
     )
+    # What a bad law need not wait for.
+    import numpy as np
+    from heli_sim.rig import load_rig
+
+    from heli_lab.law.linear import linearised
+    from heli_lab.tune.plants import linear_plant
+
     linear = linearised(found, linear_plant(load_rig(rig)))
     slow = sorted(linear.poles, key=lambda pole: -pole.real)[:_MOST_POLES]
     poles = ", ".join(f"{pole.real:.2f}{pole.imag:+.2f}j" for pole in slow)
@@ -109,23 +114,21 @@ def compare(
     ] = 30.0,
     seed: SeedOption = 1,
     out: Annotated[
-        Path, typer.Option("--out", metavar="FILE.png", help="Figure of two logs to write.")
+        Path, typer.Option("--out", metavar="FILE.png", help="Figure to write: both over each other.")
     ] = Path("compare.png"),
 ) -> None:
-    """Compare two logs, in numbers and a figure; or fly two laws along the same path in simulation.
+    """Compare two logs where a law flew, or fly two laws along the same path in simulation: the numbers of
+    `heli-host plot`, and a figure.
 
     Example: `heli-host law compare lqi.mcap lqr.mcap --out both.png`
     """
-    from heli_lab.law.files import load_law
+    from heli_host.log.comparison import comparison_lines, comparison_numbers, write_comparison
 
-    if law.suffix != ".py":
-        _compare_logs(law, other, out)
-        return
     address = f"sil://?board={board or 'native'}&seed={seed}"
-    found = load_law(law)
-    second = load_law(other) if other is not None else None
-    say(f"{found.name}: {_flown(found, address, seconds)}")
-    say(f"{second.name if second else 'board'}: {_flown(second, address, seconds)}")
+    flights = _logged(law, other) if law.suffix != ".py" else _flown_both(law, other, address, seconds)
+    say(*comparison_lines(comparison_numbers(flights)))
+    write_comparison(flights, out)
+    say_files((out,))
 
 
 @app.command()
@@ -161,18 +164,31 @@ def _planned(law: Law, address: str, plan: str, log: Path | None) -> str:
     return f"{law.name} flew {plan}: rms error {rms} deg"
 
 
-def _compare_logs(first: Path, second: Path | None, out: Path) -> None:
+def _logged(first: Path, second: Path | None) -> dict[str, Flight]:
     from heli_host.errors import FlightDataError
 
-    from heli_lab.law.compare import judge, write_comparison
+    from heli_lab.law.compare import flight_of_law
 
     if second is None:
         raise FlightDataError("one log alone is nothing to compare", "name two logs, or a law (.py)")
-    flights = [judge(first), judge(second)]
-    for one in flights:
-        say(str(one))
-    write_comparison(flights, out)
-    say_files((out,))
+    if first == second:
+        raise FlightDataError(f"{first} is given twice", "name two logs")
+    return {str(path): flight_of_law(path) for path in (first, second)}
+
+
+def _flown_both(first: Path, second: Path | None, address: str, seconds: float) -> dict[str, Flight]:
+    from heli_lab.law.files import load_law
+    from heli_lab.law.trial import try_law
+
+    flights = {}
+    laws = [load_law(path) if path is not None else None for path in (first, second)]
+    for path, law in zip((first, second), laws, strict=True):
+        trial = try_law(law, address, seconds)
+        name = law.name if law is not None else "the board's own"
+        flights[name if name not in flights else str(path)] = trial.flight
+        if trial.report is not None and trial.report.taken_over:
+            say(str(trial.report))
+    return flights
 
 
 def _flown(law: Law | None, address: str, seconds: float, log: Path | None = None) -> str:

@@ -31,7 +31,7 @@ def plot(
     """Draw setpoints, angles, voltages and events of a log; several are laid over each other and compared.
 
     Of each axis that had setpoints: rise, overshoot and settling of its largest step, tracking error (rms);
-    of each flight its effort, the motors' rms voltage.
+    of each flight its effort, the motors' voltages' rms about their mean.
 
     Example: `heli-host plot pid.mcap lqr.mcap -o both.pdf`
     """
@@ -50,7 +50,7 @@ def plot(
 
 
 def _compare(logs: Sequence[Path], out: Path | None, json: bool) -> None:
-    from heli_host.log.comparison import HEADS, MOST, comparison_numbers, comparison_rows, write_comparison
+    from heli_host.log.comparison import MOST, comparison_lines, comparison_numbers, write_comparison
     from heli_host.log.flight_file import read_flight
 
     if len(logs) > MOST:
@@ -67,15 +67,7 @@ def _compare(logs: Sequence[Path], out: Path | None, json: bool) -> None:
     if json:
         say_json({"flights": numbers, "figure": None if target is None else str(target)})
         return
-    rows = [list(HEADS), *comparison_rows(numbers)]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(HEADS))]
-    for row in rows:
-        say(
-            "  ".join(
-                cell.ljust(w) if i < 2 else cell.rjust(w)
-                for i, (cell, w) in enumerate(zip(row, widths, strict=True))
-            ).rstrip()
-        )
+    say(*comparison_lines(numbers))
     say_files([target])
 
 

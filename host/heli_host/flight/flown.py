@@ -1,0 +1,120 @@
+"""Which rows of a flight count: those in which a control law flew, and those in which it led an axis."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heli_host.declaration import Flags
+from heli_host.errors import FlightDataError
+from heli_host.flight.flight import MIN_ROWS, Flight
+
+PHASE_EVENT: Final = "phase"
+"""Name of the events with which a flight marks its phases."""
+TAKE_OFF: Final = "take-off"
+LANDING: Final = "landing"
+"""Phases around the plans."""
+_OWN: Final = "closed_loop"
+_STREAMED: Final = "streamed"
+# A tenth of an encoder's count, far above the rounding of a setpoint in the log.
+_TOLD_rad: Final = 1.5e-4
+
+Rows = NDArray[np.bool_]
+
+
+def flown_rows(flight: Flight) -> Rows:
+    """Return the rows in which a control law flew, the board's, one that came over the link, or the host's:
+    behind the take-off and before the landing where the flight marks them.
+
+    Parameters
+    ----------
+    flight : Flight
+        Any.
+
+    Returns
+    -------
+    ndarray of bool (n,)
+        All rows count of a flight without states and phases, such as a table of another laboratory.
+    """
+    rows = np.ones(len(flight), np.bool_)
+    if flight.state is not None:
+        rows = _in_state(flight, _OWN) | _in_state(flight, _STREAMED)
+    phases = [event for event in flight.events if event.name == PHASE_EVENT]
+    flown_s = [event.t_s for event in phases if event.text not in (TAKE_OFF, LANDING)]
+    if phases:
+        rows &= flight.t_s >= (flown_s[0] if flown_s else np.inf)
+    landing_s = [event.t_s for event in phases if event.text == LANDING]
+    if landing_s:
+        rows &= flight.t_s < landing_s[0]
+    return rows
+
+
+def led_rows(flight: Flight, axis: str) -> Rows:
+    """Return the rows of `flown_rows` in which an axis was led by a setpoint.
+
+    A law of the host's that tells no setpoints, and one on the board that has none for an axis, is logged
+    with the measured angle in their place: an error of nothing, which is no merit.
+
+    Parameters
+    ----------
+    flight : Flight
+        Any.
+    axis : str
+        Which axis.
+
+    Returns
+    -------
+    ndarray of bool (n,)
+        Nothing of a flight without setpoints.
+    """
+    rows = flown_rows(flight)
+    setpoint_rad = getattr(flight, f"{axis}_setpoint_rad")
+    if setpoint_rad is None:
+        return np.zeros(len(flight), np.bool_)
+    apart_rad = np.abs(getattr(flight, f"{axis}_rad") - setpoint_rad)
+    for theirs in (_in_state(flight, _STREAMED), _of_law(flight)):
+        if theirs.any() and apart_rad[theirs].max() <= _TOLD_rad:
+            rows = rows & ~theirs
+    return rows
+
+
+def of_its_law(flight: Flight) -> Flight:
+    """Cut a flight to what a law that came over the link flew, or else to what `flown_rows` says.
+
+    Parameters
+    ----------
+    flight : Flight
+        Any.
+
+    Returns
+    -------
+    Flight
+        From the first of these rows to the last, without the phases of what it was cut from.
+
+    Raises
+    ------
+    FlightDataError
+        No law flew in it.
+    """
+    rows = _of_law(flight)
+    if not rows.any():
+        rows = flown_rows(flight)
+    there = np.flatnonzero(rows)
+    if there.size < MIN_ROWS:
+        raise FlightDataError("no control law flew in it", "give a flight under setpoints")
+    cut = flight.between(float(flight.t_s[there[0]]), float(flight.t_s[there[-1]]))
+    return replace(cut, events=tuple(event for event in cut.events if event.name != PHASE_EVENT))
+
+
+def _in_state(flight: Flight, name: str) -> Rows:
+    numbers = [number for number, known in flight.state_names.items() if known == name]
+    return np.zeros(len(flight), np.bool_) if flight.state is None else np.isin(flight.state, numbers)
+
+
+def _of_law(flight: Flight) -> Rows:
+    if flight.flags is None:
+        return np.zeros(len(flight), np.bool_)
+    return np.asarray(flight.flags & Flags.LAW, np.bool_)

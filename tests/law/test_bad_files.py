@@ -1,0 +1,126 @@
+"""``heli-host law`` on files that hold no law a board could fly: one line with its remedy, nothing sent."""
+
+# ruff: noqa: E501  -- a row each
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import heli_host
+import pytest
+
+from tests.cli.terminal import Terminal, refusal, terminal
+
+__all__ = ["terminal"]
+
+pytestmark = pytest.mark.medium
+
+ASKED, FILE = 2, 5
+START: Final = "from heli_lab.law import *\nimport math, casadi\n"
+
+
+def law(body: str, options: str = "", end: str = "LAW = law") -> str:
+    """A file whose law does what `body` says; the body begins in line 5."""
+    lines = "".join(f"    {line}\n" for line in body.split("\n"))
+    return f"{START}@control_law({options})\ndef law(now, state, parameter):\n{lines}{end}\n"
+
+
+BAD: Final[dict[str, tuple[str | bytes, str, str]]] = {
+    "an empty file": ("", "has no LAW", "@control_law"),
+    "a law by another name": (law("return Command(1.0, 1.0)", end=""), "has no LAW", "LAW = law"),
+    "a function for a LAW": ("def law(now):\n    pass\nLAW = law\n", "is a function", "@control_law"),
+    "no Python": ("LAW = (1,\n", "is no Python", "line 1"),
+    "no text": (b"\x00\xff\xfe\x80", "is no Python", "correct it"),
+    "an exception on the way": (START + "gain = 1 / 0\n", "ZeroDivisionError", "line 3"),
+    "an exception in the law": (law("return Command(now.yaw_rad, 1.0)"), "yaw_rad", "line 5"),
+    "a file that ends the program": ("raise SystemExit(0)\n", "SystemExit", "line 1"),
+    "an import that is not there": ("import nowhere_at_all\n", "nowhere_at_all", "line 1"),
+    "one voltage": (law("return Command(1.0)"), "back_V", "line 5"),
+    "three voltages": (law("return 1.0, 2.0, 3.0"), "3 values", "return Command"),
+    "nothing returned": (law("pass"), "NoneType", "return Command"),
+    "a word for a voltage": (law("return Command('full', 1.0)"), "output 0", "give a number"),
+    "two numbers for a voltage": (law("return Command(casadi.vertcat(1, 2), 1.0)"), "2 numbers", "one number"),
+    "one argument": (START + "@control_law()\ndef law(now):\n    return Command(1.0, 1.0)\n", "three", "(now, s"),
+    "2,000 states": (
+        law("return Command(1.0, 1.0)", "states={f'x{k}': 0.0 for k in range(2000)}"),
+        "2000 states", "reduce the order",
+    ),
+    "300 parameters": (
+        law("return Command(1.0, 1.0)", "parameters={f'k{k}': 0.0 for k in range(300)}"),
+        "300 parameters", "give at most 255",
+    ),
+    "an unknown function": (law("return Command(casadi.erf(now.pitch_rad), 1.0)"), "erf", "a board knows"),
+    "a function of math": (law("return Command(math.sin(now.pitch_rad), 1.0)"), "nan", "math take no symbols"),
+    "an if": (law("if now.pitch_rad > 0:\n    return Command(1.0, 1.0)\nreturn Command(2.0, 1.0)"), "line 5", "if_else"),
+    "333 Hz": (law("return Command(1.0, 1.0)", "rate_Hz=333"), "333 Hz", "give 250 or 500 Hz"),
+    "0 Hz": (law("return Command(1.0, 1.0)", "rate_Hz=0"), "0 Hz", "give"),
+    "no number in it": (law("return Command(now.pitch_rad + math.nan, 1.0)"), "nan", "finite"),
+    "no number for a state": (law("return Command(1.0, 1.0)", "states={'x': math.nan}"), "state x", "finite"),
+    "no number for a parameter": (law("return Command(1.0, 1.0)", "parameters={'k': 1e39}"), "parameter k", "3.4e38"),
+    "a word for a parameter": (law("return Command(1.0, 1.0)", "parameters={'k': 'two'}"), "parameter k", "give a n"),
+    "a number of another size": (law("return Command(1e39 * now.pitch_rad, 1.0)"), "1e+39", "3.4e38"),
+    "too many cells": (
+        law("return Command(sum(k * 0.1 * sin(k * now.pitch_rad) for k in range(600)), 1.0)"), "512 cells", "smaller",
+    ),
+    "too much for a tick": (
+        law("return Command(sum(sqrt(now.pitch_rad + k) for k in range(200)), 1.0)"), "instructions", "Hz it fits",
+    ),
+    "too much for any rate": (
+        law("x = now.pitch_rad\nfor _ in range(1400): x = tanh(x)\nreturn Command(x, 1.0)", "rate_Hz=4"),
+        "instructions", "fits no rate",
+    ),
+    "too many words": (
+        law("x = now.pitch_rad\nfor _ in range(2000): x = floor(x + 0.5)\nreturn Command(x, 1.0)", "rate_Hz=4"),
+        "words", "simplify",
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture
+def nothing_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+    def connect(*_: object, **__: object) -> None:
+        raise AssertionError("a board was asked")
+
+    monkeypatch.setattr(heli_host, "connect", connect)
+
+
+@pytest.mark.usefixtures("nothing_sent")
+@pytest.mark.parametrize("name", BAD)
+def test_a_file_without_a_law_to_fly_is_one_line_with_its_remedy(name: str, terminal: Terminal) -> None:
+    content, cause, remedy = BAD[name]
+    file = Path("bad.py")
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    line = refusal(terminal("law", "check", file), code=ASKED)
+    assert cause in line
+    assert remedy in line
+    assert "heli_lab" not in line.replace("of heli_lab.law", "")
+
+
+@pytest.mark.usefixtures("nothing_sent")
+@pytest.mark.parametrize("verb", ["check", "fly", "compare", "export"])
+def test_a_file_that_is_not_there_is_named_by_every_verb(verb: str, terminal: Terminal) -> None:
+    out = ("--out", "law.c") if verb == "export" else ()
+    assert "nowhere.py" in refusal(terminal("law", verb, "nowhere.py", *out), code=ASKED)
+    Path("folder.py").mkdir()
+    assert "no file folder.py" in refusal(terminal("law", verb, "folder.py", *out), code=ASKED)
+
+
+def test_a_law_may_import_what_lies_beside_it(terminal: Terminal) -> None:
+    Path("gains_of_mine.py").write_text("KP = 2.5\n")
+    text = law("return Command(KP * now.pitch_rad + 1.0, 1.0)")
+    Path("law.py").write_text("from gains_of_mine import KP\n" + text)
+    ended = terminal("law", "export", "law.py", "--out", "law.c")
+    assert ended.code == 0, ended
+    assert "2.5" in Path("law.c").read_text()
+
+
+def test_c_that_cannot_be_written_is_one_line(terminal: Terminal) -> None:
+    Path("law.py").write_text(law("return Command(1.0, 1.0)"))
+    assert "nowhere" in refusal(terminal("law", "export", "law.py", "--out", "nowhere/law.c"), code=FILE)
+
+
+def test_a_log_without_a_law_is_one_line(terminal: Terminal) -> None:
+    Path("a.csv").write_text("t_s,front_V,back_V,elevation_rad,pitch_rad,travel_rad\n")
+    assert "a.csv" in refusal(terminal("law", "compare", "a.csv", "b.csv"), code=FILE)
+    assert "name two logs" in refusal(terminal("law", "compare", "a.csv"), code=FILE)
