@@ -106,26 +106,27 @@ def explain(
         Rows that count.
     """
     y = acceleration[rows][::_EVERY] - stiffness[0] * own[0][rows][::_EVERY]
+    if len(y) < 20:
+        return Explained(0.0, 0.0)
     columns = np.column_stack(
         [own[0][rows][::_EVERY], own[1][rows][::_EVERY], np.ones(len(y)), cause[rows][::_EVERY]]
     )
-    if len(y) < 20:
-        return Explained(0.0, 0.0)
     spread = np.maximum(columns.std(axis=0), 1e-12)
-    prior_std = np.array([stiffness[1], 1.0, np.inf, np.inf])
+    spread[2] = 1.0
+    columns = columns / spread
+    ridge = np.array([stiffness[1], 1.0, np.inf, np.inf]) * spread
+    # Thousands of these are solved for each file: of the normal equations, not of all rows.
+    gram, moment, power = columns.T @ columns, columns.T @ y, float(y @ y)
     noise = float(y.var())
     rests: list[float] = []
     gain = 0.0
     for _ in range(3):
         rests = []
         for count in (3, 4):
-            X = columns[:, :count] / spread[:count]
-            penalty = np.diag(noise / (prior_std[:count] * spread[:count]) ** 2) + 1e-9 * len(y) * np.eye(
-                count
-            )
-            solution = np.linalg.solve(X.T @ X + penalty, X.T @ y)
-            residual = y - X @ solution
-            rests.append(float(np.mean(residual**2)) + float(solution @ penalty @ solution) / len(y))
+            penalised = gram[:count, :count] + np.diag(noise / ridge[:count] ** 2 + 1e-9 * len(y))
+            solution = np.linalg.solve(penalised, moment[:count])
+            # At the solution, squares of residuals and penalty together.
+            rests.append((power - float(solution @ moment[:count])) / len(y))
             gain = float(solution[-1] / spread[count - 1])
         noise = max(rests[1], 1e-12 * float(y.var()) + 1e-300)
     seconds = len(y) * _EVERY * thresholds.STEP_S
