@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,6 +18,10 @@ _EVERY: Final = 10
 """Of the rows every so many is compared: ten a second say all that the filter leaves."""
 _MOST_COLUMNS: Final = 14
 _SAME: Final = 0.99999
+_RATE_SCALES: Final = (
+    *(1.0, 180.0 / np.pi, np.pi / 180.0),
+    *(turn / counts for turn in (2.0 * np.pi, 360.0) for counts in (4096.0, 8192.0)),
+)
 
 
 @dataclass(frozen=True)
@@ -157,13 +161,40 @@ def candidates(signals: Signals) -> list[str]:
     for name in moving:
         if not any(_alike(signals.raw[name], signals.raw[other]) > _SAME for other in kept):
             kept.append(name)
-    rates = {
-        name
-        for name, other in itertools.permutations(kept, 2)
-        if not names.role_of(name)
-        and _alike(signals.filtered[other].rate, signals.filtered[name].value) > thresholds.RATE_MATCH**0.5
-    }
+    rates = _rates(signals, kept)
     return [name for name in kept if name not in rates][:_MOST_COLUMNS]
+
+
+def _rates(signals: Signals, columns: list[str]) -> set[str]:
+    """Columns that are the rate of a column that is none itself: the rate of travel's rate looks like pitch,
+    which moves it, and that of pitch's rate like a voltage.
+    """
+    found = {}
+    for name, other in itertools.permutations(columns, 2):
+        rate, value = signals.filtered[other].rate, signals.filtered[name].value
+        likeness = _alike(rate, value)
+        if not names.role_of(name) and likeness > thresholds.RATE_MATCH**0.5 and _unit_slope(rate, value):
+            found[name, other] = likeness
+    rates: set[str] = set()
+    settled: set[str] = set()
+    left = set(columns)
+    while left:
+        open_ = {name for name in left if all(of in settled for one, of in found if one == name)}
+        if not open_:  # each is the rate of another one, as sines are: the least alike is none
+            weakest = min((likeness, name) for (name, _), likeness in found.items() if name in left)[1]
+            open_ = {weakest}
+            found = {pair: one for pair, one in found.items() if pair[0] != weakest}
+        rates |= {name for name in open_ if any(one == name and of not in rates for one, of in found)}
+        settled |= open_
+        left -= open_
+    return rates
+
+
+def _unit_slope(rate: Floats, value: Floats) -> bool:
+    """Whether a `value` is a `rate` in the same unit, or in degrees or radians of radians, degrees, counts."""
+    variance = float(rate.var())
+    slope = float(np.mean((rate - rate.mean()) * (value - value.mean()))) / variance if variance else 0.0
+    return any(0.6 < slope / scale < 1.5 for scale in _RATE_SCALES)
 
 
 def _alike(first: Floats, second: Floats) -> float:
@@ -178,8 +209,20 @@ def polarity_of(values: Floats) -> float:
     return -1.0 if mean < 0.0 and abs(mean) > 0.5 * float(values.std()) else 1.0
 
 
-def assignments(signals: Signals, reference: Reference) -> list[Roles]:
-    """All assignments of columns to roles, the likeliest first."""
+def assignments(
+    signals: Signals, reference: Reference, encoders: Collection[str] = frozenset()
+) -> list[Roles]:
+    """All assignments of columns to roles, the likeliest first.
+
+    Parameters
+    ----------
+    signals : Signals
+        The columns.
+    reference : Reference
+        What the rig's model says of stiffness.
+    encoders : collection of str
+        Columns in steps of an encoder: angles as measured, not as estimated or wanted.
+    """
     found = candidates(signals)
     count = len(found)
     if count < 5:
@@ -201,6 +244,10 @@ def assignments(signals: Signals, reference: Reference) -> list[Roles]:
         turned[p, t] = explain(
             filtered[t].acceleration, own, filtered[p].value, (0.0, 0.1), signals.inner
         ).nats
+    measured = thresholds.ENCODER_NATS * np.array([name in encoders for name in found], float)
+    lifted = {key: nats + measured for key, nats in lifted.items()}
+    pitched = {key: nats + measured for key, nats in pitched.items()}
+    turned += measured
     stated = _stated(found)
     ranked = []
     for pair in pairs:

@@ -164,6 +164,15 @@ def _grid(motion: Motion, axis: str, unit: str, rad: float, reference: Reference
     return _GRID if turn and abs(turn / reference.counts[axis] - 1.0) < 0.01 else 0.0
 
 
+def is_encoder(values: Floats, reference: Reference) -> bool:
+    """Whether a column, `values`, is in steps of one of the rig's encoders, in radians or degrees."""
+    step = step_of(values)
+    turns = (2.0 * math.pi, 360.0) if step > 0.0 else ()
+    return any(
+        abs(turn / step / counts - 1.0) < 0.01 for turn in turns for counts in {*reference.counts.values()}
+    )
+
+
 def step_of(values: Floats) -> float:
     """Smallest step of a column, `values`, that is in steps; 0 where it is not."""
     moves = np.abs(np.diff(values[np.isfinite(values)]))
