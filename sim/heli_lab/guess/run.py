@@ -21,7 +21,7 @@ from heli_lab.guess.reference import Reference, reference_of
 from heli_lab.guess.result import Doubt, Guess
 from heli_lab.guess.roles import Explained, Roles, assignments, free_rows
 from heli_lab.guess.scales import AXES, Motion, Scale, is_encoder, rad_of, scales, step_of, volts_of
-from heli_lab.guess.signals import Signals, signals_of
+from heli_lab.guess.signals import Floats, Signals, signals_of
 from heli_lab.guess.times import Clock, clock_of, times_in_s
 
 _ANGLE_UNITS: Final = frozenset({*ANGLE_UNITS, COUNT})
@@ -152,11 +152,18 @@ def _motion(table: Table, signals: Signals, roles: Roles, first: dict[str, Expla
     return Motion(
         {axis: first[axis].gain for axis in AXES},
         level,
+        _peak(one, two, roles.summed),
         {axis: step_of(values[axis]) for axis in AXES},
         {axis: bool(np.all(np.mod(values[axis][np.isfinite(values[axis])], 1.0) == 0.0)) for axis in AXES},
         stated,
         roles.summed,
     )
+
+
+def _peak(one: Floats, two: Floats, summed: bool) -> float:
+    """Largest voltage of a motor; of sum and difference half of what each reaches, whose biases are not known."""
+    peaks = [float(np.quantile(np.abs(values), 0.995)) for values in (one, two)]
+    return max(peaks) * (0.5 if summed else 1.0)
 
 
 def _unit(table: Table, column: str, known: frozenset[str]) -> str:
