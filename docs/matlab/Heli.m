@@ -46,6 +46,9 @@ classdef Heli < handle
     next_tick = -1
     crc_bits
     crc_zeros
+    base_weights
+    base_spans
+    scales
     clock
   end
 
@@ -54,6 +57,7 @@ classdef Heli < handle
       % HELI  Connect to a board at a serial port, or at a host and its TCP port.
       h.declaration = heli_declaration();
       [h.crc_bits, h.crc_zeros] = Heli.crcTables(h.declaration.max_telemetry_payload + 8);
+      h.layOut();
       h.clock = tic();
       h.events = {};
       h.losses = struct('frames', 0, 'ticks', 0);
@@ -229,6 +233,7 @@ classdef Heli < handle
       said = h.command('param_set', struct('index', index - 1, 'value', value));
       value = said.value;
       h.parameter_values(index) = value;
+      h.findScales();
     end
 
     function saveParameters(h)
@@ -247,25 +252,18 @@ classdef Heli < handle
 
     function poll(h)
       % POLL  Send what is due, take in what has come. wait() does it for you.
-      now_s = toc(h.clock);
-      if ~isempty(h.target) && now_s - h.target_sent_s > 0.1
-        h.sendTarget();
-      elseif now_s - h.pinged_s > 0.1
-        h.pinged_s = now_s;
-        % A number of its own: the board remembers the last command, and 0 is none of them.
-        h.send('ping', struct('request', 0, 'host_us', floor(now_s * 1e6)));
-      end
+      h.sendDue();
       count = h.port.NumBytesAvailable;
       if count == 0
         pause(0.002);
         return
       end
       h.received = [h.received, reshape(uint8(read(h.port, count, 'uint8')), 1, [])];
-      ends = find(h.received == 0);
       start = 1;
-      for stop = ends
+      for stop = find(h.received == 0)
         h.take(h.received(start:stop - 1));
         start = stop + 1;
+        h.sendDue();
       end
       h.received = h.received(start:end);
     end
@@ -292,6 +290,21 @@ classdef Heli < handle
         said = h.command('params_read', struct('first', first));
         h.parameter_values(first + (1:said.count)) = typecast(said.rest(1:4 * said.count), 'single');
         first = first + said.count;
+      end
+      h.findScales();
+      % What came before is in counts.
+      h.batches = {};
+    end
+
+    function sendDue(h)
+      % The board takes silence for a host that is gone: first it holds level, then it lands.
+      now_s = toc(h.clock);
+      if ~isempty(h.target) && now_s - h.target_sent_s > 0.1
+        h.sendTarget();
+      elseif isempty(h.target) && now_s - h.pinged_s > 0.1
+        h.pinged_s = now_s;
+        % The number 0 is none of a command that is waited for.
+        h.send('ping', struct('request', 0, 'host_us', floor(now_s * 1e6)));
       end
     end
 
@@ -372,38 +385,30 @@ classdef Heli < handle
     end
 
     function takeBatch(h, payload)
-      channels = h.declaration.channels;
-      first = double(typecast(payload(1:4), 'uint32'));
-      count = double(payload(5));
-      nibbles = [mod(double(payload(6:13)), 16); floor(double(payload(6:13)) / 16)];
+      bytes = double(payload);
+      first = bytes(1:4) * 256.^(0:3)';
+      count = bytes(5);
+      nibbles = [mod(bytes(6:13), 16); floor(bytes(6:13) / 16)];
       widths = [0, 2, 4, 8, 16, 32];
-      widths = widths(nibbles(1:size(channels, 1)) + 1);
-      table = zeros(count, 1 + numel(widths));
-      table(:, 1) = first + (0:count - 1)';
-      place = 14;
-      bases = zeros(1, numel(widths));
-      for index = 1:numel(widths)
-        type = Heli.typeOf(channels{index, 2});
-        last = place + Heli.sizeOf(channels{index, 2});
-        bases(index) = double(typecast(payload(place:last - 1), type));
+      widths = widths(nibbles(1:numel(h.base_spans)) + 1);
+      place = 14 + size(h.base_weights, 1);
+      bases = bytes(14:place - 1) * h.base_weights;
+      negative = bases >= h.base_spans / 2;
+      bases(negative) = bases(negative) - h.base_spans(negative);
+      raw = repmat(bases, count, 1);
+      for index = find(widths > 0 & count > 1)
+        width = widths(index);
+        last = place + ceil(width * (count - 1) / 8);
+        bits = Heli.bitsOf(payload(place:last - 1));
+        deltas = 2.^(0:width - 1) * reshape(bits(1:width * (count - 1)), width, []);
+        deltas = deltas - 2^width * (deltas >= 2^(width - 1));
+        raw(2:end, index) = bases(index) + cumsum(deltas(:));
+        if width == 32
+          raw(:, index) = mod(raw(:, index) + 2^31, 2^32) - 2^31;
+        end
         place = last;
       end
-      for index = 1:numel(widths)
-        width = widths(index);
-        raw = repmat(bases(index), count, 1);
-        if width > 0 && count > 1
-          last = place + ceil(width * (count - 1) / 8);
-          bits = Heli.bitsOf(payload(place:last - 1));
-          deltas = 2.^(0:width - 1) * reshape(bits(1:width * (count - 1)), width, []);
-          deltas = deltas - 2^width * (deltas >= 2^(width - 1));
-          raw(2:end) = raw(1) + cumsum(deltas(:));
-          if width == 32
-            raw = mod(raw + 2^31, 2^32) - 2^31;
-          end
-          place = last;
-        end
-        table(:, 1 + index) = raw * h.scaleOf(index);
-      end
+      table = [first + (0:count - 1)', bsxfun(@times, raw, h.scales)];
       if h.next_tick >= 0 && first > h.next_tick
         h.losses.ticks = h.losses.ticks + first - h.next_tick;
       end
@@ -412,19 +417,32 @@ classdef Heli < handle
       while numel(h.batches) > 1 && first - h.batches{1}(1) > h.keep_s * 1e6 / h.declaration.tick_us
         h.batches(1) = [];
       end
-      h.latest = cell2struct(num2cell(table(end, :)'), [{'tick'}; channels(:, 4)], 1);
+      h.latest = cell2struct(num2cell(table(end, :)'), [{'tick'}; h.declaration.channels(:, 4)], 1);
     end
 
-    function scale = scaleOf(h, index)
-      % An encoder's count is an angle, by the parameter of its axis.
-      name = h.declaration.channels{index, 1};
-      scale = h.declaration.channels{index, 3};
-      if numel(name) > 6 && strcmp(name(end - 5:end), '_count')
-        scale = NaN;
-        turn = strcmp(h.declaration.parameters(:, 1), [name, 's_per_rev']);
-        if ~isempty(h.parameter_values)
-          scale = 2 * pi / abs(h.parameter_values(turn));
+    function layOut(h)
+      % Where the bases of a batch lie: weights of their bytes, and the span of those with a sign.
+      channels = h.declaration.channels;
+      h.base_weights = zeros(0, size(channels, 1));
+      h.base_spans = zeros(1, size(channels, 1));
+      h.scales = zeros(1, size(channels, 1));
+      for index = 1:size(channels, 1)
+        bytes = Heli.sizeOf(channels{index, 2});
+        h.base_weights(end + (1:bytes), index) = 256.^(0:bytes - 1)';
+        h.base_spans(index) = 256^bytes;
+        if channels{index, 2}(1) == 'u'
+          h.base_spans(index) = Inf;
         end
+        h.scales(index) = channels{index, 3};
+      end
+    end
+
+    function findScales(h)
+      % An encoder's count is an angle, by the parameter of its axis.
+      for axis = fieldnames(h.declaration.enums.axis)'
+        channel = strcmp(h.declaration.channels(:, 1), [axis{1}, '_count']);
+        turn = strcmp(h.declaration.parameters(:, 1), [axis{1}, '_counts_per_rev']);
+        h.scales(channel) = 2 * pi / abs(h.parameter_values(turn));
       end
     end
 
@@ -484,25 +502,28 @@ classdef Heli < handle
     function out = decode(frame)
       % DECODE  The opposite of encode; empty where a code byte points beyond the end.
       out = zeros(1, 0, 'uint8');
+      codes = double(frame);
+      joints = zeros(1, 0);
       place = 1;
-      while place <= numel(frame)
-        code = double(frame(place));
-        if code == 0 || place + code - 1 > numel(frame)
-          out = zeros(1, 0, 'uint8');
-          return
-        end
-        out = [out, frame(place + 1:place + code - 1)]; %#ok<AGROW>
-        place = place + code;
-        if code < 255 && place <= numel(frame)
-          out(end + 1) = 0; %#ok<AGROW>
-        end
+      while place <= numel(codes)
+        joints(end + 1) = place; %#ok<AGROW>
+        place = place + codes(place);
       end
+      if isempty(codes) || place ~= numel(codes) + 1 || any(codes == 0)
+        return
+      end
+      out = frame;
+      out(joints) = 0;
+      full = codes(joints) == 255;
+      out([1, joints([false, full(1:end - 1)])]) = [];
     end
 
     function value = crc(bytes, bits, zeros_crc)
       % CRC  CRC-32 (IEEE 802.3, reflected): linear in the bits, so that no loop over bytes is needed.
       ones = Heli.bitsOf(bytes(end:-1:1));
-      odd = mod(double(ones) * bits(1:numel(ones), :), 2);
+      % The whole table, and zeros for what the message is too short for: a part of it would be copied.
+      ones(size(bits, 1)) = 0;
+      odd = mod(ones * bits, 2);
       value = bitxor(uint32(odd * 2.^(0:31)'), zeros_crc(numel(bytes) + 1));
     end
 

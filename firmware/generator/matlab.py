@@ -36,11 +36,20 @@ def generate_matlab(d: Table) -> str:
         out += [f"d.enums.{name}.{key} = {entry['value']};" for key, entry in rows(entries)]
     for name, entries in d["bits"].items():
         out += [f"d.enums.{name}.{key} = {1 << entry['bit']};" for key, entry in rows(entries)]
-    out += ["", "% Channels in the order of the wire: name, type, scale, column of samples.", "d.channels = {"]
+    out += [
+        "",
+        "% Channels in the order of the wire: name, type, scale, column of samples.",
+        "d.channels = {",
+    ]
     for c in d["channel"]:
         column = channels.column(c)
         out.append(f"  {text(c['name'])}, {text(c['type'])}, {float(c['scale']):g}, {text(column)}")
-    out += ["};", "", "% Parameters in the order of the table: name, unit, least, most, default.", "d.parameters = {"]
+    out += [
+        "};",
+        "",
+        "% Parameters in the order of the table: name, unit, least, most, default.",
+        "d.parameters = {",
+    ]
     for p in d["param"]:
         numbers = ", ".join(f"{float(p[key]):.9g}" for key in ("min", "max", "default"))
         out.append(f"  {text(p['name'])}, {text(p['unit'])}, {numbers}")
