@@ -153,10 +153,12 @@ def free_rows(signals: Signals, name: str) -> NDArray[np.bool_]:
     return free
 
 
-def candidates(signals: Signals) -> list[str]:
-    """Columns that may be an angle or a voltage: those that vary, without doubles and without rates."""
+def candidates(signals: Signals, encoders: Collection[str] = frozenset()) -> list[str]:
+    """Columns that may be an angle or a voltage: those that vary, without rates and doubles, of which
+    one of `encoders` stays.
+    """
     moving = [name for name, one in signals.raw.items() if np.ptp(one) > 0.0]
-    moving.sort(key=lambda name: (not names.role_of(name), names.is_other(name)))
+    moving.sort(key=lambda name: (name not in encoders, not names.role_of(name), names.is_other(name)))
     kept: list[str] = []
     for name in moving:
         if not any(_alike(signals.raw[name], signals.raw[other]) > _SAME for other in kept):
@@ -191,7 +193,7 @@ def _rates(signals: Signals, columns: list[str]) -> set[str]:
 
 
 def _unit_slope(rate: Floats, value: Floats) -> bool:
-    """Whether a `value` is a `rate` in the same unit, or in degrees or radians of radians, degrees, counts."""
+    """Whether a `value` is a `rate` in the same unit, or in degrees or radians of another one."""
     variance = float(rate.var())
     slope = float(np.mean((rate - rate.mean()) * (value - value.mean()))) / variance if variance else 0.0
     return any(0.6 < slope / scale < 1.5 for scale in _RATE_SCALES)
@@ -223,7 +225,7 @@ def assignments(
     encoders : collection of str
         Columns in steps of an encoder: angles as measured, not as estimated or wanted.
     """
-    found = candidates(signals)
+    found = candidates(signals, encoders)
     count = len(found)
     if count < 5:
         return []

@@ -161,7 +161,7 @@ def _motion(table: Table, signals: Signals, roles: Roles, first: dict[str, Expla
 
 
 def _peak(one: Floats, two: Floats, summed: bool) -> float:
-    """Largest voltage of a motor; of sum and difference half of what each reaches, whose biases are not known."""
+    """Largest voltage of a motor; of sum and difference half of what each reaches: a bias is not known."""
     peaks = [float(np.quantile(np.abs(values), 0.995)) for values in (one, two)]
     return max(peaks) * (0.5 if summed else 1.0)
 

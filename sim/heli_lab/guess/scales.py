@@ -26,8 +26,9 @@ _MIXED: Final = 3.0
 _BIAS: Final = 4.0
 """Nats that it costs that a sum was logged without its bias."""
 _PEAK: Final = 6.0
-"""Nats that a unit costs in which no motor ever gets a sixth of its supply, or one gets more than all of it."""
+"""Nats that a unit costs in which no motor ever gets a sixth of its supply, or one gets more than all."""
 _PEAKS: Final = (0.16, 1.2)
+"""Shares of the supply, as the rig file has it."""
 _GRID: Final = 3.0
 """Nats for an angle in steps of the encoder's count, and against one in whole numbers that is no count."""
 
