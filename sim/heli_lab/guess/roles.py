@@ -163,7 +163,7 @@ def candidates(signals: Signals, encoders: Collection[str] = frozenset()) -> lis
     for name in moving:
         if not any(_alike(signals.raw[name], signals.raw[other]) > _SAME for other in kept):
             kept.append(name)
-    rates = _rates(signals, kept)
+    rates = _rates(signals, kept) - set(encoders)
     return [name for name in kept if name not in rates][:_MOST_COLUMNS]
 
 
@@ -193,10 +193,12 @@ def _rates(signals: Signals, columns: list[str]) -> set[str]:
 
 
 def _unit_slope(rate: Floats, value: Floats) -> bool:
-    """Whether a `value` is a `rate` in the same unit, or in degrees or radians of another one."""
+    """Whether a `value` is a `rate` in the same unit, or in degrees or radians of another one; or counts the
+    other way, where its angle was turned later.
+    """
     variance = float(rate.var())
     slope = float(np.mean((rate - rate.mean()) * (value - value.mean()))) / variance if variance else 0.0
-    return any(0.6 < slope / scale < 1.5 for scale in _RATE_SCALES)
+    return any(0.6 < abs(slope) / scale < 1.5 for scale in _RATE_SCALES)
 
 
 def _alike(first: Floats, second: Floats) -> float:
