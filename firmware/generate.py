@@ -1,4 +1,4 @@
-"""Write the C++ tables, the Python tables and docs/link.md from firmware/link.toml.
+"""Write the C++, Python and MATLAB tables and docs/link.md from firmware/link.toml.
 
 Run ``python firmware/generate.py`` after every change of link.toml; ``--check`` writes nothing and
 fails when a generated file is stale. Needs nothing but the standard library, so that a firmware
@@ -16,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from firmware.generator.cpp import generate_cpp
 from firmware.generator.declared import DeclarationError, read
 from firmware.generator.document import generate_doc
+from firmware.generator.matlab import generate_matlab
 from firmware.generator.python import generate_python
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -24,6 +25,7 @@ WRITERS = {
     "firmware/core/link/declaration.hpp": generate_cpp,
     "host/heli_host/declaration.py": generate_python,
     "docs/link.md": generate_doc,
+    "docs/matlab/heli_declaration.m": generate_matlab,
 }
 
 

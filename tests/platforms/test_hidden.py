@@ -30,6 +30,27 @@ with heli_host.connect("sil://?process=1&speed=max") as heli:
 print(sample.elevation_deg)
 """
 
+CAMPAIGNS = """
+import sys
+from pathlib import Path
+from heli_lab.campaign import Case
+from heli_lab.campaign.cage import Cage, Limits
+from heli_lab.campaign.store import Store
+from heli_lab.errors import CampaignError
+assert "resource" not in sys.modules and "fcntl" not in sys.modules
+with Cage(Limits(cpu_s=0.3)) as cage:
+    print(cage.run(Case("a", "tests.campaign.works:bad", {"how": "runs away"}), "key").failure)
+    print(dict(cage.run(Case("b", "tests.campaign.works:count", {"number": 3}), "other").row))
+with Store(Path("results")).locked():
+    try:
+        with Store(Path("results")).locked():
+            print("two campaigns in one folder")
+    except CampaignError as error:
+        print(error.cause)
+with Store(Path("results")).locked():
+    print("free again")
+"""
+
 
 def run(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": str(WITHOUT), "PYTHONDONTWRITEBYTECODE": "1"}
@@ -63,6 +84,18 @@ def test_the_command_line_flies_in_process_and_reads_its_log(tmp_path: Path) -> 
     flown = run("-c", HELI_HOST, "fly", "hover", "--sil", "--speed", "max", "--log", "a.mcap", cwd=tmp_path)
     assert flown.returncode == 0, flown.stderr[-2000:]
     assert "completed" in run("-c", HELI_HOST, "info", "a.mcap", cwd=tmp_path).stdout
+
+
+@pytest.mark.medium
+def test_campaigns_lock_their_folder_and_end_cases_that_run_away(tmp_path: Path) -> None:
+    done = run("-c", f"import sys; sys.path.append({str(ROOT)!r})" + CAMPAIGNS, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout.splitlines() == [
+        "over 0.3 s of CPU: it ran away",
+        "{'square': 9}",
+        "another campaign is writing to results",
+        "free again",
+    ]
 
 
 @pytest.mark.medium

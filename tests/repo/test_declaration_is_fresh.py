@@ -13,7 +13,12 @@ pytestmark = pytest.mark.medium
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = "firmware/link.toml"
-GENERATED = ("firmware/core/link/declaration.hpp", "host/heli_host/declaration.py", "docs/link.md")
+GENERATED = (
+    "firmware/core/link/declaration.hpp",
+    "host/heli_host/declaration.py",
+    "docs/link.md",
+    "docs/matlab/heli_declaration.m",
+)
 
 
 def check(root: Path) -> int:

@@ -3,22 +3,24 @@
 Orders and answers go through two pipes, one JSON a line. The process ends itself when nobody can give it
 orders any more, so that none outlives its worker. The kernel counts the CPU time of a case and ends a process
 that exceeds it, whatever code it is in; a case that waits for ever uses none, and is ended by the clock.
+Where the kernel does not count for processes (Windows), a thread of the process does, and a case in compiled
+code that keeps Python waiting is left to the clock.
 """
 
 from __future__ import annotations
 
 import importlib
 import json
+import math
 import os
 import queue
-import select
 import signal
 import subprocess
 import sys
 import threading
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import IO, Any, Final, Self
@@ -29,6 +31,9 @@ _ONE_THREAD: Final = {f"{name}_NUM_THREADS": "{threads}" for name in ("OMP", "OP
 _KILLED_AGAIN: Final = 2
 """Times that a case is begun again whose process somebody else killed: the system does so when memory is
 short, and the next time there may be enough."""
+_RAN_AWAY: Final = 152
+"""Exit status of a process that ended itself over its CPU time: what a shell calls SIGXCPU."""
+_WATCH_s: Final = 0.1
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,7 @@ class Cage:
         self.limits = limits
         self._process: subprocess.Popen[bytes] | None = None
         self._orders: IO[bytes] | None = None
-        self._answers: IO[bytes] | None = None
+        self._answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
     def __enter__(self) -> Self:
         return self
@@ -72,11 +77,10 @@ class Cage:
         with suppress(ProcessLookupError):
             self._process.kill()
         self._process.wait()
-        for pipe in (self._orders, self._answers):
-            if pipe is not None:
-                with suppress(OSError):
-                    pipe.close()
-        self._process = self._orders = self._answers = None
+        with suppress(OSError):
+            if self._orders is not None:
+                self._orders.close()
+        self._process = self._orders = None
 
     def run(self, case: Case, key: str) -> Answer:
         """Do a case, whose result has the name `key`; what goes wrong is told in the answer."""
@@ -95,17 +99,18 @@ class Cage:
         if self._process is None or self._process.poll() is not None:
             self.close()
             self._start()
-        assert self._process and self._orders and self._answers
+        assert self._process and self._orders
         order = {"work": case.work, "settings": case.settings, "cpu_s": self.limits.cpu_s}
         try:
             self._orders.write(json.dumps(order).encode() + b"\n")
             self._orders.flush()
-        except BrokenPipeError:
+        except OSError:
             return self._ended(case, key)
-        if not select.select([self._answers], [], [], self.limits.wait_s)[0]:
+        try:
+            line = self._answers.get(timeout=self.limits.wait_s)
+        except queue.Empty:
             self.close()
             return Answer(case.name, key, failure=f"no answer after {self.limits.wait_s:g} s: it hung")
-        line = self._answers.readline()
         if not line.endswith(b"\n"):
             return self._ended(case, key)
         said = json.loads(line)
@@ -116,30 +121,36 @@ class Cage:
         assert self._process
         code = self._process.wait()
         self.close()
-        if code == -signal.SIGXCPU:
+        name = signal.Signals(-code).name if code < 0 else ""
+        if name == "SIGXCPU" or code == _RAN_AWAY:
             limit_s = self.limits.cpu_s
             return Answer(case.name, key, failure=f"over {limit_s:g} s of CPU: it ran away", cpu_s=limit_s)
-        if code in (-signal.SIGKILL, -signal.SIGTERM):
+        if name in ("SIGKILL", "SIGTERM"):
             return None
-        why = signal.Signals(-code).name if code < 0 else f"exit status {code}"
-        return Answer(case.name, key, failure=f"its process crashed: {why}")
+        return Answer(case.name, key, failure=f"its process crashed: {name or f'exit status {code}'}")
 
     def _start(self) -> None:
-        order_end, self_orders = os.pipe()
-        self_answers, answer_end = os.pipe()
         threads = {name: text.format(threads=self.limits.threads) for name, text in _ONE_THREAD.items()}
         # Not by multiprocessing, which refuses children to the daemonic processes that workers are.
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "heli_lab.campaign.cage", str(order_end), str(answer_end)],
-            pass_fds=(order_end, answer_end),
+            [sys.executable, "-m", "heli_lab.campaign.cage"],
             env={**os.environ, **threads, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
         )
-        os.close(order_end)
-        os.close(answer_end)
-        self._orders, self._answers = os.fdopen(self_orders, "wb"), os.fdopen(self_answers, "rb")
+        self._orders, self._answers = self._process.stdin, queue.SimpleQueue()
+        told = (self._process.stdout, self._answers)
+        # Windows waits for sockets only, so a thread waits for the pipe.
+        threading.Thread(target=_pass_on, args=told, daemon=True).start()
+
+
+def _pass_on(pipe: IO[bytes], lines: queue.SimpleQueue[bytes]) -> None:
+    """Put the lines of a pipe into a queue, and nothing, b"", at its end."""
+    with pipe:
+        for line in pipe:
+            lines.put(line)
+    lines.put(b"")
 
 
 def serve(orders: IO[bytes], answers: IO[bytes]) -> None:
@@ -155,10 +166,11 @@ def serve(orders: IO[bytes], answers: IO[bytes]) -> None:
         os._exit(0)
 
     threading.Thread(target=read, daemon=True).start()
+    allow_cpu = _cpu_limit()
     while True:
         order = json.loads(waiting.get())
         before_s = time.process_time()
-        _allow_cpu(before_s + order["cpu_s"])
+        allow_cpu(before_s + order["cpu_s"])
         said = _done(order["work"], order["settings"])
         answers.write(_line({**said, "cpu_s": time.process_time() - before_s}) + b"\n")
         answers.flush()
@@ -193,19 +205,51 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} is no JSON")
 
 
-def _allow_cpu(until_s: float) -> None:
-    """Have the kernel end this process once it has used so much CPU time."""
-    import resource
+def _cpu_limit() -> Callable[[float], None]:
+    """What sets the CPU time, s, from which on this process is ended: by the kernel where it counts."""
+    try:
+        import resource
+    except ImportError:
+        return _own_cpu_limit()
 
-    hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
-    seconds = max(1, int(until_s) + 1)
-    if hard != resource.RLIM_INFINITY:
-        seconds = min(seconds, hard)
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, hard))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
+    def allow(until_s: float) -> None:
+        hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
+        seconds = max(1, int(until_s) + 1)
+        if hard != resource.RLIM_INFINITY:
+            seconds = min(seconds, hard)
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, hard))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
+
+    return allow
+
+
+def _own_cpu_limit() -> Callable[[float], None]:
+    until_s = [math.inf]
+
+    def watch() -> None:
+        while time.process_time() < until_s[0]:
+            time.sleep(_WATCH_s)
+        os._exit(_RAN_AWAY)
+
+    def allow(seconds: float) -> None:
+        until_s[0] = seconds
+
+    threading.Thread(target=watch, daemon=True).start()
+    return allow
+
+
+def _private(descriptor: int, mode: str) -> IO[bytes]:
+    """Keep a pipe for orders or answers, where a case that reads or prints finds nothing and disturbs
+    nothing.
+    """
+    kept = os.fdopen(os.dup(descriptor), mode)
+    nothing = os.open(os.devnull, os.O_RDWR)
+    os.dup2(nothing, descriptor)
+    os.close(nothing)
+    return kept
 
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for whoever gives the orders
-    with os.fdopen(int(sys.argv[1]), "rb") as given, os.fdopen(int(sys.argv[2]), "wb") as told:
+    with _private(0, "rb") as given, _private(1, "wb") as told:
         serve(given, told)

@@ -7,12 +7,12 @@ time to write there follows from the JSON files. At the end the parts become one
 
 from __future__ import annotations
 
-import fcntl
 import json
 import math
 import secrets
+import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -60,10 +60,11 @@ class Store:
         CampaignError
             When one is there already.
         """
-        with (self.folder / "lock").open("w") as file:
+        # SQLite's own locks are there on every system, and end with the process that has them.
+        with closing(sqlite3.connect(self.folder / "lock", timeout=0.0)) as lock:
             try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
+                lock.execute("BEGIN EXCLUSIVE")
+            except sqlite3.Error:
                 raise CampaignError(
                     f"another campaign is writing to {self.folder}", "wait for it, or give another --out"
                 ) from None

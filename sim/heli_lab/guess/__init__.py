@@ -2,5 +2,6 @@
 
 from heli_lab.guess.result import Choice, Doubt, Guess
 from heli_lab.guess.run import guess
+from heli_lab.guess.together import together
 
-__all__ = ["Choice", "Doubt", "Guess", "guess"]
+__all__ = ["Choice", "Doubt", "Guess", "guess", "together"]

@@ -15,7 +15,11 @@ from heli_lab.guess.signals import Floats, Signals, filtered_signal, late
 
 
 def answers(
-    signals: Signals, roles: Roles, reference: Reference, rad: Mapping[str, float] | None = None
+    signals: Signals,
+    roles: Roles,
+    reference: Reference,
+    rad: Mapping[str, float] | None = None,
+    bias: float = 0.0,
 ) -> dict[str, Explained]:
     """Explain each axis by its cause at the lag at which that does best.
 
@@ -23,9 +27,11 @@ def answers(
     ----------
     rad : Mapping[str, float], optional
         Radians in one of each angle's unit, where they are known: causes then count as at large angles.
+    bias : float
+        What a sum was logged without, in its unit.
     """
     first, second = voltages(signals, roles)
-    total, difference = (first, second) if roles.summed else (first + second, first - second)
+    total, difference = (first + bias, second) if roles.summed else (first + second, first - second)
     pitch = signals.raw[roles.pitch]
     causes = {"elevation": total, "pitch": difference, "travel": pitch}
     if rad is not None:

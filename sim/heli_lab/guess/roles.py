@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,6 +18,10 @@ _EVERY: Final = 10
 """Of the rows every so many is compared: ten a second say all that the filter leaves."""
 _MOST_COLUMNS: Final = 14
 _SAME: Final = 0.99999
+_RATE_SCALES: Final = (
+    *(1.0, 180.0 / np.pi, np.pi / 180.0),
+    *(turn / counts for turn in (2.0 * np.pi, 360.0) for counts in (4096.0, 8192.0)),
+)
 
 
 @dataclass(frozen=True)
@@ -106,26 +110,27 @@ def explain(
         Rows that count.
     """
     y = acceleration[rows][::_EVERY] - stiffness[0] * own[0][rows][::_EVERY]
+    if len(y) < 20:
+        return Explained(0.0, 0.0)
     columns = np.column_stack(
         [own[0][rows][::_EVERY], own[1][rows][::_EVERY], np.ones(len(y)), cause[rows][::_EVERY]]
     )
-    if len(y) < 20:
-        return Explained(0.0, 0.0)
     spread = np.maximum(columns.std(axis=0), 1e-12)
-    prior_std = np.array([stiffness[1], 1.0, np.inf, np.inf])
+    spread[2] = 1.0
+    columns = columns / spread
+    ridge = np.array([stiffness[1], 1.0, np.inf, np.inf]) * spread
+    # Thousands of these are solved for each file: of the normal equations, not of all rows.
+    gram, moment, power = columns.T @ columns, columns.T @ y, float(y @ y)
     noise = float(y.var())
     rests: list[float] = []
     gain = 0.0
     for _ in range(3):
         rests = []
         for count in (3, 4):
-            X = columns[:, :count] / spread[:count]
-            penalty = np.diag(noise / (prior_std[:count] * spread[:count]) ** 2) + 1e-9 * len(y) * np.eye(
-                count
-            )
-            solution = np.linalg.solve(X.T @ X + penalty, X.T @ y)
-            residual = y - X @ solution
-            rests.append(float(np.mean(residual**2)) + float(solution @ penalty @ solution) / len(y))
+            penalised = gram[:count, :count] + np.diag(noise / ridge[:count] ** 2 + 1e-9 * len(y))
+            solution = np.linalg.solve(penalised, moment[:count])
+            # At the solution, squares of residuals and penalty together.
+            rests.append((power - float(solution @ moment[:count])) / len(y))
             gain = float(solution[-1] / spread[count - 1])
         noise = max(rests[1], 1e-12 * float(y.var()) + 1e-300)
     seconds = len(y) * _EVERY * thresholds.STEP_S
@@ -148,21 +153,52 @@ def free_rows(signals: Signals, name: str) -> NDArray[np.bool_]:
     return free
 
 
-def candidates(signals: Signals) -> list[str]:
-    """Columns that may be an angle or a voltage: those that vary, without doubles and without rates."""
+def candidates(signals: Signals, encoders: Collection[str] = frozenset()) -> list[str]:
+    """Columns that may be an angle or a voltage: those that vary, without rates and doubles, of which
+    one of `encoders` stays.
+    """
     moving = [name for name, one in signals.raw.items() if np.ptp(one) > 0.0]
-    moving.sort(key=lambda name: (not names.role_of(name), names.is_other(name)))
+    moving.sort(key=lambda name: (name not in encoders, not names.role_of(name), names.is_other(name)))
     kept: list[str] = []
     for name in moving:
         if not any(_alike(signals.raw[name], signals.raw[other]) > _SAME for other in kept):
             kept.append(name)
-    rates = {
-        name
-        for name, other in itertools.permutations(kept, 2)
-        if not names.role_of(name)
-        and _alike(signals.filtered[other].rate, signals.filtered[name].value) > thresholds.RATE_MATCH**0.5
-    }
+    rates = _rates(signals, kept) - set(encoders)
     return [name for name in kept if name not in rates][:_MOST_COLUMNS]
+
+
+def _rates(signals: Signals, columns: list[str]) -> set[str]:
+    """Columns that are the rate of a column that is none itself: the rate of travel's rate looks like pitch,
+    which moves it, and that of pitch's rate like a voltage.
+    """
+    found = {}
+    for name, other in itertools.permutations(columns, 2):
+        rate, value = signals.filtered[other].rate, signals.filtered[name].value
+        likeness = _alike(rate, value)
+        if not names.role_of(name) and likeness > thresholds.RATE_MATCH**0.5 and _unit_slope(rate, value):
+            found[name, other] = likeness
+    rates: set[str] = set()
+    settled: set[str] = set()
+    left = set(columns)
+    while left:
+        open_ = {name for name in left if all(of in settled for one, of in found if one == name)}
+        if not open_:  # each is the rate of another one, as sines are: the least alike is none
+            weakest = min((likeness, name) for (name, _), likeness in found.items() if name in left)[1]
+            open_ = {weakest}
+            found = {pair: one for pair, one in found.items() if pair[0] != weakest}
+        rates |= {name for name in open_ if any(one == name and of not in rates for one, of in found)}
+        settled |= open_
+        left -= open_
+    return rates
+
+
+def _unit_slope(rate: Floats, value: Floats) -> bool:
+    """Whether a `value` is a `rate` in the same unit, or in degrees or radians of another one; or counts the
+    other way, where its angle was turned later.
+    """
+    variance = float(rate.var())
+    slope = float(np.mean((rate - rate.mean()) * (value - value.mean()))) / variance if variance else 0.0
+    return any(0.6 < abs(slope) / scale < 1.5 for scale in _RATE_SCALES)
 
 
 def _alike(first: Floats, second: Floats) -> float:
@@ -177,9 +213,21 @@ def polarity_of(values: Floats) -> float:
     return -1.0 if mean < 0.0 and abs(mean) > 0.5 * float(values.std()) else 1.0
 
 
-def assignments(signals: Signals, reference: Reference) -> list[Roles]:
-    """All assignments of columns to roles, the likeliest first."""
-    found = candidates(signals)
+def assignments(
+    signals: Signals, reference: Reference, encoders: Collection[str] = frozenset()
+) -> list[Roles]:
+    """All assignments of columns to roles, the likeliest first.
+
+    Parameters
+    ----------
+    signals : Signals
+        The columns.
+    reference : Reference
+        What the rig's model says of stiffness.
+    encoders : collection of str
+        Columns in steps of an encoder: angles as measured, not as estimated or wanted.
+    """
+    found = candidates(signals, encoders)
     count = len(found)
     if count < 5:
         return []
@@ -200,6 +248,10 @@ def assignments(signals: Signals, reference: Reference) -> list[Roles]:
         turned[p, t] = explain(
             filtered[t].acceleration, own, filtered[p].value, (0.0, 0.1), signals.inner
         ).nats
+    measured = thresholds.ENCODER_NATS * np.array([name in encoders for name in found], float)
+    lifted = {key: nats + measured for key, nats in lifted.items()}
+    pitched = {key: nats + measured for key, nats in pitched.items()}
+    turned += measured
     stated = _stated(found)
     ranked = []
     for pair in pairs:

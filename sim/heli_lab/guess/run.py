@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -19,8 +20,8 @@ from heli_lab.guess.motion import answers, rest_of, voltages
 from heli_lab.guess.reference import Reference, reference_of
 from heli_lab.guess.result import Doubt, Guess
 from heli_lab.guess.roles import Explained, Roles, assignments, free_rows
-from heli_lab.guess.scales import AXES, Motion, Scale, rad_of, scales, step_of, volts_of
-from heli_lab.guess.signals import Signals, signals_of
+from heli_lab.guess.scales import AXES, Motion, Scale, is_encoder, rad_of, scales, step_of, volts_of
+from heli_lab.guess.signals import Floats, Signals, signals_of
 from heli_lab.guess.times import Clock, clock_of, times_in_s
 
 _ANGLE_UNITS: Final = frozenset({*ANGLE_UNITS, COUNT})
@@ -54,24 +55,25 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
     t_s = np.arange(len(table)) / rate_Hz if rate_Hz else times_in_s(table, clock)
     others = [name for name in table.columns if name != clock.column and not names.is_time(name)]
     signals = signals_of(table, t_s, others)
-    ranked = assignments(signals, reference)
+    encoders = {name for name in others if is_encoder(table.columns[name].values, reference)}
+    ranked = assignments(signals, reference, encoders)
     if not ranked:
         raise FlightDataError(
             f"{table.source}: fewer than five columns vary", "give a flight: three angles and two voltages"
         )
+    ranked, motion = _fitting(table, signals, ranked, reference)
     roles = ranked[0]
     doubts, evidence = role_doubts(ranked)
     if not clock.sure:
         doubts.append(
             Doubt("the time", f"{clock.column} in {clock.unit}", clock.other or "something else", _NO_RATE)
         )
-    first = answers(signals, roles, reference)
-    motion = _motion(table, signals, roles, first)
     possible = scales(motion, reference)
     scale = possible[0]
     doubts += scale_doubts(possible, motion, reference, rig)
     rad = {axis: rad_of(scale.angles[axis], axis, reference) for axis in AXES}
-    found = answers(signals, roles, reference, rad)
+    bias = reference.hover_V / volts_of(scale.voltage, scale.full, reference) if scale.biased else 0.0
+    found = answers(signals, roles, reference, rad, bias)
     signs = _signs(found, roles)
     doubts += sign_doubts(found, signs, roles)
     rest = rest_of(signals, roles.elevation, float(np.degrees(signs.elevation * rad["elevation"])))
@@ -86,6 +88,27 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
         f"rig file says {reference.hover_V:.2f} V"
     )
     return _flown(Guess(profile, tuple(doubts), tuple(evidence)), table, rig)
+
+
+def _fitting(
+    table: Table, signals: Signals, ranked: Sequence[Roles], reference: Reference
+) -> tuple[list[Roles], Motion]:
+    """Of assignments that move alike, those first whose columns accelerate as a rig can in some unit.
+
+    Returns
+    -------
+    tuple of (list of Roles, Motion)
+        The likeliest assignments, the likeliest first, with what units say among their nats; how the axes of
+        that one move.
+    """
+    near = [one for one in ranked if ranked[0].nats - one.nats < thresholds.FITTING_NATS]
+    found = []
+    for one in near[: thresholds.MOST_FITTED]:
+        motion = _motion(table, signals, one, answers(signals, one, reference))
+        nats = scales(motion, reference)[0].nats
+        found.append((replace(one, nats=one.nats + nats, physics=one.physics + nats), motion))
+    found.sort(key=lambda each: -each[0].nats)
+    return [one for one, _ in found], found[0][1]
 
 
 def _flown(guessed: Guess, table: Table, rig: Rig) -> Guess:
@@ -129,11 +152,18 @@ def _motion(table: Table, signals: Signals, roles: Roles, first: dict[str, Expla
     return Motion(
         {axis: first[axis].gain for axis in AXES},
         level,
+        _peak(one, two, roles.summed),
         {axis: step_of(values[axis]) for axis in AXES},
         {axis: bool(np.all(np.mod(values[axis][np.isfinite(values[axis])], 1.0) == 0.0)) for axis in AXES},
         stated,
         roles.summed,
     )
+
+
+def _peak(one: Floats, two: Floats, summed: bool) -> float:
+    """Largest voltage of a motor; of sum and difference half of what each reaches: a bias is not known."""
+    peaks = [float(np.quantile(np.abs(values), 0.995)) for values in (one, two)]
+    return max(peaks) * (0.5 if summed else 1.0)
 
 
 def _unit(table: Table, column: str, known: frozenset[str]) -> str:

@@ -25,6 +25,10 @@ _MIXED: Final = 3.0
 """Nats that an angle costs whose unit is another than elevation's, unless it is stated."""
 _BIAS: Final = 4.0
 """Nats that it costs that a sum was logged without its bias."""
+_PEAK: Final = 6.0
+"""Nats that a unit costs in which no motor ever gets a sixth of its supply, or one gets more than all."""
+_PEAKS: Final = (0.16, 1.2)
+"""Shares of the supply, as the rig file has it."""
 _GRID: Final = 3.0
 """Nats for an angle in steps of the encoder's count, and against one in whole numbers that is no count."""
 
@@ -39,6 +43,8 @@ class Motion:
         By axis, as in `Reference.gain`, in units of the columns, without sign.
     level : float
         Mean of the sum of the voltages in flight.
+    peak : float
+        Largest voltage that a motor gets, as far as that is known.
     step : Mapping[str, float]
         Smallest step of each angle; 0 where there is none.
     whole : Mapping[str, bool]
@@ -51,6 +57,7 @@ class Motion:
 
     gain: Mapping[str, float]
     level: float
+    peak: float
     step: Mapping[str, float]
     whole: Mapping[str, bool]
     stated: Mapping[str, str]
@@ -99,6 +106,8 @@ def scales(motion: Motion, reference: Reference) -> list[Scale]:
         volts = volts_of(unit, full, reference)
         hover = 0.0 if biased else _off(motion.level * volts, reference.hover_V, thresholds.HOVER_STD)
         base = -0.5 * hover**2 - (_BIAS if biased else 0.0) + _said(motion.stated.get("voltage", ""), unit)
+        if not _PEAKS[0] < motion.peak * volts / reference.supply_V < _PEAKS[1]:
+            base -= _PEAK
         if biased and abs(motion.level * volts) > 0.5 * reference.hover_V:
             continue
         for units in itertools.product(_ANGLES, repeat=3):
@@ -162,6 +171,15 @@ def _grid(motion: Motion, axis: str, unit: str, rad: float, reference: Reference
     step = motion.step[axis] * rad
     turn = 2.0 * math.pi / step if step > 0.0 else 0.0
     return _GRID if turn and abs(turn / reference.counts[axis] - 1.0) < 0.01 else 0.0
+
+
+def is_encoder(values: Floats, reference: Reference) -> bool:
+    """Whether a column, `values`, is in steps of one of the rig's encoders, in radians or degrees."""
+    step = step_of(values)
+    turns = (2.0 * math.pi, 360.0) if step > 0.0 else ()
+    return any(
+        abs(turn / step / counts - 1.0) < 0.01 for turn in turns for counts in {*reference.counts.values()}
+    )
 
 
 def step_of(values: Floats) -> float:

@@ -24,12 +24,20 @@ a model lacks is slow. Set by judgement: higher makes every answer sound surer."
 SURE_NATS: Final = 6.0
 """Difference of log-likelihoods from which on a choice is sure: 400 to 1. Below, the answer is that it is
 unsure. Set by judgement, held by the 200 distortions."""
+FITTING_NATS: Final = 25.0
+"""Assignments of columns within this of the likeliest are compared by what units say of them, too: what no
+unit fits is off by that much. Higher takes longer, lower believes how columns move alone."""
+MOST_FITTED: Final = 12
+"""Assignments compared so, at most."""
 NAME_NATS: Final = 8.0
 """What a column's name is worth: more than a sure choice, so that a name and nothing against it is sure, and
 a name against a sure choice is a doubt."""
 OTHER_NATS: Final = 12.0
 """What a name counts against a column that says it is a setpoint, a rate or an estimate: a setpoint that is
 followed well obeys the same physics."""
+ENCODER_NATS: Final = 10.0
+"""What it counts for an angle that its column is in steps of the rig's encoders: an estimate, a setpoint or a
+rate is in none, and moves alike. More than a name."""
 UNIT_NATS: Final = 6.0
 """What a stated unit is worth. It is overruled by a scale that is off by `SCALE_STD` times five."""
 GAIN_STD: Final = {"elevation": 0.5, "pitch": 0.7, "travel": 0.4}

@@ -44,6 +44,12 @@ def import_(
     rate: Annotated[
         float | None, typer.Option("--rate", metavar="HZ", min=1.0, help="Rows a second, without times.")
     ] = None,
+    one_flight: Annotated[
+        bool,
+        typer.Option(
+            "--one-flight", help="The files hold one flight together: angles in one, voltages in another."
+        ),
+    ] = False,
     anyway: Annotated[
         bool, typer.Option("--anyway", help="Write the flights though the guess is unsure.")
     ] = False,
@@ -62,6 +68,10 @@ def import_(
         raise typer.BadParameter("give one of --profile and --guess")
     known = load_rig(rig)
     tables = [read_table(path) for path in files]
+    if one_flight:
+        from heli_lab.guess import together
+
+        tables, files = [together(tables)], files[:1]
     out.mkdir(parents=True, exist_ok=True)
     if profile is not None:
         _write_flights(tables, read_profile(profile), known, out)

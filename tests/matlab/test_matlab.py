@@ -1,0 +1,84 @@
+"""MATLAB's class speaks the link as the host does, and flies a board over TCP."""
+
+from __future__ import annotations
+
+import functools
+import os
+import random
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from heli_host.declaration import PROTOCOL, MessageId
+from heli_host.link.frames import encode_frame
+
+HERE = Path(__file__).resolve().parent
+TELEMETRY = int(MessageId.TELEMETRY)
+"""Of its messages the longest."""
+CLASS = HERE.parents[1] / "docs" / "matlab"
+HELI_HOST = "import sys; from heli_host.cli import main; sys.exit(main())"
+SLOW = "0.25"
+"""Simulated seconds a second: a computer that stalls for a second does not make the board land."""
+
+
+@functools.cache
+def octave() -> str:
+    found = shutil.which("octave-cli")
+    if found is None:
+        pytest.skip("skipped: no octave-cli (apt-get install octave)")
+    return found
+
+
+def run(script: str, cwd: Path, **environment: str) -> str:
+    done = subprocess.run(
+        [octave(), "--quiet", "--norc", "--path", str(CLASS), str(HERE / script)],
+        cwd=cwd,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if "package_name='instrument-control'" in done.stderr or "instrument-control" in done.stderr:
+        pytest.skip("skipped: no instrument-control in Octave (apt-get install octave-instrument-control)")
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout
+
+
+@pytest.mark.medium
+def test_its_frames_are_those_of_the_host(tmp_path: Path) -> None:
+    drawn = random.Random(1)
+    lengths = [0, 1, 57, 245, 246, 247, 248, 250, 251, 480]
+    bodies = [bytes(drawn.choices(range(few), k=length)) for length in lengths for few in (1, 3, 256)]
+    bodies += [bytes(drawn.choices(range(1, 256), k=length)) for length in lengths]
+    messages = [bytes([PROTOCOL, TELEMETRY, number]) + body for number, body in enumerate(bodies)]
+    (tmp_path / "messages.txt").write_text("\n".join(one.hex() for one in messages))
+    frames = run("frames.m", tmp_path).split()
+    assert frames == [encode_frame(TELEMETRY, number, body).hex() for number, body in enumerate(bodies)]
+
+
+@pytest.mark.slow
+def test_it_takes_off_flies_and_lands(tmp_path: Path) -> None:
+    octave()
+    board = subprocess.Popen(
+        [sys.executable, "-c", HELI_HOST, "sil", "--tcp", "127.0.0.1:0", "--speed", SLOW],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+    try:
+        assert board.stdout is not None
+        port = re.search(r"socket://127\.0\.0\.1:(\d+)", board.stdout.readline())
+        assert port is not None
+        said = dict(line.split(" ", 1) for line in run("flies.m", tmp_path, HELI_PORT=port[1]).splitlines())
+    finally:
+        board.terminate()
+        board.wait()
+    assert said["supply_V"] == "12" and said["set"] == said["kp"] == "0.5"
+    assert said["refused"] == "the board refuses param_set: out_of_range"
+    assert (said["flies"], said["landed"]) == ("closed_loop", "idle")
+    assert float(said["rest_deg"]) == pytest.approx(-25.0, abs=0.5)
+    assert (said["gaps"], said["damaged"]) == ("0", "0")
+    assert 1.0 < float(said["front_V"]) < 10.0
