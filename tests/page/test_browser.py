@@ -235,7 +235,7 @@ def test_the_pilot_s_tab_is_lost_and_the_board_lands(served: Served, chromium: B
             with pytest.raises(Exception, match="crash"):
                 pilot.goto("chrome://crash")
         else:
-            pilot.evaluate("setTimeout(() => { const t = Date.now(); while (Date.now() - t < 9000); })")
+            pilot.evaluate("setTimeout(() => { const t = Date.now(); while (Date.now() - t < 15000); })")
         until_state(watcher, "hold")
         until_state(watcher, "landing")
         until_state(watcher, "idle")

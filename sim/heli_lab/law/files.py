@@ -6,6 +6,7 @@ import runpy
 from pathlib import Path
 
 from heli_host.errors import BadLaw, HeliError
+from heli_host.tape import Tape
 
 from heli_lab.law.law import Law
 
@@ -37,3 +38,19 @@ def load_law(path: Path) -> Law:
     if not isinstance(law, Law):
         raise BadLaw(f"{path.name} has no LAW", "end it with LAW = ..., a law of heli_lab.law")
     return law
+
+
+def load_tape(path: Path) -> Tape:
+    """Make a tape of the ``LAW`` of a file; the entry point ``heli_host.laws``.
+
+    Parameters
+    ----------
+    path : Path
+        The file; its code is run.
+
+    Raises
+    ------
+    BadLaw
+        It is missing, fails, holds no law, or one that a board does not take.
+    """
+    return load_law(path).tape
