@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import heli_host
 import numpy as np
 import pytest
 from heli_host.cli import run
 from heli_host.errors import HeliError
 from heli_lab.innovations import Weather
+from heli_lab.twin import learn
 from heli_lab.twin.calibration import Calibration, Tail, write_calibration
 from heli_lab.twin.files import USUAL, open_rig
 
@@ -72,3 +74,23 @@ def test_words_that_cannot_be_are_refused_in_one_line(
     shown = capsys.readouterr()
     assert told in " ".join((shown.out + shown.err).split())
     assert "Traceback" not in shown.err
+
+
+@pytest.mark.medium
+def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flown, file = tmp_path / "monday.mcap", tmp_path / "mine.toml"
+    with heli_host.connect("sil://") as heli:
+        heli.fly("hover", log=flown)
+    # A minute of a simulated flight takes seconds: here each is the one that was flown.
+    evidence = [(0.04 * number, 0.001 * (number % 977)) for number in range(1500)]
+    monkeypatch.setattr(learn, "fly_simulated", lambda *_: heli_host.read_flight(flown))
+    monkeypatch.setattr(learn, "evidence", lambda *_: evidence)
+    assert run(["twin", "--rig", "makki2024", "--healthy", str(flown), "--learn", str(file)]) == 0
+    assert f"files: {file}" in capsys.readouterr().out
+    learned = open_rig(str(file))
+    assert learned.rig.name == "makki2024"
+    assert learned.calibration.source.startswith("monday.mcap and 12 simulated flights")
+    # A simulated flight without weather has next to none of it.
+    assert np.all(learned.calibration.weather.gust_Nm < USUAL.weather.gust_Nm)

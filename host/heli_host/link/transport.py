@@ -380,7 +380,9 @@ def open_transport(
         raise BadBaud("1200 baud erases the flash of a Due", f"leave the rate at {BAUD}")
     scheme = url.partition("://")[0].lower() if "://" in url else ""
     if scheme == _PAGE:
-        raise PortError(f"{url.partition('?')[0]} is a page, no board", "join its flight: heli_host.join(address)")
+        raise PortError(
+            f"{url.partition('?')[0]} is a page, no board", "join its flight: heli_host.join(address)"
+        )
     if scheme:
         for entry in entry_points(group=ENTRY_POINT_GROUP, name=scheme):
             factory = cast(Callable[[str], Transport], entry.load())

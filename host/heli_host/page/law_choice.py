@@ -21,8 +21,8 @@ _AS_WISHED = ("command", "state")
 class LawChoice:
     """The laws that may be chosen, and which is.
 
-    A law is brought to the board while that is idle, and flies from the end of the take-off on; in flight only
-    the one that is there, or the cascade, can be chosen.
+    A law is brought to the board while that is idle, and flies from the end of the take-off on; in flight
+    only the one that is there, or the cascade, can be chosen.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 // The page's socket in a thread of its own: a page that draws slowly, or loads, still answers that it is there.
 // A page that hangs for longer does not: nobody can fly from it.
-const HUNG_MS = 1500;
+const HUNG_MS = 3000;
 const SIGN_MS = 100;
 let socket = null, shown = 0, shownMs = -Infinity, signedMs = -Infinity;
 
