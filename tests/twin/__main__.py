@@ -58,14 +58,14 @@ def main() -> None:
                 for repeat in range(asked.changed)
                 if (number + repeat * asked.rigs // asked.changed) % asked.rigs == seed - 1
             ]
-            results[str(seed)] = of_one(known(seed, asked.simulated), asked.healthy, asked.seconds, of_rig)
+            results[str(seed)] = of_one(known(seed, asked.simulated), asked.healthy, of_rig, asked.seconds)
             asked.out.write_text(json.dumps(results, indent=1))
             print(f"rig {seed} done", flush=True)
     print("\n".join(healthy_table(results)))
     print("\n".join(changed_table(results)))
 
 
-def of_one(rig: Known, healthy: int, seconds: float, cases: list[tuple[str, float]]) -> dict[str, Any]:
+def of_one(rig: Known, healthy: int, cases: list[tuple[str, float]], seconds: float = 60.0) -> dict[str, Any]:
     """Fly one rig."""
     found: dict[str, Any] = {"healthy": [], "changed": []}
     started_s, flown_s = time.process_time(), 0.0

@@ -91,6 +91,8 @@ def page(
             raise typer.BadParameter(
                 f"--twin flies beside a board; of a log: heli-host twin {log} --rig {twin}"
             )
+        if flown or laws or plans:
+            raise typer.BadParameter(f"--log {log} is played again, nothing flies; leave plans and laws out")
         _replay(log, rig, host, http_port)
         return
     named = [one for one in (*(plans or ()), *(flown or ())) if one not in plan_names()]
