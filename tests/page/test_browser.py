@@ -277,6 +277,8 @@ def test_a_law_is_chosen_its_signal_drawn_and_why_it_was_taken_over_said(
         expect(page.locator("#law-said")).to_have_text("steady is on the board, and flies after the take-off")
         click(page, "#laws >> text=tired")
         expect(page.locator("#law-said")).to_have_text("tired is on the board, and flies after the take-off")
+        page.fill("#law-kp", "17")
+        page.keyboard.press("Enter")
         click(page, "#take-off")
         expect(page.locator("#law-said")).to_contain_text("the board's own law took over: voltage jump")
         expect(page.locator("#strips")).to_contain_text("wanted_pitch")

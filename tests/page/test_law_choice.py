@@ -31,13 +31,13 @@ def flies(heli: Heli) -> bool:
 
 def test_a_law_is_brought_on_the_table_and_flies_after_the_take_off(heli: Heli) -> None:
     laws = LawChoice(heli, [STEADY, TIRED])
-    assert laws.status() == {"chosen": "", "flies": False, "taken_over": ""}
+    assert laws.status() == {"chosen": "", "flies": False, "taken_over": "", "values": {}}
     laws.choose("steady")
     assert loaded(heli.session).hash == STEADY.hash
     heli.take_off()
     assert not flies(heli)
     laws.engage()
-    assert laws.status() == {"chosen": "steady", "flies": True, "taken_over": ""}
+    assert laws.status() == {"chosen": "steady", "flies": True, "taken_over": "", "values": {"kp": 16.0}}
     with pytest.raises(SetpointError, match="the board has no law tired, and takes one only on the table"):
         laws.choose("tired")
     assert flies(heli)
@@ -62,7 +62,7 @@ def test_why_the_board_took_over_is_told_until_another_choice(heli: Heli) -> Non
     assert status["chosen"] == "tired"
     heli.land()
     laws.choose("steady")
-    assert laws.status() == {"chosen": "steady", "flies": False, "taken_over": ""}
+    assert laws.status() == {"chosen": "steady", "flies": False, "taken_over": "", "values": {"kp": 16.0}}
 
 
 def test_a_landing_is_nothing_to_be_told_of(heli: Heli) -> None:
@@ -72,7 +72,7 @@ def test_a_landing_is_nothing_to_be_told_of(heli: Heli) -> None:
     heli.take_off()
     laws.engage()
     heli.land()
-    assert laws.status() == {"chosen": "steady", "flies": False, "taken_over": ""}
+    assert laws.status() == {"chosen": "steady", "flies": False, "taken_over": "", "values": {"kp": 16.0}}
 
 
 def test_what_cannot_be_chosen_is_said(heli: Heli) -> None:
@@ -81,3 +81,23 @@ def test_what_cannot_be_chosen_is_said(heli: Heli) -> None:
         LawChoice(heli, [STEADY]).choose("nosuch")
     with pytest.raises(BadLaw, match="two laws have the same name: steady, steady"):
         LawChoice(heli, [STEADY, STEADY])
+
+
+def test_a_parameter_of_the_law_is_changed_in_flight_and_kept_when_it_is_brought_anew(heli: Heli) -> None:
+    laws = LawChoice(heli, [STEADY, TIRED])
+    with pytest.raises(ParameterError, match="no law is chosen"):
+        laws.set("kp", 20.0)
+    laws.choose("steady")
+    with pytest.raises(BadLaw, match="the law steady has no parameter nosuch; it has: kp"):
+        laws.set("nosuch", 1.0)
+    heli.take_off()
+    laws.engage()
+    assert laws.set("kp", 20.0) == (16.0, 20.0)
+    heli.land()
+    laws.choose("tired")
+    laws.choose("steady")
+    heli.take_off()
+    laws.engage()
+    assert laws.status() == {"chosen": "steady", "flies": True, "taken_over": "", "values": {"kp": 20.0}}
+    heli.wait(0.1)
+    assert heli.latest.signal_2 == pytest.approx(20.0)

@@ -234,8 +234,8 @@ def test_the_pilot_chooses_a_law_and_a_plan_is_flown_under_it(tmp_path: Path) ->
     ):
         offered = first.known["hello"]["laws"]
         assert [(one["name"], one["signals"]) for one in offered] == [
-            ("steady", ["wanted_pitch"]),
-            ("tired", ["wanted_pitch"]),
+            ("steady", ["wanted_pitch", "kp"]),
+            ("tired", ["wanted_pitch", "kp"]),
         ]
         assert second.ask("law", name="steady")["error"] == "page 1 flies, you watch"
         assert "there is no law nosuch" in first.ask("law", name="nosuch")["error"]
@@ -243,7 +243,11 @@ def test_the_pilot_chooses_a_law_and_a_plan_is_flown_under_it(tmp_path: Path) ->
         plan = first.send("fly", plans=["short"])
         second.until(lambda: second.known["status"]["law"]["flies"])
         assert second.known["status"]["law"]["chosen"] == "steady"
+        assert first.ask("set_law", name="kp", value=17.0)["value"] == 17.0
+        assert "error" in second.ask("set_law", name="kp", value=16.0)
+        second.until(lambda: second.known["status"]["law"]["values"] == {"kp": 17.0})
         assert first.answer(plan)["outcome"] == "completed"
+        assert "steady kp: 16 -> 17" in [event["message"] for event in read_log(served.logs()[0]).events]
         renamed = [one["channels"] for one in list(second.words) if "channels" in one][-1]
         assert "wanted_pitch" in [one["signal"] for one in renamed]
         log = read_log(served.logs()[0])

@@ -113,6 +113,7 @@ class Cockpit:
             "undo": Action(self._undo_last, Lane.QUICK, tuner),
             "save": Action(self._save, Lane.QUICK, tuner),
             "law": Action(self._choose_law, Lane.QUICK, pilot),
+            "set_law": Action(self._set_law, Lane.QUICK, tuner),
             "record": Action(self._record, Lane.QUICK, pilot),
             "mark": Action(self._mark, Lane.QUICK, anybody),
             "signal": Action(self._signal, Lane.QUICK, anybody),
@@ -329,6 +330,12 @@ class Cockpit:
 
     def _choose_law(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         return self._law.choose(text(arguments, "name") if arguments.get("name") else "")
+
+    def _set_law(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        name = text(arguments, "name")
+        before, after = self._law.set(name, number(arguments, "value"))
+        self._note(f"{self._law.chosen} {name}: {before:g} -> {after:g}", "parameter")
+        return {"value": after}
 
     def _save(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
         return {"generation": self._heli.params.save()}

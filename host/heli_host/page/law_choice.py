@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from heli_host.declaration import Channel, Flags, LawFlyMessage, LawState, State
 from heli_host.errors import BadLaw, ParameterError, SetpointError
-from heli_host.guest_law import engage, loaded, takeover_text
+from heli_host.guest_law import engage, loaded, set_parameter, takeover_text
 
 if TYPE_CHECKING:
     from heli_host.heli import Heli
@@ -46,6 +46,7 @@ class LawChoice:
         self.chosen = ""
         self._heli = heli
         self._laws = {law.name: law for law in laws}
+        self._values = {law.name: dict(law.parameters) for law in laws}
         self._taken_over = ""
         if len(self._laws) < len(laws):
             names = ", ".join(law.name for law in laws)
@@ -67,7 +68,12 @@ class LawChoice:
         """Return what a page shows of it, as JSON; None where there is nothing to choose."""
         if not self._laws:
             return None
-        return {"chosen": self.chosen, "flies": self._flies, "taken_over": self._taken_over}
+        return {
+            "chosen": self.chosen,
+            "flies": self._flies,
+            "taken_over": self._taken_over,
+            "values": dict(self._values.get(self.chosen, {})),
+        }
 
     def choose(self, name: str) -> Mapping[str, Any]:
         """Have a law fly: at once in the air, else from the next take-off on.
@@ -104,6 +110,32 @@ class LawChoice:
         self.chosen, self._taken_over = name, ""
         return {"law": name}
 
+    def set(self, name: str, value: float) -> tuple[float, float]:
+        """Change a parameter of the law that is chosen, in flight too; returns the values before and after.
+
+        Parameters
+        ----------
+        name : str
+            Of the parameter.
+        value : float
+            Its new value; kept until the page's server ends.
+
+        Raises
+        ------
+        ParameterError
+            The board's own law is chosen.
+        BadLaw
+            The law has no such parameter.
+        CommandRefused
+            The board has forgotten the law.
+        """
+        if not self.chosen:
+            raise ParameterError("no law is chosen", "the board's own law has its gains among the parameters")
+        after = set_parameter(self._heli.session, self._laws[self.chosen], name, value)
+        before = self._values[self.chosen].get(name, after)
+        self._values[self.chosen][name] = after
+        return before, after
+
     def engage(self) -> None:
         """Have the law that is chosen fly, if one is; the board hovers under its own.
 
@@ -116,7 +148,7 @@ class LawChoice:
         """
         self._taken_over = ""
         if self.chosen:
-            engage(self._heli, self._laws[self.chosen])
+            self._engage(self.chosen)
 
     def take_event(self, event: LinkEvent) -> None:
         """Note why the board's own law took over.
@@ -140,4 +172,9 @@ class LawChoice:
         if has.hash != self._laws[name].hash or has.state not in (LawState.READY, LawState.FLYING):
             raise SetpointError(f"the board has no law {name}, and takes one only on the table", "land first")
         if not self._flies:
-            engage(self._heli, self._laws[name])
+            self._engage(name)
+
+    def _engage(self, name: str) -> None:
+        law = self._laws[name]
+        own = dict(law.parameters)
+        engage(self._heli, law, {key: one for key, one in self._values[name].items() if one != own[key]})

@@ -192,6 +192,18 @@ export class Controls {
       button.disabled = !this.flies || !["idle", "closed_loop"].includes(this.state);
       button.setAttribute("aria-pressed", String(button.value === law.chosen));
     }
+    if (this.lawShown !== law.chosen) {
+      this.lawShown = law.chosen;
+      $("law-parameters").replaceChildren(...Object.keys(law.values).map((name) => {
+        const input = element("input", { type: "number", step: "any", id: `law-${name}`, name });
+        input.addEventListener("change", () => this.ask("set_law", { name, value: Number(input.value) }));
+        return element("div", { className: "parameter" }, element("label", { htmlFor: input.id }, name), input);
+      }));
+    }
+    for (const input of $("law-parameters").querySelectorAll("input")) {
+      input.disabled = !this.mayTune;
+      if (document.activeElement !== input) input.value = +law.values[input.name].toPrecision(7);
+    }
     const said = law.flies ? `${law.chosen} flies` : law.taken_over ? `the board's own law took over: ${law.taken_over}` : law.chosen && this.state === "idle" ? `${law.chosen} is on the board, and flies after the take-off` : "the board's own law";
     $("law-said").className = law.taken_over ? "hint bad" : "hint";
     if ($("law-said").textContent !== said) $("law-said").textContent = said;
