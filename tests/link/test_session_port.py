@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+import heli_host
 import pytest
 from heli_host.declaration import ArmMessage, Param, ParamSetMessage
 from heli_host.errors import BadBaud, HeliError, LinkError, LinkLost, PortError
@@ -50,6 +51,11 @@ def test_a_missing_port_is_one_line_that_says_which_exist() -> None:
 def test_an_unknown_scheme_is_one_line() -> None:
     with pytest.raises(LinkError, match="nothing installed provides nosuch:// links"):
         open_transport("nosuch://x")
+
+
+def test_a_page_is_no_board_and_the_line_says_what_joins_it() -> None:
+    with pytest.raises(PortError, match=r"page://127.0.0.1:80/ is a page, no board; join .*heli_host\.join"):
+        heli_host.connect("page://127.0.0.1:80/?token=secret")
 
 
 def test_nobody_listening_is_one_line() -> None:

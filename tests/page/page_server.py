@@ -17,6 +17,7 @@ from heli_host.heli import Heli
 from heli_host.page.cockpit import Cockpit
 from heli_host.page.rigs import outline
 from heli_host.page.serve import Address, serving
+from heli_host.tape import Tape
 
 RIG = "makki2024"
 SHORT_PLAN = """
@@ -44,7 +45,9 @@ class Served:
 
 
 @contextlib.contextmanager
-def page_of_a_simulated_board(folder: Path, speed: float = 1.0, board: str = "native") -> Iterator[Served]:
+def page_of_a_simulated_board(
+    folder: Path, speed: float = 1.0, board: str = "native", laws: Sequence[Tape] = ()
+) -> Iterator[Served]:
     """Serve a page in this process."""
     short = Plan.parse(SHORT_PLAN, "short")
     url = f"sil://?rig={RIG}&seed=1&speed={speed}&process=1&board={board}"
@@ -55,7 +58,7 @@ def page_of_a_simulated_board(folder: Path, speed: float = 1.0, board: str = "na
             return Recorder(heli, path, rig_name=RIG, plans=plans, duration_s=duration_s)
 
         plans = [short, *(load_plan(name) for name in plan_names())]
-        cockpit = Cockpit(heli, new_recorder, plans, "simulated board", outline(RIG))
+        cockpit = Cockpit(heli, new_recorder, plans, "simulated board", outline(RIG), laws=laws)
         try:
             with serving(cockpit) as address:
                 yield Served(heli, address, folder)
@@ -64,10 +67,10 @@ def page_of_a_simulated_board(folder: Path, speed: float = 1.0, board: str = "na
 
 
 @contextlib.contextmanager
-def patient_page(folder: Path) -> Iterator[Served]:
+def patient_page(folder: Path, laws: Sequence[Tape] = ()) -> Iterator[Served]:
     """Serve a page of a board that waits longer for its pilot than it does by default: a machine that stalls
     for a second must not end what a test flies."""
-    with page_of_a_simulated_board(folder) as served:
+    with page_of_a_simulated_board(folder, laws=laws) as served:
         served.heli.params.restore({"setpoint_hold_s": 2.0, "setpoint_land_s": 5.0})
         yield served
 

@@ -13,6 +13,7 @@ import pytest
 from heli_host.declaration import Axes, State
 from heli_host.errors import CommandRefused
 from heli_host.log.reader import read_log
+from heli_host.page.seats import Seats
 
 from tests.page import browser as browsers
 
@@ -22,6 +23,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect
 
 from tests.page.browser import PATIENCE_S, TABLET, WIDE, Tabs, click, tabs, until
+from tests.page.laws import steady, tired
 from tests.page.page_server import Served, page_of_a_simulated_board, patient_page
 from tests.running.long import LONG, samples
 
@@ -235,11 +237,60 @@ def test_the_pilot_s_tab_is_lost_and_the_board_lands(served: Served, chromium: B
             with pytest.raises(Exception, match="crash"):
                 pilot.goto("chrome://crash")
         else:
-            pilot.evaluate("setTimeout(() => { const t = Date.now(); while (Date.now() - t < 9000); })")
+            pilot.evaluate("setTimeout(() => { const t = Date.now(); while (Date.now() - t < 15000); })")
         until_state(watcher, "hold")
         until_state(watcher, "landing")
         until_state(watcher, "idle")
         assert served.heli.session.stops == 0
+
+
+def test_a_page_that_hangs_is_there_for_a_moment_and_then_no_more(
+    served: Served, window: Tabs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    signs_s: list[float] = []
+
+    def noted(seats: Seats, client: str, now_s: float) -> None:
+        signs_s.append(time.time())
+        beat(seats, client, now_s)
+
+    beat = Seats.beat
+    monkeypatch.setattr(Seats, "beat", noted)
+    page = window.open(served.address.page)
+    until(page, "heliPage.history.end > 500")
+    from_ms, to_ms = page.evaluate(
+        "() => { const from = Date.now(); while (Date.now() - from < 5500); return [from, Date.now()]; }"
+    )
+    from_s, to_s = from_ms / 1e3, to_ms / 1e3
+    early, late = (from_s + 0.3, from_s + 3.0), (from_s + 4.6, to_s)
+    # Ten a second; a machine that stalls for a second has sent some of them.
+    assert sum(early[0] < one < early[1] for one in signs_s) >= 3
+    assert not any(late[0] < one < late[1] for one in signs_s)
+
+
+def test_a_law_is_chosen_its_signal_drawn_and_why_it_was_taken_over_said(
+    tmp_path: Path, chromium: Browser
+) -> None:
+    laws = [steady().tape, tired().tape]
+    with patient_page(tmp_path, laws) as served, tabs(chromium) as opened:
+        page = opened.open(served.address.page)
+        click(page, "#laws >> text=steady")
+        expect(page.locator("#law-said")).to_have_text("steady is on the board, and flies after the take-off")
+        click(page, "#laws >> text=tired")
+        expect(page.locator("#law-said")).to_have_text("tired is on the board, and flies after the take-off")
+        page.fill("#law-kp", "17")
+        page.keyboard.press("Enter")
+        click(page, "#take-off")
+        expect(page.locator("#law-said")).to_contain_text("the board's own law took over: voltage jump")
+        expect(page.locator("#strips")).to_contain_text("wanted_pitch")
+        axe = Axe().run(page).response["violations"]
+        assert not [one["id"] for one in axe if one["impact"] in ("serious", "critical")]
+        click(page, "#laws >> text=steady")
+        expect(page.locator("#said")).to_contain_text("land first")
+        click(page, "#laws >> text=board's own")
+        expect(page.locator("#law-said")).to_have_text("the board's own law")
+        page.keyboard.press("Space")
+        until_state(page, "idle")
+        assert not opened.wrong
 
 
 def test_a_tab_that_is_loaded_anew_keeps_its_seat(served: Served, window: Tabs) -> None:

@@ -39,6 +39,7 @@ def test_every_file_that_the_page_names_is_there() -> None:
     for path in OWN:
         text = path.read_text()
         named = re.findall(r'(?:src|href)="([\w./]+)"', text) + re.findall(r'from "\./([\w./]+)"', text)
+        named += re.findall(r'new Worker\("([\w./]+)"', text)
         for name in named:
             assert page_file(name, {}).status_code == 200, f"{path.name} names {name}"
 

@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 import heli_host
 import numpy as np
 import pytest
-from heli_host.declaration import State, Trigger
+from heli_host.declaration import Channel, Flags, State, Trigger
 from heli_host.errors import LinkError, PortError
 from heli_host.log.reader import read_log
 from heli_host.page.client import PageError
@@ -22,6 +22,7 @@ from heli_sim.sil.process import SilProcess
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from tests.page.laws import steady, tired
 from tests.page.page_server import Served, page_process, patient_page
 from tests.page.socket_page import SocketPage
 
@@ -221,6 +222,45 @@ def test_parameters_change_in_flight_where_the_declaration_lets_them(served: Ser
         assert first.ask("undo")["value"] == before
         assert served.heli.params["travel_kp"] == before
         assert "error" in first.ask("undo")
+        first.stop()
+
+
+def test_the_pilot_chooses_a_law_and_a_plan_is_flown_under_it(tmp_path: Path) -> None:
+    laws = [steady().tape, tired().tape]
+    with (
+        patient_page(tmp_path, laws) as served,
+        SocketPage(served.address) as first,
+        SocketPage(served.address) as second,
+    ):
+        offered = first.known["hello"]["laws"]
+        assert [(one["name"], one["signals"]) for one in offered] == [
+            ("steady", ["wanted_pitch", "kp"]),
+            ("tired", ["wanted_pitch", "kp"]),
+        ]
+        assert second.ask("law", name="steady")["error"] == "page 1 flies, you watch"
+        assert "there is no law nosuch" in first.ask("law", name="nosuch")["error"]
+        assert first.ask("law", name="steady")["law"] == "steady"
+        plan = first.send("fly", plans=["short"])
+        second.until(lambda: second.known["status"]["law"]["flies"])
+        assert second.known["status"]["law"]["chosen"] == "steady"
+        assert first.ask("set_law", name="kp", value=17.0)["value"] == 17.0
+        assert "error" in second.ask("set_law", name="kp", value=16.0)
+        second.until(lambda: second.known["status"]["law"]["values"] == {"kp": 17.0})
+        assert first.answer(plan)["outcome"] == "completed"
+        assert "steady kp: 16 -> 17" in [event["message"] for event in read_log(served.logs()[0]).events]
+        renamed = [one["channels"] for one in list(second.words) if "channels" in one][-1]
+        assert "wanted_pitch" in [one["signal"] for one in renamed]
+        log = read_log(served.logs()[0])
+        assert log.metadata["law"]["signal_1"] == "wanted_pitch"
+        flew = log.raw[:, Channel.FLAGS] & Flags.LAW != 0
+        assert flew.sum() > 1000
+        first.ask("law", name="tired")
+        first.ask("take_off")
+        first.until(lambda: first.known["status"]["law"]["taken_over"].startswith("voltage jump"))
+        assert first.state == "closed_loop"
+        assert any(
+            "the board's own law took over (voltage_jump" in text for text in first.events("law_taken_over")
+        )
         first.stop()
 
 

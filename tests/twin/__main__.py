@@ -14,8 +14,13 @@ from typing import Any
 
 import numpy as np
 from heli_host.flight import Flight
-from heli_lab.twin.calibration import Tail
+from heli_lab.twin.calibration import Calibration, Tail
+from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.follow import follow_flight
+from heli_lab.twin.kalman_filter import TwinModel
+from heli_lab.twin.learn import NEVER
+from heli_lab.twin.samples import Samples
+from heli_lab.twin.twin import Twin
 from heli_sim.model.multibody import MultibodyModel
 from scipy.stats import binom
 
@@ -23,6 +28,8 @@ from tests.twin.changes import SIZES, ONSET_s, change
 from tests.twin.rigs import Known, flights, known
 
 HOURS = 10.0
+SEEN_s = 14.0
+"""Of a change that was not found, until how strongly it showed is asked: just less than the twin's window."""
 
 
 def main() -> None:
@@ -32,6 +39,7 @@ def main() -> None:
     parser.add_argument(
         "--healthy", type=int, default=10, help="flights of each rig in which nothing changes"
     )
+    parser.add_argument("--seconds", type=float, default=60.0, help="in the air, of each of those flights")
     parser.add_argument("--changed", type=int, default=5, help="flights of each change and size")
     parser.add_argument("--simulated", type=int, default=12, help="flights that set the alarm of each rig")
     parser.add_argument("--out", type=Path, default=Path("twin.json"))
@@ -50,20 +58,20 @@ def main() -> None:
                 for repeat in range(asked.changed)
                 if (number + repeat * asked.rigs // asked.changed) % asked.rigs == seed - 1
             ]
-            results[str(seed)] = of_one(known(seed, asked.simulated), asked.healthy, of_rig)
+            results[str(seed)] = of_one(known(seed, asked.simulated), asked.healthy, of_rig, asked.seconds)
             asked.out.write_text(json.dumps(results, indent=1))
             print(f"rig {seed} done", flush=True)
     print("\n".join(healthy_table(results)))
     print("\n".join(changed_table(results)))
 
 
-def of_one(rig: Known, healthy: int, cases: list[tuple[str, float]]) -> dict[str, Any]:
+def of_one(rig: Known, healthy: int, cases: list[tuple[str, float]], seconds: float = 60.0) -> dict[str, Any]:
     """Fly one rig."""
     found: dict[str, Any] = {"healthy": [], "changed": []}
     started_s, flown_s = time.process_time(), 0.0
     tail = rig.twin.calibration.tail
     found["tail"] = [tail.level_nats, tail.per_hour, tail.scale_nats, tail.excesses]
-    for flight in flights(rig.model, rig.rig, 10_000 * rig.seed + 1_000, healthy):
+    for flight in flights(rig.model, rig.rig, 10_000 * rig.seed + 1_000, healthy, seconds):
         seen = follow_flight(rig.twin, flight, "healthy", HOURS)
         found["healthy"].append(
             {"most_nats": seen.most_nats, "free_s": seen.free_s, "alarms": len(seen.alarms)}
@@ -77,7 +85,12 @@ def of_one(rig: Known, healthy: int, cases: list[tuple[str, float]]) -> dict[str
         early = [event for event in seen.events if event.kind == "parted" and event.t_s < onset_s]
         late = [event for event in seen.events if event.kind == "parted" and event.t_s >= onset_s]
         words = [event for event in seen.alarms if event.t_s >= onset_s]
-        entry: dict[str, Any] = {"change": name, "size": size, "early": len(early), "delay_s": None}
+        entry: dict[str, Any] = {
+            "change": name,
+            "size": size,
+            "early": len(early),
+            "delay_s": None,
+        }
         if late and words:
             first = words[0].ranking[0]
             entry |= {
@@ -88,9 +101,26 @@ def of_one(rig: Known, healthy: int, cases: list[tuple[str, float]]) -> dict[str
                 "std": first.std,
                 "ranking": [[one.change.id, round(one.log_evidence, 1)] for one in words[0].ranking[:4]],
             }
+        else:
+            entry["sigmas"] = sigmas(rig, flight, name, size, onset_s)
         found["changed"].append(entry)
     found["cpu_s"] = time.process_time() - started_s
     return found
+
+
+def sigmas(rig: Known, flight: Flight, name: str, size: float, onset_s: float) -> float:
+    """Standard errors that a change is large for who knows what changed and when, after `SEEN_s` of it."""
+    samples, sample_s = samples_of(flight)
+    never = Calibration(rig.twin.calibration.weather, NEVER)
+    model = TwinModel(rig.twin.model, rig.twin.rig)
+    twin = Twin(model, never, count_rad_of(flight, rig.rig), sample_s)
+    zero = round(float(samples.number[0]) - float(flight.t_s[0]) / sample_s)
+    rows = (samples.number - zero) * sample_s < onset_s + SEEN_s
+    twin.take(
+        Samples(samples.number[rows], samples.angles_rad[rows], samples.volts_V[rows], samples.flying[rows])
+    )
+    std = twin.standard_error(name, onset_s + zero * sample_s)
+    return size / std if std is not None else 0.0
 
 
 def motors_on_s(flight: Flight) -> float:
@@ -122,21 +152,28 @@ def healthy_table(results: dict[str, Any]) -> list[str]:
 
 
 def changed_table(results: dict[str, Any]) -> list[str]:
-    """Found, delay and name for each change and size."""
+    """Found, delay and name for each change and size, and how strongly those showed that were not found."""
     flown = [one for rig in results.values() for one in rig["changed"]]
-    lines = ["| change | size | found | delay, s | named first |", "|---|---|---|---|---|"]
+    lines = ["| change | size | found | delay, s | named first | missed |", "|---|---|---|---|---|---|"]
     right = total = 0
     for name, sizes in SIZES.items():
         for size in sizes:
             here = [one for one in flown if one["change"] == name and one["size"] == size]
             found = [one for one in here if one["delay_s"] is not None]
+            missed = [one["sigmas"] for one in here if one["delay_s"] is None]
             named = [one for one in found if one["name"] == name]
             right, total = right + len(named), total + len(found)
             delay = f"{np.median([one['delay_s'] for one in found]):.1f}" if found else ""
             share = f"{len(named)} of {len(found)}" if found else ""
-            lines.append(f"| {name} | {size:g} | {len(found)} of {len(here)} | {delay} | {share} |")
+            shown = ", ".join(f"{one:.1f}" for one in sorted(missed))
+            lines.append(
+                f"| `{name}` | {size:g} | {len(found)} of {len(here)} | {delay} | {share} | {shown} |"
+            )
     early = sum(one["early"] for one in flown)
-    lines.append(f"named first {right} of {total} found; {early} alarms before the change")
+    lines.append(
+        f"named first {right} of {total} found; {early} alarms before the change; missed: how many standard "
+        f"errors the change was {SEEN_s:g} s after it, for who knows what and when"
+    )
     return lines
 
 

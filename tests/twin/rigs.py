@@ -91,14 +91,14 @@ def known(seed: int, simulated: int) -> Known:
     return Known(seed, rig, model, TwinRig(numbers, found, calibration, f"rig {seed}"), courses)
 
 
-def flights(model: Model, rig: Rig, seed: int, count: int) -> list[Flight]:
+def flights(model: Model, rig: Rig, seed: int, count: int, seconds: float = 60.0) -> list[Flight]:
     """Fly random plans; an arm that the weather moves too much to be armed is tried again."""
     found: list[Flight] = []
     for number in range(10 * count):
         if len(found) == count:
             break
         try:
-            found.append(fly_simulated(model, rig, random_plan(seed + number), seed + number))
+            found.append(fly_simulated(model, rig, random_plan(seed + number, seconds), seed + number))
         except HeliError:
             continue
     return found

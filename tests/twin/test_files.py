@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import heli_host
 import numpy as np
 import pytest
 from heli_host.cli import run
 from heli_host.errors import HeliError
 from heli_lab.innovations import Weather
+from heli_lab.twin import learn
 from heli_lab.twin.calibration import Calibration, Tail, write_calibration
 from heli_lab.twin.files import USUAL, open_rig
 
@@ -57,12 +59,16 @@ def test_what_is_wrong_with_a_file_is_told(tmp_path: Path, old: str, new: str, t
     [
         ("twin", "give a flight"),
         ("twin nowhere.mcap", "nowhere.mcap"),
+        ("twin --learn monday.mcap", "give a name that ends in .toml"),
         ("twin nowhere.mcap --rig nobody", "nobody"),
         ("fly hover --sil --on-change land", "--on-change needs --twin"),
         ("fly hover --sil --twin makki2024 --on-change fall", "give tell or land"),
         ("fly hover --sil --twin nobody", "nobody"),
         ("page --log nothere", "nothere"),
         ("page --log nothere --twin makki2024", "heli-host twin nothere"),
+        ("page --log nothere --fly hover", "nothing flies"),
+        ("page --log nothere --law mine.py", "nothing flies"),
+        ("page --sil --law mine.py", "there is no file mine.py"),
     ],
 )
 def test_words_that_cannot_be_are_refused_in_one_line(
@@ -72,3 +78,24 @@ def test_words_that_cannot_be_are_refused_in_one_line(
     shown = capsys.readouterr()
     assert told in " ".join((shown.out + shown.err).split())
     assert "Traceback" not in shown.err
+
+
+@pytest.mark.medium
+def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flown, file = tmp_path / "monday.mcap", tmp_path / "mine.toml"
+    assert run(["fly", "hover", "--sil", "--speed", "max", "--log", str(flown)]) == 0
+    # A minute of a simulated flight takes seconds: here each is the one that was flown.
+    evidence = [(0.04 * number, 0.001 * (number % 977)) for number in range(1500)]
+    monkeypatch.setattr(learn, "fly_simulated", lambda *_: heli_host.read_flight(flown))
+    monkeypatch.setattr(learn, "evidence", lambda *_: evidence)
+    assert run(["twin", "--rig", "makki2024", "--healthy", str(flown), "--learn", str(file)]) == 0
+    assert f"files: {file}" in capsys.readouterr().out
+    learned = open_rig(str(file))
+    assert learned.rig.name == "makki2024"
+    assert run(["twin", str(flown), "--rig", "quanser-course", "--to", "9"]) == 0
+    assert "monday.mcap is a flight of makki2024, the twin one of quanser-course" in capsys.readouterr().out
+    assert learned.calibration.source.startswith("monday.mcap and 12 simulated flights")
+    # A simulated flight without weather has next to none of it.
+    assert np.all(learned.calibration.weather.gust_Nm < USUAL.weather.gust_Nm)

@@ -33,6 +33,7 @@ READ_INTERVAL_S = 0.02
 _READ_SIZE = 65536
 _WRITE_TIMEOUT_S = 1.0
 _POLL_S = 0.002
+_PAGE = "page"
 _ERASING_BAUD = 1200
 _RESET_PULSE_S = 0.05
 
@@ -378,6 +379,10 @@ def open_transport(
     if baud == _ERASING_BAUD:
         raise BadBaud("1200 baud erases the flash of a Due", f"leave the rate at {BAUD}")
     scheme = url.partition("://")[0].lower() if "://" in url else ""
+    if scheme == _PAGE:
+        raise PortError(
+            f"{url.partition('?')[0]} is a page, no board", "join its flight: heli_host.join(address)"
+        )
     if scheme:
         for entry in entry_points(group=ENTRY_POINT_GROUP, name=scheme):
             factory = cast(Callable[[str], Transport], entry.load())

@@ -13,6 +13,7 @@ from heli_host.fly.plan import Plan
 from heli_host.link.clock import TICK_S
 from heli_host.link.events import BOARD_RESTARTED, LAW_SIGNALS, LinkEvent
 from heli_host.page.flying import PlanFlight
+from heli_host.page.law_choice import LawChoice
 from heli_host.page.source import (
     KEPT_S,
     Action,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from heli_host.fly.recorder import Recorder
     from heli_host.heli import Heli
     from heli_host.link.telemetry import Ticks
+    from heli_host.tape import Tape as LawTape
     from heli_host.twins import TwinNews, TwinWatch
 
 _LOOK_S = 0.2
@@ -60,6 +62,8 @@ class Cockpit:
         Lengths and masses of the rig, by the names of its file; empty where nobody knows them.
     twin : TwinWatch, optional
         A twin that flies along.
+    laws : sequence of heli_host.tape.Tape
+        Laws that the board may fly besides its own.
 
     Attributes
     ----------
@@ -77,6 +81,7 @@ class Cockpit:
         board: str,
         rig: Mapping[str, float],
         twin: TwinWatch | None = None,
+        laws: Sequence[LawTape] = (),
     ) -> None:
         self.tape = Tape(round(KEPT_S / TICK_S))
         self._heli = heli
@@ -84,6 +89,7 @@ class Cockpit:
         self._new_recorder = new_recorder
         self._plans = {plan.name: plan for plan in plans}
         self._board, self._rig = board, dict(rig)
+        self._law = LawChoice(heli, laws)
         self._news: News | None = None
         self._events: list[dict[str, Any]] = []
         self._signals: dict[str, str] = {}
@@ -106,6 +112,8 @@ class Cockpit:
             "set": Action(self._set, Lane.QUICK, tuner),
             "undo": Action(self._undo_last, Lane.QUICK, tuner),
             "save": Action(self._save, Lane.QUICK, tuner),
+            "law": Action(self._choose_law, Lane.QUICK, pilot),
+            "set_law": Action(self._set_law, Lane.QUICK, tuner),
             "record": Action(self._record, Lane.QUICK, pilot),
             "mark": Action(self._mark, Lane.QUICK, anybody),
             "signal": Action(self._signal, Lane.QUICK, anybody),
@@ -132,6 +140,7 @@ class Cockpit:
             "undo": len(self._undo),
             "limits_deg": self._heli.setpoint_limits_deg(),
             "plans": [{"name": plan.name, "title": plan.title} for plan in self._plans.values()],
+            "laws": self._law.describe(),
             "events": self._events[-_EVENTS_KEPT:],
         }
 
@@ -161,6 +170,7 @@ class Cockpit:
             "doing": self._doing,
             "flight": flight.progress if flight is not None else None,
             "twin": self._twin_status(),
+            "law": self._law.status(),
         }
 
     def listen(self, news: News) -> None:
@@ -244,6 +254,7 @@ class Cockpit:
         elevation_deg = number(arguments, "elevation_deg") if "elevation_deg" in arguments else 0.0
         with self._busy("taking off"):
             self._heli.take_off(elevation_deg)
+            self._law.engage()
         return {}
 
     def _fly(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -256,7 +267,7 @@ class Cockpit:
         if self._heli.state is not State.IDLE:
             raise SetpointError("a plan begins on the table, with the motors off", "land first")
         plans = [self._plans[name] for name in names]
-        flight = PlanFlight(self._heli, plans)
+        flight = PlanFlight(self._heli, plans, self._law.engage)
         own = self._recorder is None
         if own:
             self._begin_recording(plans, flight.duration_s)
@@ -316,6 +327,15 @@ class Cockpit:
         self._note(f"{name}: back to {before:g}", "parameter")
         self._tell_values()
         return {"name": name, "value": before}
+
+    def _choose_law(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        return self._law.choose(text(arguments, "name") if arguments.get("name") else "")
+
+    def _set_law(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        name = text(arguments, "name")
+        before, after = self._law.set(name, number(arguments, "value"))
+        self._note(f"{self._law.chosen} {name}: {before:g} -> {after:g}", "parameter")
+        return {"value": after}
 
     def _save(self, _: Mapping[str, Any]) -> Mapping[str, Any]:
         return {"generation": self._heli.params.save()}
@@ -387,6 +407,7 @@ class Cockpit:
     def _take_event(self, event: LinkEvent) -> None:
         if event.kind == BOARD_RESTARTED:
             self.tape.clear()
+        self._law.take_event(event)
         self._add_event(event.tick, event.kind, event.text)
         if event.kind == LAW_SIGNALS:
             self._signals = {f"signal_{number}": name for number, name in enumerate(event.names, 1)}

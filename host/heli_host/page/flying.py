@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +26,8 @@ class PlanFlight:
         Idle, its arm at rest on the table.
     plans : sequence of Plan
         In the order in which they are flown.
+    on_taken_off : callable, optional
+        Called when the first of them begins; an error of it ends the flight.
 
     Attributes
     ----------
@@ -42,10 +44,12 @@ class PlanFlight:
         A plan cannot be flown on this board; nothing has moved.
     """
 
-    def __init__(self, heli: Heli, plans: Sequence[Plan]) -> None:
+    def __init__(
+        self, heli: Heli, plans: Sequence[Plan], on_taken_off: Callable[[], object] | None = None
+    ) -> None:
         sample = heli.latest
         start_deg = np.degrees([getattr(sample, f"{axis}_rad") for axis in AXES])
-        self._heli, self._plans = heli, plans
+        self._heli, self._plans, self._on_taken_off = heli, plans, on_taken_off
         self._route = take_off(plans, dict(heli.params), start_deg)
         self.duration_s = self._route.duration_s
         self.outcome = "not flown"
@@ -60,7 +64,15 @@ class PlanFlight:
             Is told when phases begin.
         """
         tolerance = Tolerance.widest([plan.tolerance for plan in self._plans])
-        pilot = Pilot(self._heli, self._route, self._plans[0].axes, recorder, self._take, tolerance)
+        pilot = Pilot(
+            self._heli,
+            self._route,
+            self._plans[0].axes,
+            recorder,
+            self._take,
+            tolerance,
+            on_taken_off=self._on_taken_off,
+        )
         try:
             pilot.fly()
         finally:

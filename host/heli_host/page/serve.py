@@ -122,5 +122,7 @@ def _listen(host: str, port: int) -> socket.socket:
     except OSError as error:
         listening.close()
         reason = error.strerror or str(error)
-        raise PortError(f"cannot serve on {host}:{port}: {reason}", "choose another --port") from error
+        raise PortError(
+            f"cannot serve on {host}:{port}: {reason}", "choose another --http-port, or none"
+        ) from error
     return listening

@@ -238,7 +238,9 @@ class Service:
     def _take_sign(self, client: Client, data: bytes) -> None:
         """Four bytes: the number of the newest frame that was shown. It is also the sign of life."""
         if len(data) == 4:
-            client.acknowledged = max(client.acknowledged, int.from_bytes(data, "little"))
+            # A page that was connected before may still answer for what it got then.
+            number = min(int.from_bytes(data, "little"), client.sent)
+            client.acknowledged = max(client.acknowledged, number)
             client.may_send.set()
         self.seats.beat(client.key, time.monotonic())
 

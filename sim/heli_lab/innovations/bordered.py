@@ -63,7 +63,7 @@ def inverse_bordered(matrix: Floats, own: Integers) -> Floats:
     of_shared = np.linalg.inv(complement)
     inverse[np.ix_(shared, shared)] = of_shared
     if own.size:
-        flat, border = own.ravel(), gain.reshape(-1, len(shared))
+        flat, border = own.ravel(), gain.reshape(own.size, len(shared))
         beside = border @ of_shared
         inverse[np.ix_(flat, shared)] = -beside
         inverse[np.ix_(shared, flat)] = -beside.T

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from heli_host.errors import BadLaw, HeliError
+from heli_host.tape import Tape
 
 from heli_lab.law.law import Law
 
@@ -51,6 +52,22 @@ def load_law(path: Path) -> Law:
     if law is not None:
         raise BadLaw(f"the LAW of {path.name} is a {type(law).__name__}", _remedy(own))
     raise BadLaw(f"{path.name} has no LAW", _remedy(own))
+
+
+def load_tape(path: Path) -> Tape:
+    """Make a tape of the ``LAW`` of a file; the entry point ``heli_host.laws``.
+
+    Parameters
+    ----------
+    path : Path
+        The file; its code is run.
+
+    Raises
+    ------
+    BadLaw
+        It is missing, fails, holds no law, or one that a board does not take.
+    """
+    return load_law(path).tape
 
 
 def _remedy(own: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +38,8 @@ class Followed:
         Evidence that is an alarm.
     free_s : float
         Time over which it compared.
+    flown_rig : str
+        Name of the rig that the file of the flight states; empty where it states none.
     """
 
     label: str
@@ -45,6 +47,7 @@ class Followed:
     evidence_nats: tuple[tuple[float, float], ...]
     threshold_nats: float
     free_s: float
+    flown_rig: str = ""
 
     @property
     def most_nats(self) -> float:
@@ -107,11 +110,13 @@ def follow_file(
     """
     if path.suffix.lower() != ".mcap":
         flight = read_flight(path, allow_gaps=True)
-        return follow_flight(chosen, flight, path.name, hours, start_s, stop_s)
+        found = follow_flight(chosen, flight, path.name, hours, start_s, stop_s)
+        return replace(found, flown_rig=str(flight.meta.get("rig") or ""))
     log = read_log(path)
     samples, zero_s = samples_of_log(log)
     count_rad = rad_per_count(log.parameters)
-    return _follow(chosen, samples, count_rad, TICK_S, zero_s, path.name, hours, (start_s, stop_s))
+    found = _follow(chosen, samples, count_rad, TICK_S, zero_s, path.name, hours, (start_s, stop_s))
+    return replace(found, flown_rig=log.metadata.get("session", {}).get("rig", ""))
 
 
 def _follow(

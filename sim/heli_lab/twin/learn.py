@@ -25,7 +25,8 @@ its scale 18 % unsure. More: minutes of waiting. Fewer: thresholds that chance s
 
 _TRIES: Final = 3
 """Flights begun for each that is wanted: an arm that gusts move on its table is not armed."""
-_NEVER: Final = Tail(np.inf, 0.0, 0.0, 1)
+NEVER: Final = Tail(np.inf, 0.0, 0.0, 1)
+"""Of a twin that calls nothing an alarm."""
 
 Say = Callable[[str, float], None]
 
@@ -120,7 +121,7 @@ def learn(
 def evidence(twin: TwinModel, weather: Weather, flight: Flight) -> list[tuple[float, float]]:
     """Times and evidence of a flight in which nothing is called an alarm."""
     samples, sample_s = samples_of(flight)
-    never = Calibration(weather, _NEVER)
+    never = Calibration(weather, NEVER)
     follower = Twin(twin, never, count_rad_of(flight, twin.rig), sample_s)
     follower.keeps = True
     follower.take(samples)

@@ -163,6 +163,15 @@ class LikelihoodRatio:
         std = np.sqrt(d / determinant)
         return size, std, size * self._b1 + other * self._b2, determinant / (p1 * p2)
 
+    def standard_error(self, change: str, onset_block: float) -> float | None:
+        """Standard error of a change's first number for the onset in the window that is next to a block; None
+        while there is none.
+        """
+        row = [one.id for one in self.changes].index(change)
+        away = np.abs(self._onset[row] - onset_block)
+        nearest = int(np.argmin(away))
+        return float(self._solved()[1][row, nearest]) if np.isfinite(away[nearest]) else None
+
     def ranking(self) -> list[Candidate]:
         """Changes, the likeliest first; each onset is as probable as another."""
         size, std, _, _ = self._solved()

@@ -131,6 +131,16 @@ class Twin:
         """Where the twin is that flew by itself for two seconds, (3,); None where there is none."""
         return self._ghost.angles_rad if self._ghost is not None and self._kalman is not None else None
 
+    def standard_error(self, change: str, onset_s: float) -> float | None:
+        """Standard error of the first number of a `change`, by its id, that began at `onset_s`; None where
+        nothing is compared.
+        """
+        if self._kalman is None:
+            return None
+        return self._ratio.standard_error(
+            change, ((onset_s + self._zero_s) / self.step_s - self._began) / self._block
+        )
+
     def take(self, samples: Samples) -> list[TwinEvent]:
         """Take samples in; what it says does not depend on how many come at once."""
         return [event for step in self._stepper.take(samples) for event in self._take_step(step)]

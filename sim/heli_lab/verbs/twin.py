@@ -84,6 +84,8 @@ def twin(
 
     if not flights and learn is None:
         raise typer.BadParameter("give a flight, or --learn FILE")
+    if learn is not None and learn.suffix.lower() != ".toml":
+        raise typer.BadParameter(f"--learn {learn} is written as TOML; give a name that ends in .toml")
     check_result_places(learn, json, figure=figure)
     chosen = open_rig(rig)
     others = healthy or []
@@ -105,6 +107,8 @@ def twin(
     written = [learn] if learn is not None else []
     for one in found:
         say(*(f"{one.label}: {text}" for text in one.sentences()))
+        if one.flown_rig not in ("", chosen.rig.name, Path(chosen.name).stem):
+            say(f"{one.label} is a flight of {one.flown_rig}, the twin one of {chosen.rig.name}: see --rig")
     threshold_nats = chosen.calibration.threshold_nats(hours)
     say(f"alarm from {threshold_nats:.1f} nats on, {_rate(hours)}; {_source(chosen)}")
     if json is not None:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from heli_host.heli import Heli
     from heli_host.page.cockpit import Cockpit
     from heli_host.page.serve import Address
+    from heli_host.tape import Tape
 
 STEP_S = 0.5
 """Between two looks at whether the board is still there."""
@@ -47,6 +48,16 @@ def page(
             "--fly", metavar="PLAN", help="Fly this plan as soon as a page is open; may be repeated."
         ),
     ] = None,
+    laws: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--law",
+            metavar="FILE.py",
+            help="Offer this law besides the board's own, such as docs/laws/lqi.py; its code is run; may be "
+            "repeated.",
+            show_default=False,
+        ),
+    ] = None,
     twin: TwinOption = None,
     on_change: OnChangeOption = None,
     log: Annotated[
@@ -67,6 +78,7 @@ def page(
     Example: `heli-host page --sil`
     """
     from heli_host.fly.plan import load_plan, plan_names
+    from heli_host.laws import read_law
 
     given = [name for name, value in (("--log", log), ("--port", port), ("--sil", sil)) if value]
     if log is not None and len(given) > 1 and port is None:
@@ -79,15 +91,18 @@ def page(
             raise typer.BadParameter(
                 f"--twin flies beside a board; of a log: heli-host twin {log} --rig {twin}"
             )
+        if flown or laws or plans:
+            raise typer.BadParameter(f"--log {log} is played again, nothing flies; leave plans and laws out")
         _replay(log, rig, host, http_port)
         return
     named = [one for one in (*(plans or ()), *(flown or ())) if one not in plan_names()]
     offered = [load_plan(name) for name in (*plan_names(), *dict.fromkeys(named))]
     begun = [load_plan(name).name for name in flown or ()]
+    tapes = [read_law(path) for path in laws or ()]
     address = simulated.sil_address(
         rig=rig, seed=seed, board=board, elf=elf, model=model, effect=effect, effect_files=effects
     )
-    _fly(port, address if sil else None, rig, offered, begun, (twin, lands), host, http_port)
+    _fly(port, address if sil else None, rig, offered, begun, tapes, (twin, lands), host, http_port)
 
 
 def _fly(
@@ -96,6 +111,7 @@ def _fly(
     rig: str | None,
     plans: Sequence[Plan],
     begun: Sequence[str],
+    laws: Sequence[Tape],
     twin: tuple[str | None, bool],
     host: str,
     http_port: int,
@@ -130,7 +146,7 @@ def _fly(
 
         name, lands = twin
         watch = open_watch(heli, name, land if lands else None)
-        cockpit = Cockpit(heli, new_recorder, plans, text, outline, watch)
+        cockpit = Cockpit(heli, new_recorder, plans, text, outline, watch, laws)
         try:
             with serving(cockpit, host, http_port) as served:
                 _say(served)

@@ -85,6 +85,11 @@ export class Controls {
     $("plans").replaceChildren(...hello.plans.map((plan) => element("div", { className: "plan-row" },
       element("button", { type: "button", className: "plan", onclick: () => this.ask("fly", { plans: [plan.name] }) }, `Fly ${plan.name}`),
       element("span", { className: "hint" }, plan.title))));
+    const laws = [{ name: "", signals: [] }, ...(hello.laws ?? [])];
+    $("law-box").hidden = laws.length < 2;
+    this.laws = laws.map(({ name, rate_Hz, signals }) => element("button", { type: "button", value: name, onclick: () => this.ask("law", { name }),
+      title: name ? `${rate_Hz} Hz; signals: ${signals.join(", ") || "none"}` : "the PID loops of the firmware" }, name || "board's own"));
+    $("laws").replaceChildren(...this.laws);
     $("event-list").replaceChildren();
     hello.events.forEach((event) => this.event(event));
     this.buildParameters();
@@ -168,6 +173,7 @@ export class Controls {
     $("progress").textContent = flight ? `${flight.phase}, ${flight.t_s} s${flight.left_s == null ? "" : `, ${flight.left_s} s left`}; Land ends it` : status.doing;
     $("save").disabled = !this.mayTune || this.state !== "idle";
     $("save").title = this.state === "idle" ? "into the board's flash" : "only while idle: the board writes its flash then";
+    this.showLaw(status.law);
     this.refreshParameters();
     if (this.hello.mode === "replay") this.showReplay(status);
     else this.showLink(status.link);
@@ -178,6 +184,29 @@ export class Controls {
     for (const button of document.querySelectorAll("[data-speed]")) button.setAttribute("aria-pressed", String(Number(button.dataset.speed) === status.speed));
     $("at").textContent = `${status.at_s.toFixed(1)} s`;
     if (document.activeElement !== $("seek")) $("seek").value = status.at_s;
+  }
+
+  showLaw(law) {
+    if (!law) return;
+    for (const button of this.laws) {
+      button.disabled = !this.flies || !["idle", "closed_loop"].includes(this.state);
+      button.setAttribute("aria-pressed", String(button.value === law.chosen));
+    }
+    if (this.lawShown !== law.chosen) {
+      this.lawShown = law.chosen;
+      $("law-parameters").replaceChildren(...Object.keys(law.values).map((name) => {
+        const input = element("input", { type: "number", step: "any", id: `law-${name}`, name });
+        input.addEventListener("change", () => this.ask("set_law", { name, value: Number(input.value) }));
+        return element("div", { className: "parameter" }, element("label", { htmlFor: input.id }, name), input);
+      }));
+    }
+    for (const input of $("law-parameters").querySelectorAll("input")) {
+      input.disabled = !this.mayTune;
+      if (document.activeElement !== input) input.value = +law.values[input.name].toPrecision(7);
+    }
+    const said = law.flies ? `${law.chosen} flies` : law.taken_over ? `the board's own law took over: ${law.taken_over}` : law.chosen && this.state === "idle" ? `${law.chosen} is on the board, and flies after the take-off` : "the board's own law";
+    $("law-said").className = law.taken_over ? "hint bad" : "hint";
+    if ($("law-said").textContent !== said) $("law-said").textContent = said;
   }
 
   showLink(link) {

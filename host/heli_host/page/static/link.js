@@ -1,4 +1,5 @@
-// The two sockets: one for everything, one for the stop alone. See docs/page.md for what goes over them.
+// The two sockets: one for everything, in a thread of its own, one for the stop alone. See docs/page.md for what
+// goes over them.
 
 const HEADER = 24;
 const query = new URLSearchParams(location.search);
@@ -35,29 +36,31 @@ export class Link {
     Object.assign(this, { onWords, onRows, onOpen, onClosed });
     this.waiting = new Map();
     this.number = 0;
-    this.open();
-  }
-
-  open() {
-    const socket = new WebSocket(address("/ws", { client: ownId() }));
-    socket.binaryType = "arraybuffer";
-    socket.onmessage = ({ data }) => {
-      if (typeof data === "string") this.take(JSON.parse(data));
-      else {
-        const frame = unpack(data);
+    this.isOpen = false;
+    this.socket = new Worker("socket.js");
+    this.socket.onmessage = ({ data }) => {
+      if (data.text) this.take(JSON.parse(data.text));
+      else if (data.rows) {
+        const frame = unpack(data.rows);
         this.onRows(frame);
         // Says that these were shown, and that this page lives: without it setpoints go missing to the board.
-        if (socket.readyState === WebSocket.OPEN) socket.send(new Uint32Array([frame.number]));
-      }
+        this.socket.postMessage({ shown: frame.number });
+      } else if (data.open) this.opened();
+      else this.closed();
     };
-    socket.onopen = () => this.onOpen();
-    socket.onclose = () => {
-      for (const settle of this.waiting.values()) settle({ error: "the connection was lost", remedy: "wait until it is back" });
-      this.waiting.clear();
-      this.onClosed();
-      setTimeout(() => this.open(), 500);
-    };
-    this.socket = socket;
+    this.socket.postMessage({ address: address("/ws", { client: ownId() }) });
+  }
+
+  opened() {
+    this.isOpen = true;
+    this.onOpen();
+  }
+
+  closed() {
+    this.isOpen = false;
+    for (const settle of this.waiting.values()) settle({ error: "the connection was lost", remedy: "wait until it is back" });
+    this.waiting.clear();
+    this.onClosed();
   }
 
   take(words) {
@@ -68,10 +71,10 @@ export class Link {
   }
 
   ask(name, more = {}) {
-    if (this.socket.readyState !== WebSocket.OPEN)
+    if (!this.isOpen)
       return Promise.resolve({ error: "there is no connection", remedy: "wait until it is back" });
     const id = ++this.number;
-    this.socket.send(JSON.stringify({ do: name, id, ...more }));
+    this.socket.postMessage({ text: JSON.stringify({ do: name, id, ...more }) });
     return new Promise((settle) => this.waiting.set(id, settle));
   }
 }

@@ -1,0 +1,43 @@
+"""Control laws in files, brought to a board by name.
+
+Nothing here knows how a law is written: a package that does offers a function in the entry-point group
+``heli_host.laws`` that makes a tape of a file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Final
+
+from heli_host.errors import BadLaw
+from heli_host.tape import Tape
+
+ENTRY_POINT_GROUP: Final = "heli_host.laws"
+
+LawReader = Callable[[Path], Tape]
+
+
+def read_law(path: Path) -> Tape:
+    """Make a tape of the law in a file, whose code is run.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    Tape
+        As a board takes it.
+
+    Raises
+    ------
+    BadLaw
+        The file is missing, fails or holds no law; or no installed package reads laws.
+    """
+    for entry in entry_points(group=ENTRY_POINT_GROUP):
+        reader: LawReader = entry.load()
+        return reader(path)
+    raise BadLaw("no installed package reads laws", "install heli-host with its laboratory")
