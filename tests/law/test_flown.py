@@ -153,8 +153,8 @@ NEAR_deg = 3.0
 # A pitch of -24 degrees that runs away at 80 deg/s is turned round by 2.4 V of difference and rotors that lag
 # by 0.12 s in 0.7 s. Until then up to 40 degrees of tilt throw travel 38 degrees away from its setpoint;
 # beyond 30 for a second the supervisor gives travel up, and lands on elevation and pitch.
-# Likewise lift of the wrong sign throws the arm far from its setpoint (one seed of 30): farther than 15 degrees
-# for a second, and the supervisor cuts the motors.
+# Lift of the wrong sign throws the arm from its setpoint, in one seed of 30 farther than 15 degrees for a
+# second: the supervisor cuts the motors.
 NOT_HELD = {
     ("sign_error_of_pitch", RIGS[1]): Fault.TRAVEL_FOLLOWING,
     ("sign_error", RIGS[1]): Fault.ELEVATION_FOLLOWING,
