@@ -109,6 +109,8 @@ classdef Heli < handle
       end
       h.control({'elevation', 'pitch', 'travel'});
       h.setpoint(elevation_deg, h.latest.travel_rad * 180 / pi);
+      % The answer to a command overtakes the telemetry of the tick before it.
+      h.waitUntil(@(s) ~any(strcmp(h.state(), {'idle', 'armed'})), 5);
       there = @(s) abs(s.elevation_rad * 180 / pi - elevation_deg) < 2;
       h.waitUntil(@(s) there(s) || any(strcmp(h.state(), {'idle', 'fault'})), timeout_s);
       if ~there(h.latest)

@@ -33,7 +33,7 @@ def done(cage: Cage, how: str) -> Answer:
     [
         ("crashes", "its process crashed: SIGSEGV"),
         ("leaves", "its process crashed: exit status 7"),
-        ("runs away", "over 1 s of CPU: it ran away"),
+        pytest.param("runs away", "over 1 s of CPU: it ran away", marks=pytest.mark.slow),
         ("raises", "ValueError: seven lines of it"),
         ("refuses", "no such thing; ask for another"),
         ("returns no JSON", "its result is no JSON: set is no JSON"),

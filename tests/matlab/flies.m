@@ -8,6 +8,9 @@ try
 catch refused
   printf('refused %s\n', refused.message);
 end
+% A machine that stalls for a second must not end the flight.
+h.setParameter('setpoint_hold_s', 5);
+h.setParameter('setpoint_land_s', 30);
 h.takeOff(0);
 h.setpoint(3, 12);
 h.waitUntil(@(s) s.elevation_rad * 180 / pi > 2 && s.travel_rad * 180 / pi > 6, 240);

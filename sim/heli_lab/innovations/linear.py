@@ -354,9 +354,14 @@ class Linear:
         self.__dict__.pop("steps", None)
 
     def torque_for(self, accelerations_rad_s2: Floats) -> Floats:
-        """Torques about the axes that make accelerations along the course, both of shape (n, 3).
+        """Torques about the axes that make accelerations along the course, shape (n, 3).
 
         An axis that friction holds obeys no torque: there the torque is zero.
+
+        Parameters
+        ----------
+        accelerations_rad_s2 : ndarray (n, 3)
+            Accelerations of elevation, pitch and travel in each step.
         """
         inverse = np.linalg.pinv(self.steps.by_torque[:, 3:6], rcond=_HELD)
         return np.asarray(inverse @ accelerations_rad_s2[:, :, None], float)[:, :, 0]

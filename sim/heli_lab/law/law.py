@@ -285,7 +285,8 @@ def _takes_three(function: Callable[..., Any]) -> bool:
 def _symbol(value: Any, place: int, name: str) -> ca.SX:
     try:
         return ca.SX(value)
-    except (NotImplementedError, TypeError, RuntimeError) as error:
+    # CasADi says of some types that they are not implemented, which is a RuntimeError.
+    except (TypeError, RuntimeError) as error:
         raise BadLaw(
             f"output {place} of the law {name} is a {type(value).__name__}",
             "give a number, or what comes of now, state and parameter",

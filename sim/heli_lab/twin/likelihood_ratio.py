@@ -164,8 +164,14 @@ class LikelihoodRatio:
         return size, std, size * self._b1 + other * self._b2, determinant / (p1 * p2)
 
     def standard_error(self, change: str, onset_block: float) -> float | None:
-        """Standard error of a change's first number for the onset in the window that is next to a block; None
-        while there is none.
+        """Standard error of a change's first number; None while no onset lies in the window.
+
+        Parameters
+        ----------
+        change : str
+            Id of the change.
+        onset_block : float
+            Number of the block whose nearest onset is meant.
         """
         row = [one.id for one in self.changes].index(change)
         away = np.abs(self._onset[row] - onset_block)
