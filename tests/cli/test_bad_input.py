@@ -194,3 +194,9 @@ def test_debug_shows_the_traceback(terminal: Terminal, monkeypatch: pytest.Monke
     monkeypatch.setenv("HELI_DEBUG", "1")
     with pytest.raises(Exception, match="no parameter"):
         terminal("params", "get", "hover", "--sil")
+
+
+def test_an_option_is_no_file(terminal: Terminal, tmp_path: Path) -> None:
+    line = refusal(terminal("rig", "export", "makki2024", "--mjcf", "--fmu"), code=ASKED)
+    assert "--fmu stands where a file's name was expected" in line
+    assert not list(tmp_path.iterdir())

@@ -15,8 +15,10 @@ FIGURE_ENDS: Final = (".png", ".pdf", ".svg")
 
 def check_place(path: Path) -> None:
     """Make the folder of a file to be written later; a typer.BadParameter when `path` is a folder, or may not
-    be written.
+    be written, or is an option behind one that lacks its file.
     """
+    if str(path).startswith("--"):
+        raise typer.BadParameter(f"{path} stands where a file's name was expected; give one before it")
     folder = path.absolute().parent
     folder.mkdir(parents=True, exist_ok=True)
     if path.is_dir() or not os.access(path if path.exists() else folder, os.W_OK):
