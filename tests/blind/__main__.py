@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import fnmatch
 import json
 import os
 import queue
@@ -22,6 +21,7 @@ from heli_lab.campaign import Case as CampaignCase
 from heli_lab.campaign.run import State
 
 from tests.blind.cases import Case, every_case
+from tests.blind.choice import add_choice, chosen, is_wanted
 from tests.blind.goals import further, goals
 from tests.blind.judge import Row
 from tests.blind.reliability import draw, reliability
@@ -46,9 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0 when every case ran.
     """
     parser = argparse.ArgumentParser(prog="python -m tests.blind", description=__doc__)
-    parser.add_argument("only", nargs="*", help="names of cases, wildcards allowed; all without")
-    parser.add_argument("--first", type=int, help="only so many of them, a fair sample")
-    parser.add_argument("--folder", type=Path, default=Path("build/blind"), help="flights and results")
+    add_choice(parser)
     parser.add_argument("--keep", action="store_true", help="take results there, whatever code made them")
     parser.add_argument("--budget", type=int, default=REFITS, help="most refits of a search")
     parser.add_argument("--processes", type=int, default=_PROCESSES)
@@ -58,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     if given.read:
         return _read(given)
-    cases = [case for case in _mixed() if _wanted(case, given.only)][: given.first]
+    cases = chosen(_mixed(), given)
     if not cases:
         print(f"no case is called {', '.join(given.only)}; cases.py and weather_cases.py have their names")
         return 2
@@ -90,7 +88,7 @@ def _read(given: argparse.Namespace) -> int:
     except FileNotFoundError:
         print(f"{given.json} is not there; run without --read first")
         return 2
-    rows = [Row.read(one) for one in kept if _wanted_name(one["case"], given.only)]
+    rows = [Row.read(one) for one in kept if is_wanted(one["case"], given.only)]
     print(text(rows))
     return 0
 
@@ -111,14 +109,6 @@ def _drawn(rows: Sequence[Row], beside: Path) -> Path:
     path = beside.with_suffix(".png")
     draw(reliability(rows), path)
     return path
-
-
-def _wanted_name(name: str, patterns: Sequence[str]) -> bool:
-    return not patterns or any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)
-
-
-def _wanted(case: Case, patterns: Sequence[str]) -> bool:
-    return _wanted_name(case.name, patterns)
 
 
 def _done(cases: Sequence[Case], given: argparse.Namespace) -> Iterator[tuple[Row | None, str]]:

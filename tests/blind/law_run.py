@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import fnmatch
 import json
 import os
 import sys
@@ -12,8 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from tests.blind.choice import add_choice, chosen
 from tests.blind.judge import SEEN
-from tests.blind.weather_case import WeatherCase
 
 CORRELATES, NEAR_TOLD = 0.9, 1.3
 
@@ -32,9 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0 when every case ran.
     """
     parser = argparse.ArgumentParser(prog="python -m tests.blind.law_run", description=__doc__)
-    parser.add_argument("only", nargs="*", help="names of cases, wildcards allowed; all laws without")
-    parser.add_argument("--first", type=int, help="only so many of them, a fair sample")
-    parser.add_argument("--folder", type=Path, default=Path("build/blind"), help="flights and results")
+    add_choice(parser)
     parser.add_argument("--keep", action="store_true", help="take flights that are there")
     parser.add_argument("--json", type=Path, default=Path("laws.json"))
     parser.add_argument("--nothing", action="store_true", help="cases without a law instead")
@@ -46,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from tests.blind.weather_cases import weather_cases
 
     every = [one for one in weather_cases() if not one.off_list] if given.nothing else law_cases()
-    cases = [one for one in every if _wanted(one, given.only)][: given.first]
+    cases = chosen(every, given)
     rows: dict[str, dict[str, Any]] = json.loads(given.json.read_text()) if given.json.exists() else {}
     for case in cases:
         if case.name in rows:
@@ -64,10 +61,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{case.name}: {_said(row)}", flush=True)
     print(summary(rows))
     return 0 if all("failure" not in row for row in rows.values()) else 1
-
-
-def _wanted(case: WeatherCase, patterns: Sequence[str]) -> bool:
-    return not patterns or any(fnmatch.fnmatchcase(case.name, pattern) for pattern in patterns)
 
 
 def _said(row: dict[str, Any]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import fnmatch
 import json
 import sys
 from collections.abc import Sequence
@@ -12,6 +11,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from tests.blind.choice import is_wanted
 from tests.blind.run import REFITS
 from tests.field.cases import DATA, NO_DATA, Case, ask, cases, judged
 
@@ -63,8 +63,7 @@ def main(arguments: Sequence[str] | None = None, data: Path = DATA) -> int:
 
 
 def _wanted(case: Case, patterns: Sequence[str]) -> bool:
-    names = (case.name, case.folder.name)
-    return not patterns or any(fnmatch.fnmatchcase(name, p) for p in patterns for name in names)
+    return any(is_wanted(name, patterns) for name in (case.name, case.folder.name))
 
 
 if __name__ == "__main__":

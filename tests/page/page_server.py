@@ -19,6 +19,8 @@ from heli_host.page.rigs import outline
 from heli_host.page.serve import Address, serving
 from heli_host.tape import Tape
 
+from tests.sil.patient import SOON_HOLDING
+
 RIG = "makki2024"
 SHORT_PLAN = """
 title = "Hover for two seconds"
@@ -71,7 +73,7 @@ def patient_page(folder: Path, laws: Sequence[Tape] = ()) -> Iterator[Served]:
     """Serve a page of a board that waits longer for its pilot than it does by default: a machine that stalls
     for a second must not end what a test flies."""
     with page_of_a_simulated_board(folder, laws=laws) as served:
-        served.heli.params.restore({"setpoint_hold_s": 2.0, "setpoint_land_s": 5.0})
+        served.heli.params.restore(SOON_HOLDING)
         yield served
 
 
