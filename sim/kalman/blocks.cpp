@@ -7,7 +7,7 @@
 
 namespace heli_lab {
 
-void over_blocks(const Signals& signals, std::size_t block, double* out) {
+HELI_WIDE void over_blocks(const Signals& signals, std::size_t block, double* out) {
   const std::size_t states = signals.states;
   const std::size_t columns = signals.columns;
   const std::size_t size = states * columns;
@@ -20,25 +20,17 @@ void over_blocks(const Signals& signals, std::size_t block, double* out) {
       const double* gamma = signals.input + step * states * states;
       const double* rates = signals.rates + step * size;
       std::copy(sum, sum + size, now.begin());
+      std::fill(sum, sum + size, 0.0);
       for (std::size_t i = 0; i < states; ++i) {
-        double* to = sum + i * columns;
-        std::fill(to, to + columns, 0.0);
-        for (std::size_t j = 0; j < states; ++j) {
-          const double by_state = phi[i * states + j];
-          const double by_rate = gamma[i * states + j];
-          const double* state = now.data() + j * columns;
-          const double* rate = rates + j * columns;
-          for (std::size_t c = 0; c < columns; ++c) {
-            to[c] += by_state * state[c] + by_rate * rate[c];
-          }
-        }
+        add_rows(phi + i * states, states, now.data(), columns, sum + i * columns);
+        add_rows(gamma + i * states, states, rates, columns, sum + i * columns);
       }
     }
   }
 }
 
-void midpoint(const double* jacobian, std::size_t steps, std::size_t states, double step_s,
-              double* transition, double* input) {
+HELI_WIDE void midpoint(const double* jacobian, std::size_t steps, std::size_t states,
+                        double step_s, double* transition, double* input) {
   std::vector<double> left(states * states);
   for (std::size_t step = 0; step < steps; ++step) {
     const double* a = jacobian + step * states * states;

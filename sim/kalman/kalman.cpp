@@ -43,7 +43,8 @@ class Filter {
   }
 
   // One axis after the other: measurement errors of the axes are independent.
-  void update(std::size_t step, double* innovations, double* log_variances, Kept* kept) {
+  HELI_INLINE void update(std::size_t step, double* innovations, double* log_variances,
+                          Kept* kept) {
     const std::size_t states = system_.states;
     const std::size_t columns = system_.columns;
     for (std::size_t axis = 0; axis < kAxes; ++axis) {
@@ -108,7 +109,7 @@ class Filter {
     }
   }
 
-  void predict(std::size_t step) {
+  HELI_INLINE void predict(std::size_t step) {
     const std::size_t states = system_.states;
     const std::size_t torques = system_.torques;
     const std::size_t columns = system_.columns;
@@ -118,22 +119,11 @@ class Filter {
     std::copy(drive, drive + states * columns, next_.begin());
     std::fill(product_.begin(), product_.end(), 0.0);
     for (std::size_t i = 0; i < states; ++i) {
-      double* to = next_.data() + i * columns;
-      double* line = product_.data() + i * order_;
-      for (std::size_t j = 0; j < order_; ++j) {
-        const double weight = j < states ? phi[i * states + j] : input[i * torques + j - states];
-        if (weight == 0.0) {
-          continue;
-        }
-        const double* from = mean_.data() + j * columns;
-        for (std::size_t c = 0; c < columns; ++c) {
-          to[c] += weight * from[c];
-        }
-        const double* other = covariance_.data() + j * order_;
-        for (std::size_t k = 0; k < order_; ++k) {
-          line[k] += weight * other[k];
-        }
-      }
+      double* weights = gain_.data();
+      std::copy(phi + i * states, phi + (i + 1) * states, weights);
+      std::copy(input + i * torques, input + (i + 1) * torques, weights + states);
+      add_rows(weights, order_, mean_.data(), columns, next_.data() + i * columns);
+      add_rows(weights, order_, covariance_.data(), order_, product_.data() + i * order_);
     }
     std::copy(next_.begin(), next_.end(), mean_.begin());
     for (std::size_t i = 0; i < torques; ++i) {
@@ -171,7 +161,7 @@ class Filter {
   }
 
   // What a unit of each torque at the step's beginning moves, [states][torques].
-  const double* torque_input(std::size_t step) {
+  HELI_INLINE const double* torque_input(std::size_t step) {
     const std::size_t kind = system_.kind;
     const std::size_t size = system_.states * kind;
     std::fill(input_.begin(), input_.end(), 0.0);
@@ -217,7 +207,7 @@ class Filter {
 
 }  // namespace
 
-void filter(const LinearSystem& system, double* innovations, double* log_variances) {
+HELI_WIDE void filter(const LinearSystem& system, double* innovations, double* log_variances) {
   Filter filter(system);
   std::fill(log_variances, log_variances + kAxes, 0.0);
   for (std::size_t step = 0; step < system.steps; ++step) {

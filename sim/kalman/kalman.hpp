@@ -5,7 +5,65 @@
 #include <cstddef>
 #include <vector>
 
+// Hot loops are compiled for wider vectors too, and chosen when the program is loaded. Nothing is
+// contracted, so that every machine finds the same numbers.
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__)
+#define HELI_WIDE __attribute__((target_clones("avx2", "default")))
+#else
+#define HELI_WIDE
+#endif
+#if defined(__GNUC__)
+#define HELI_INLINE inline __attribute__((always_inline))
+#else
+#define HELI_INLINE inline
+#endif
+
 namespace heli_lab {
+
+// to[c] += sum of weights[j] table[j][c], `count` rows of a table of `columns`; a few columns at
+// once, so that their sums stay in registers.
+HELI_INLINE void add_rows(const double* weights, std::size_t count, const double* table,
+                          std::size_t columns, double* to) {
+  constexpr std::size_t kTogether = 16;
+  std::size_t c = 0;
+  for (; c + kTogether <= columns; c += kTogether) {
+    double sum[kTogether];
+    for (std::size_t k = 0; k < kTogether; ++k) {
+      sum[k] = to[c + k];
+    }
+    for (std::size_t j = 0; j < count; ++j) {
+      const double weight = weights[j];
+      const double* line = table + j * columns + c;
+      for (std::size_t k = 0; k < kTogether; ++k) {
+        sum[k] += weight * line[k];
+      }
+    }
+    for (std::size_t k = 0; k < kTogether; ++k) {
+      to[c + k] = sum[k];
+    }
+  }
+  constexpr std::size_t kFew = 4;
+  for (; c + kFew <= columns; c += kFew) {
+    double sum[kFew] = {to[c], to[c + 1], to[c + 2], to[c + 3]};
+    for (std::size_t j = 0; j < count; ++j) {
+      const double weight = weights[j];
+      const double* line = table + j * columns + c;
+      for (std::size_t k = 0; k < kFew; ++k) {
+        sum[k] += weight * line[k];
+      }
+    }
+    for (std::size_t k = 0; k < kFew; ++k) {
+      to[c + k] = sum[k];
+    }
+  }
+  for (; c < columns; ++c) {
+    double sum = to[c];
+    for (std::size_t j = 0; j < count; ++j) {
+      sum += weights[j] * table[j * columns + c];
+    }
+    to[c] = sum;
+  }
+}
 
 // e' = transition e + input w + drive, w' = memory^parts w + noise, y = measurement e + error.
 // Matrices are row-major, one a step; `columns` signals share the gains, because filtering is

@@ -14,10 +14,8 @@ constexpr std::size_t kLanes = 4;
 constexpr std::size_t kProduct = 16;
 
 #if defined(__GNUC__)
-#define HELI_INLINE inline __attribute__((always_inline))
 using Four = double __attribute__((vector_size(kLanes * sizeof(double))));
 #else
-#define HELI_INLINE inline
 struct Four {
   double lane[kLanes];
   double& operator[](std::size_t i) { return lane[i]; }
@@ -235,10 +233,7 @@ HELI_INLINE void follow(const LinearSystem& system, const FourWeathers& weathers
 
 // Sizes that are known let the compiler keep sums in registers: gusts and a drift about each axis,
 // and up to six states of effects.
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__)
-__attribute__((target_clones("avx2", "default")))
-#endif
-void follow_any(const LinearSystem& system, const FourWeathers& weathers, Lanes* values) {
+HELI_WIDE void follow_any(const LinearSystem& system, const FourWeathers& weathers, Lanes* values) {
   switch (system.states) {
 #define HELI_STATES(states)                   \
   case states:                                \

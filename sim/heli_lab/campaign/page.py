@@ -14,7 +14,8 @@ from matplotlib.ticker import MaxNLocator
 from heli_lab.campaign.run import Campaign
 from heli_lab.campaign.store import TABLE
 from heli_lab.campaign.summary import Column, Row, Summary
-from heli_lab.page import kept_figure, write_page
+from heli_lab.page import write_page
+from heli_lab.page.drawing import Drawing
 
 _MOST_DRAWN: Final = 12
 """Histograms of one picture; the table above it has all columns."""
@@ -27,7 +28,7 @@ def write_summary(campaign: Campaign, summary: Summary, folder: Path) -> Path:
     drawn = [one for one in summary.columns if len(np.unique(one.values)) > 1][:_MOST_DRAWN]
     picture = ""
     if drawn:
-        picture = kept_figure(figure_of(drawn, campaign.worst), folder / "distributions.png")
+        picture = str(Drawing().add(figure_of(drawn, campaign.worst), folder / "distributions.png"))
     return write_page(
         folder,
         _TEMPLATE,

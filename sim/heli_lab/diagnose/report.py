@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,9 +19,11 @@ from heli_lab.diagnose.summary import summary, title, weather_of
 from heli_lab.diagnose.words import SHOWN, curve_in_words, readable_id
 from heli_lab.identify import trace
 from heli_lab.identify.result import rounded
-from heli_lab.page import folder_with, kept_figure, write_page
+from heli_lab.page import folder_with, write_page
+from heli_lab.page.drawing import Drawing, Picture
 
 _WHEN: Final = ("before", "after")
+_Kept = Callable[[str, Any], Picture | None]
 _PAGE: Final = Path(__file__).with_name("report.html")
 _DOTS: Final = (
     "Each grey dot is 40 ms of the flights fitted, black ones are means. The torque is what a Kalman "
@@ -35,10 +37,11 @@ _POINTS: Final = (
 _NOTHING_FLEW: Final = Path(__file__).with_name("insufficient_excitation.html")
 
 
-def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
+def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | None = None) -> Path:
     """Write index.html, result.json and the figures as PNG into a `folder`, made if it is missing; return the
-    page.
+    page. A `drawing` that was begun earlier has its process beside ready.
     """
+    drawing = drawing or Drawing()
     numbers = to_json(diagnosis)
     folder = folder_with(numbers, folder)
     before, after = diagnosis.judgement.before[0].fit, diagnosis.judgement.after[0].fit
@@ -47,8 +50,8 @@ def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
     curves = diagnosis.curves
     extended = before is not after
 
-    def kept(name: str, figure: Any) -> str | None:
-        return None if figure is None else kept_figure(figure, folder / f"{name}.png")
+    def kept(name: str, figure: Any) -> Picture | None:
+        return None if figure is None else drawing.add(figure, folder / f"{name}.png")
 
     if diagnosis.proposed_law is not None:
         write_effect_file(diagnosis, folder)
@@ -60,18 +63,18 @@ def write_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
         extended=extended,
         sentence=numbers["sentence"],
         cautions=[_sentence(one) for one in numbers["cautions"]],
-        cause=_cause(laws, folder),
+        cause=_cause(laws, kept),
         judged="a flight that no fit saw" if diagnosis.after.held_out_fit else "the flight that was fitted",
         prediction=kept("prediction", figure_of_prediction(before, after, _axis(diagnosis, laws))),
         gain={
             "address": kept("gain", figure_of_gain(diagnosis.judgement.horizons, extended)),
             "rows": _gain(numbers["gain"]["axis"]),
         },
-        causes=[_found(one, folder) for one in numbers["causes"]],
+        causes=[_found(one, kept) for one in numbers["causes"]],
         unknown=_unknown(numbers["unexplained"]),
         curves=kept("curves", figures.figure_of_curves(curves)) if curves else None,
         weather=_weather(diagnosis, numbers),
-        law=_law(diagnosis, folder),
+        law=_law(diagnosis, kept),
         regimes=kept("regimes", law_figures.figure_of_failing_regimes(diagnosis.failing)),
         torque=kept("torque", figures.figure_of_torque(diagnosis)),
         ranking={
@@ -133,11 +136,11 @@ def _axis(diagnosis: Diagnosis, laws: Sequence[MissingLaw]) -> str:
     return laws[0].axis if laws and not diagnosis.extended.candidates else max(AXES, key=shows)
 
 
-def _cause(laws: Sequence[MissingLaw], folder: Path) -> dict[str, str] | None:
+def _cause(laws: Sequence[MissingLaw], kept: _Kept) -> dict[str, Any] | None:
     if not laws:
         return None
     return {
-        "address": kept_figure(figure_of_laws(laws), folder / "cause.png"),
+        "address": kept("cause", figure_of_laws(laws)),
         "meaning": "; ".join(f"missing {law.what} about {law.axis} against {law.on}" for law in laws),
         "caption": " ".join(
             [
@@ -153,7 +156,7 @@ def _caption(law: MissingLaw) -> str:
     return f"{name}: the law accounts for {100 * max(law.share, 0.0):.0f} % of the variance."
 
 
-def _law(diagnosis: Diagnosis, folder: Path) -> dict[str, Any] | None:
+def _law(diagnosis: Diagnosis, kept: _Kept) -> dict[str, Any] | None:
     """The law that is proposed, with its figure."""
     proposed = diagnosis.proposed_law
     if proposed is None:
@@ -168,7 +171,7 @@ def _law(diagnosis: Diagnosis, folder: Path) -> dict[str, Any] | None:
         "sentence": proposed.sentence,
         "evidence": f"Confidence {proposed.confidence:.2f}: log-likelihood ratio {discovery.train:.0f} nats "
         f"on the flights fitted, {confirmed}, the best of {discovery.tried} terms.",
-        "address": kept_figure(law_figures.figure_of_law(proposed), folder / "law.png"),
+        "address": kept("law", law_figures.figure_of_law(proposed)),
         "rows": [
             # A plain number in an expression is no share of anything.
             [name, f"{one['value']:g}", ""]
@@ -232,7 +235,7 @@ def _shown_unit(unit: str) -> str:
     return SHOWN.get(unit, (1.0, unit))[1]
 
 
-def _found(one: dict[str, Any], folder: Path) -> dict[str, Any]:
+def _found(one: dict[str, Any], kept: _Kept) -> dict[str, Any]:
     others = ", ".join(one["ambiguous_with"])
     evidence = ", ".join(
         f"{name.replace('_', ' ')} {value:.3g}"
@@ -246,7 +249,7 @@ def _found(one: dict[str, Any], folder: Path) -> dict[str, Any]:
         "sentence": _capital(one["sentence"]),
         "unclear": f" It could as well be {others}." if others else "",
         "latex": one["equation"],
-        "equation": kept_figure(equation, folder / f"equation-{one['effect']}.png") if equation else None,
+        "equation": kept(f"equation-{one['effect']}", equation),
         "rows": [
             [name, _plus_minus(n, n["unit"]), _shown_unit(n["unit"])] for name, n in one["parameters"].items()
         ],

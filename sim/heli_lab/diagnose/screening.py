@@ -21,10 +21,11 @@ from heli_lab.diagnose.spline_term import KNOTS
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import Estimate
 from heli_lab.innovations.bordered import solve_bordered
+from heli_lab.threads import shared_out, usual_threads
 
-_BATCH_NUMBERS: Final = 2_500_000
-"""Numbers of the regressors that are filtered together, 20 MB: 64 of them in a flight of a minute. The result
-does not depend on it, memory and time do."""
+_BATCH_NUMBERS: Final = 1_250_000
+"""Numbers of the regressors that a thread filters at once, 10 MB: 32 regressors of a flight of a minute. The
+result does not depend on it, memory and time do."""
 _PEAKS: Final = 4
 """Frequencies that are tried on each axis: the highest peaks of the missing torque's spectrum. Fewer: a
 periodic torque beside larger disturbances is lost. More: time."""
@@ -66,9 +67,16 @@ class Scored:
 
 
 class Screening:
-    """Scores candidates about an `estimate`."""
+    """Scores candidates about an `estimate`.
 
-    def __init__(self, estimate: Estimate) -> None:
+    Parameters
+    ----------
+    threads : int, optional
+        Threads that share out the candidates; `usual_threads` where not given. The scores do not depend on
+        it.
+    """
+
+    def __init__(self, estimate: Estimate, threads: int | None = None) -> None:
         self.estimate = estimate
         self.filtered = filtered = estimate.filtered()
         weather = estimate.weather
@@ -76,8 +84,12 @@ class Screening:
         self.regressors = tuple(Regressors(linear, functions) for linear in filtered.linears)
         self.seconds = max(float(one.trajectory.t_s[-1]) for one in filtered.linears)
         rows = max(one.rows for one in filtered.linears)
-        self.batch = max(KNOTS, _BATCH_NUMBERS // (rows * filtered.linears[0].states))
+        threads = usual_threads() if threads is None else threads
+        batch = _BATCH_NUMBERS // (rows * filtered.linears[0].states)
+        self.batch = max(KNOTS, batch)
         """Regressors that are filtered together, one flight after the other."""
+        # Of a long flight one such batch needs more memory than that already.
+        self._threads = threads if batch >= KNOTS else 1
         self._innovations = innovations = filtered.innovations_by_flight(weather)
         unknowns = estimate.unknowns
         self.measurements = sum(len(one) for one in innovations.flights)
@@ -108,18 +120,16 @@ class Screening:
 
     def score(self, candidates: Sequence[Candidate]) -> list[Score]:
         """Gain [nats], coefficients and their standard errors of each candidate by itself."""
-        results: list[Score] = []
-        group: list[Candidate] = []
-        width = 0
-        for candidate in [*candidates, None]:
-            size = 0 if candidate is None else max(1, len(candidate.linear_parameters))
-            if group and (candidate is None or width + size > self.batch):
-                results += self._score_group(group)
-                group, width = [], 0
-            if candidate is not None:
-                group.append(candidate)
-                width += size
-        return results
+        groups: list[list[Candidate]] = []
+        width = self.batch
+        for candidate in candidates:
+            size = max(1, len(candidate.linear_parameters))
+            if width + size > self.batch:
+                groups.append([])
+                width = 0
+            groups[-1].append(candidate)
+            width += size
+        return [score for scores in shared_out(self._score_group, groups, self._threads) for score in scores]
 
     def score_signals(
         self, signals: Iterable[tuple[Floats, Floats | None]], sizes: Sequence[int], priors: Sequence[Floats]
@@ -186,13 +196,13 @@ class Screening:
 
     def spline_information(self, candidates: Sequence[Candidate]) -> list[tuple[Floats, Floats]]:
         """The same of spline terms."""
-        found: list[tuple[Floats, Floats]] = []
         every = self.batch // KNOTS
-        for low in range(0, len(candidates), every):
-            group = candidates[low : low + every]
-            signals = (signals_of(maker, group) for maker in self.regressors)
-            found += self.information(signals, [len(one.linear_parameters) for one in group])
-        return found
+        groups = [candidates[low : low + every] for low in range(0, len(candidates), every)]
+        return [one for found in shared_out(self._spline_group, groups, self._threads) for one in found]
+
+    def _spline_group(self, group: Sequence[Candidate]) -> list[tuple[Floats, Floats]]:
+        signals = (signals_of(maker, group) for maker in self.regressors)
+        return self.information(signals, [len(one.linear_parameters) for one in group])
 
     def _score_group(self, candidates: Sequence[Candidate]) -> list[Score]:
         sizes = [max(1, len(candidate.linear_parameters)) for candidate in candidates]

@@ -8,8 +8,6 @@ the same loop runs in NumPy on CasADi's virtual machine.
 
 from __future__ import annotations
 
-import os
-
 from heli_sim.compiled import compile_source
 from heli_sim.model.base import Model
 
@@ -17,6 +15,7 @@ from heli_lab.identify.compiled_kernel import CompiledKernel, driver
 from heli_lab.identify.functions import Functions
 from heli_lab.identify.interpreted_kernel import InterpretedKernel
 from heli_lab.identify.windows import Kernel
+from heli_lab.threads import usual_threads
 
 __all__ = ["Kernel", "kernel"]
 
@@ -31,10 +30,3 @@ def kernel(model: Model, free: tuple[str, ...], threads: int | None = None) -> K
     if library is None:
         return InterpretedKernel(functions)
     return CompiledKernel(functions, str(library), usual_threads() if threads is None else threads)
-
-
-def usual_threads() -> int:
-    """Threads of a process that was not told how many: two, or one where ``OMP_NUM_THREADS`` is 1, which is
-    how one says that other processes have the other cores.
-    """
-    return 1 if os.environ.get("OMP_NUM_THREADS") == "1" else 2

@@ -12,17 +12,19 @@ from heli_lab.identify.figures import figure_of_correlations, figure_of_flight, 
 from heli_lab.identify.result import Identification, rounded
 from heli_lab.identify.thresholds import NOTHING_LEFT
 from heli_lab.identify.uncertainty import Combination
-from heli_lab.page import folder_with, kept_figure, write_page
+from heli_lab.page import folder_with, write_page
+from heli_lab.page.drawing import Drawing
 
 
-def write_report(identification: Identification, folder: str | Path) -> Path:
+def write_report(identification: Identification, folder: str | Path, drawing: Drawing | None = None) -> Path:
     """Write index.html, result.json and the figures as PNG into a `folder`, made if it is missing; return the
-    page.
+    page. A `drawing` that was begun earlier has its process beside ready.
     """
+    drawing = drawing or Drawing()
     folder = folder_with(identification.json(), folder)
     flights = [
         {
-            "address": kept_figure(figure_of_flight(trace, role), folder / f"{role}-{number}.png"),
+            "address": drawing.add(figure_of_flight(trace, role), folder / f"{role}-{number}.png"),
             "meaning": f"{trace.label}, {role}",
         }
         for role, traces in (
@@ -41,10 +43,10 @@ def write_report(identification: Identification, folder: str | Path) -> Path:
         errors=_errors(identification),
         flights=flights,
         parameters=_parameters(identification),
-        parameters_figure=kept_figure(figure_of_parameters(identification), folder / "parameters.png"),
+        parameters_figure=drawing.add(figure_of_parameters(identification), folder / "parameters.png"),
         combinations=[_combination(one) for one in identification.combinations],
         pairs=[[a, b, f"{value:.3f}"] for a, b, value in identification.strong_correlations],
-        correlations_figure=kept_figure(figure_of_correlations(identification), folder / "correlations.png"),
+        correlations_figure=drawing.add(figure_of_correlations(identification), folder / "correlations.png"),
         used=_used(identification),
         ended=f"The fit {end} in {fit.seconds:.1f} s and {fit.evaluations} evaluations.",
     )

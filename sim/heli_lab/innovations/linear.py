@@ -28,6 +28,7 @@ from heli_lab.identify.grid import make_grid
 from heli_lab.innovations import _kalman
 from heli_lab.innovations.course import Course
 from heli_lab.innovations.evaluate import OWN_SUBSTEPS, AlongCourse, OwnStates, Trajectory
+from heli_lab.threads import shared_out, usual_threads
 
 BLOCK_s: Final = 0.04
 """Time from one measurement of the filter to the next. Encoders at rest repeat a count for tens of
@@ -240,7 +241,7 @@ class Linear:
         self.windows = [slice(int(low), int(high)) for low, high in itertools.pairwise(edges)]
         self._place(parameters)
         self.states = 6 + functions.own_states
-        self.blocks = [self._window(window) for window in self.windows]
+        self.blocks = self._windows()
 
     def _place(self, parameters: Floats) -> None:
         """Lay out the points of the course about which the model is linearised."""
@@ -300,32 +301,47 @@ class Linear:
         angles[:, :, 0] = self._measured[rows] - at_node
         return Derivatives(*_kalman.midpoint(a, h), rates, by_torque, c, angles)
 
-    def _window(self, window: slice) -> Blocks:
+    def _windows(self) -> list[Blocks]:
+        """Lay out the windows and linearise in them, so many steps together."""
         size, states, n = 1 + len(self.functions.free), self.states, self.block
-        firsts = np.arange(window.start, window.stop - n + 1, n)
-        count = len(firsts)
-        transition, part_input = np.empty((count, states, states)), np.empty((n, count, states, 3))
-        measurement, drive = np.empty((count, 3, states)), np.empty((count, states, size))
-        measured = np.empty((count, 3, size))
-        stride = max(1, _TOGETHER // n) * n
-        for low in range(window.start, window.start + count * n, stride):
-            rows = slice(low, min(low + stride, window.start + count * n))
-            found = self.derivatives(rows)
-            into = slice((low - window.start) // n, (rows.stop - window.start) // n)
-            drive[into] = _kalman.over_blocks(found.Phi, found.Gamma, found.rates, n)
-            drive[into, :, :1] += _kalman.over_blocks(found.Phi, found.Phi, self._moved(rows), n)
-            measured[into], measurement[into] = found.angles_rad[::n], found.C[::n]
-            over = np.broadcast_to(np.eye(states), (into.stop - into.start, states, states))
-            parts: list[Floats] = []
-            for step in range(n):
-                phi = found.Phi[step::n]
-                over = np.asarray(phi @ over, float)
-                parts = [phi @ part for part in parts]
-                parts.append(found.Gamma[step::n] @ found.by_torque[step::n])
-            transition[into], part_input[:, into] = over, parts
-        return Blocks(
-            firsts, transition, part_input, measurement, self.variance_rad2[firsts], drive, measured
-        )
+        together = max(1, min(_TOGETHER, -(-self.rows // usual_threads())) // n) * n
+        found: list[Blocks] = []
+        parts: list[tuple[Blocks, slice, slice]] = []
+        for window in self.windows:
+            firsts = np.arange(window.start, window.stop - n + 1, n)
+            count = len(firsts)
+            blocks = Blocks(
+                firsts,
+                np.empty((count, states, states)),
+                np.empty((n, count, states, 3)),
+                np.empty((count, 3, states)),
+                self.variance_rad2[firsts],
+                np.empty((count, states, size)),
+                np.empty((count, 3, size)),
+            )
+            found.append(blocks)
+            for low in range(0, count * n, together):
+                high = min(low + together, count * n)
+                rows = slice(window.start + low, window.start + high)
+                parts.append((blocks, slice(low // n, high // n), rows))
+        shared_out(lambda part: self._fill(*part), parts)
+        return found
+
+    def _fill(self, blocks: Blocks, into: slice, rows: slice) -> None:
+        """Linearise in the steps `rows`, which make the blocks `into`."""
+        n = self.block
+        found = self.derivatives(rows)
+        blocks.drive[into] = _kalman.over_blocks(found.Phi, found.Gamma, found.rates, n)
+        blocks.drive[into, :, :1] += _kalman.over_blocks(found.Phi, found.Phi, self._moved(rows), n)
+        blocks.measured_rad[into], blocks.measurement[into] = found.angles_rad[::n], found.C[::n]
+        over = np.broadcast_to(np.eye(self.states), (into.stop - into.start, self.states, self.states))
+        parts: list[Floats] = []
+        for step in range(n):
+            phi = found.Phi[step::n]
+            over = np.asarray(phi @ over, float)
+            parts = [phi @ part for part in parts]
+            parts.append(found.Gamma[step::n] @ found.by_torque[step::n])
+        blocks.transition[into], blocks.part_input[:, into] = over, parts
 
     def _moved(self, rows: slice) -> Floats:
         """What a step's measurement has moved of the course before it, shape (n, states, 1)."""

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-_DPI: Final = 110
 _HERE: Final = Path(__file__).parent
 
 
@@ -54,13 +48,3 @@ def write_page(folder: Path, template: Path, **content: Any) -> Path:
     page = folder / "index.html"
     page.write_text(environment.get_template(template.name).render(content), encoding="utf-8")
     return page
-
-
-def kept_figure(figure: Figure, path: Path) -> str:
-    """Write a drawn `figure` as PNG, 110 dots per inch, to `path`; return it as an address that holds the
-    whole picture, so that a page needs no other file.
-    """
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI)
-    path.write_bytes(buffer.getvalue())
-    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"

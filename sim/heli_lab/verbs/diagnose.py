@@ -94,6 +94,8 @@ def diagnose(
     from heli_lab.diagnose.summary import summary
     from heli_lab.errors import NotExcited
     from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_flights, refuse_wrong_signs
+    from heli_lab.page.drawing import Drawing
+    from heli_lab.threads import usual_threads
 
     # What libraries keep is no garbage: to look through it again and again took 8 % of a diagnosis.
     gc.freeze()
@@ -104,7 +106,8 @@ def diagnose(
     kinds = catalogue(effects or ())
     found: Diagnosis | InsufficientExcitation
     written: list[Path | None] = []
-    with WorkBar() as bar:
+    beside = report is not None and usual_threads() > 1
+    with WorkBar() as bar, Drawing(beside) as drawing:
         bar.show("reading", 0.0)
         spans = parts(start_s or (), stop_s or (), len(flights), len(others))
         read = read_flights([*flights, *others], allow_gaps)
@@ -143,7 +146,7 @@ def diagnose(
             if isinstance(found, InsufficientExcitation):
                 written.append(write_insufficient_excitation(found, report))
             else:
-                written.append(write_report(found, report))
+                written.append(write_report(found, report, drawing))
         if not isinstance(found, InsufficientExcitation) and found.proposed_law is not None:
             place = report or (out.parent if out is not None and with_law else None)
             if place is not None:

@@ -58,12 +58,15 @@ def identify(
     from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_flights, refuse_wrong_signs
     from heli_lab.identify.report import verdict, write_report
     from heli_lab.identify.run import identify as find
+    from heli_lab.page.drawing import Drawing
+    from heli_lab.threads import usual_threads
 
     others = validate or []
     data_on_stdout(json)
     check_result_places(out, json, report=report)
     given = fit_inputs(flights, others, rig, model, effects or (), effect or ())
-    with WorkBar() as bar:
+    beside = report is not None and usual_threads() > 1
+    with WorkBar() as bar, Drawing(beside) as drawing:
         bar.show("reading", 0.0)
         spans = parts(start_s or (), stop_s or (), len(flights), len(others))
         read = read_flights([*flights, *others], allow_gaps)
@@ -93,7 +96,7 @@ def identify(
             written.append(out)
         if report is not None:
             bar.show("drawing", 0.9)
-            written.append(write_report(found, report))
+            written.append(write_report(found, report, drawing))
         write_numbers(json, found.json())
         written.append(json)
     _print(found)

@@ -1,0 +1,72 @@
+"""Figures come out the same whoever draws them, and none is lost when the process beside dies."""
+
+from __future__ import annotations
+
+import base64
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from heli_lab.page import drawing
+from heli_lab.page.drawing import Drawing, png_of
+from matplotlib.figure import Figure
+
+
+def figure(number: int, points: int = 2) -> Figure:
+    drawn = Figure(figsize=(2, 1))
+    drawn.subplots().plot([number] * points, label="$x^2$")
+    return drawn
+
+
+def test_a_process_beside_draws_the_same_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = [png_of(figure(number)) for number in range(3)]
+    with Drawing(beside=True) as some:
+        added = [some.add(figure(number), tmp_path / f"{number}.png") for number in range(3)]
+        # None of them is drawn here.
+        monkeypatch.setattr(drawing, "png_of", lambda _: pytest.fail("drawn here"))
+        while some.waiting:
+            time.sleep(0.01)
+        addresses = [str(one) for one in added]
+    assert [(tmp_path / f"{number}.png").read_bytes() for number in range(3)] == expected
+    assert [base64.b64decode(one.partition(",")[2]) for one in addresses] == expected
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="ended by a signal")
+def test_what_a_killed_process_was_drawing_is_drawn_here(tmp_path: Path) -> None:
+    with Drawing(beside=True) as some:
+        first = some.add(figure(1), tmp_path / "1.png")
+        while some.process is None:
+            time.sleep(0.01)
+        os.kill(some.process.pid, signal.SIGKILL)
+        # More than a pipe holds.
+        second = some.add(figure(2, 100_000), tmp_path / "2.png")
+        assert str(second)
+        assert str(first)
+    assert (tmp_path / "1.png").read_bytes() == png_of(figure(1))
+    assert (tmp_path / "2.png").read_bytes() == png_of(figure(2, 100_000))
+
+
+def test_without_a_process_all_is_drawn_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(drawing.subprocess, "Popen", lambda *_, **__: pytest.fail("a process was started"))
+    assert base64.b64decode(str(Drawing().add(figure(4), tmp_path / "4.png")).partition(",")[2]) == png_of(
+        figure(4)
+    )
+
+
+def test_a_process_that_does_not_start_costs_no_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(drawing.sys, "executable", str(tmp_path / "no python"))
+    with Drawing(beside=True) as some:
+        assert str(some.add(figure(5), tmp_path / "5.png"))
+
+
+def test_no_process_is_left_behind_when_what_was_to_be_drawn_never_came() -> None:
+    with pytest.raises(KeyError), Drawing(beside=True) as some:
+        while some.process is None:
+            time.sleep(0.01)
+        raise KeyError
+    assert some.process.poll() is not None

@@ -1,0 +1,55 @@
+"""Work shared out to threads comes to the same, and what goes wrong in one of them is told."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from heli_lab.diagnose.candidate import spline_candidates
+from heli_lab.diagnose.model_comparison import Comparison
+from heli_lab.diagnose.screening import Screening
+from heli_lab.threads import shared_out
+from heli_sim.model import MultibodyModel
+
+from tests.innovations.made import RIG, windy
+
+
+def test_results_come_in_the_order_of_the_items() -> None:
+    def slow_at_first(number: int) -> tuple[int, str]:
+        time.sleep(0.05 if number == 0 else 0.0)
+        return number, threading.current_thread().name
+
+    found = shared_out(slow_at_first, range(6), 2)
+    assert [number for number, _ in found] == list(range(6))
+    assert len({name for _, name in found}) == 2
+
+
+def test_a_share_is_not_shared_out_again() -> None:
+    def nested(_: int) -> set[str]:
+        return set(shared_out(lambda _: threading.current_thread().name, range(4), 2))
+
+    # With the workers of one pool waiting for each other it would never end.
+    assert all(len(names) == 1 for names in shared_out(nested, range(4), 2))
+
+
+def test_what_a_thread_raises_is_raised_here() -> None:
+    with pytest.raises(ZeroDivisionError):
+        shared_out(lambda number: 1 / number, [1, 0, 2], 2)
+
+
+@pytest.mark.diagnosis
+def test_estimates_and_scores_are_the_same_with_one_thread_and_with_two(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def found(threads: str) -> list[np.ndarray]:
+        monkeypatch.setenv("OMP_NUM_THREADS", threads)
+        estimate = Comparison(MultibodyModel(), RIG, [windy()], []).refit([]).estimate
+        screening = Screening(estimate)
+        gains = [one.log_likelihood_gain for one in screening.splines()]
+        information = screening.spline_information(spline_candidates(screening.filtered.linears))
+        return [estimate.theta, estimate.weather.point, np.array(gains), *(one for one, _ in information)]
+
+    for one, two in zip(found("1"), found("2"), strict=True):
+        assert np.array_equal(one, two)
