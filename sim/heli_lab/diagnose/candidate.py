@@ -136,12 +136,7 @@ class Regressors:
         """
         effect = candidate.effect
         assert isinstance(effect, SplineTerm)
-        if effect.channel not in self._channels:
-            function = self._functions.of(f"spline:{effect.channel}", effect, ())
-            # Any term of the channel will do: with all coefficients 1 the bumps add up to 1.
-            values = {**function.effect.values, **dict.fromkeys(function.effect.priors, 1.0)}
-            self._channels[effect.channel] = function.run(self.linear.trajectory, values, self._directions)
-        rates, measured = self._channels[effect.channel]
+        rates, measured = self.influence(effect)
         where = "nodes" if effect.channel.startswith("measurement") else "middle"
         if where not in self._quantities:
             at = self.linear.nodes if where == "nodes" else self.linear.trajectory
@@ -149,6 +144,17 @@ class Regressors:
         low, step = effect.values[f"{effect.name}_low"], effect.values[f"{effect.name}_step"]
         weights = bspline_basis(self._quantities[where][effect.on], low, step)[:, None, :]
         return rates * weights, measured * weights if np.any(measured) else None
+
+    def influence(self, effect: SplineTerm) -> tuple[Floats, Floats]:
+        """Changes of rates and measured angles by one unit of a term's channel, shapes (n, states, 1) and
+        (n, 3, 1). The first term that is asked for makes them for all terms of its channel.
+        """
+        if effect.channel not in self._channels:
+            function = self._functions.of(f"spline:{effect.channel}", effect, ())
+            # Any term of the channel will do: with all coefficients 1 the bumps add up to 1.
+            values = {**function.effect.values, **dict.fromkeys(function.effect.priors, 1.0)}
+            self._channels[effect.channel] = function.run(self.linear.trajectory, values, self._directions)
+        return self._channels[effect.channel]
 
     def signals(self, candidate: Candidate) -> tuple[Floats, Floats | None]:
         """Changes of the rates and of the measured angles for one unit of each coefficient.

@@ -17,7 +17,7 @@ from heli_lab.diagnose.candidate import (
     effect_candidates,
     spline_candidates,
 )
-from heli_lab.diagnose.spline_term import KNOTS
+from heli_lab.diagnose.spline_term import KNOTS, SplineTerm
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import Estimate
 from heli_lab.innovations.bordered import solve_bordered
@@ -112,6 +112,7 @@ class Screening:
     def splines(self, number: int = 0) -> list[Scored]:
         """Score every spline term, the highest score first; `number` distinguishes those of one model."""
         candidates = spline_candidates(self.filtered.linears, number)
+        self._prepare(candidates)
         found = [
             Scored(candidate, *score, 1)
             for candidate, score in zip(candidates, self.score(candidates), strict=True)
@@ -196,9 +197,17 @@ class Screening:
 
     def spline_information(self, candidates: Sequence[Candidate]) -> list[tuple[Floats, Floats]]:
         """The same of spline terms."""
+        self._prepare(candidates)
         every = self.batch // KNOTS
         groups = [candidates[low : low + every] for low in range(0, len(candidates), every)]
         return [one for found in shared_out(self._spline_group, groups, self._threads) for one in found]
+
+    def _prepare(self, candidates: Iterable[Candidate]) -> None:
+        """Make what spline terms of a channel share, by the first of them whichever thread comes first."""
+        for maker in self.regressors:
+            for candidate in candidates:
+                if isinstance(candidate.effect, SplineTerm):
+                    maker.influence(candidate.effect)
 
     def _spline_group(self, group: Sequence[Candidate]) -> list[tuple[Floats, Floats]]:
         signals = (signals_of(maker, group) for maker in self.regressors)
