@@ -28,8 +28,8 @@ _C: Final = """
 
 #define NS %(ns)d
 
-/* Loops over the derivatives are worth vectorising, and are compiled for wider vectors too where the loader can
-   choose. Nothing is contracted: every machine finds the same numbers. */
+/* Loops over the derivatives are worth vectorising, and are compiled for wider vectors too where the
+   loader can choose. Nothing is contracted: every machine finds the same numbers. */
 #if defined(__GNUC__) && !defined(__clang__)
 #define INLINE static inline __attribute__((always_inline))
 #if defined(__x86_64__) && defined(__linux__)
@@ -137,7 +137,8 @@ INLINE void add_products(const double* row, double (*normal)[NP]) {
   }
 }
 
-WIDE void heli_windows(long long windows, const long long* first, const long long* steps, const double* start_s,
+WIDE
+void heli_windows(long long windows, const long long* first, const long long* steps, const double* start_s,
                   double step_s, long long substeps, const double* mean, const double* change,
                   const double** mean_by, const double** change_by, const double* x0,
                   const double* p, double* angles, double* jacobian, double* end,
