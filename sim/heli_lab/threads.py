@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import cache
 from typing import TypeVar
 
@@ -13,19 +14,33 @@ _T = TypeVar("_T")
 _Item = TypeVar("_Item")
 
 
-def usual_threads() -> int:
-    """Threads of a process that was not told how many: two, or one where ``OMP_NUM_THREADS`` is 1, which is
-    how one says that other processes have the other cores.
-    """
-    return 1 if os.environ.get("OMP_NUM_THREADS") == "1" else 2
-
-
 class _Here(threading.local):
     shared = False
     """Whether this thread does a share of a work, so that it shares out nothing itself."""
+    threads: int | None = None
 
 
 _here = _Here()
+
+
+def usual_threads() -> int:
+    """Threads of a work that was not told how many: two, or one where ``OMP_NUM_THREADS`` is 1, which is how
+    one says that other processes have the other cores.
+    """
+    if _here.threads is not None:
+        return _here.threads
+    return 1 if os.environ.get("OMP_NUM_THREADS") == "1" else 2
+
+
+@contextmanager
+def using_threads(threads: int | None) -> Iterator[None]:
+    """Have works in this block use so many `threads`, 1 or more, as usual ones; None changes nothing."""
+    before = _here.threads
+    _here.threads = before if threads is None else threads
+    try:
+        yield
+    finally:
+        _here.threads = before
 
 
 @cache

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import os
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -50,7 +51,7 @@ def test_what_a_killed_process_was_drawing_is_drawn_here(tmp_path: Path) -> None
 
 
 def test_without_a_process_all_is_drawn_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(drawing.subprocess, "Popen", lambda *_, **__: pytest.fail("a process was started"))
+    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a process was started"))
     assert base64.b64decode(str(Drawing().add(figure(4), tmp_path / "4.png")).partition(",")[2]) == png_of(
         figure(4)
     )
@@ -59,7 +60,7 @@ def test_without_a_process_all_is_drawn_here(tmp_path: Path, monkeypatch: pytest
 def test_a_process_that_does_not_start_costs_no_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(drawing.sys, "executable", str(tmp_path / "no python"))
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "no python"))
     with Drawing(beside=True) as some:
         assert str(some.add(figure(5), tmp_path / "5.png"))
 
@@ -69,4 +70,5 @@ def test_no_process_is_left_behind_when_what_was_to_be_drawn_never_came() -> Non
         while some.process is None:
             time.sleep(0.01)
         raise KeyError
+    assert some.process is not None
     assert some.process.poll() is not None

@@ -10,7 +10,7 @@ import pytest
 from heli_lab.diagnose.candidate import spline_candidates
 from heli_lab.diagnose.model_comparison import Comparison
 from heli_lab.diagnose.screening import Screening
-from heli_lab.threads import shared_out
+from heli_lab.threads import shared_out, using_threads, usual_threads
 from heli_sim.model import MultibodyModel
 
 from tests.innovations.made import RIG, windy
@@ -39,17 +39,29 @@ def test_what_a_thread_raises_is_raised_here() -> None:
         shared_out(lambda number: 1 / number, [1, 0, 2], 2)
 
 
+def test_a_block_uses_the_threads_that_it_was_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    with using_threads(3):
+        with using_threads(None):
+            assert usual_threads() == 3
+        assert len({*shared_out(_name_after_a_while, range(3))}) > 1
+    assert usual_threads() == 1
+
+
+def _name_after_a_while(_: int) -> str:
+    time.sleep(0.05)
+    return threading.current_thread().name
+
+
 @pytest.mark.diagnosis
-def test_estimates_and_scores_are_the_same_with_one_thread_and_with_two(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def found(threads: str) -> list[np.ndarray]:
-        monkeypatch.setenv("OMP_NUM_THREADS", threads)
-        estimate = Comparison(MultibodyModel(), RIG, [windy()], []).refit([]).estimate
-        screening = Screening(estimate)
-        gains = [one.log_likelihood_gain for one in screening.splines()]
-        information = screening.spline_information(spline_candidates(screening.filtered.linears))
+def test_estimates_and_scores_are_the_same_with_one_thread_and_with_two() -> None:
+    def found(threads: int) -> list[np.ndarray]:
+        with using_threads(threads):
+            estimate = Comparison(MultibodyModel(), RIG, [windy()], []).refit([]).estimate
+            screening = Screening(estimate)
+            gains = [one.log_likelihood_gain for one in screening.splines()]
+            information = screening.spline_information(spline_candidates(screening.filtered.linears))
         return [estimate.theta, estimate.weather.point, np.array(gains), *(one for one, _ in information)]
 
-    for one, two in zip(found("1"), found("2"), strict=True):
+    for one, two in zip(found(1), found(2), strict=True):
         assert np.array_equal(one, two)

@@ -113,15 +113,14 @@ def predict(
     estimate: Estimate,
     train: Sequence[Record],
     held_out: Sequence[Record],
-    threads: int | None = None,
 ) -> Prediction:
     """Predict flights by free runs with the parameters of an estimate in innovations form.
 
     What differs from flight to flight, encoder zeros and a constant torque about each axis, is ruled by the
-    free run itself: filtered innovations tell little of such constants. `threads` are those of `Problem`.
+    free run itself: filtered innovations tell little of such constants.
     """
-    fit = _free_run(estimate, train, threads, own=True)
-    held_out_fit = _free_run(estimate, held_out, threads, own=False) if held_out else None
+    fit = _free_run(estimate, train, own=True)
+    held_out_fit = _free_run(estimate, held_out, own=False) if held_out else None
     errors_train = errors(fit)
     return Prediction(
         tuple(candidates),
@@ -132,7 +131,7 @@ def predict(
     )
 
 
-def _free_run(estimate: Estimate, records: Sequence[Record], threads: int | None, own: bool) -> Fit:
+def _free_run(estimate: Estimate, records: Sequence[Record], own: bool) -> Fit:
     """Fit zeros, constant torques and initial states of `records`, everything else as estimated; `own` says
     that these are the records of the estimate, whose free parameters and covariance the result then has.
     """
@@ -153,7 +152,6 @@ def _free_run(estimate: Estimate, records: Sequence[Record], threads: int | None
         step_s=_STEP_s,
         priors=local,
         values=shared,
-        threads=threads,
     )
     fit = solve(problem, robust=False, scatter=False)
     if not own:

@@ -40,6 +40,7 @@ from heli_lab.diagnose.thresholds import AMBIGUOUS, MANY_UNDETECTABLE, SHORT_s
 from heli_lab.diagnose.verdict import Verdict, ambiguous_with, judge
 from heli_lab.errors import IdentifyError, NotExcited
 from heli_lab.identify import Record, prepare
+from heli_lab.threads import using_threads
 
 
 def diagnose(
@@ -82,7 +83,8 @@ def diagnose(
         Free flight of each validation flight that its zeros and torques are estimated from before the rest is
         judged, at most a third of it; `CALIBRATE_s` where not given.
     threads : int, optional
-        Threads of the free runs, see `Problem`; nothing else uses more than one.
+        Threads that candidates, windows and weathers are shared out to; `usual_threads` where not given. The
+        result does not depend on it.
     resume : Path, optional
         File that keeps what was worked out; a search that ended early goes on from it, and ends as one that
         never stopped.
@@ -98,64 +100,67 @@ def diagnose(
         nothing of one to judge, or the file to `resume` is of
         another search.
     """
-    started_s = time.perf_counter()
-    tell = say or (lambda _what, _share: None)
-    every = catalogue() if kinds is None else dict(kinds)
-    names = list(labels or [f"flight {i + 1}" for i in range(len(flights) + len(validation))])
-    train, lost = _ready(flights, names[: len(flights)], rig, start_s, stop_s)
-    if not train:
-        raise lost[0]
-    held_out, lost_held = _ready(validation, names[len(flights) :], rig, None, None)
-    _refuse_twins(train, held_out)
-    for record in held_out:
-        calibration_s(record, calibrate_s)
-    kept = KeptEstimates(resume, digest_of(model, rig, [*train, *held_out])) if resume else None
-    comparison = Comparison(model, rig, train, held_out, seed=seed, kept=kept)
-    known = {effect.name for effect in model.effects}
-    tried = {id_: kind for id_, kind in every.items() if _candidate(kind, model, known)}
-    reached = _searched(comparison, tried, every, every.values(), tell, refits, threads)
-    if reached.verdict.label == "unexplained" and any(
-        one.candidate.id in every and every[one.candidate.id].override for one in reached.verdict.causes
-    ):
-        # What is missing takes the place of a term that the rig states closely: where something is, no such
-        # term is said to be absent.
-        reached = _searched(comparison, tried, every, (), tell, refits, threads)
-    found, verdict = reached.search, reached.verdict
-    before, after = reached.before, reached.after
-    undetectable = undetectable_effects(found.rounds[-1].screened, every)
-    runs_before = free_runs(before.fit, held_out, calibrate_s)
-    runs_after = runs_before if after is before else free_runs(after.fit, held_out, calibrate_s)
-    spline_gains: Mapping[str, ErrorReduction] = {}
-    if verdict.off_list:
-        final = predict(found.final.candidates, found.final.estimate, train, held_out, threads)
-        spline_gains = judgement(runs_before, free_runs(final.fit, held_out, calibrate_s), seed).horizons["2"]
-    proposed: ProposedLaw | None = None
-    if verdict.label == "unexplained" and comparison.fits < refits:
-        tell("looking for the law of what is missing", 0.92)
-        curve = found.final if verdict.off_list else None
-        proposed = propose_law(
-            comparison, reached.extended, curve, runs_before, calibrate_s, seed, refits, tell
+    with using_threads(threads):
+        started_s = time.perf_counter()
+        tell = say or (lambda _what, _share: None)
+        every = catalogue() if kinds is None else dict(kinds)
+        names = list(labels or [f"flight {i + 1}" for i in range(len(flights) + len(validation))])
+        train, lost = _ready(flights, names[: len(flights)], rig, start_s, stop_s)
+        if not train:
+            raise lost[0]
+        held_out, lost_held = _ready(validation, names[len(flights) :], rig, None, None)
+        _refuse_twins(train, held_out)
+        for record in held_out:
+            calibration_s(record, calibrate_s)
+        kept = KeptEstimates(resume, digest_of(model, rig, [*train, *held_out])) if resume else None
+        comparison = Comparison(model, rig, train, held_out, seed=seed, kept=kept)
+        known = {effect.name for effect in model.effects}
+        tried = {id_: kind for id_, kind in every.items() if _candidate(kind, model, known)}
+        reached = _searched(comparison, tried, every, every.values(), tell, refits)
+        if reached.verdict.label == "unexplained" and any(
+            one.candidate.id in every and every[one.candidate.id].override for one in reached.verdict.causes
+        ):
+            # What is missing takes the place of a term that the rig states closely: where something is, no
+            # such term is said to be absent.
+            reached = _searched(comparison, tried, every, (), tell, refits)
+        found, verdict = reached.search, reached.verdict
+        before, after = reached.before, reached.after
+        undetectable = undetectable_effects(found.rounds[-1].screened, every)
+        runs_before = free_runs(before.fit, held_out, calibrate_s)
+        runs_after = runs_before if after is before else free_runs(after.fit, held_out, calibrate_s)
+        spline_gains: Mapping[str, ErrorReduction] = {}
+        if verdict.off_list:
+            final = predict(found.final.candidates, found.final.estimate, train, held_out)
+            spline_gains = judgement(runs_before, free_runs(final.fit, held_out, calibrate_s), seed).horizons[
+                "2"
+            ]
+        proposed: ProposedLaw | None = None
+        if verdict.label == "unexplained" and comparison.fits < refits:
+            tell("looking for the law of what is missing", 0.92)
+            curve = found.final if verdict.off_list else None
+            proposed = propose_law(
+                comparison, reached.extended, curve, runs_before, calibrate_s, seed, refits, tell
+            )
+        return Diagnosis(
+            found,
+            verdict,
+            reached.remaining,
+            reached.extended,
+            before,
+            after,
+            judgement(runs_before, runs_after, seed),
+            spline_gains,
+            reached.absent,
+            every,
+            undetectable,
+            tuple(unidentifiable_parameters(found.baseline.estimate)),
+            tuple(str(one) for one in (*lost, *lost_held)),
+            _next(comparison, verdict, found, reached.extended, every, undetectable),
+            time.perf_counter() - started_s,
+            calibrate_s,
+            comparison.fits,
+            proposed,
         )
-    return Diagnosis(
-        found,
-        verdict,
-        reached.remaining,
-        reached.extended,
-        before,
-        after,
-        judgement(runs_before, runs_after, seed),
-        spline_gains,
-        reached.absent,
-        every,
-        undetectable,
-        tuple(unidentifiable_parameters(found.baseline.estimate)),
-        tuple(str(one) for one in (*lost, *lost_held)),
-        _next(comparison, verdict, found, reached.extended, every, undetectable),
-        time.perf_counter() - started_s,
-        calibrate_s,
-        comparison.fits,
-        proposed,
-    )
 
 
 @dataclass(frozen=True)
@@ -178,7 +183,6 @@ def _searched(
     removable: Iterable[EffectKind],
     tell: Callable[[str, float], None],
     refits: float,
-    threads: int | None,
 ) -> _Reached:
     found = search(comparison, tried, removable=tuple(removable), say=tell, refits=refits)
     tell("looking at what remains", 0.9)
@@ -188,11 +192,11 @@ def _searched(
     judged = [Screening(comparison.held_out_estimate(found.final))] if enough else []
     remaining = residual_analysis([found.screening, *judged])
     extended = _extended(comparison, found)
-    before = predict((), found.baseline.estimate, train, held_out, threads)
+    before = predict((), found.baseline.estimate, train, held_out)
     after = (
         before
         if extended is found.baseline
-        else predict(extended.candidates, extended.estimate, train, held_out, threads)
+        else predict(extended.candidates, extended.estimate, train, held_out)
     )
     absent = tuple(absent_terms(after.fit, comparison.rig, every))
     verdict = judge(found, remaining, after, every, bool(absent))
