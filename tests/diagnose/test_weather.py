@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import numpy as np
 import pytest
 from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
+from heli_lab.diagnose.verdict import gust_alone
 from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig
 
 from tests.diagnose.hidden import WHOLE_S, flights
@@ -59,3 +63,11 @@ def test_gust_about_one_axis_is_a_random_torque_of_its_size() -> None:
     sigma = cause["parameters"]["random_torque_travel_Nm"]
     assert abs(sigma["value"] - 0.03) < 3.0 * sigma["std"]
     assert numbers["residual"]["innovations"]["foretold_by"] == []
+
+
+def test_torques_without_memory_are_no_gust() -> None:
+    remaining = diagnosed(_GUST).residual_analysis
+    assert gust_alone(remaining, catalogue())
+    # What friction that catches leaves: nothing that blows is over before the next measurement.
+    short = replace(remaining.weather, memory_s=np.full(3, 0.03))
+    assert not gust_alone(replace(remaining, weather=short), catalogue())

@@ -100,6 +100,11 @@ GUST_BESIDE: Final = 15.0
 """The same about any other axis, above which they are weather, which every rig has, and no cause. By
 judgement."""
 
+GUST_LEAST_s: Final = 0.05
+"""Memory from which on they may be one: a little more than a measurement of the filter, 0.04 s. Set on a case
+of the blind set (2026-11): dry friction that holds the arm for moments leaves torques of 7.5 mN m without
+memory. Lower: that is called a gust. Higher: the shortest gusts of the catalogue's grid are weather."""
+
 HELD_OUT_EVEN: Final = 0.0
 """Log-likelihood ratio on flights that had no part in the choice, nats, at which a cause is as likely as not
 by these flights alone."""

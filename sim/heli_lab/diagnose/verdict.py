@@ -64,23 +64,26 @@ def judge(
     causes = tuple(one for one in search.causes if not one.candidate.is_spline)
     off_list = tuple(one for one in search.causes if one.candidate.is_spline)
     shows = max(after.train.normalised, after.held_out.normalised) > thresholds.AT_NOISE_FLOOR
-    order = np.sort(remaining.gains)
-    kind = kinds.get(f"random_torque.{remaining.axis}")
-    least_Nm = thresholds.GUST_SHARE * kind.typical[kind.size[0]] if kind else math.inf
-    gust = bool(
-        shows
-        and order[-1] > thresholds.GUST_MIN
-        and order[-2] < thresholds.GUST_BESIDE
-        and remaining.weather.gust_Nm[AXES.index(remaining.axis)] > least_Nm
-        and not off_list
-        and not remaining.dependences
-    )
+    gust = shows and not off_list and not remaining.dependences and gust_alone(remaining, kinds)
     if shows and (off_list or remaining.dependences):
         return Verdict("unexplained", causes, off_list, False)
     if causes:
         unclear = any(ambiguous_with(one) for one in causes)
         return Verdict("ambiguous" if unclear else "cause_found", causes, (), gust)
     return Verdict("cause_found" if gust or absent else "explained", (), (), gust)
+
+
+def gust_alone(remaining: ResidualAnalysis, kinds: Mapping[str, EffectKind]) -> bool:
+    """Whether torques by chance that last push one axis and no other."""
+    order, axis = np.sort(remaining.gains), AXES.index(remaining.axis)
+    kind = kinds.get(f"random_torque.{remaining.axis}")
+    least_Nm = thresholds.GUST_SHARE * kind.typical[kind.size[0]] if kind else math.inf
+    return bool(
+        order[-1] > thresholds.GUST_MIN
+        and order[-2] < thresholds.GUST_BESIDE
+        and remaining.weather.gust_Nm[axis] > least_Nm
+        and remaining.weather.memory_s[axis] > thresholds.GUST_LEAST_s
+    )
 
 
 def ambiguous_with(found: Cause) -> list[str]:
