@@ -54,7 +54,7 @@ class Angle:
 
 @dataclass(frozen=True)
 class Voltage:
-    """Where a voltage is: voltage = sign * (column in its unit) + offset.
+    """Where a voltage is: voltage = sign * factor * (column in its unit) + offset.
 
     Parameters
     ----------
@@ -72,6 +72,8 @@ class Voltage:
         Added last, V: such as the bias of a sum that was logged without it.
     delay_s : float
         By how much the column is late, s.
+    factor : float
+        What the column is multiplied by: 2 where it is half a sum, the gain of an amplifier behind it.
     """
 
     column: str
@@ -81,13 +83,14 @@ class Voltage:
     sign: float = 1.0
     offset_V: float = 0.0
     delay_s: float = 0.0
+    factor: float = 1.0
 
     @property
     def volts(self) -> float:
         """Volts that one of the column's unit is, without sign."""
         if self.unit in VOLTAGE_UNITS:
-            return VOLTAGE_UNITS[self.unit]
-        return self.supply_V / (self.full if self.unit == "pwm" else SHARES[self.unit])
+            return self.factor * VOLTAGE_UNITS[self.unit]
+        return self.factor * self.supply_V / (self.full if self.unit == "pwm" else SHARES[self.unit])
 
 
 @dataclass(frozen=True)
@@ -125,6 +128,11 @@ class Profile:
     act : str
         `after`: a row's voltages act from that row on (what a controller wrote then). `before`: they acted
         until that row (what was sampled with the angles).
+    clip_V : tuple of (float, float) or None
+        Least and largest voltage of a motor, where what was logged was clipped before it acted.
+    mirrored : bool
+        Whether the rotor that the entries call the back one is the front one: the motors are then exchanged,
+        and pitch and travel turned, last of all.
     setpoints : Mapping[str, Angle]
         Setpoints by axis, where they are known.
     parts : Mapping[str, Part]
@@ -142,6 +150,8 @@ class Profile:
     setpoints: Mapping[str, Angle] = field(default_factory=dict)
     parts: Mapping[str, Part] = field(default_factory=dict)
     about: str = ""
+    clip_V: tuple[float, float] | None = None
+    mirrored: bool = False
 
 
 def read_profile(path: Path) -> Profile:
@@ -153,7 +163,7 @@ def read_profile(path: Path) -> Profile:
     except ValueError as error:
         raise FlightDataError(f"{path}: not a profile: {error}", "see docs/importing.md") from error
     reader = _Reader(str(path))
-    known = {"about", "time", "voltages", "flight", *AXES, *MOTORS, *SUMS, *(f"{a}_setpoint" for a in AXES)}
+    known = {"about", "mirrored", "time", "voltages", "flight", *AXES, *MOTORS, *SUMS, *(f"{a}_setpoint" for a in AXES)}
     reader.no_others(content, known, "")
     time = reader.table(content, "time")
     reader.no_others(time, {"column", "unit", "rate_Hz"}, "time.")
@@ -162,7 +172,7 @@ def read_profile(path: Path) -> Profile:
     if (motors, sums) not in ((list(MOTORS), []), ([], list(SUMS))):
         raise reader.wrong("the voltages are neither [front] and [back] nor [sum] and [difference]")
     acting = reader.table(content, "voltages")
-    reader.no_others(acting, {"act"}, "voltages.")
+    reader.no_others(acting, {"act", "clip_V"}, "voltages.")
     profile = Profile(
         {axis: reader.angle(content, axis) for axis in AXES},
         {name: reader.voltage(content, name) for name in motors or sums},
@@ -173,6 +183,8 @@ def read_profile(path: Path) -> Profile:
         {axis: reader.angle(content, f"{axis}_setpoint") for axis in AXES if f"{axis}_setpoint" in content},
         dict(reader.part(one) for one in reader.tables(content, "flight")),
         reader.text(content, "about", ""),
+        reader.clip(acting),
+        reader.truth(content, "mirrored"),
     )
     if not profile.time and profile.rate_Hz <= 0.0:
         raise reader.wrong("it has neither time.column nor time.rate_Hz")
@@ -223,6 +235,23 @@ class _Reader:
             raise self.wrong(f"{name} = '{found}' is none of {', '.join(known)}")
         return found
 
+    def truth(self, content: Mapping[str, Any], name: str) -> bool:
+        found = content.get(name, False)
+        if not isinstance(found, bool):
+            raise self.wrong(f"'{name}' is neither true nor false")
+        return found
+
+    def clip(self, content: Mapping[str, Any]) -> tuple[float, float] | None:
+        found = content.get("clip_V")
+        if found is None:
+            return None
+        numbers = isinstance(found, list) and all(
+            isinstance(one, int | float) and not isinstance(one, bool) for one in found
+        )
+        if not numbers or len(found) != 2 or not found[0] < found[1]:
+            raise self.wrong(f"clip_V = {found} is no [least, largest] voltage of a motor, such as [-5, 5]")
+        return float(found[0]), float(found[1])
+
     def sign(self, content: Mapping[str, Any]) -> float:
         found = self.number(content, "sign", 1.0)
         if abs(found) != 1.0:
@@ -251,7 +280,7 @@ class _Reader:
 
     def voltage(self, content: Mapping[str, Any], name: str) -> Voltage:
         one = self.table(content, name)
-        known = {"column", "unit", "full", "supply_V", "sign", "offset_V", "delay_s"}
+        known = {"column", "unit", "full", "supply_V", "sign", "offset_V", "delay_s", "factor"}
         self.no_others(one, known, f"{name}.")
         return Voltage(
             self.text(one, "column", None),
@@ -261,6 +290,7 @@ class _Reader:
             self.sign(one),
             self.number(one, "offset_V", 0.0),
             self.number(one, "delay_s", 0.0),
+            self.positive(one, "factor", 1.0),
         )
 
     def part(self, one: Mapping[str, Any]) -> tuple[str, Part]:
@@ -277,7 +307,8 @@ class _Reader:
 
 def profile_text(profile: Profile) -> str:
     """Write a profile as TOML, which `read_profile` reads."""
-    lines = [f"about = {_quoted(profile.about)}", "", "[time]"]
+    lines = [f"about = {_quoted(profile.about)}"]
+    lines += [f"mirrored = {str(profile.mirrored).lower()}  # true: the other rotor is the front one", "", "[time]"]
     if profile.time:
         lines += [f"column = {_quoted(profile.time)}", f'unit = "{profile.time_unit}"']
     if profile.rate_Hz:
@@ -289,9 +320,11 @@ def profile_text(profile: Profile) -> str:
         lines += [f"full = {voltage.full!r}"] if voltage.unit == "pwm" else []
         lines += [f"supply_V = {voltage.supply_V!r}"] if voltage.unit in SHARES else []
         lines += [f"sign = {voltage.sign:g}"]
+        lines += [f"factor = {voltage.factor!r}"] if voltage.factor != 1.0 else []
         lines += [f"offset_V = {voltage.offset_V!r}"] if voltage.offset_V else []
         lines += [f"delay_s = {voltage.delay_s!r}"] if voltage.delay_s else []
     lines += ["", "[voltages]", f'act = "{profile.act}"']
+    lines += [f"clip_V = {list(profile.clip_V)}"] if profile.clip_V else []
     for axis, angle in profile.setpoints.items():
         lines += ["", f"[{axis}_setpoint]", *_angle_lines(angle)]
     for file, part in profile.parts.items():
