@@ -67,7 +67,14 @@ def german(flight: Flight, folder: Path) -> Path:
 
 def french(flight: Flight, folder: Path) -> Path:
     some = _slow(flight)
-    header = ["Temps [s]", "Élévation [°]", "Tangage [°]", "Rotation [°]", "Moteur avant [V]", "Moteur arrière [V]"]
+    header = [
+        "Temps [s]",
+        "Élévation [°]",
+        "Tangage [°]",
+        "Rotation [°]",
+        "Moteur avant [V]",
+        "Moteur arrière [V]",
+    ]
     columns = [some["t_s"], *_degrees(flight), some["front_V"], some["back_V"]]
     return _table(folder / "francais.csv", header, columns, "\t", comma=True)
 
@@ -111,7 +118,9 @@ def phi_theta(flight: Flight, folder: Path) -> Path:
 def state_space(flight: Flight, folder: Path) -> Path:
     states = state_rows(flight)
     columns = [flight.t_s, *states, flight.front_V, flight.back_V]
-    return _table(folder / "x.csv", ["t", *(f"x{i}" for i in range(1, 7)), "u1", "u2"], [c[::5] for c in columns])
+    return _table(
+        folder / "x.csv", ["t", *(f"x{i}" for i in range(1, 7)), "u1", "u2"], [c[::5] for c in columns]
+    )
 
 
 def to_workspace(flight: Flight, folder: Path) -> Path:
@@ -135,7 +144,9 @@ def scope_with_labels(flight: Flight, folder: Path) -> Path:
         "Vf": flight.front_V,
         "Vb": flight.back_V,
     }
-    signals = [{"values": values[:, None], "dimensions": 1.0, "label": label} for label, values in named.items()]
+    signals = [
+        {"values": values[:, None], "dimensions": 1.0, "label": label} for label, values in named.items()
+    ]
     path = folder / "ScopeData.mat"
     savemat(path, {"ScopeData": {"time": flight.t_s[:, None], "signals": signals}})
     return path
@@ -180,8 +191,10 @@ def series(flight: Flight, folder: Path) -> Path:
 def serial_monitor(flight: Flight, folder: Path) -> Path:
     """An Arduino's lines: milliseconds since it started, counts, PWM; no header."""
     some = _slow(flight)
-    counts = [np.round(some[f"{axis}_rad"] * _COUNTS * turns / (2.0 * math.pi))
-              for axis, turns in zip(_AXES, (1, 1, 2), strict=True)]
+    counts = [
+        np.round(some[f"{axis}_rad"] * _COUNTS * turns / (2.0 * math.pi))
+        for axis, turns in zip(_AXES, (1, 1, 2), strict=True)
+    ]
     pwm = [np.round(some[f"{motor}_V"] / 10.0 * 255.0) for motor in ("front", "back")]
     return _table(folder / "putty.log.txt", [], [12345.0 + np.round(some["t_s"] * 1e3), *counts, *pwm])
 
@@ -189,8 +202,10 @@ def serial_monitor(flight: Flight, folder: Path) -> Path:
 def wrapped_counts(flight: Flight, folder: Path) -> Path:
     """Counts of 16 bits without a sign."""
     some = _slow(flight)
-    counts = [np.mod(np.round(some[f"{axis}_rad"] * _COUNTS * turns / (2.0 * math.pi)), 65536.0)
-              for axis, turns in zip(_AXES, (1, 1, 2), strict=True)]
+    counts = [
+        np.mod(np.round(some[f"{axis}_rad"] * _COUNTS * turns / (2.0 * math.pi)), 65536.0)
+        for axis, turns in zip(_AXES, (1, 1, 2), strict=True)
+    ]
     header = ["time_ms", "enc_elev", "enc_pitch", "enc_travel", "Vf", "Vb"]
     return _table(folder / "enc.csv", header, [some["t_s"] * 1e3, *counts, some["front_V"], some["back_V"]])
 
@@ -217,7 +232,14 @@ def crowded(flight: Flight, folder: Path) -> Path:
         smooth = np.convolve(one, np.ones(400) / 400.0, mode="same")
         optimal += [smooth, np.gradient(smooth, flight.step_s)]
     inertial = [one + random.normal(0.0, 0.02, one.size) for one in states[2::2]]
-    rows = [*optimal, *setpoint_rows(flight), *states, *inertial, np.full(len(flight), 3.0), *voltage_rows(flight)]
+    rows = [
+        *optimal,
+        *setpoint_rows(flight),
+        *states,
+        *inertial,
+        np.full(len(flight), 3.0),
+        *voltage_rows(flight),
+    ]
     return write_mat(folder / "day4.mat", flight.t_s, rows)
 
 
@@ -227,7 +249,17 @@ def before_and_after_calibration(flight: Flight, folder: Path) -> Path:
         np.round((some[f"{axis}_rad"] - some[f"{axis}_rad"][0]) * _COUNTS * turns / (2.0 * math.pi))
         for axis, turns in zip(_AXES, (1, 1, 2), strict=True)
     ]
-    header = ["time", "elev_raw", "pitch_raw", "travel_raw", "elev_deg", "pitch_deg", "travel_deg", "Vf", "Vb"]
+    header = [
+        "time",
+        "elev_raw",
+        "pitch_raw",
+        "travel_raw",
+        "elev_deg",
+        "pitch_deg",
+        "travel_deg",
+        "Vf",
+        "Vb",
+    ]
     columns = [some["t_s"], *raw, *_degrees(flight), some["front_V"], some["back_V"]]
     return _table(folder / "cal.csv", header, columns)
 
@@ -252,9 +284,7 @@ def since_1970(flight: Flight, folder: Path) -> Path:
     at = [f"{1704373111.25 + t:.6f}" for t in some["t_s"]]
     header = ["stamp", "state", "elevation", "pitch", "travel", "cmd_front", "cmd_back"]
     state = ["FLY"] * len(at)
-    return _table(
-        folder / "ros.csv", header, [at, state, *_degrees(flight), some["front_V"], some["back_V"]]
-    )
+    return _table(folder / "ros.csv", header, [at, state, *_degrees(flight), some["front_V"], some["back_V"]])
 
 
 def trailing_zeros(flight: Flight, folder: Path) -> Path:
@@ -262,7 +292,9 @@ def trailing_zeros(flight: Flight, folder: Path) -> Path:
     rows = [*state_rows(flight), *voltage_rows(flight)]
     spare = np.zeros(len(flight) // 5)
     return write_mat(
-        folder / "buffer.mat", np.concatenate((flight.t_s, spare)), [np.concatenate((one, spare)) for one in rows]
+        folder / "buffer.mat",
+        np.concatenate((flight.t_s, spare)),
+        [np.concatenate((one, spare)) for one in rows],
     )
 
 

@@ -30,7 +30,9 @@ def seconds_of(cells: pandas.Series) -> Floats | None:
     text = cells.astype(str)
     first = text.iloc[: min(len(text), 10)]
     if first.str.match(_CLOCK).all():
-        parts = text.str.replace(",", ".").str.split(":", expand=True).apply(pandas.to_numeric, errors="coerce")
+        parts = (
+            text.str.replace(",", ".").str.split(":", expand=True).apply(pandas.to_numeric, errors="coerce")
+        )
         weights = 60.0 ** np.arange(parts.shape[1] - 1, -1, -1)
         seconds: Floats = parts.to_numpy(np.float64) @ weights
         known = np.isfinite(seconds)

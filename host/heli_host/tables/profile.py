@@ -163,7 +163,17 @@ def read_profile(path: Path) -> Profile:
     except ValueError as error:
         raise FlightDataError(f"{path}: not a profile: {error}", "see docs/importing.md") from error
     reader = _Reader(str(path))
-    known = {"about", "mirrored", "time", "voltages", "flight", *AXES, *MOTORS, *SUMS, *(f"{a}_setpoint" for a in AXES)}
+    known = {
+        "about",
+        "mirrored",
+        "time",
+        "voltages",
+        "flight",
+        *AXES,
+        *MOTORS,
+        *SUMS,
+        *(f"{a}_setpoint" for a in AXES),
+    }
     reader.no_others(content, known, "")
     time = reader.table(content, "time")
     reader.no_others(time, {"column", "unit", "rate_Hz"}, "time.")
@@ -308,7 +318,11 @@ class _Reader:
 def profile_text(profile: Profile) -> str:
     """Write a profile as TOML, which `read_profile` reads."""
     lines = [f"about = {_quoted(profile.about)}"]
-    lines += [f"mirrored = {str(profile.mirrored).lower()}  # true: the other rotor is the front one", "", "[time]"]
+    lines += [
+        f"mirrored = {str(profile.mirrored).lower()}  # true: the other rotor is the front one",
+        "",
+        "[time]",
+    ]
     if profile.time:
         lines += [f"column = {_quoted(profile.time)}", f'unit = "{profile.time_unit}"']
     if profile.rate_Hz:

@@ -7,7 +7,9 @@ from pathlib import Path
 from heli_host.errors import FlightDataError
 from heli_host.tables.table import Table
 
-KINDS = ".csv .txt .tsv .dat .lvm (.gz), .mat, .parquet, .mcap, .bag, .db3, .xlsx, or the folder of a ROS 2 bag"
+KINDS = (
+    ".csv .txt .tsv .dat .lvm (.gz), .mat, .parquet, .mcap, .bag, .db3, .xlsx, or the folder of a ROS 2 bag"
+)
 """What can be read, for messages."""
 
 

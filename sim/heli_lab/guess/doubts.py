@@ -70,11 +70,7 @@ def _told(roles: Roles) -> str:
 def scale_doubts(possible: list[Scale], motion: Motion, reference: Reference, rig: Rig) -> list[Doubt]:
     """What is open about the units, of all choices, the likeliest first."""
     best, doubts = possible[0], []
-    second = next(
-        one
-        for one in possible
-        if one.units != best.units
-    )
+    second = next(one for one in possible if one.units != best.units)
     if best.nats - second.nats < thresholds.SURE_NATS:
         doubts.append(
             Doubt(

@@ -69,7 +69,9 @@ def words_of(name: str) -> list[str]:
     """Take a column's `name` without its unit apart into words, lower case."""
     bare = _CAMEL.sub("_", split_unit(name)[0])
     plain = "".join(
-        char for char in unicodedata.normalize("NFKD", bare.lower().replace("ø", "o")) if not unicodedata.combining(char)
+        char
+        for char in unicodedata.normalize("NFKD", bare.lower().replace("ø", "o"))
+        if not unicodedata.combining(char)
     )
     words = [word for word in _SPLIT.split(plain) if word]
     # Chinese has no spaces: its words are found within.

@@ -98,7 +98,5 @@ def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
     if len(edges) == 2:
         return table, t_s
     start, stop = max(itertools.pairwise(edges), key=lambda run: run[1] - run[0])
-    columns = {
-        name: Column(one.values[start:stop], one.unit) for name, one in table.columns.items()
-    }
+    columns = {name: Column(one.values[start:stop], one.unit) for name, one in table.columns.items()}
     return Table(table.source, columns, table.notes, table.named), t_s[start:stop]
