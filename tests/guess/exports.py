@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -15,7 +15,7 @@ from heli_host.tables import Profile, Table, flights_of
 from heli_host.tables.convert import times_of
 from heli_lab.guess import Guess
 
-from tests.guess.students import BIAS_V, DEG, setpoint_rows, state_rows, voltage_rows, write_mat
+from tests.guess.students import DEG, setpoint_rows, state_rows, voltage_rows, write_mat
 
 Floats = npt.NDArray[np.float64]
 Form = Callable[[Flight, Path], Path]
@@ -290,7 +290,7 @@ def since_1970(flight: Flight, folder: Path) -> Path:
 def trailing_zeros(flight: Flight, folder: Path) -> Path:
     """A buffer that was made too long: zeros behind the flight, times too."""
     rows = [*state_rows(flight), *voltage_rows(flight)]
-    spare = np.zeros(len(flight) // 5)
+    spare: Floats = np.zeros(len(flight) // 5)
     return write_mat(
         folder / "buffer.mat",
         np.concatenate((flight.t_s, spare)),
@@ -375,25 +375,17 @@ FORMS: Final[dict[str, Form]] = {
 }
 
 
-@dataclass(frozen=True)
-class Corrections:
-    """Entries of a guessed profile that somebody has to put right by hand."""
-
-    entries: tuple[str, ...]
-
-    def __len__(self) -> int:
-        return len(self.entries)
-
-
-def corrections(table: Table, found: Guess, truth: Flight) -> Corrections:
-    """Compare what a guessed profile makes of a table with the flight that it was written from."""
+def corrections(table: Table, found: Guess, truth: Flight) -> tuple[str, ...]:
+    """Name the entries of a guessed profile that are to be put right by hand, from the flight as it was."""
     other = replace(found.profile, mirrored=not found.profile.mirrored)
     return min(
         (_corrections(table, found.profile, truth), _corrections(table, other, truth, ("mirrored",))), key=len
     )
 
 
-def _corrections(table: Table, profile: Profile, truth: Flight, more: tuple[str, ...] = ()) -> Corrections:
+def _corrections(
+    table: Table, profile: Profile, truth: Flight, more: tuple[str, ...] = ()
+) -> tuple[str, ...]:
     flights = flights_of(table, profile)
     made = max(flights, key=len)
     # A piece of a file begins anywhere: what was at its times.
@@ -408,7 +400,7 @@ def _corrections(table: Table, profile: Profile, truth: Flight, more: tuple[str,
     mine_V = np.column_stack((made.front_V, made.back_V))[inside]
     true_V = np.column_stack((truth.front_V, truth.back_V))[rows][inside]
     wrong += _voltages(mine_V, true_V, "sum" in profile.voltages)
-    return Corrections((*more, *wrong))
+    return (*more, *wrong)
 
 
 def _angle(mine: Floats, true: Floats, axis: str) -> list[str]:
@@ -450,6 +442,3 @@ def _voltages(mine: Floats, true: Floats, summed: bool) -> list[str]:
                 wrong.append(f"{name}.offset_V {off:.2f}")
         best = wrong if best is None or len(wrong) < len(best) else best
     return best or []
-
-
-__all__ = ["BIAS_V", "FORMS", "Corrections", "corrections"]

@@ -1,6 +1,4 @@
-"""A log is held against the rig that was given, and a shipped one that fits better is named; or the nearest is
-taken, and said.
-"""
+"""A log is held against the rig given, and a better one is named; or against the nearest, if none is."""
 
 from __future__ import annotations
 

@@ -63,6 +63,17 @@ def test_a_profile_survives_its_file(tmp_path: Path) -> None:
     )
 
 
+def test_what_both_voltages_share_is_stated_once(tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    pair = {name: Voltage(name[0], "pwm", 1023.0, 9.0) for name in ("front", "back")}
+    profile = dataclasses.replace(PROFILE, voltages=pair)
+    path.write_text(profile_text(profile))
+    assert path.read_text().count("supply_V") == 1
+    assert read_profile(path) == profile
+    path.write_text(path.read_text().replace('column = "b"', 'column = "b"\nsupply_V = 8'))
+    assert read_profile(path).voltages == {**pair, "back": Voltage("b", "pwm", 1023.0, 8.0)}
+
+
 def test_units_signs_offsets_delays_and_parts() -> None:
     (flight,) = flights_of(table(), PROFILE)
     assert flight.t_s[0] == pytest.approx(0.5)

@@ -11,7 +11,7 @@ __all__ = ["app", "main", "run"]
 
 
 def __getattr__(name: str) -> Any:
-    # The entry loads the verbs of all packages, which import from here: whoever needs an option needs no verbs.
+    # The entry loads the verbs of all packages, which import from here: who needs an option needs none.
     if name in __all__:
         from heli_host.cli import entry
 

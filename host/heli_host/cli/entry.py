@@ -173,7 +173,7 @@ def _explain(error: Exception) -> tuple[str, int]:
 
 
 def _remedy(package: str) -> str:
-    """How to install a package: with all that is needed beside it, where it is one of this program's extras."""
+    """How to install a package: with all that goes with it, where it is one of this program's extras."""
     from importlib.metadata import metadata
 
     name = re.compile(rf"{re.escape(package.partition('.')[0])}(?![\w.-])", re.I)

@@ -39,7 +39,7 @@ def seconds_of(cells: pandas.Series) -> Floats | None:
         falls = np.diff(seconds[known], prepend=seconds[known][:1]) < -0.5 * _DAY_S
         seconds[known] += _DAY_S * np.cumsum(falls)
     elif first.str.match(_DATE).all():
-        # A year that comes first is followed by the month everywhere; else most of the world begins with the day.
+        # A year that comes first is followed by the month; else most of the world begins with the day.
         day_first = not first.str.match(r"^\s*\d{4}").all()
         dates = pandas.to_datetime(
             text.str.replace(",", "."), errors="coerce", dayfirst=day_first, format="mixed", utc=True

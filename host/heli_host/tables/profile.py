@@ -16,6 +16,8 @@ from heli_host.tables.units import ANGLE_UNITS, COUNT, SHARES, TIME_UNITS, VOLTA
 MOTORS: Final = ("front", "back")
 SUMS: Final = ("sum", "difference")
 _ACT: Final = ("after", "before")
+_SHARED: Final = ("unit", "full", "supply_V", "factor")
+"""What may be stated once for both voltages."""
 
 
 @dataclass(frozen=True)
@@ -182,10 +184,11 @@ def read_profile(path: Path) -> Profile:
     if (motors, sums) not in ((list(MOTORS), []), ([], list(SUMS))):
         raise reader.wrong("the voltages are neither [front] and [back] nor [sum] and [difference]")
     acting = reader.table(content, "voltages")
-    reader.no_others(acting, {"act", "clip_V"}, "voltages.")
+    reader.no_others(acting, {"act", "clip_V", *_SHARED}, "voltages.")
+    shared = {name: acting[name] for name in _SHARED if name in acting}
     profile = Profile(
         {axis: reader.angle(content, axis) for axis in AXES},
-        {name: reader.voltage(content, name) for name in motors or sums},
+        {name: reader.voltage(content, name, shared) for name in motors or sums},
         reader.text(time, "column", ""),
         reader.one_of(time, "unit", "s", tuple(TIME_UNITS)),
         reader.number(time, "rate_Hz", 0.0),
@@ -288,10 +291,10 @@ class _Reader:
             self.number(one, "delay_s", 0.0),
         )
 
-    def voltage(self, content: Mapping[str, Any], name: str) -> Voltage:
+    def voltage(self, content: Mapping[str, Any], name: str, shared: Mapping[str, Any]) -> Voltage:
         one = self.table(content, name)
-        known = {"column", "unit", "full", "supply_V", "sign", "offset_V", "delay_s", "factor"}
-        self.no_others(one, known, f"{name}.")
+        self.no_others(one, {"column", "sign", "offset_V", "delay_s", *_SHARED}, f"{name}.")
+        one = {**shared, **one}
         return Voltage(
             self.text(one, "column", None),
             self.one_of(one, "unit", "V", (*VOLTAGE_UNITS, *SHARES)),
@@ -329,16 +332,16 @@ def profile_text(profile: Profile) -> str:
         lines += [f"rate_Hz = {profile.rate_Hz!r}"]
     for axis in AXES:
         lines += ["", f"[{axis}]", *_angle_lines(profile.angles[axis])]
+    lines += ["", "[voltages]", f'act = "{profile.act}"']
+    told = [_scale_lines(voltage) for voltage in profile.voltages.values()]
+    shared = told[0] if all(one == told[0] for one in told) else []
+    lines += shared
+    lines += [f"clip_V = {list(profile.clip_V)}"] if profile.clip_V else []
     for name, voltage in profile.voltages.items():
-        lines += ["", f"[{name}]", f"column = {_quoted(voltage.column)}", f'unit = "{voltage.unit}"']
-        lines += [f"full = {voltage.full!r}"] if voltage.unit == "pwm" else []
-        lines += [f"supply_V = {voltage.supply_V!r}"] if voltage.unit in SHARES else []
-        lines += [f"sign = {voltage.sign:g}"]
-        lines += [f"factor = {voltage.factor!r}"] if voltage.factor != 1.0 else []
+        lines += ["", f"[{name}]", f"column = {_quoted(voltage.column)}", f"sign = {voltage.sign:g}"]
+        lines += [] if shared else _scale_lines(voltage)
         lines += [f"offset_V = {voltage.offset_V!r}"] if voltage.offset_V else []
         lines += [f"delay_s = {voltage.delay_s!r}"] if voltage.delay_s else []
-    lines += ["", "[voltages]", f'act = "{profile.act}"']
-    lines += [f"clip_V = {list(profile.clip_V)}"] if profile.clip_V else []
     for axis, angle in profile.setpoints.items():
         lines += ["", f"[{axis}_setpoint]", *_angle_lines(angle)]
     for file, part in profile.parts.items():
@@ -346,6 +349,13 @@ def profile_text(profile: Profile) -> str:
         lines += [f"leave_out_s = {[list(span) for span in part.leave_out_s]}"] if part.leave_out_s else []
         lines += [f"group = {_quoted(part.group)}"] if part.group else []
     return "\n".join(lines) + "\n"
+
+
+def _scale_lines(voltage: Voltage) -> list[str]:
+    lines = [f'unit = "{voltage.unit}"']
+    lines += [f"full = {voltage.full!r}"] if voltage.unit == "pwm" else []
+    lines += [f"supply_V = {voltage.supply_V!r}"] if voltage.unit in SHARES else []
+    return lines + ([f"factor = {voltage.factor!r}"] if voltage.factor != 1.0 else [])
 
 
 def _angle_lines(angle: Angle) -> list[str]:

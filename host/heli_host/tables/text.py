@@ -140,7 +140,7 @@ def _text(path: Path) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
-        # Chinese characters are pairs of high bytes; a letter with an accent in western Europe is a single one.
+        # Chinese characters are pairs of high bytes; a western letter with an accent is a single one.
         paired = all(len(run) % 2 == 0 for run in _HIGH_BYTES.findall(data[:_ENCODING_BYTES]))
         return data.decode("gb18030" if paired else "latin-1", errors="replace")
 
@@ -154,8 +154,8 @@ def _cells(line: str, dialect: Dialect) -> list[str]:
 
 
 def _first_row(lines: list[str], dialect: Dialect, spread: list[str]) -> int:
-    """Find the first row of numbers: it is as wide as most, at least half of its cells are numbers, and no row of
-    names follows, as in LabVIEW's headers, in which numbers stand too.
+    """Find the first row of numbers: it is as wide as most, at least half of its cells are numbers, and no
+    row of names follows, as in LabVIEW's headers, in which numbers stand too.
     """
     width = statistics.mode(len(_cells(line, dialect)) for line in spread)
     cells = [_cells(line, dialect) for line in lines]

@@ -39,7 +39,7 @@ _WORDS: Final = {
         *("differanse", "differenz", "diferencia"),
     ),
 }
-"""English and Greek, and what Norwegian, German, French, Spanish and Chinese courses write, without accents."""
+"""English and Greek; what Norwegian, German, French, Spanish and Chinese courses write, without accents."""
 _HALVES: Final = frozenset({"mean", "avg", "average", "half", "mid", "middle"})
 _OTHERS: Final = frozenset(
     {

@@ -36,8 +36,8 @@ def guess_by_rigs(
     rate_Hz: float | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Fitting:
-    """Guess files of one make by the rig given, and say where a shipped one fits them better; by the shipped one
-    that fits best where none is given, and say which, and between which it is unsure.
+    """Guess files of one make by the rig given, and say where a shipped one fits them better. Where none is
+    given, guess by the shipped one that fits best, and say which, or between which it is unsure.
 
     Parameters
     ----------
@@ -68,15 +68,18 @@ def guess_by_rigs(
     chosen = rig.name if rig is not None else best
     progress(1.0 - 1.0 / count)
     guesses = [guess(table, known[chosen], rate_Hz) for table in tables]
-    others = [name for name in nats if name != chosen and _differs(found[name], found[chosen])]
-    second = max(others, key=lambda name: nats[name], default=None)
+    others = [name for name in nats if name != chosen]
+    # Rigs by which the same profile comes out are no two possibilities; that one of them fits better is told.
+    differing = [name for name in others if _differs(found[name], found[chosen])]
+    second = max(differing or others, key=lambda name: nats[name], default=None)
     if second is None:
         return Fitting(known[chosen], tuple(guesses))
     ahead = nats[chosen] - nats[second]
     sentence = f"rig: held against {chosen}; {second}'s numbers fit by {abs(ahead):.0f} nats {_than(ahead)}"
     guesses = [replace(one, evidence=(sentence, *one.evidence)) for one in guesses]
     # A rig that was given is believed until another one is clearly nearer; a choice of ours must be sure.
-    if ahead < (-thresholds.SURE_NATS if rig is not None else thresholds.SURE_NATS):
+    enough = -thresholds.SURE_NATS if rig is not None else thresholds.SURE_NATS
+    if differing and ahead < enough:
         doubt = Doubt(
             "the rig",
             chosen,

@@ -117,7 +117,7 @@ def _fitting(
 
 
 def _clipped(table: Table, profile: Profile, reference: Reference) -> tuple[Profile, list[Doubt]]:
-    """Limit the voltages where a few are beyond the supply, as commands are before an amplifier clips them."""
+    """Limit the voltages where a few are beyond the supply, as commands are before a clip."""
     limit = reference.supply_V
     largest = max(float(np.abs(one.voltages_V).max()) for one in flights_of(table, profile))
     beyond = max(float(np.mean(np.abs(one.voltages_V) > limit)) for one in flights_of(table, profile))

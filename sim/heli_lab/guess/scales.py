@@ -32,6 +32,8 @@ _PEAK: Final = 6.0
 """Nats that a unit costs in which no motor ever gets a sixth of its supply, or one gets more than all."""
 _PEAKS: Final = (0.16, 1.2)
 """Shares of the supply, as the rig file has it."""
+_MOST_SHARE: Final = 1.02
+"""The same of what is written as a share: more than all is none, whatever the supply."""
 _GRID: Final = 3.0
 """Nats for an angle in steps of the encoder's count, and against one in whole numbers that is no count."""
 
@@ -122,7 +124,8 @@ def scales(motion: Motion, reference: Reference) -> list[Scale]:
         base = -0.5 * hover**2 - (_BIAS if biased else 0.0) + _said(motion.stated.get("voltage", ""), unit)
         if motion.summed and motion.halved != (factor != 1.0):
             base -= _HALVED
-        if not _PEAKS[0] < motion.peak * volts / reference.supply_V < _PEAKS[1]:
+        most = _PEAKS[1] if unit in VOLTAGE_UNITS else _MOST_SHARE
+        if not _PEAKS[0] < motion.peak * volts / reference.supply_V < most:
             base -= _PEAK
         if biased and abs(motion.level * volts) > 0.5 * reference.hover_V:
             continue

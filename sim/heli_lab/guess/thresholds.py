@@ -78,5 +78,5 @@ CLIP_SHARE: Final = 1.02
 """Share of the supply from which on a voltage cannot have acted, and was a command before a clip. Rounding is
 below."""
 MOST_CLIPPED: Final = 0.2
-"""Share of the rows beyond the supply from which on the supply is another one than the rig file's, not a limit.
+"""Share of the rows beyond the supply from which on the supply is another one than the rig file's, no limit.
 Set by judgement: a loop that is beyond its limits for longer does not fly."""
