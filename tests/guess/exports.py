@@ -301,7 +301,7 @@ def trailing_zeros(flight: Flight, folder: Path) -> Path:
 def logged_on(flight: Flight, folder: Path) -> Path:
     """The log goes on after the stop: voltages are zero, the arm lies on its table."""
     spare = 10 * 500
-    t_s = np.arange(len(flight) + spare) * flight.step_s
+    t_s = np.arange(len(flight) + spare, dtype=np.float64) * flight.step_s
     rest = [flight.travel_rad[-1] * DEG, 0.0, flight.elevation_rad[0] * DEG]
     angles = [flight.travel_rad * DEG, flight.pitch_rad * DEG, flight.elevation_rad * DEG]
     rows = [np.concatenate((one, np.full(spare, end))) for one, end in zip(angles, rest, strict=True)]

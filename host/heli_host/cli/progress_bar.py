@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 LINE_EVERY_S = 5.0
+"""When the output goes to a file or another program."""
 _LEAST_TOLD = 0.01
 """Share of the work below which no time left is told."""
-"""When the output goes to a file or another program."""
 
 
 class WorkBar:
