@@ -41,6 +41,12 @@ def guess_by_rigs(
 
     Parameters
     ----------
+    tables : sequence of Table
+        The files.
+    rig : Rig, optional
+        What is known of the rig.
+    rate_Hz : float, optional
+        Rows a second, for tables without times.
     progress : callable
         Called with the share of the work that is done.
 
