@@ -91,7 +91,7 @@ def times_in_s(table: Table, clock: Clock) -> Floats:
 
 
 def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
-    """Take the longest part of a table in which times do not begin again, with its part of the times `t_s`, s."""
+    """Take the longest part of a table in which its times, `t_s`, do not begin again; with its times, s."""
     known = np.flatnonzero(np.isfinite(t_s))
     falls = known[1:][np.diff(t_s[known]) < 0.0]
     edges = [0, *(int(row) for row in falls), len(t_s)]
