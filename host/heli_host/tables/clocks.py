@@ -17,7 +17,7 @@ _DAY_S: Final = 86400.0
 
 
 def seconds_of(cells: pandas.Series) -> Floats | None:
-    """Read `cells` such as `13:47:20.125`, `47:20,125` or `2024-01-04 12:58:31.25` as seconds since the first.
+    """Read `cells` such as `13:47:20.125`, `47:20,125` or `2024-01-04 12:58:31.2` as seconds from the first.
 
     Returns
     -------
