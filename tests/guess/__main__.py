@@ -9,7 +9,12 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from heli_host.tables import read_table
+from heli_lab.guess import guess_by_rigs
+from heli_sim.rig import load_rig
+
 from tests.guess.distort import drawn, write
+from tests.guess.exports import FORMS, corrections
 from tests.guess.flights import SIMULATED, measured, measured_flight, simulated
 from tests.guess.judge import Judged, judged
 
@@ -22,7 +27,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--count", type=int, default=COUNT)
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--measured", action="store_true", help="the flights beside the project instead")
+    parser.add_argument(
+        "--exports", action="store_true", help="the flights beside the project in further forms"
+    )
+    parser.add_argument("--rig", help="with --exports: held against this rig file, not the nearest")
     given = parser.parse_args(arguments)
+    if given.exports:
+        return _exports(given.first, given.rig)
     files = measured() if given.measured else []
     if given.measured and not files:
         print("skipped: no shared data")
@@ -37,6 +48,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for verdict, count in tally.most_common():
         print(f"{count:4d} {verdict}")
     return 1 if tally["SILENTLY WRONG"] else 0
+
+
+def _exports(first: int, rig: str | None) -> int:
+    """Write a measured flight in every further form; 1 where a guess needs more than two corrections."""
+    files = measured()
+    if not files:
+        print("skipped: no shared data")
+        return 0
+    most = 0
+    for number, (name, form) in enumerate(FORMS.items(), first):
+        path = files[number % len(files)]
+        flight, _ = measured_flight(path)
+        with tempfile.TemporaryDirectory() as folder:
+            table = read_table(form(flight, Path(folder)))
+            fitting = guess_by_rigs([table], load_rig(rig) if rig else None)
+            (found,) = fitting.guesses
+            wrong = corrections(table, found, flight)
+        most = max(most, len(wrong))
+        doubts = "; ".join(doubt.what for doubt in found.doubts)
+        print(f"{len(wrong)} {fitting.rig.name:15s} {name:28s} {', '.join(wrong)} | {doubts}", flush=True)
+    return 1 if most > 2 else 0
 
 
 def one(seed: int, path: Path | None = None) -> Judged:

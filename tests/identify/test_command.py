@@ -148,12 +148,14 @@ def test_json_has_null_for_what_is_not_finite(tmp_path: Path) -> None:
 def test_long_work_says_what_it_does_and_how_long_still(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    now_s = iter((0.0, 10.0, 20.0))
+    now_s = iter((0.0, 5.0, 10.0, 20.0))
     monkeypatch.setattr("heli_host.cli.progress_bar.time.monotonic", lambda: next(now_s))
     with WorkBar(is_terminal=False) as bar:
+        bar.show("reading", 0.0)
         bar.show("compiling the model", 0.1)
         bar.show("every sample", 0.5)
     assert capsys.readouterr().out.splitlines() == [
+        "reading: 0 %",
         "compiling the model: 10 %, about 90 s left",
         "every sample: 50 %, about 20 s left",
     ]

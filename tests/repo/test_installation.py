@@ -70,3 +70,32 @@ def test_the_simulation_carries_no_bindings_for_tests() -> None:
     assert public == {
         "PlantStep", "CompiledStep", "CallbackStep", "World", "SimBoard", "NativeBoard", "greet", "identity"
     }  # fmt: skip
+
+
+def test_a_wheel_has_pages_rigs_and_plans_and_no_tests(tmp_path: Path) -> None:
+    from scikit_build_core.build._pathutil import packages_to_file_mapping
+
+    wheel = settings("wheel").wheel
+    assert isinstance(wheel.packages, list)
+    mapping = packages_to_file_mapping(
+        packages={Path(one).name: str(ROOT / one) for one in wheel.packages},
+        platlib_dir=tmp_path,
+        include=[],
+        src_exclude=[],
+        target_exclude=wheel.exclude,
+        build_dir="build",
+        mode="default",
+    )
+    files = {str(Path(target).relative_to(tmp_path)) for target in mapping.values()}
+    for file in (
+        "heli_host/page/static/index.html",
+        "heli_host/page/static/vendor/three.js.gz",
+        "heli_host/fly/plans/hover.toml",
+        "heli_host/py.typed",
+        "heli_sim/rig/quanser-course.toml",
+        "heli_sim/fmu/sources/rig.c",
+        "heli_lab/diagnose/report.html",
+        "heli_lab/identify/report.html",
+    ):
+        assert file in files
+    assert not [file for file in files if Path(file).name.startswith(("test_", "conftest", "heli_test_"))]

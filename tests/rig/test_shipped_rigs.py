@@ -49,6 +49,7 @@ def test_identified_elevation_gives_back_table_4() -> None:
     assert rig["dead_zone"].value == pytest.approx(56.57475 / 59.201, abs=1e-4)
 
 
+@pytest.mark.medium
 def test_identified_pitch_gives_back_table_3_without_its_input_gain() -> None:
     rig = load_rig("makki2024-identified")
     plant = linearise(PaperModel(), rig)

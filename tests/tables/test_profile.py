@@ -26,12 +26,16 @@ PROFILE = Profile(
         "pitch": Angle('p "x"', "count", 2000.0, -1.0),
         "travel": Angle("t", "rad", delay_s=0.02),
     },
-    {"sum": Voltage("s", "pwm", 1023.0, 9.0, 1.0, 1.5), "difference": Voltage("d", "mV", sign=-1.0)},
+    {
+        "sum": Voltage("s", "pwm", 1023.0, 9.0, 1.0, 1.5, factor=2.0),
+        "difference": Voltage("d", "mV", sign=-1.0),
+    },
     "time",
     "ms",
     setpoints={"pitch": Angle("r")},
     parts={"a.csv": Part(((0.0, 0.5),), "rig 8")},
     about="made by hand",
+    clip_V=(-1.0, 24.0),
 )
 N = 400
 
@@ -59,15 +63,69 @@ def test_a_profile_survives_its_file(tmp_path: Path) -> None:
     )
 
 
+def test_what_both_voltages_share_is_stated_once(tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    pair = {name: Voltage(name[0], "pwm", 1023.0, 9.0) for name in ("front", "back")}
+    profile = dataclasses.replace(PROFILE, voltages=pair)
+    path.write_text(profile_text(profile))
+    assert path.read_text().count("supply_V") == 1
+    assert read_profile(path) == profile
+    path.write_text(path.read_text().replace('column = "b"', 'column = "b"\nsupply_V = 8'))
+    assert read_profile(path).voltages == {**pair, "back": Voltage("b", "pwm", 1023.0, 8.0)}
+
+
 def test_units_signs_offsets_delays_and_parts() -> None:
     (flight,) = flights_of(table(), PROFILE)
     assert flight.t_s[0] == pytest.approx(0.5)
     assert np.degrees(flight.elevation_rad[0]) == pytest.approx(0.5)
     assert np.degrees(flight.pitch_rad[0]) == pytest.approx(-90.0)
     assert flight.travel_rad[0] == pytest.approx(0.52)
-    assert flight.front_V[0] + flight.back_V[0] == pytest.approx(341.0 / 1023.0 * 9.0 + 1.5)
+    assert flight.front_V[0] + flight.back_V[0] == pytest.approx(2.0 * 341.0 / 1023.0 * 9.0 + 1.5)
     assert flight.front_V[0] - flight.back_V[0] == pytest.approx(-1.0)
     assert flight.meta["group"] == "rig 8"
+
+
+def test_a_motor_gets_no_more_than_the_clip() -> None:
+    (free,) = flights_of(table(), dataclasses.replace(PROFILE, clip_V=None))
+    assert (free.front_V[0], free.back_V[0]) == pytest.approx((3.25, 4.25))
+    (clipped,) = flights_of(table(), dataclasses.replace(PROFILE, clip_V=(0.0, 4.0)))
+    assert (clipped.front_V[0], clipped.back_V[0]) == pytest.approx((3.25, 4.0))
+
+
+def test_in_a_mirror_motors_are_exchanged_and_pitch_and_travel_turned() -> None:
+    (one,), (other,) = (
+        flights_of(table(), dataclasses.replace(PROFILE, mirrored=mirrored)) for mirrored in (False, True)
+    )
+    assert np.array_equal(one.voltages_V[:, ::-1], other.voltages_V)
+    assert np.array_equal(one.elevation_rad, other.elevation_rad)
+    assert np.array_equal(one.pitch_rad, -other.pitch_rad)
+    assert np.array_equal(one.travel_rad, -other.travel_rad)
+
+
+@pytest.mark.parametrize("counts", [4096.0, 4000.0])
+def test_counters_of_16_bits_that_run_over_go_on(counts: float) -> None:
+    swinging = np.round(-300.0 + 400.0 * np.sin(np.arange(N) / 30.0))
+    wrapped = table()
+    wrapped.columns["e"].values[:] = np.mod(swinging, 65536.0)
+    angles = {**PROFILE.angles, "elevation": Angle("e", "count", counts)}
+    (flight,) = flights_of(wrapped, dataclasses.replace(PROFILE, angles=angles, parts={}))
+    assert flight.elevation_rad == pytest.approx(2.0 * np.pi * swinging[: len(flight)] / counts)
+
+
+def test_whole_turns_of_elevation_are_where_a_counter_began() -> None:
+    high = table()
+    high.columns["e"].values[:] += 720.0
+    assert flights_of(high, PROFILE)[0].elevation_rad == pytest.approx(
+        flights_of(table(), PROFILE)[0].elevation_rad
+    )
+
+
+def test_times_that_begin_again_begin_another_flight() -> None:
+    twice = table()
+    twice.columns["time"].values[150:] -= twice.columns["time"].values[150]
+    first, second = flights_of(twice, dataclasses.replace(PROFILE, parts={}))
+    assert (len(first), second.t_s[0]) == (150, 0.0)
+    assert np.degrees(second.elevation_rad[0]) == pytest.approx(0.75)
 
 
 def test_what_is_left_out_in_the_middle_makes_two_flights() -> None:
@@ -116,6 +174,24 @@ def test_a_wrong_profile_is_refused_in_a_line(text: str, said: str, tmp_path: Pa
     whole = profile_text(PROFILE)
     path.write_text(text if said != "sgin" else whole.replace("[elevation]\n", "[elevation]\nsgin = 1\n"))
     with pytest.raises(FlightDataError, match=said.replace("[", r"\[")):
+        read_profile(path)
+
+
+@pytest.mark.parametrize(
+    ("entry", "wrong", "said"),
+    [
+        ("mirrored = false", "mirrored = 1", "neither true nor false"),
+        ("clip_V = [-1.0, 24.0]", "clip_V = [5, -5]", "least, largest"),
+        ("clip_V = [-1.0, 24.0]", "clip_V = 5", "least, largest"),
+        ("factor = 2.0", "factor = 0", "not positive"),
+    ],
+)
+def test_a_wrong_entry_is_refused_in_a_line(entry: str, wrong: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    whole = profile_text(PROFILE)
+    assert entry in whole
+    path.write_text(whole.replace(entry, wrong))
+    with pytest.raises(FlightDataError, match=said):
         read_profile(path)
 
 

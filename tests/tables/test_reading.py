@@ -57,6 +57,58 @@ def test_a_row_of_units_and_a_title(tmp_path: Path) -> None:
     assert [one.unit for one in table.columns.values()] == ["ms", "deg", "V"]
 
 
+CLOCKS = [
+    [f"13:47:{20.0 + t:06.3f}" for t in T_S],
+    [f"23:59:{59.0 + t:06.3f}" if t < 1.0 else f"00:00:{t - 1.0:06.3f}" for t in T_S],
+    [f"47:{20.0 + t:06.3f}" for t in T_S],
+    [f"2024-01-04 12:58:{31.0 + t:06.3f}" for t in T_S],
+    [f"2024-01-04T12:58:{31.0 + t:06.3f}Z" for t in T_S],
+    [f"04.01.2024 12:58:{31.0 + t:06.3f}" for t in T_S],
+]
+
+
+@pytest.mark.parametrize("clock", CLOCKS, ids=lambda cells: cells[0])
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_clocks_and_dates_are_times(clock: list[str], decimal: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    lines = [f"{at};{x:.4f};{y:.4f}".replace(".", decimal) for at, x, y in zip(clock, X, Y, strict=True)]
+    if decimal == "," and clock[0].count("."):
+        lines = [line.replace("04,01,2024", "04.01.2024") for line in lines]
+    path.write_text("at;x;y\n" + "\n".join(lines))
+    table = read_table(path)
+    same(table)
+    assert table.columns["at"].values == pytest.approx(T_S, abs=1e-6)
+    assert table.columns["at"].unit == "s"
+
+
+def test_words_are_no_times(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("t,x,y,state\n" + rows(",", ".").replace("\n", ",FLY\n") + ",FLY\n")
+    table = read_table(path)
+    same(table)
+    assert "state" not in table.columns
+
+
+def test_rows_of_zeros_behind_a_flight_are_none_of_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("t,x,y\n" + rows(",", ".") + "\n" + "0,0,0\n" * 50)
+    same(read_table(path).aligned())
+
+
+def test_numbers_in_the_header_of_labview_are_no_rows(tmp_path: Path) -> None:
+    head = "Writer_Version\t2\nDate\t2024/01/04\n***End_of_Header***\t\n\nSamples\t1\t1\nt\tx\ty\tComment\n"
+    path = tmp_path / "a.lvm"
+    path.write_text(head + rows("\t", ","))
+    same(read_table(path))
+
+
+def test_names_in_chinese_or_with_umlauts_without_utf8(tmp_path: Path) -> None:
+    for name, encoding in (("高度角", "gb18030"), ("Höhe", "latin-1")):
+        path = tmp_path / "a.csv"
+        path.write_bytes(f"t,{name},y\n{rows(',', '.')}".encode(encoding))
+        same(read_table(path), name)
+
+
 def test_utf16_as_spreadsheets_save_it(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_bytes(("t\tx\ty\n" + rows("\t", ".")).encode("utf-16"))

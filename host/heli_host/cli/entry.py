@@ -12,6 +12,7 @@ import contextvars
 import copy
 import functools
 import os
+import re
 import signal
 import stat
 import sys
@@ -74,6 +75,7 @@ for _name, _verb in installed_verbs().items():
 # Typer raises its errors from click, or from its own copy of click since 0.25; this class is in both.
 _UsageError = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")
 
+_USERS_EXTRAS = ("page", "import", "export", "gym", "campaign")
 EXIT_ASKED, EXIT_FILE, EXIT_BUG, EXIT_INTERRUPTED = 2, 5, 70, 130
 
 
@@ -165,9 +167,21 @@ def _explain(error: Exception) -> tuple[str, int]:
         name = f"{error.filename}: " if error.filename else ""
         return f"{name}{error.strerror or error}; choose another place or make room for it", EXIT_FILE
     if isinstance(error, ModuleNotFoundError):
-        return f"the Python package {error.name} is missing; run: pip install {error.name}", EXIT_ASKED
+        return f"the Python package {error.name} is missing; run: {_remedy(error.name or '')}", EXIT_ASKED
     summary = " ".join(f"{type(error).__name__}: {error}".split())
     return f"unexpected {summary}; please report it with what HELI_DEBUG=1 prints", EXIT_BUG
+
+
+def _remedy(package: str) -> str:
+    """How to install a package: with all that goes with it, where it is one of this program's extras."""
+    from importlib.metadata import metadata
+
+    name = re.compile(rf"{re.escape(package.partition('.')[0])}(?![\w.-])", re.I)
+    lines = metadata(DISTRIBUTION).get_all("Requires-Dist") or ()
+    for extra in _USERS_EXTRAS:
+        if any(name.match(line) and re.search(rf"extra == ['\"]{extra}['\"]", line) for line in lines):
+            return f"pip install '{DISTRIBUTION}[{extra}]'"
+    return f"pip install {package}"
 
 
 def _usage_text(error: Exception) -> tuple[str, int]:

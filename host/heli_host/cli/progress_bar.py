@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 LINE_EVERY_S = 5.0
 """When the output goes to a file or another program."""
+_LEAST_TOLD = 0.01
+"""Share of the work below which no time left is told."""
 
 
 class WorkBar:
@@ -64,5 +66,7 @@ class WorkBar:
         now_s = time.monotonic()
         if now_s - self._shown_s >= LINE_EVERY_S:
             self._shown_s = now_s
-            left_s = (now_s - self._started_s) * (1.0 - done) / max(done, 1e-3)
-            say_progress(f"{stage}: {100 * done:.0f} %, about {left_s:.0f} s left")
+            # Of next to nothing that is done no time left can be told.
+            left_s = (now_s - self._started_s) * (1.0 - done) / max(done, _LEAST_TOLD)
+            told = f", about {left_s:.0f} s left" if done >= _LEAST_TOLD else ""
+            say_progress(f"{stage}: {100 * done:.0f} %{told}")

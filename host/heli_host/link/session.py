@@ -34,13 +34,14 @@ from heli_host.declaration import (
     VoltagesMessage,
     WelcomeMessage,
 )
-from heli_host.errors import HandshakeTimeout, LinkError, LinkLost, WaitTimeout, WrongDevice
+from heli_host.errors import LinkError, LinkLost, WaitTimeout
 from heli_host.link.accounting import LinkCounters
 from heli_host.link.clock import TICK_S, ClockEstimate
 from heli_host.link.driver import READ_TIMEOUT_S, Driver
 from heli_host.link.engine import Engine, Phase
 from heli_host.link.events import LinkEvent
 from heli_host.link.frames import Frame
+from heli_host.link.greeting import no_welcome
 from heli_host.link.requests import Command, Request
 from heli_host.link.subscribers import (
     EventCallback,
@@ -189,7 +190,7 @@ class Session:
         while self._engine.phase is Phase.GREETING:
             driver.check()
             if driver.transport.now_s() >= driver.handshake_deadline_s:
-                raise self._handshake_error()
+                raise no_welcome(self._engine.parser, driver.transport.url, self.handshake_timeout_s)
             driver.pump(READ_TIMEOUT_S)
         driver.start()
         return self.welcome
@@ -547,29 +548,3 @@ class Session:
         """
         self._subscribers.on_status = (*self._subscribers.on_status, callback)
         return lambda: self._subscribers.remove(callback)
-
-    def _handshake_error(self) -> LinkError:
-        parser, url = self._engine.parser, self._driver.transport.url
-        if parser.frames_ok:
-            return HandshakeTimeout(
-                f"frames come from {url}, but hello was not answered in {self.handshake_timeout_s:g} s",
-                "press the board's reset button; if it stays, flash the firmware of this release",
-            )
-        if parser.bytes_received == 0:
-            return HandshakeTimeout(
-                f"nothing was heard from {url} in {self.handshake_timeout_s:g} s",
-                "check power and cable, that it is the programming port, and that the firmware is flashed",
-            )
-        everything = parser.excerpt + parser.pending
-        excerpt = everything[-16:]
-        heard = f"{parser.bytes_received} bytes (the last: {excerpt.hex(' ')})"
-        # A boot loader, a console, or a simulated board that another host holds says so in words.
-        words = everything.strip(b"\r\n\0").rpartition(b"\n")[2].decode("ascii", errors="replace")
-        if words.isascii() and words.isprintable() and words:
-            heard += f", in words {words!r},"
-        return WrongDevice(
-            f"{heard} came from {url}, but no frame of this link",
-            "choose another port (heli-host ports lists them), or flash the firmware of this release",
-            parser.bytes_received,
-            excerpt,
-        )

@@ -14,11 +14,14 @@ from heli_host.flight import Flight
 from heli_host.flight.flight import MIN_ROWS
 from heli_host.tables.profile import MOTORS, Angle, Part, Profile, Voltage
 from heli_host.tables.table import Floats, Table
-from heli_host.tables.units import TIME_UNITS
+from heli_host.tables.units import COUNT, TIME_UNITS
 
 UNEVEN = 0.02
 """Share of the median step by which steps may vary, as a standard deviation, before rows are brought to even
 times. Beyond, encoders' counts are interpolated; below, nothing is changed."""
+TRAVEL = "travel"
+WORD = 65536.0
+"""Counts after which an encoder's counter of 16 bits begins again."""
 MOST_MISSING = 5.0
 """Steps without a row beyond which a flight ends and another begins; fewer missing rows are filled in."""
 
@@ -33,19 +36,25 @@ def flights_of(table: Table, profile: Profile) -> list[Flight]:
     """
     table = table.aligned()
     t_s = times_of(table, profile)
-    angles = {axis: _angle(table, angle, t_s) for axis, angle in profile.angles.items()}
-    setpoints = {axis: _angle(table, angle, t_s) for axis, angle in profile.setpoints.items()}
+    angles = {axis: _angle(table, one, t_s, axis == TRAVEL) for axis, one in profile.angles.items()}
+    setpoints = {axis: _angle(table, one, t_s, axis == TRAVEL) for axis, one in profile.setpoints.items()}
     voltages = {name: _voltage(table, voltage, t_s) for name, voltage in profile.voltages.items()}
     if "sum" in voltages:
         total, difference = voltages["sum"], voltages["difference"]
         voltages = {"front": 0.5 * (total + difference), "back": 0.5 * (total - difference)}
+    if profile.clip_V:
+        voltages = {name: np.clip(one, *profile.clip_V) for name, one in voltages.items()}
     series = {f"{axis}_rad": one for axis, one in angles.items()}
     series |= {f"{axis}_setpoint_rad": one for axis, one in setpoints.items()}
+    if profile.mirrored:
+        voltages = {"front": voltages["back"], "back": voltages["front"]}
+        series = {name: one if name.startswith("elevation") else -one for name, one in series.items()}
     held = {f"{name}_V": voltages[name] for name in MOTORS}
     keep = np.isfinite(t_s)
     for one in (*series.values(), *held.values()):
         keep &= np.isfinite(one)
-    keep[keep] &= np.concatenate(([True], np.diff(t_s[keep]) > 0.0)) if keep.any() else True
+    # A time twice is a row twice; a time that falls begins another flight.
+    keep[keep] &= np.concatenate(([True], np.diff(t_s[keep]) != 0.0)) if keep.any() else True
     if int(keep.sum()) < MIN_ROWS:
         raise FlightDataError(
             f"{table.source}: only {int(keep.sum())} rows with all of time, angles and voltages",
@@ -97,12 +106,21 @@ def _column(table: Table, name: str) -> Floats:
     return table.columns[name].values
 
 
-def _angle(table: Table, angle: Angle, t_s: Floats) -> Floats:
+def _angle(table: Table, angle: Angle, t_s: Floats, travels: bool) -> Floats:
     raw = _earlier(_column(table, angle.column), t_s, angle.delay_s)
     known = np.isfinite(raw)
     turned: Floats = np.full(raw.shape, np.nan)
+    values = raw[known]
+    if angle.unit == COUNT and values.size and float(np.abs(np.diff(values)).max(initial=0.0)) > 0.9 * WORD:
+        # A word of 16 bits that ran over. Its first value is one of either sign, whichever is nearer to 0.
+        values = np.unwrap(values, period=WORD)
+        values = values - WORD * np.round(values[0] / WORD)
     # No arm turns by half a turn between two rows: such a jump is an angle that was wrapped.
-    turned[known] = np.unwrap(angle.sign * angle.rad * raw[known]) + np.radians(angle.offset_deg)
+    rad = np.unwrap(angle.sign * angle.rad * values)
+    turned[known] = rad + np.radians(angle.offset_deg)
+    if not travels and rad.size:
+        # Neither of these turns all the way round: whole turns are where a counter began.
+        turned[known] -= 2.0 * np.pi * np.round(np.median(turned[known]) / (2.0 * np.pi))
     return turned
 
 
@@ -159,7 +177,7 @@ def _pieces(t_s: Floats, part: Part, source: str) -> list[tuple[int, int]]:
     for start_s, stop_s in part.leave_out_s:
         keep &= (t_s < start_s) | (t_s >= stop_s)
     steps_s = np.diff(t_s)
-    breaks = np.flatnonzero(steps_s > MOST_MISSING * np.median(steps_s)) + 1
+    breaks = np.flatnonzero((steps_s > MOST_MISSING * np.median(steps_s)) | (steps_s < 0.0)) + 1
     edges = np.flatnonzero(np.diff(np.concatenate(([0], keep.astype(int), [0]))))
     found = [
         (int(a), int(b))

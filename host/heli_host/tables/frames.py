@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from heli_host.errors import FlightDataError
+from heli_host.tables.clocks import seconds_of
 from heli_host.tables.table import Column, Table
 from heli_host.tables.units import unit_of
 
@@ -63,6 +64,9 @@ def _table(path: Path, frame: pandas.DataFrame) -> Table:
             if isinstance(first, str):
                 unit = unit_of(first.strip("[]() "))
             values = pandas.to_numeric(series, errors="coerce").to_numpy(np.float64)
+            at_s = None if np.isfinite(values).mean() > _LEAST_SHARE else seconds_of(series)
+            if at_s is not None:
+                values, unit = at_s, "s"
         if np.isfinite(values).mean() > _LEAST_SHARE:
             columns[str(name)] = Column(values, unit)
     if not columns:

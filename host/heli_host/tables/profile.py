@@ -16,6 +16,8 @@ from heli_host.tables.units import ANGLE_UNITS, COUNT, SHARES, TIME_UNITS, VOLTA
 MOTORS: Final = ("front", "back")
 SUMS: Final = ("sum", "difference")
 _ACT: Final = ("after", "before")
+_SHARED: Final = ("unit", "full", "supply_V", "factor")
+"""What may be stated once for both voltages."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Angle:
 
 @dataclass(frozen=True)
 class Voltage:
-    """Where a voltage is: voltage = sign * (column in its unit) + offset.
+    """Where a voltage is: voltage = sign * factor * (column in its unit) + offset.
 
     Parameters
     ----------
@@ -72,6 +74,8 @@ class Voltage:
         Added last, V: such as the bias of a sum that was logged without it.
     delay_s : float
         By how much the column is late, s.
+    factor : float
+        What the column is multiplied by: 2 where it is half a sum, the gain of an amplifier behind it.
     """
 
     column: str
@@ -81,13 +85,14 @@ class Voltage:
     sign: float = 1.0
     offset_V: float = 0.0
     delay_s: float = 0.0
+    factor: float = 1.0
 
     @property
     def volts(self) -> float:
         """Volts that one of the column's unit is, without sign."""
         if self.unit in VOLTAGE_UNITS:
-            return VOLTAGE_UNITS[self.unit]
-        return self.supply_V / (self.full if self.unit == "pwm" else SHARES[self.unit])
+            return self.factor * VOLTAGE_UNITS[self.unit]
+        return self.factor * self.supply_V / (self.full if self.unit == "pwm" else SHARES[self.unit])
 
 
 @dataclass(frozen=True)
@@ -125,6 +130,11 @@ class Profile:
     act : str
         `after`: a row's voltages act from that row on (what a controller wrote then). `before`: they acted
         until that row (what was sampled with the angles).
+    clip_V : tuple of (float, float) or None
+        Least and largest voltage of a motor, where what was logged was clipped before it acted.
+    mirrored : bool
+        Whether the rotor that the entries call the back one is the front one: the motors are then exchanged,
+        and pitch and travel turned, last of all.
     setpoints : Mapping[str, Angle]
         Setpoints by axis, where they are known.
     parts : Mapping[str, Part]
@@ -142,6 +152,8 @@ class Profile:
     setpoints: Mapping[str, Angle] = field(default_factory=dict)
     parts: Mapping[str, Part] = field(default_factory=dict)
     about: str = ""
+    clip_V: tuple[float, float] | None = None
+    mirrored: bool = False
 
 
 def read_profile(path: Path) -> Profile:
@@ -153,7 +165,17 @@ def read_profile(path: Path) -> Profile:
     except ValueError as error:
         raise FlightDataError(f"{path}: not a profile: {error}", "see docs/importing.md") from error
     reader = _Reader(str(path))
-    known = {"about", "time", "voltages", "flight", *AXES, *MOTORS, *SUMS, *(f"{a}_setpoint" for a in AXES)}
+    known = {
+        "about",
+        "mirrored",
+        "time",
+        "voltages",
+        "flight",
+        *AXES,
+        *MOTORS,
+        *SUMS,
+        *(f"{a}_setpoint" for a in AXES),
+    }
     reader.no_others(content, known, "")
     time = reader.table(content, "time")
     reader.no_others(time, {"column", "unit", "rate_Hz"}, "time.")
@@ -162,10 +184,11 @@ def read_profile(path: Path) -> Profile:
     if (motors, sums) not in ((list(MOTORS), []), ([], list(SUMS))):
         raise reader.wrong("the voltages are neither [front] and [back] nor [sum] and [difference]")
     acting = reader.table(content, "voltages")
-    reader.no_others(acting, {"act"}, "voltages.")
+    reader.no_others(acting, {"act", "clip_V", *_SHARED}, "voltages.")
+    shared = {name: acting[name] for name in _SHARED if name in acting}
     profile = Profile(
         {axis: reader.angle(content, axis) for axis in AXES},
-        {name: reader.voltage(content, name) for name in motors or sums},
+        {name: reader.voltage(content, name, shared) for name in motors or sums},
         reader.text(time, "column", ""),
         reader.one_of(time, "unit", "s", tuple(TIME_UNITS)),
         reader.number(time, "rate_Hz", 0.0),
@@ -173,6 +196,8 @@ def read_profile(path: Path) -> Profile:
         {axis: reader.angle(content, f"{axis}_setpoint") for axis in AXES if f"{axis}_setpoint" in content},
         dict(reader.part(one) for one in reader.tables(content, "flight")),
         reader.text(content, "about", ""),
+        reader.clip(acting),
+        reader.truth(content, "mirrored"),
     )
     if not profile.time and profile.rate_Hz <= 0.0:
         raise reader.wrong("it has neither time.column nor time.rate_Hz")
@@ -223,6 +248,23 @@ class _Reader:
             raise self.wrong(f"{name} = '{found}' is none of {', '.join(known)}")
         return found
 
+    def truth(self, content: Mapping[str, Any], name: str) -> bool:
+        found = content.get(name, False)
+        if not isinstance(found, bool):
+            raise self.wrong(f"'{name}' is neither true nor false")
+        return found
+
+    def clip(self, content: Mapping[str, Any]) -> tuple[float, float] | None:
+        found = content.get("clip_V")
+        if found is None:
+            return None
+        numbers = isinstance(found, list) and all(
+            isinstance(one, int | float) and not isinstance(one, bool) for one in found
+        )
+        if not numbers or len(found) != 2 or not found[0] < found[1]:
+            raise self.wrong(f"clip_V = {found} is no [least, largest] voltage of a motor, such as [-5, 5]")
+        return float(found[0]), float(found[1])
+
     def sign(self, content: Mapping[str, Any]) -> float:
         found = self.number(content, "sign", 1.0)
         if abs(found) != 1.0:
@@ -249,10 +291,10 @@ class _Reader:
             self.number(one, "delay_s", 0.0),
         )
 
-    def voltage(self, content: Mapping[str, Any], name: str) -> Voltage:
+    def voltage(self, content: Mapping[str, Any], name: str, shared: Mapping[str, Any]) -> Voltage:
         one = self.table(content, name)
-        known = {"column", "unit", "full", "supply_V", "sign", "offset_V", "delay_s"}
-        self.no_others(one, known, f"{name}.")
+        self.no_others(one, {"column", "sign", "offset_V", "delay_s", *_SHARED}, f"{name}.")
+        one = {**shared, **one}
         return Voltage(
             self.text(one, "column", None),
             self.one_of(one, "unit", "V", (*VOLTAGE_UNITS, *SHARES)),
@@ -261,6 +303,7 @@ class _Reader:
             self.sign(one),
             self.number(one, "offset_V", 0.0),
             self.number(one, "delay_s", 0.0),
+            self.positive(one, "factor", 1.0),
         )
 
     def part(self, one: Mapping[str, Any]) -> tuple[str, Part]:
@@ -277,21 +320,28 @@ class _Reader:
 
 def profile_text(profile: Profile) -> str:
     """Write a profile as TOML, which `read_profile` reads."""
-    lines = [f"about = {_quoted(profile.about)}", "", "[time]"]
+    lines = [f"about = {_quoted(profile.about)}"]
+    lines += [
+        f"mirrored = {str(profile.mirrored).lower()}  # true: the other rotor is the front one",
+        "",
+        "[time]",
+    ]
     if profile.time:
         lines += [f"column = {_quoted(profile.time)}", f'unit = "{profile.time_unit}"']
     if profile.rate_Hz:
         lines += [f"rate_Hz = {profile.rate_Hz!r}"]
     for axis in AXES:
         lines += ["", f"[{axis}]", *_angle_lines(profile.angles[axis])]
+    lines += ["", "[voltages]", f'act = "{profile.act}"']
+    told = [_scale_lines(voltage) for voltage in profile.voltages.values()]
+    shared = told[0] if all(one == told[0] for one in told) else []
+    lines += shared
+    lines += [f"clip_V = {list(profile.clip_V)}"] if profile.clip_V else []
     for name, voltage in profile.voltages.items():
-        lines += ["", f"[{name}]", f"column = {_quoted(voltage.column)}", f'unit = "{voltage.unit}"']
-        lines += [f"full = {voltage.full!r}"] if voltage.unit == "pwm" else []
-        lines += [f"supply_V = {voltage.supply_V!r}"] if voltage.unit in SHARES else []
-        lines += [f"sign = {voltage.sign:g}"]
+        lines += ["", f"[{name}]", f"column = {_quoted(voltage.column)}", f"sign = {voltage.sign:g}"]
+        lines += [] if shared else _scale_lines(voltage)
         lines += [f"offset_V = {voltage.offset_V!r}"] if voltage.offset_V else []
         lines += [f"delay_s = {voltage.delay_s!r}"] if voltage.delay_s else []
-    lines += ["", "[voltages]", f'act = "{profile.act}"']
     for axis, angle in profile.setpoints.items():
         lines += ["", f"[{axis}_setpoint]", *_angle_lines(angle)]
     for file, part in profile.parts.items():
@@ -299,6 +349,13 @@ def profile_text(profile: Profile) -> str:
         lines += [f"leave_out_s = {[list(span) for span in part.leave_out_s]}"] if part.leave_out_s else []
         lines += [f"group = {_quoted(part.group)}"] if part.group else []
     return "\n".join(lines) + "\n"
+
+
+def _scale_lines(voltage: Voltage) -> list[str]:
+    lines = [f'unit = "{voltage.unit}"']
+    lines += [f"full = {voltage.full!r}"] if voltage.unit == "pwm" else []
+    lines += [f"supply_V = {voltage.supply_V!r}"] if voltage.unit in SHARES else []
+    return lines + ([f"factor = {voltage.factor!r}"] if voltage.factor != 1.0 else [])
 
 
 def _angle_lines(angle: Angle) -> list[str]:

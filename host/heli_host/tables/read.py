@@ -7,7 +7,9 @@ from pathlib import Path
 from heli_host.errors import FlightDataError
 from heli_host.tables.table import Table
 
-KINDS = ".csv .txt .tsv .dat (.gz), .mat, .parquet, .mcap, .bag, .db3, .xlsx, or the folder of a ROS 2 bag"
+KINDS = (
+    ".csv .txt .tsv .dat .lvm (.gz), .mat, .parquet, .mcap, .bag, .db3, .xlsx, or the folder of a ROS 2 bag"
+)
 """What can be read, for messages."""
 
 
@@ -36,7 +38,7 @@ def read_table(path: Path) -> Table:
         from heli_host.tables.frames import read_excel
 
         return read_excel(path)
-    if name.endswith((".csv", ".txt", ".tsv", ".dat", ".log", ".asc")):
+    if name.endswith((".csv", ".txt", ".tsv", ".dat", ".log", ".asc", ".lvm")):
         from heli_host.tables.text import read_text
 
         return read_text(path)

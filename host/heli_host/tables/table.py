@@ -63,12 +63,16 @@ class Table:
     def aligned(self) -> Table:
         """Bring all columns to one clock: that of the column with the most rows. Each of the others has at
         every moment the last value that it had by then. A table without clocks of its columns' own is
-        returned as it is, without columns of another length than most.
+        returned as it is, without columns of another length than most, and without the rows of zeros at its
+        end that a buffer has which was made too long.
         """
         clocked = {name: one for name, one in self.columns.items() if one.t_s is not None}
         if not clocked:
             length = len(self)
             kept = {name: one for name, one in self.columns.items() if one.values.size == length}
+            used = _used_rows([one.values for one in kept.values()])
+            if used < length:
+                kept = {name: Column(one.values[:used], one.unit) for name, one in kept.items()}
             return Table(self.source, kept, self.notes, self.named)
         fullest = max(clocked.values(), key=lambda one: one.values.size)
         assert fullest.t_s is not None
@@ -85,3 +89,13 @@ class Table:
                 place = np.clip(np.searchsorted(one.t_s, t_s, side="right") - 1, 0, None)
                 columns[name] = Column(one.values[place], one.unit)
         return Table(self.source, columns, self.notes, self.named)
+
+
+def _used_rows(columns: list[Floats]) -> int:
+    """How many rows there are before those at the end in which every column, time too, is 0."""
+    length = columns[0].size if columns else 0
+    last = 0
+    for values in columns:
+        filled = np.flatnonzero(values != 0.0)
+        last = max(last, int(filled[-1]) + 1 if filled.size else 0)
+    return last if len(columns) > 1 and last else length

@@ -7,6 +7,7 @@ import gzip
 import io
 import itertools
 import re
+import statistics
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 
 from heli_host.errors import FlightDataError
 from heli_host.files import read_file
+from heli_host.tables.clocks import seconds_of
 from heli_host.tables.table import Column, Table
 from heli_host.tables.units import unit_of
 
@@ -26,6 +28,9 @@ _SEPARATORS: Final = (";", "\t", ",", "|", " ")
 _LOOKED_AT: Final = 60
 """Lines that the dialect is told from."""
 _EMPTY: Final = frozenset({"", "nan", "na", "n/a", "null", "none", "-nan", "inf", "-inf", "#n/a"})
+_HIGH_BYTES: Final = re.compile(rb"[\x80-\xff]+")
+_ENCODING_BYTES: Final = 1 << 16
+"""Bytes that the encoding is told from: a header."""
 _NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?$")
 
 
@@ -60,10 +65,8 @@ def read_text(path: Path) -> Table:
         raise FlightDataError(
             f"{path}: no columns of numbers in it", "give a table: one row a sample, separated by , ; or tabs"
         )
-    header = list(
-        itertools.takewhile(lambda line: not _is_numeric(_cells(line, dialect), dialect), body[:_LOOKED_AT])
-    )
-    rows = body[len(header) :]
+    start = _first_row(body[:_LOOKED_AT], dialect, spread)
+    header, rows = body[:start], body[start:]
     if not rows:
         raise FlightDataError(
             f"{path}: no row of numbers in it", "give a table: one row a sample, separated by , ; or tabs"
@@ -90,7 +93,10 @@ def read_text(path: Path) -> Table:
     columns = {}
     for index, name in enumerate(names):
         values = pandas.to_numeric(frame[index], errors="coerce").to_numpy(np.float64)
-        if np.isfinite(values).any():
+        at_s = None if np.isfinite(values).mean() > 0.5 else seconds_of(frame[index])
+        if at_s is not None:
+            columns[name] = Column(at_s, "s")
+        elif np.isfinite(values).any():
             columns[name] = Column(values, units[index])
     if not columns:
         raise FlightDataError(f"{path}: no columns of numbers in it", "give a table: one row a sample")
@@ -105,7 +111,7 @@ def find_dialect(lines: list[str]) -> Dialect | None:
             continue
         dialect = Dialect(separator, decimal)
         cells = [_cells(line, dialect) for line in lines]
-        width = max(map(len, cells))
+        width = statistics.mode(map(len, cells))
         if width < 2:
             continue
         shares = [
@@ -134,7 +140,9 @@ def _text(path: Path) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
-        return data.decode("latin-1")
+        # Chinese characters are pairs of high bytes; a western letter with an accent is a single one.
+        paired = all(len(run) % 2 == 0 for run in _HIGH_BYTES.findall(data[:_ENCODING_BYTES]))
+        return data.decode("gb18030" if paired else "latin-1", errors="replace")
 
 
 def _cells(line: str, dialect: Dialect) -> list[str]:
@@ -145,12 +153,23 @@ def _cells(line: str, dialect: Dialect) -> list[str]:
     return cells[:-1] if cells and not cells[-1].strip() else cells
 
 
-def _is_numeric(cells: list[str], dialect: Dialect) -> bool:
-    """Whether a line is one of numbers: at least half of its cells are, and none is a word but the first,
-    which may be a date.
+def _first_row(lines: list[str], dialect: Dialect, spread: list[str]) -> int:
+    """Find the first row of numbers: it is as wide as most, at least half of its cells are numbers, and no
+    row of names follows, as in LabVIEW's headers, in which numbers stand too.
     """
-    numbers = sum(_is_number(cell, dialect) for cell in cells)
-    return numbers >= 1 and 2 * numbers >= len(cells)
+    width = statistics.mode(len(_cells(line, dialect)) for line in spread)
+    cells = [_cells(line, dialect) for line in lines]
+    numbers = [sum(_is_number(cell, dialect) for cell in row) for row in cells]
+    named = [
+        index
+        for index, row in enumerate(cells)
+        if len(row) >= width and not numbers[index] and all(cell.strip() for cell in row[:width])
+    ]
+    start = max(named, default=-1) + 1
+    for index in range(start, len(lines)):
+        if len(cells[index]) >= width and 2 * numbers[index] >= max(len(cells[index]), 1):
+            return index
+    return len(lines)
 
 
 def _is_number(cell: str, dialect: Dialect) -> bool:
@@ -167,7 +186,8 @@ def _names(header: list[str], dialect: Dialect, width: int) -> tuple[list[str], 
     one.
     """
     rows = [_cells(line, dialect) for line in header]
-    rows = [row for row in rows if len(row) == width]
+    # LabVIEW names a column of comments that no row has.
+    rows = [row[:width] for row in rows if len(row) in {width, width + 1}]
     units = [""] * width
     if len(rows) > 1 and sum(bool(_stated(cell)) for cell in rows[-1]) >= max(1, width // 2):
         units = [_stated(cell) for cell in rows[-1]]

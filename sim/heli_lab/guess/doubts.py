@@ -70,11 +70,7 @@ def _told(roles: Roles) -> str:
 def scale_doubts(possible: list[Scale], motion: Motion, reference: Reference, rig: Rig) -> list[Doubt]:
     """What is open about the units, of all choices, the likeliest first."""
     best, doubts = possible[0], []
-    second = next(
-        one
-        for one in possible
-        if (one.angles, one.voltage, one.full) != (best.angles, best.voltage, best.full)
-    )
+    second = next(one for one in possible if one.units != best.units)
     if best.nats - second.nats < thresholds.SURE_NATS:
         doubts.append(
             Doubt(
@@ -137,7 +133,8 @@ def _units(scale: Scale) -> str:
         else ", ".join(f"{axis} in {unit}" for axis, unit in scale.angles.items())
     )
     full = f" of {scale.full:g}" if scale.voltage == "pwm" else ""
-    return f"angles in {shown}, voltages in {scale.voltage}{full}"
+    halves = ", sum and difference by halves" if scale.factor != 1.0 else ""
+    return f"angles in {shown}, voltages in {scale.voltage}{full}{halves}"
 
 
 def sign_doubts(found: dict[str, Explained], signs: Signs, roles: Roles) -> list[Doubt]:
@@ -177,7 +174,7 @@ def sign_doubts(found: dict[str, Explained], signs: Signs, roles: Roles) -> list
                 one,
                 two,
                 "these are mirror images of each other and fly alike: lift the front rotor by hand and look "
-                "whether pitch rises",
+                "whether pitch rises; if not, set mirrored = true",
             )
         )
     return doubts

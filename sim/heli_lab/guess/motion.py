@@ -87,6 +87,8 @@ class Rest:
 def rest_of(signals: Signals, column: str, deg: float) -> Rest:
     """Look at how the elevation, `column`, begins, `deg` being the signed degrees in one of its unit."""
     elevation = deg * signals.raw[column]
+    # A counter without a sign, or of a turn, is a whole turn off where it begins below 0.
+    elevation = elevation - 360.0 * np.round(np.median(elevation) / 360.0)
     rows = round(thresholds.REST_S / thresholds.STEP_S)
     begin = elevation[:rows]
     usual = float(np.median(elevation))

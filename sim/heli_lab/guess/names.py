@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+import unicodedata
 from typing import Final
 
 from heli_host.tables.units import split_unit
@@ -11,14 +12,35 @@ from heli_host.tables.units import split_unit
 ROLES: Final = ("elevation", "pitch", "travel", "front", "back", "sum", "difference")
 
 _WORDS: Final = {
-    "elevation": ("elevation", "elev", "elevasjon", "theta", "epsilon", "eps", "el", "e"),
-    "pitch": ("pitch", "phi", "rho", "p", "tilt"),
-    "travel": ("travel", "trav", "psi", "lambda", "lam", "lamda", "yaw", "azimuth", "heading", "tr"),
-    "front": ("front", "vf", "uf", "forward", "fwd", "mf", "f"),
-    "back": ("back", "rear", "vb", "ub", "aft", "mb", "b"),
-    "sum": ("sum", "vs", "us", "collective", "coll", "total", "vsum"),
-    "difference": ("difference", "diff", "vd", "ud", "differential", "vdiff", "delta"),
+    "elevation": (
+        *("elevation", "elev", "theta", "epsilon", "eps", "el", "e"),
+        *("elevasjon", "hoyde", "hoydevinkel", "hohe", "hohenwinkel", "elevacion", "altura", "高度", "升降"),
+    ),
+    "pitch": (
+        *("pitch", "phi", "rho", "p", "tilt"),
+        *("helling", "stigning", "nick", "nickwinkel", "neigung", "tangage", "cabeceo", "俯仰"),
+    ),
+    "travel": (
+        *("travel", "trav", "psi", "lambda", "lam", "lamda", "yaw", "azimuth", "heading", "tr"),
+        *("vandring", "dreh", "drehwinkel", "gier", "gierwinkel", "azimut", "lacet", "rotation", "giro"),
+        *("desplazamiento", "deplacement", "旋转", "巡航"),
+    ),
+    "front": (
+        *("front", "vf", "uf", "forward", "fwd", "mf", "f"),
+        *("foran", "fremme", "vorne", "vorn", "avant", "delantero", "前"),
+    ),
+    "back": (
+        *("back", "rear", "vb", "ub", "aft", "mb", "b"),
+        *("bak", "bakre", "hinten", "arriere", "trasero", "后"),
+    ),
+    "sum": ("sum", "vs", "us", "collective", "coll", "total", "vsum", "summe", "somme", "suma"),
+    "difference": (
+        *("difference", "diff", "vd", "ud", "differential", "vdiff", "delta"),
+        *("differanse", "differenz", "diferencia"),
+    ),
 }
+"""English and Greek; what Norwegian, German, French, Spanish and Chinese courses write, without accents."""
+_HALVES: Final = frozenset({"mean", "avg", "average", "half", "mid", "middle"})
 _OTHERS: Final = frozenset(
     {
         *("ref", "reference", "setpoint", "set", "sp", "des", "desired", "cmd", "command", "target", "goal"),
@@ -29,22 +51,38 @@ _OTHERS: Final = frozenset(
 )
 _TIMES: Final = frozenset(
     {
-        *("t", "time", "times", "timestamp", "stamp", "tid", "zeit", "temps"),
+        *("t", "time", "times", "timestamp", "stamp", "tid", "zeit", "temps", "tiempo", "tempo", "时间"),
         *("millis", "micros", "clock", "tout", "seconds", "elapsed"),
     }
 )
 _COUNTERS: Final = frozenset({"k", "n", "i", "index", "sample", "samples", "row", "tick", "ticks", "seq", ""})
-_SPLIT: Final = re.compile(r"[^a-z0-9]+|(?<=[a-z])(?=\d)|(?<=\d)(?=[a-z])")
+_SPLIT: Final = re.compile(r"[^a-z0-9\u4e00-\u9fff]+|(?<=[a-z])(?=\d)|(?<=\d)(?=[a-z])")
 _CAMEL: Final = re.compile(r"(?<=[a-z])(?=[A-Z])")
+
+
+_CHINESE: Final = tuple(
+    word for known in (*_WORDS.values(), _TIMES) for word in known if word and word[0] >= "\u4e00"
+)
 
 
 def words_of(name: str) -> list[str]:
     """Take a column's `name` without its unit apart into words, lower case."""
     bare = _CAMEL.sub("_", split_unit(name)[0])
-    words = [word for word in _SPLIT.split(bare.lower()) if word]
+    plain = "".join(
+        char
+        for char in unicodedata.normalize("NFKD", bare.lower().replace("ø", "o"))
+        if not unicodedata.combining(char)
+    )
+    words = [word for word in _SPLIT.split(plain) if word]
+    # Chinese has no spaces: its words are found within.
+    words += [word for word in _CHINESE if word in plain]
     # v_f, v s, u_d: the letter of a voltage belongs to the next word.
     joined = [a + b for a, b in itertools.pairwise(words) if a in {"v", "u", "m"} and len(b) == 1]
     return words + joined
+
+
+def _is_long(word: str) -> bool:
+    return len(word) > 2 or word in _CHINESE
 
 
 def role_of(name: str) -> str:
@@ -55,11 +93,16 @@ def role_of(name: str) -> str:
     if _OTHERS.intersection(words):
         return ""
     stated = {role for role, known in _WORDS.items() if any(word in known for word in words)}
-    long = {role for role in stated if any(word in _WORDS[role] and len(word) > 2 for word in words)}
+    long = {role for role in stated if any(word in _WORDS[role] and _is_long(word) for word in words)}
     found = long or stated
     if "pitch" in found and len(found) > 1 and not long:
         found.discard("pitch")
     return found.pop() if len(found) == 1 else ""
+
+
+def is_half(name: str) -> bool:
+    """Whether a `name` says that a sum of two voltages, or their difference, is half of it."""
+    return bool(_HALVES.intersection(words_of(name)))
 
 
 def is_other(name: str) -> bool:

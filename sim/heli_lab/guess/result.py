@@ -62,12 +62,15 @@ class Guess:
         What it rests on, a sentence each.
     choices : tuple of Choice
         Signs flown, the profile first.
+    nats : float
+        Log-likelihood of columns and units, to compare rigs by.
     """
 
     profile: Profile
     doubts: tuple[Doubt, ...]
     evidence: tuple[str, ...]
     choices: tuple[Choice, ...] = ()
+    nats: float = 0.0
 
     @property
     def sure(self) -> bool:

@@ -20,16 +20,16 @@ from heli_lab.guess.motion import answers, rest_of, voltages
 from heli_lab.guess.reference import Reference, reference_of
 from heli_lab.guess.result import Doubt, Guess
 from heli_lab.guess.roles import Explained, Roles, assignments, free_rows
-from heli_lab.guess.scales import AXES, Motion, Scale, is_encoder, rad_of, scales, step_of, volts_of
+from heli_lab.guess.scales import AXES, Motion, Scale, is_encoder, rad_of, scales, step_of
 from heli_lab.guess.signals import Floats, Signals, signals_of
-from heli_lab.guess.times import Clock, clock_of, times_in_s
+from heli_lab.guess.times import Clock, clock_of, longest_run, times_in_s
 
 _ANGLE_UNITS: Final = frozenset({*ANGLE_UNITS, COUNT})
 _VOLTAGE_UNITS: Final = frozenset({*VOLTAGE_UNITS, *SHARES})
 _NO_RATE: Final = "give a column of times, or the rate with --rate"
 
 
-def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
+def guess(table: Table, rig: Rig, rate_Hz: float | None = None, fly: bool = True) -> Guess:
     """Propose a profile for a table from names, ranges and physics.
 
     Parameters
@@ -40,6 +40,8 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
         What is known of the rig: scales, table, encoders, supply. Only units and zeros depend on it.
     rate_Hz : float, optional
         Rows a second, for a table without times.
+    fly : bool
+        Whether the signs are flown through the baseline model.
 
     Raises
     ------
@@ -53,6 +55,7 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
     if not rate_Hz and (not clock.column or not clock.unit):
         raise FlightDataError(f"{table.source}: no column is the time ({clock.other})", _NO_RATE)
     t_s = np.arange(len(table)) / rate_Hz if rate_Hz else times_in_s(table, clock)
+    table, t_s = longest_run(table, t_s)
     others = [name for name in table.columns if name != clock.column and not names.is_time(name)]
     signals = signals_of(table, t_s, others)
     encoders = {name for name in others if is_encoder(table.columns[name].values, reference)}
@@ -72,7 +75,7 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
     scale = possible[0]
     doubts += scale_doubts(possible, motion, reference, rig)
     rad = {axis: rad_of(scale.angles[axis], axis, reference) for axis in AXES}
-    bias = reference.hover_V / volts_of(scale.voltage, scale.full, reference) if scale.biased else 0.0
+    bias = reference.hover_V / scale.volts(reference) if scale.biased else 0.0
     found = answers(signals, roles, reference, rad, bias)
     signs = _signs(found, roles)
     doubts += sign_doubts(found, signs, roles)
@@ -84,10 +87,12 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
     profile = _profile(table, clock, rate_Hz, roles, scale, signs, reference, offset_deg, late_s)
     evidence += [_answer_sentence(axis, found[axis]) for axis in AXES] + lag_notes
     evidence.append(
-        f"hover: {abs(motion.level) * volts_of(scale.voltage, scale.full, reference):.2f} V together, the "
+        f"hover: {abs(motion.level) * scale.volts(reference):.2f} V together, the "
         f"rig file says {reference.hover_V:.2f} V"
     )
-    return _flown(Guess(profile, tuple(doubts), tuple(evidence)), table, rig)
+    profile, clip_doubts = _clipped(table, profile, reference)
+    found_ = Guess(profile, (*doubts, *clip_doubts), tuple(evidence), nats=roles.nats)
+    return _flown(found_, table, rig) if fly else found_
 
 
 def _fitting(
@@ -109,6 +114,22 @@ def _fitting(
         found.append((replace(one, nats=one.nats + nats, physics=one.physics + nats), motion))
     found.sort(key=lambda each: -each[0].nats)
     return [one for one, _ in found], found[0][1]
+
+
+def _clipped(table: Table, profile: Profile, reference: Reference) -> tuple[Profile, list[Doubt]]:
+    """Limit the voltages where a few are beyond the supply, as commands are before a clip."""
+    limit = reference.supply_V
+    largest = max(float(np.abs(one.voltages_V).max()) for one in flights_of(table, profile))
+    beyond = max(float(np.mean(np.abs(one.voltages_V) > limit)) for one in flights_of(table, profile))
+    if largest < thresholds.CLIP_SHARE * limit or beyond > thresholds.MOST_CLIPPED:
+        return profile, []
+    doubt = Doubt(
+        "the voltages' limit",
+        f"clipped to {limit:g} V, the rig file's supply",
+        f"as logged, up to {largest:.1f} V",
+        "what acts is no more than the amplifier gives; set clip_V, or leave it out",
+    )
+    return replace(profile, clip_V=(-limit, limit)), [doubt]
 
 
 def _flown(guessed: Guess, table: Table, rig: Rig) -> Guess:
@@ -157,6 +178,7 @@ def _motion(table: Table, signals: Signals, roles: Roles, first: dict[str, Expla
         {axis: bool(np.all(np.mod(values[axis][np.isfinite(values[axis])], 1.0) == 0.0)) for axis in AXES},
         stated,
         roles.summed,
+        any(names.is_half(column) for column in roles.voltages),
     )
 
 
@@ -214,7 +236,7 @@ def _profile(
         for axis in AXES
     }
     pair = [
-        Voltage(column, scale.voltage, scale.full, reference.supply_V, polarity)
+        Voltage(column, scale.voltage, scale.full, reference.supply_V, polarity, factor=scale.factor)
         for column, polarity in zip(roles.voltages, roles.polarity, strict=True)
     ]
     if roles.summed:

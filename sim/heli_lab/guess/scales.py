@@ -25,10 +25,15 @@ _MIXED: Final = 3.0
 """Nats that an angle costs whose unit is another than elevation's, unless it is stated."""
 _BIAS: Final = 4.0
 """Nats that it costs that a sum was logged without its bias."""
+_HALVED: Final = 3.0
+"""Nats that it costs that sum and difference were logged by halves, as mean and offset of it, where no name
+says so."""
 _PEAK: Final = 6.0
 """Nats that a unit costs in which no motor ever gets a sixth of its supply, or one gets more than all."""
 _PEAKS: Final = (0.16, 1.2)
 """Shares of the supply, as the rig file has it."""
+_MOST_SHARE: Final = 1.02
+"""The same of what is written as a share: more than all is none, whatever the supply."""
 _GRID: Final = 3.0
 """Nats for an angle in steps of the encoder's count, and against one in whole numbers that is no count."""
 
@@ -53,6 +58,8 @@ class Motion:
         Units that names or the file state, by role: the axes and `voltage`.
     summed : bool
         Whether the voltages are sum and difference.
+    halved : bool
+        Whether a name says that these are halves.
     """
 
     gain: Mapping[str, float]
@@ -62,6 +69,7 @@ class Motion:
     whole: Mapping[str, bool]
     stated: Mapping[str, str]
     summed: bool
+    halved: bool = False
 
 
 @dataclass(frozen=True)
@@ -76,6 +84,8 @@ class Scale:
         Unit of both voltages.
     full : float
         What full supply is written as, for `pwm`.
+    factor : float
+        2 where sum and difference are halves, else 1.
     biased : bool
         Whether the sum lacks its bias.
     nats : float
@@ -87,6 +97,7 @@ class Scale:
     angles: Mapping[str, str]
     voltage: str
     full: float
+    factor: float
     biased: bool
     nats: float
     off: Mapping[str, float]
@@ -94,7 +105,11 @@ class Scale:
     @property
     def units(self) -> tuple[str, ...]:
         """All that a profile says of it."""
-        return (*self.angles.values(), self.voltage, str(self.full))
+        return (*self.angles.values(), self.voltage, str(self.full), str(self.factor))
+
+    def volts(self, reference: Reference) -> float:
+        """Volts that one of the voltages' unit is, by the `reference`."""
+        return self.factor * volts_of(self.voltage, self.full, reference)
 
 
 def scales(motion: Motion, reference: Reference) -> list[Scale]:
@@ -102,11 +117,15 @@ def scales(motion: Motion, reference: Reference) -> list[Scale]:
     ranked = []
     fulls = [("pwm", full) for full in _FULLS]
     voltages = [(unit, 255.0) for unit in _VOLTAGES if unit != "pwm"] + fulls
-    for (unit, full), biased in itertools.product(voltages, (False, True) if motion.summed else (False,)):
-        volts = volts_of(unit, full, reference)
+    kinds = list(itertools.product((1.0, 2.0), (False, True))) if motion.summed else [(1.0, False)]
+    for (unit, full), (factor, biased) in itertools.product(voltages, kinds):
+        volts = factor * volts_of(unit, full, reference)
         hover = 0.0 if biased else _off(motion.level * volts, reference.hover_V, thresholds.HOVER_STD)
         base = -0.5 * hover**2 - (_BIAS if biased else 0.0) + _said(motion.stated.get("voltage", ""), unit)
-        if not _PEAKS[0] < motion.peak * volts / reference.supply_V < _PEAKS[1]:
+        if motion.summed and motion.halved != (factor != 1.0):
+            base -= _HALVED
+        most = _PEAKS[1] if unit in VOLTAGE_UNITS else _MOST_SHARE
+        if not _PEAKS[0] < motion.peak * volts / reference.supply_V < most:
             base -= _PEAK
         if biased and abs(motion.level * volts) > 0.5 * reference.hover_V:
             continue
@@ -137,7 +156,7 @@ def scales(motion: Motion, reference: Reference) -> list[Scale]:
                 nats += _said(said, angles[axis]) + _grid(motion, axis, angles[axis], rad[axis], reference)
                 if not said and angles[axis] != angles["elevation"]:
                     nats -= _MIXED
-            ranked.append(Scale(angles, unit, full, biased, nats, off))
+            ranked.append(Scale(angles, unit, full, factor, biased, nats, off))
     return sorted(ranked, key=lambda one: -one.nats)
 
 

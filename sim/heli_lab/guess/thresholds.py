@@ -74,3 +74,9 @@ does not tell them apart. Wrong choices are off by 1.3 and more on measured flig
 CLEARLY_WORSE: Final = 0.5
 """The same below which a flight that is to be fitted has wrong signs. One sign makes 0.03 to 0.8 of it; with
 the answers' own margin, `SURE_NATS`, which must agree. Higher stops fits of rigs that are only unusual."""
+CLIP_SHARE: Final = 1.02
+"""Share of the supply from which on a voltage cannot have acted, and was a command before a clip. Rounding is
+below."""
+MOST_CLIPPED: Final = 0.2
+"""Share of the rows beyond the supply from which on the supply is another one than the rig file's, no limit.
+Set by judgement: a loop that is beyond its limits for longer does not fly."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from heli_host.tables import Table
+from heli_host.tables import Column, Table
 from heli_host.tables.units import TIME_UNITS, split_unit
 
 from heli_lab.guess import names
@@ -87,3 +88,15 @@ def times_in_s(table: Table, clock: Clock) -> Floats:
     first = values[np.isfinite(values)][0]
     result: Floats = (values - first) * TIME_UNITS[clock.unit]
     return result
+
+
+def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
+    """Take the longest part of a table in which its times, `t_s`, do not begin again; with its times, s."""
+    known = np.flatnonzero(np.isfinite(t_s))
+    falls = known[1:][np.diff(t_s[known]) < 0.0]
+    edges = [0, *(int(row) for row in falls), len(t_s)]
+    if len(edges) == 2:
+        return table, t_s
+    start, stop = max(itertools.pairwise(edges), key=lambda run: run[1] - run[0])
+    columns = {name: Column(one.values[start:stop], one.unit) for name, one in table.columns.items()}
+    return Table(table.source, columns, table.notes, table.named), t_s[start:stop]

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from heli_host.cli.say import say, say_files
-from heli_host.cli.simulated import DEFAULT_RIG
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
@@ -33,14 +32,13 @@ def import_(
         Path, typer.Option("--out", "-o", metavar="DIR", help="Where flights and profile go.")
     ] = Path("imported"),
     rig: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--rig",
             metavar="NAME|FILE",
-            help=f"What units, table and encoders are held against.  [default: {DEFAULT_RIG}]",
-            show_default=False,
+            help="What units, table and encoders are held against; else the shipped rig that fits best.",
         ),
-    ] = DEFAULT_RIG,
+    ] = None,
     rate: Annotated[
         float | None, typer.Option("--rate", metavar="HZ", min=1.0, help="Rows a second, without times.")
     ] = None,
@@ -66,7 +64,7 @@ def import_(
 
     if (profile is None) == (not guess):
         raise typer.BadParameter("give one of --profile and --guess")
-    known = load_rig(rig)
+    known = load_rig(rig) if rig is not None else None
     tables = [read_table(path) for path in files]
     if one_flight:
         from heli_lab.guess import together
@@ -74,7 +72,7 @@ def import_(
         tables, files = [together(tables)], files[:1]
     out.mkdir(parents=True, exist_ok=True)
     if profile is not None:
-        _write_flights(tables, read_profile(profile), known, out)
+        _write_flights(tables, read_profile(profile), out)
         return
     found = _guesses(tables, known, rate)
     best = min(found, key=lambda one: len(one.doubts))
@@ -96,20 +94,16 @@ def import_(
             f"unsure of {', '.join(doubts)}: no flight was written",
             f"correct {out / 'profile.toml'} and import with --profile, or take it as it is with --anyway",
         )
-    _write_flights(tables, best.profile, known, out)
+    _write_flights(tables, best.profile, out)
 
 
-def _guesses(tables: Sequence[Table], rig: Rig, rate_Hz: float | None) -> list[Guess]:
+def _guesses(tables: Sequence[Table], rig: Rig | None, rate_Hz: float | None) -> Sequence[Guess]:
     from heli_host.cli.progress_bar import WorkBar
 
-    from heli_lab.guess import guess
+    from heli_lab.guess import guess_by_rigs
 
-    found = []
     with WorkBar() as bar:
-        for number, table in enumerate(tables):
-            bar.show("guessing", number / len(tables))
-            found.append(guess(table, rig, rate_Hz))
-    return found
+        return guess_by_rigs(tables, rig, rate_Hz, lambda share: bar.show("guessing", share)).guesses
 
 
 def _differing(found: Sequence[Guess], best: Guess, files: Sequence[Path]) -> dict[str, str]:
@@ -143,7 +137,7 @@ def _draw(one: Guess, table: Table, path: Path) -> Path:
     return draw(one, max(flights_of(table, one.profile), key=len), path)
 
 
-def _write_flights(tables: Sequence[Table], profile: Profile, rig: Rig, out: Path) -> None:
+def _write_flights(tables: Sequence[Table], profile: Profile, out: Path) -> None:
     from heli_host.flight import check
     from heli_host.log.table import write_csv
     from heli_host.tables import flights_of

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,7 +10,8 @@ import typer
 from heli_host.cli.options import JsonFlag
 from heli_host.cli.say import STDOUT, data_on_stdout, say, say_data, say_files, say_json
 from heli_host.cli.verb import Verb
-from heli_host.errors import printable
+
+from heli_sim.told import found_of, half_width, plain, signed, with_tolerance
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -81,28 +81,22 @@ def show(
     for name, number in shown.items():
         if pattern in name:
             text = f"{meanings[name]}; {number.source}"
-            table.add_row(name, f"{number.value:g}", _half_width(number), number.unit, _plain(text))
+            table.add_row(name, f"{number.value:g}", half_width(number), number.unit, plain(text))
     for effect, numbers in shown.effects.items():
         for name, number in numbers.items():
             if pattern in f"{effect}.{name}":
                 table.add_row(
                     f"{effect}.{name}",
                     f"{number.value:g}",
-                    _half_width(number),
+                    half_width(number),
                     number.unit,
-                    _plain(f"effect; {number.source}"),
+                    plain(f"effect; {number.source}"),
                 )
     if not table.row_count:
         raise typer.BadParameter(f"no number's name contains '{pattern}'")
     console = _console()
-    console.print(f"{_plain(shown.name)}: {_plain(shown.description)}")
+    console.print(f"{plain(shown.name)}: {plain(shown.description)}")
     console.print(table)
-
-
-def _plain(text: str) -> str:
-    from rich.markup import escape
-
-    return escape(printable(text))
 
 
 @app.command("check")
@@ -132,9 +126,9 @@ def check(
                 say(f"{name}: {error}")
             refused.append(error)
             continue
-        told.append({"rig": name, "can_be": True, "found": _found(rig)})
+        told.append({"rig": name, "can_be": True, "found": found_of(rig)})
         if not json:
-            say(f"{name}: {'; '.join(_found(rig))}")
+            say(f"{name}: {'; '.join(found_of(rig))}")
     if json:
         say_json({"rigs": told})
     if len(rigs) > 1 and refused:
@@ -168,17 +162,17 @@ def diff(
         say_json({"left": first.name, "right": second.name, "numbers": [_compared(one) for one in shown]})
         return
     table = Table(box=None, pad_edge=False)
-    for heading in ("name", _plain(first.name), _plain(second.name), "unit", "tolerances"):
+    for heading in ("name", plain(first.name), plain(second.name), "unit", "tolerances"):
         table.add_column(heading, overflow="fold", no_wrap=heading == "name")
     for one in compared:
         if show_all or not one.same:
             known = one.left or one.right
             table.add_row(
                 one.name,
-                _with_tolerance(one.left),
-                _with_tolerance(one.right),
+                with_tolerance(one.left),
+                with_tolerance(one.right),
                 known.unit if known is not None else "",
-                _signed(one.tolerances),
+                signed(one.tolerances),
             )
     if table.row_count:
         _console().print(table)
@@ -231,7 +225,7 @@ def new(
     write_rig(
         rig, out, f"Written by heli-host rig new: {len(given)} numbers stated, the rest as {base.name}."
     )
-    say(f"{out}: {'; '.join(_found(rig))}")
+    say(f"{out}: {'; '.join(found_of(rig))}")
     left = [name for name in rig if rig[name].source == f"not stated: as {base.name}"]
     say(f"not stated, so as {base.name} and wide: {', '.join(left) or 'none'}")
 
@@ -309,7 +303,7 @@ def weigh_rig(
         was, now = before[name], weighed.rig[name]
         moved = abs(now.value - was.value) / was.tolerance if was.tolerance else 0.0
         mark = f", {moved:.1f} tolerances off: a wrong reading, or a wrong rig file" if moved > OFF else ""
-        say(f"{name}: {_with_tolerance(was)} -> {now.value:.4g} +-{now.tolerance:.2g} {now.unit}{mark}")
+        say(f"{name}: {with_tolerance(was)} -> {now.value:.4g} +-{now.tolerance:.2g} {now.unit}{mark}")
     for one in weighed.tested:
         mark = f", {one.off:.1f} tolerances off: a wrong reading, or no such rig" if one.off > OFF else ""
         unit = "" if one.unit == "1" else f" {one.unit}"
@@ -396,50 +390,12 @@ def _compared(one: Difference) -> dict[str, Any]:
     return {**asdict(one), "tolerances": one.tolerances}
 
 
-def _found(rig: Rig) -> list[str]:
-    """What a rig's numbers give together."""
-    from heli_sim.errors import PlantError
-    from heli_sim.model import MultibodyModel
-    from heli_sim.model.linear import trim
-    from heli_sim.rig.inertia import inertias_kg_m2
-
-    inertias = inertias_kg_m2({name: number.value for name, number in rig.items()})
-    found = [
-        f"{len(rig)} numbers",
-        ", ".join(f"{name} {value:.4g}" for name, value in inertias.items()) + " kg m2",
-    ]
-    try:
-        front_V, back_V = trim(MultibodyModel(), rig).volts_V
-        found.append(f"hovers at {front_V:.2f} and {back_V:.2f} V")
-        if max(front_V, back_V) > rig["supply"].value:
-            found.append(f"more than its supply of {rig['supply'].value:g} V: it cannot fly")
-    except PlantError as error:
-        found.append(f"does not hover: {error}")
-    return found
-
-
 def _console() -> Console:
     from rich.console import Console
 
     console = Console(highlight=False)
     # A file or another program has no width; rich would take 80 columns and cut.
     return console if console.is_terminal else Console(highlight=False, width=WIDE)
-
-
-def _half_width(number: Number) -> str:
-    return f"{number.tolerance:g}" if number.tolerance else "exact"
-
-
-def _with_tolerance(number: Number | None) -> str:
-    if number is None:
-        return "-"
-    return f"{number.value:g} +-{number.tolerance:g}" if number.tolerance else f"{number.value:g}"
-
-
-def _signed(tolerances: float) -> str:
-    if math.isinf(tolerances):
-        return "no tolerance"
-    return f"{tolerances:+.1f}{' *' if abs(tolerances) > 1.0 else ''}"
 
 
 VERB = Verb(app, "Simulation")

@@ -1,0 +1,43 @@
+"""Why a board did not welcome a session: from what was heard of it."""
+
+from __future__ import annotations
+
+from heli_host.errors import HandshakeTimeout, LinkError, WrongDevice
+from heli_host.link.frames import FrameParser
+
+
+def no_welcome(parser: FrameParser, url: str, timeout_s: float) -> LinkError:
+    """Explain that no welcome came.
+
+    Parameters
+    ----------
+    parser : FrameParser
+        What was heard.
+    url : str
+        Where from.
+    timeout_s : float
+        How long it was waited for [s].
+    """
+    if parser.frames_ok:
+        return HandshakeTimeout(
+            f"frames come from {url}, but hello was not answered in {timeout_s:g} s",
+            "press the board's reset button; if it stays, flash the firmware of this release",
+        )
+    if parser.bytes_received == 0:
+        return HandshakeTimeout(
+            f"nothing was heard from {url} in {timeout_s:g} s",
+            "check power and cable, that it is the programming port, and that the firmware is flashed",
+        )
+    everything = parser.excerpt + parser.pending
+    excerpt = everything[-16:]
+    heard = f"{parser.bytes_received} bytes (the last: {excerpt.hex(' ')})"
+    # A boot loader, a console, or a simulated board that another host holds says so in words.
+    words = everything.strip(b"\r\n\0").rpartition(b"\n")[2].decode("ascii", errors="replace")
+    if words.isascii() and words.isprintable() and words:
+        heard += f", in words {words!r},"
+    return WrongDevice(
+        f"{heard} came from {url}, but no frame of this link",
+        "choose another port (heli-host ports lists them), or flash the firmware of this release",
+        parser.bytes_received,
+        excerpt,
+    )

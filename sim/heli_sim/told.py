@@ -1,0 +1,59 @@
+"""How rigs and their numbers are written for people."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from heli_host.errors import printable
+
+if TYPE_CHECKING:
+    from heli_sim.rig import Number, Rig
+
+
+def found_of(rig: Rig) -> list[str]:
+    """Say what the numbers of a `rig` give together, a piece each: inertias, voltages at hover."""
+    from heli_sim.errors import PlantError
+    from heli_sim.model import MultibodyModel
+    from heli_sim.model.linear import trim
+    from heli_sim.rig.inertia import inertias_kg_m2
+
+    inertias = inertias_kg_m2({name: number.value for name, number in rig.items()})
+    found = [
+        f"{len(rig)} numbers",
+        ", ".join(f"{name} {value:.4g}" for name, value in inertias.items()) + " kg m2",
+    ]
+    try:
+        front_V, back_V = trim(MultibodyModel(), rig).volts_V
+        found.append(f"hovers at {front_V:.2f} and {back_V:.2f} V")
+        if max(front_V, back_V) > rig["supply"].value:
+            found.append(f"more than its supply of {rig['supply'].value:g} V: it cannot fly")
+    except PlantError as error:
+        found.append(f"does not hover: {error}")
+    return found
+
+
+def half_width(number: Number) -> str:
+    """Write the tolerance of a `number`."""
+    return f"{number.tolerance:g}" if number.tolerance else "exact"
+
+
+def with_tolerance(number: Number | None) -> str:
+    """Write a `number` with its tolerance; a dash for none."""
+    if number is None:
+        return "-"
+    return f"{number.value:g} +-{number.tolerance:g}" if number.tolerance else f"{number.value:g}"
+
+
+def signed(tolerances: float) -> str:
+    """Write a difference in `tolerances`, starred beyond one."""
+    if math.isinf(tolerances):
+        return "no tolerance"
+    return f"{tolerances:+.1f}{' *' if abs(tolerances) > 1.0 else ''}"
+
+
+def plain(text: str) -> str:
+    """Make a `text` of somebody else's one that a terminal prints as it is."""
+    from rich.markup import escape
+
+    return escape(printable(text))

@@ -1,0 +1,22 @@
+"""A package that is not installed is named with what installs it and all that is needed beside it."""
+
+from __future__ import annotations
+
+import pytest
+from heli_host.cli.entry import _explain
+
+
+@pytest.mark.parametrize(
+    ("package", "remedy"),
+    [
+        ("uvicorn", "pip install 'heli-host[page]'"),
+        ("rosbags.highlevel", "pip install 'heli-host[import]'"),
+        ("gymnasium", "pip install 'heli-host[gym]'"),
+        ("numpy", "pip install numpy"),
+        ("my_laws", "pip install my_laws"),
+    ],
+)
+def test_the_remedy_installs_the_extra(package: str, remedy: str) -> None:
+    said, code = _explain(ModuleNotFoundError("gone", name=package))
+    assert said.endswith(remedy)
+    assert code == 2
