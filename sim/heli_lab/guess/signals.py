@@ -84,8 +84,9 @@ def _butterworth(values: Floats) -> Floats:
     What scipy.signal calls sosfilt, by its frequency response: to import that takes longer than to guess.
     """
     count = 1 << (values.size + _SETTLED_ROWS - 1).bit_length()
-    low: Floats = np.fft.irfft(np.fft.rfft(values - values[0], count) * _response(count), count)
-    return low[: values.size] + values[0]
+    moved: Floats = np.fft.irfft(np.fft.rfft(values - values[0], count) * _response(count), count)
+    low: Floats = moved[: values.size] + values[0]
+    return low
 
 
 @cache
