@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import control
 import numpy as np
 import pytest
 from heli_sim.errors import PlantError
@@ -59,6 +58,9 @@ def test_jacobians_are_those_of_finite_differences(model: Model) -> None:
 
 
 def test_the_linear_model_predicts_small_motions_of_the_plant() -> None:
+    # It reads pyplot and scipy.signal: a second for every worker, were it read with this file.
+    import control
+
     model, rig = MultibodyModel((RotorLag(0.12),)), load_rig("makki2024").replace(**WIDE)
     at = trim(model, rig)
     linear = linearise(model, rig, at)
