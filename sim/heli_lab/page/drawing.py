@@ -28,8 +28,8 @@ _LENGTH: Final = struct.Struct("<q")
 
 
 class Picture:
-    """A figure that is being drawn. As text it is an address that holds the whole picture as PNG, 110 dots
-    per inch, so that a page needs no other file; who asks waits for it.
+    """A `figure` that a `drawing` draws into the file at `path`. As text it is an address that holds the
+    whole picture as PNG, 110 dots per inch, so that a page needs no other file; who asks waits for it.
     """
 
     def __init__(self, drawing: Drawing, figure: Figure, path: Path) -> None:
@@ -37,7 +37,7 @@ class Picture:
         self._png = b""
 
     def keep(self, png: bytes) -> None:
-        """Write the picture into its file, and keep it."""
+        """Write the drawn picture, a `png`, into its file, and keep it."""
         self.path.write_bytes(png)
         self._png = png
 
