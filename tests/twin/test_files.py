@@ -64,6 +64,7 @@ def test_what_is_wrong_with_a_file_is_told(tmp_path: Path, old: str, new: str, t
         ("fly hover --sil --on-change land", "--on-change needs --twin"),
         ("fly hover --sil --twin makki2024 --on-change fall", "give tell or land"),
         ("fly hover --sil --twin nobody", "nobody"),
+        ("page --sil --twin nobody", "nobody"),
         ("page --log nothere", "nothere"),
         ("page --log nothere --twin makki2024", "heli-host twin nothere"),
         ("page --log nothere --fly hover", "nothing flies"),
@@ -77,6 +78,8 @@ def test_words_that_cannot_be_are_refused_in_one_line(
     assert run(words.split()) != 0
     shown = capsys.readouterr()
     assert told in " ".join((shown.out + shown.err).split())
+    # Before any board is opened.
+    assert "firmware 0" not in shown.out + shown.err
     assert "Traceback" not in shown.err
 
 
