@@ -60,6 +60,17 @@ class Tail:
         return self.level_nats + self.scale_nats * beyond
 
 
+def segment_maxima(course: Sequence[tuple[float, float]]) -> list[float]:
+    """Largest evidence [nats] of each `SEGMENT_s` of a `course` of times [s] and evidence."""
+    times, evidence = np.array(course, float).reshape(-1, 2).T
+    known = np.isfinite(evidence)
+    times, evidence = times[known], evidence[known]
+    if not len(times):
+        return []
+    number = ((times - times[0]) // SEGMENT_s).astype(int)
+    return [float(evidence[number == one].max()) for one in np.unique(number)]
+
+
 def fit_tail(flights: Sequence[Sequence[tuple[float, float]]]) -> Tail:
     """Fit the tail of the evidence to healthy flights.
 
@@ -73,14 +84,7 @@ def fit_tail(flights: Sequence[Sequence[tuple[float, float]]]) -> Tail:
     TwinError
         There are too few.
     """
-    maxima = []
-    for course in flights:
-        times, evidence = np.array(course, float).reshape(-1, 2).T
-        known = np.isfinite(evidence)
-        times, evidence = times[known], evidence[known]
-        if len(times):
-            number = ((times - times[0]) // SEGMENT_s).astype(int)
-            maxima += [evidence[number == one].max() for one in np.unique(number)]
+    maxima = [one for course in flights for one in segment_maxima(course)]
     if len(maxima) < 10:
         raise TwinError(
             f"{len(maxima)} segments of {SEGMENT_s:g} s of healthy flight are too few to tell what is normal",

@@ -50,9 +50,9 @@ class TickTwin:
 
 
 def open_twin(name: str) -> Callable[[Mapping[str, float], float], TickTwin]:
-    """Read a rig, and return what makes its twin for a board's parameters and the hours of free flight in which
-    one false alarm is allowed; that raises a TwinError where the board does not say how many counts its
-    encoders have.
+    """Read a rig, and return what makes its twin for a board's parameters and the hours of free flight in
+    which one false alarm is allowed; that raises a TwinError where the board does not say how many counts
+    its encoders have.
 
     Parameters
     ----------
