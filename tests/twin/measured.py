@@ -41,10 +41,7 @@ def twin_of(pair: str, back: bool = False) -> TwinRig:
         replace(effect, values={name: values.get(name, was) for name, was in effect.values.items()})
         for effect in model.effects
     )
-    count_rad = np.min(
-        [count_rad_of(flight, rig) for flight in (read_flight(MEASURED / f"{PAIRS[pair][back]}.csv.gz"),)],
-        axis=0,
-    )
+    count_rad = count_rad_of(read_flight(MEASURED / f"{PAIRS[pair][1 if back else 0]}.csv.gz"), rig)
     weather = at_least_rounding(found.weather, model, numbers, count_rad)
     return TwinRig(numbers, MultibodyModel(effects), Calibration(weather, USUAL.tail), pair)
 
