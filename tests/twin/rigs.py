@@ -9,6 +9,7 @@ from heli_host.errors import HeliError
 from heli_host.flight import Flight
 from heli_lab.identify import prepare
 from heli_lab.innovations import ModelFunctions, Unknowns, Weather, estimate, follow
+from heli_lab.innovations.linear import BLOCK_s
 from heli_lab.twin.calibration import Calibration, fit_tail
 from heli_lab.twin.files import TwinRig
 from heli_lab.twin.flights import count_rad_of
@@ -84,11 +85,12 @@ def known(seed: int, simulated: int) -> Known:
     found, numbers, felt = identified(calm, taught)
     twin = TwinModel(found, numbers)
     courses = [evidence(twin, felt, flight) for flight in taught]
+    taught_s = BLOCK_s * sum(map(len, courses))
     again = in_weather(found, felt)
     courses += [
         evidence(twin, felt, flight) for flight in flights(again, numbers, 10_000 * seed + 5_000, simulated)
     ]
-    calibration = Calibration(felt, fit_tail(courses))
+    calibration = Calibration(felt, fit_tail(courses, taught_s))
     return Known(seed, rig, model, TwinRig(numbers, found, calibration, f"rig {seed}"), courses)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from heli_lab.errors import TwinError
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import Weather
+from heli_lab.twin.likelihood_ratio import WINDOW_s
 
 SEGMENT_s: Final = 5.0
 """Evidence whose maxima count as one excursion, s: the onsets that make it outlive some seconds. Longer: few
@@ -71,13 +72,20 @@ def segment_maxima(course: Sequence[tuple[float, float]]) -> list[float]:
     return [float(evidence[number == one].max()) for one in np.unique(number)]
 
 
-def fit_tail(flights: Sequence[Sequence[tuple[float, float]]]) -> Tail:
+def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], taught_s: float = math.inf) -> Tail:
     """Fit the tail of the evidence to healthy flights.
+
+    Where the rig's numbers were found in flights themselves, their error adds to that of what is found in a
+    window: the variance of the difference is larger by the factor 1 + window / taught, and so is evidence,
+    which is half a square in standard deviations. Flights that are simulated with these very numbers, and
+    flights that they were found in, do not show it.
 
     Parameters
     ----------
     flights : sequence of sequence of (float, float)
         Times [s] and evidence [nats] of each.
+    taught_s : float
+        Flight that the rig's numbers were found in, s; infinite where they are known.
 
     Raises
     ------
@@ -94,7 +102,8 @@ def fit_tail(flights: Sequence[Sequence[tuple[float, float]]]) -> Tail:
     over = np.array([one - level for one in maxima if one > level])
     scale = max(float(over.mean()), _LEAST_SCALE_nats)
     hours = len(maxima) * SEGMENT_s / 3600.0
-    return Tail(level, len(over) / hours, scale, len(over))
+    wider = 1.0 + WINDOW_s / taught_s
+    return Tail(level * wider, len(over) / hours, scale * wider, len(over))
 
 
 @dataclass(frozen=True)

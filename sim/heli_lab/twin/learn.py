@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
@@ -17,6 +18,7 @@ from heli_sim.rig import Rig
 from heli_lab.identify import Record, prepare
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import ModelFunctions, Unknowns, Weather, estimate, follow
+from heli_lab.innovations.linear import BLOCK_s
 from heli_lab.twin.calibration import QUIET, Calibration, Tail, fit_tail
 from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.healthy_flights import fly_simulated, in_weather, random_plan
@@ -121,7 +123,8 @@ def learn(
     rig : Rig
         Its numbers.
     healthy : sequence of Flight
-        Flights in which nothing changed; without any the weather is that of a quiet room.
+        Flights in which nothing changed, as long in all as those that the rig's numbers were found in;
+        without any the weather is that of a quiet room, and the numbers count as known.
     labels : sequence of str
         Their names.
     flights : int
@@ -145,6 +148,7 @@ def learn(
     for flight, label in zip(healthy, labels, strict=True):
         say(f"evidence in {label}", 0.1)
         courses.append(evidence(twin, weather, flight))
+    taught_s = BLOCK_s * sum(map(len, courses)) if courses else math.inf
     flown = in_weather(twin.model, weather)
     done = 0
     for number in range(_TRIES * flights):
@@ -160,7 +164,9 @@ def learn(
         courses.append(evidence(twin, weather, flight))
         done += 1
     own_text = f"{', '.join(labels)} and " if labels else ""
-    return Calibration(weather, fit_tail(courses), f"{own_text}{flights} simulated flights, seed {seed}")
+    return Calibration(
+        weather, fit_tail(courses, taught_s), f"{own_text}{flights} simulated flights, seed {seed}"
+    )
 
 
 def evidence(twin: TwinModel, weather: Weather, flight: Flight) -> list[tuple[float, float]]:
