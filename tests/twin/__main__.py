@@ -19,7 +19,6 @@ from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.follow import follow_flight
 from heli_lab.twin.kalman_filter import TwinModel
 from heli_lab.twin.learn import NEVER
-from heli_lab.twin.samples import Samples
 from heli_lab.twin.twin import Twin
 from heli_sim.model.multibody import MultibodyModel
 from scipy.stats import binom
@@ -130,9 +129,7 @@ def sigmas(rig: Known, flight: Flight, name: str, size: float, onset_s: float) -
     twin = Twin(model, never, count_rad_of(flight, rig.rig), sample_s)
     zero = round(float(samples.number[0]) - float(flight.t_s[0]) / sample_s)
     rows = (samples.number - zero) * sample_s < onset_s + SEEN_s
-    twin.take(
-        Samples(samples.number[rows], samples.angles_rad[rows], samples.volts_V[rows], samples.flying[rows])
-    )
+    twin.take(samples.part(rows))
     std = twin.standard_error(name, onset_s + zero * sample_s)
     return size / std if std is not None else 0.0
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from heli_lab.twin.calibration import SEGMENT_s, Tail, fit_tail
 from heli_lab.twin.changes import CHANGES
-from heli_lab.twin.likelihood_ratio import KEPT, ONSETS, RECENT, WINDOW_s, Innovation, LikelihoodRatio
+from heli_lab.twin.likelihood_ratio import KEPT, ONSETS, RECENT, Innovation, LikelihoodRatio, WINDOW_s
 
 from tests.innovations.density import log_density
 
