@@ -94,7 +94,8 @@ def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
     monkeypatch.setattr(learn, "fly_simulated", lambda *_: heli_host.read_flight(flown))
     monkeypatch.setattr(learn, "evidence", lambda *_: evidence)
     assert run(["twin", "--rig", "makki2024", "--healthy", str(flown), "--learn", str(file)]) == 0
-    assert f"files: {file}" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert f"files: {file}" in told and "calmer than a quiet room" in told
     learned = open_rig(str(file))
     assert learned.rig.name == "makki2024"
     assert run(["twin", str(flown), "--rig", "quanser-course", "--to", "9"]) == 0

@@ -35,6 +35,8 @@ SHOWS_s: Final = 0.5
 """Time within which a gust has to move an axis by the rounding to be known, s: the memory of the gusts of a
 quiet room. Longer: gusts are believed that no flight tells. Shorter: the floor is above a quiet room's
 gusts."""
+_CALM: Final = 1.0 / 3.0
+"""Share of a quiet room's gusts below which a learned weather is called calm."""
 NEVER: Final = Tail(np.inf, 0.0, 0.0, 1)
 """Of a twin that calls nothing an alarm."""
 
@@ -88,6 +90,11 @@ def at_least_rounding(weather: Weather, model: Model, rig: Rig, count_rad: Float
         quantisation=np.maximum(weather.quantisation, 1.0),
         curvature=None,
     )
+
+
+def is_calm(weather: Weather) -> bool:
+    """Whether about some axis there was so little weather that that of an ordinary day will be an alarm."""
+    return bool(np.any(weather.gust_Nm < _CALM * QUIET.gust_Nm))
 
 
 def weather_of_flights(model: Model, rig: Rig, healthy: Sequence[Flight], labels: Sequence[str]) -> Weather:
