@@ -11,7 +11,7 @@ from heli_host.cli import run
 from heli_host.errors import HeliError
 from heli_lab.innovations import Weather
 from heli_lab.twin import learn
-from heli_lab.twin.calibration import Calibration, Tail, write_calibration
+from heli_lab.twin.calibration import Calibration, Tail, fit_tail, write_calibration
 from heli_lab.twin.files import USUAL, open_rig
 
 CALIBRATION = Calibration(
@@ -101,6 +101,8 @@ def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
     assert run(["twin", str(flown), "--rig", "quanser-course", "--to", "9"]) == 0
     assert "monday.mcap is a flight of makki2024, the twin one of quanser-course" in capsys.readouterr().out
     assert learned.calibration.source.startswith("monday.mcap and 12 simulated flights")
+    # A minute of flight taught it, whose error the alarm allows for.
+    assert learned.calibration.tail.level_nats == pytest.approx(fit_tail(13 * [evidence], 60.0).level_nats)
     # A simulated flight without weather has next to none of it.
     gust_Nm = learned.calibration.weather.gust_Nm
     assert np.any(gust_Nm < USUAL.weather.gust_Nm)
