@@ -77,20 +77,18 @@ class LiveTwin(Protocol):
         ...
 
 
-TwinOpener = Callable[[str, Mapping[str, float], float], LiveTwin]
+TwinMaker = Callable[[Mapping[str, float], float], LiveTwin]
+"""Makes a twin for a board's parameters, with one false alarm in so many hours of free flight."""
+TwinOpener = Callable[[str], TwinMaker]
 
 
-def open_twin(name: str, parameters: Mapping[str, float], hours: float = HOURS) -> LiveTwin:
-    """Make a twin.
+def open_twin(name: str) -> TwinMaker:
+    """Read what a twin is made of, before there is a board.
 
     Parameters
     ----------
     name : str
         Name of a rig, path of its file, or of a twin's file.
-    parameters : Mapping of str to float
-        The board's parameters.
-    hours : float
-        Free flight in which one false alarm is allowed, h.
 
     Raises
     ------
@@ -99,7 +97,7 @@ def open_twin(name: str, parameters: Mapping[str, float], hours: float = HOURS) 
     """
     for entry in entry_points(group=ENTRY_POINT_GROUP):
         opener: TwinOpener = entry.load()
-        return opener(name, parameters, hours)
+        return opener(name)
     raise HeliError("no installed package offers twins", "install heli-host with its laboratory")
 
 
@@ -114,7 +112,7 @@ class TwinWatch:
     session : Session
         Connected.
     twin : LiveTwin
-        As `open_twin` makes it.
+        Made by what `open_twin` returns.
     on_change : callable, optional
         Called once, from that thread, when the rig is no longer the rig.
 

@@ -8,18 +8,17 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import time
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from heli_host.flight import Flight
-from heli_lab.twin.calibration import Calibration, Tail
+from heli_lab.twin.calibration import Calibration, Tail, segment_maxima
 from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.follow import follow_flight
 from heli_lab.twin.kalman_filter import TwinModel
 from heli_lab.twin.learn import NEVER
-from heli_lab.twin.samples import Samples
 from heli_lab.twin.twin import Twin
 from heli_sim.model.multibody import MultibodyModel
 from scipy.stats import binom
@@ -46,66 +45,80 @@ def main() -> None:
     parser.add_argument("--read", action="store_true", help="only print what the file holds")
     asked = parser.parse_args()
     results: dict[str, Any] = json.loads(asked.out.read_text()) if asked.out.exists() else {}
-    cases = [(name, size) for name, sizes in SIZES.items() for size in sizes]
-    for seed in range(1, asked.rigs + 1):
-        if asked.read:
-            break
-        if str(seed) not in results:
-            # Each change and size flies on `changed` different rigs.
-            of_rig = [
-                case
-                for number, case in enumerate(cases)
-                for repeat in range(asked.changed)
-                if (number + repeat * asked.rigs // asked.changed) % asked.rigs == seed - 1
-            ]
-            results[str(seed)] = of_one(known(seed, asked.simulated), asked.healthy, of_rig, asked.seconds)
-            asked.out.write_text(json.dumps(results, indent=1))
-            print(f"rig {seed} done", flush=True)
+    if not asked.read:
+        fly_missing(asked, results)
     print("\n".join(healthy_table(results)))
     print("\n".join(changed_table(results)))
 
 
-def of_one(rig: Known, healthy: int, cases: list[tuple[str, float]], seconds: float = 60.0) -> dict[str, Any]:
-    """Fly one rig."""
-    found: dict[str, Any] = {"healthy": [], "changed": []}
-    started_s, flown_s = time.process_time(), 0.0
+def fly_missing(asked: argparse.Namespace, results: dict[str, Any]) -> None:
+    """Fly all rigs healthy, then each change and size, again and again on other rigs; write what comes."""
+    seeds = range(1, asked.rigs + 1)
+    rig_of = cache(partial(known, simulated=asked.simulated))
+
+    def keep(text: str) -> None:
+        asked.out.write_text(json.dumps(results, indent=1))
+        print(text, flush=True)
+
+    for seed in seeds:
+        if str(seed) not in results:
+            results[str(seed)] = of_healthy(rig_of(seed), asked.healthy, asked.seconds)
+            keep(f"rig {seed} flown healthy")
+    cases = [(name, size) for name, sizes in SIZES.items() for size in sizes]
+    for repeat in range(asked.changed):
+        for number, (name, size) in enumerate(cases):
+            # Each change and size flies on different rigs.
+            seed = 1 + (number + repeat * max(1, asked.rigs // asked.changed)) % asked.rigs
+            done = results[str(seed)]["changed"]
+            if not any(one["number"] == [repeat, number] for one in done):
+                flown = 2_000 + 20 * number + repeat
+                done.append(of_changed(rig_of(seed), name, size, flown) | {"number": [repeat, number]})
+                keep(f"rig {seed} flown with {name} of {size:g}")
+
+
+def of_healthy(rig: Known, count: int, seconds: float = 60.0) -> dict[str, Any]:
+    """Fly one rig so many times, so many `seconds` each, with nothing changed."""
     tail = rig.twin.calibration.tail
-    found["tail"] = [tail.level_nats, tail.per_hour, tail.scale_nats, tail.excesses]
-    for flight in flights(rig.model, rig.rig, 10_000 * rig.seed + 1_000, healthy, seconds):
+    found: dict[str, Any] = {
+        "tail": [tail.level_nats, tail.per_hour, tail.scale_nats, tail.excesses],
+        "learned": [round(one, 2) for course in rig.evidence for one in segment_maxima(course)],
+        "healthy": [],
+        "changed": [],
+    }
+    for flight in flights(rig.model, rig.rig, 10_000 * rig.seed + 1_000, count, seconds):
         seen = follow_flight(rig.twin, flight, "healthy", HOURS)
         found["healthy"].append(
-            {"most_nats": seen.most_nats, "free_s": seen.free_s, "alarms": len(seen.alarms)}
-        )
-        flown_s += flight.duration_s
-    for number, (name, size) in enumerate(cases):
-        model = MultibodyModel((*rig.model.effects, change(name, size)))
-        (flight,) = flights(model, rig.rig, 10_000 * rig.seed + 2_000 + 20 * number, 1)
-        seen = follow_flight(rig.twin, flight, name, HOURS)
-        onset_s = motors_on_s(flight) + ONSET_s
-        early = [event for event in seen.events if event.kind == "parted" and event.t_s < onset_s]
-        late = [event for event in seen.events if event.kind == "parted" and event.t_s >= onset_s]
-        words = [event for event in seen.alarms if event.t_s >= onset_s]
-        entry: dict[str, Any] = {
-            "change": name,
-            "size": size,
-            "early": len(early),
-            "delay_s": None,
-        }
-        if late and words:
-            first = words[0].ranking[0]
-            entry |= {
-                "delay_s": late[0].t_s - onset_s,
-                "first_name": late[0].ranking[0].change.id,
-                "name": first.change.id,
-                "said": first.size,
-                "std": first.std,
-                "ranking": [[one.change.id, round(one.log_evidence, 1)] for one in words[0].ranking[:4]],
+            {
+                "most_nats": seen.most_nats,
+                "free_s": seen.free_s,
+                "alarms": len(seen.alarms),
+                "maxima": [round(one, 2) for one in segment_maxima(seen.evidence_nats)],
             }
-        else:
-            entry["sigmas"] = sigmas(rig, flight, name, size, onset_s)
-        found["changed"].append(entry)
-    found["cpu_s"] = time.process_time() - started_s
+        )
     return found
+
+
+def of_changed(rig: Known, name: str, size: float, seed: int) -> dict[str, Any]:
+    """Fly one rig with a change of its own `seed`."""
+    model = MultibodyModel((*rig.model.effects, change(name, size)))
+    (flight,) = flights(model, rig.rig, 10_000 * rig.seed + seed, 1)
+    seen = follow_flight(rig.twin, flight, name, HOURS)
+    onset_s = motors_on_s(flight) + ONSET_s
+    early = [event for event in seen.events if event.kind == "parted" and event.t_s < onset_s]
+    late = [event for event in seen.events if event.kind == "parted" and event.t_s >= onset_s]
+    words = [event for event in seen.alarms if event.t_s >= onset_s]
+    entry: dict[str, Any] = {"change": name, "size": size, "early": len(early), "delay_s": None}
+    if not (late and words):
+        return entry | {"sigmas": sigmas(rig, flight, name, size, onset_s)}
+    first = words[0].ranking[0]
+    return entry | {
+        "delay_s": late[0].t_s - onset_s,
+        "first_name": late[0].ranking[0].change.id,
+        "name": first.change.id,
+        "said": first.size,
+        "std": first.std,
+        "ranking": [[one.change.id, round(one.log_evidence, 1)] for one in words[0].ranking[:4]],
+    }
 
 
 def sigmas(rig: Known, flight: Flight, name: str, size: float, onset_s: float) -> float:
@@ -116,9 +129,7 @@ def sigmas(rig: Known, flight: Flight, name: str, size: float, onset_s: float) -
     twin = Twin(model, never, count_rad_of(flight, rig.rig), sample_s)
     zero = round(float(samples.number[0]) - float(flight.t_s[0]) / sample_s)
     rows = (samples.number - zero) * sample_s < onset_s + SEEN_s
-    twin.take(
-        Samples(samples.number[rows], samples.angles_rad[rows], samples.volts_V[rows], samples.flying[rows])
-    )
+    twin.take(samples.part(rows))
     std = twin.standard_error(name, onset_s + zero * sample_s)
     return size / std if std is not None else 0.0
 

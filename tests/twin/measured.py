@@ -13,7 +13,9 @@ from heli_host.log.flight_file import read_flight
 from heli_lab.innovations import ModelFunctions, Unknowns, estimate, follow
 from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.files import USUAL, TwinRig
+from heli_lab.twin.flights import count_rad_of
 from heli_lab.twin.follow import Followed, follow_flight
+from heli_lab.twin.learn import at_least_rounding
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig
@@ -39,7 +41,9 @@ def twin_of(pair: str, back: bool = False) -> TwinRig:
         replace(effect, values={name: values.get(name, was) for name, was in effect.values.items()})
         for effect in model.effects
     )
-    return TwinRig(numbers, MultibodyModel(effects), Calibration(found.weather, USUAL.tail), pair)
+    count_rad = count_rad_of(read_flight(MEASURED / f"{PAIRS[pair][1 if back else 0]}.csv.gz"), rig)
+    weather = at_least_rounding(found.weather, model, numbers, count_rad)
+    return TwinRig(numbers, MultibodyModel(effects), Calibration(weather, USUAL.tail), pair)
 
 
 def other(pair: str, back: bool = False) -> tuple[str, Flight]:

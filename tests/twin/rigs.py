@@ -9,11 +9,13 @@ from heli_host.errors import HeliError
 from heli_host.flight import Flight
 from heli_lab.identify import prepare
 from heli_lab.innovations import ModelFunctions, Unknowns, Weather, estimate, follow
+from heli_lab.innovations.linear import BLOCK_s
 from heli_lab.twin.calibration import Calibration, fit_tail
 from heli_lab.twin.files import TwinRig
+from heli_lab.twin.flights import count_rad_of
 from heli_lab.twin.healthy_flights import fly_simulated, in_weather, random_plan
 from heli_lab.twin.kalman_filter import TwinModel
-from heli_lab.twin.learn import evidence
+from heli_lab.twin.learn import at_least_rounding, evidence
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.effects import parse_effects
@@ -83,11 +85,12 @@ def known(seed: int, simulated: int) -> Known:
     found, numbers, felt = identified(calm, taught)
     twin = TwinModel(found, numbers)
     courses = [evidence(twin, felt, flight) for flight in taught]
+    taught_s = BLOCK_s * sum(map(len, courses))
     again = in_weather(found, felt)
     courses += [
         evidence(twin, felt, flight) for flight in flights(again, numbers, 10_000 * seed + 5_000, simulated)
     ]
-    calibration = Calibration(felt, fit_tail(courses))
+    calibration = Calibration(felt, fit_tail(courses, taught_s))
     return Known(seed, rig, model, TwinRig(numbers, found, calibration, f"rig {seed}"), courses)
 
 
@@ -122,4 +125,5 @@ def identified(model: Model, taught: list[Flight]) -> tuple[Model, Rig, Weather]
         replace(effect, values={name: values.get(name, was) for name, was in effect.values.items()})
         for effect in start.effects
     ]
-    return type(model)(tuple(effects)), numbers, found.weather
+    weather = at_least_rounding(found.weather, start, numbers, count_rad_of(taught[0], numbers))
+    return type(model)(tuple(effects)), numbers, weather

@@ -13,7 +13,7 @@ from heli_lab.twin.healthy_flights import in_weather
 from scipy.special import bdtrc
 
 from tests.running.long import LONG, samples
-from tests.twin.__main__ import HOURS, of_one
+from tests.twin.__main__ import HOURS, of_changed, of_healthy
 from tests.twin.rigs import Known, known, true_rig
 
 pytestmark = pytest.mark.slow
@@ -36,10 +36,12 @@ def of(seed: int) -> Known:
 def test_alarms_are_as_seldom_as_stated_and_changes_have_their_names() -> None:
     alarms, chance, found = 0, [], []
     for seed in range(1, SEEDS + 1):
-        result = of_one(of(seed), HEALTHY, CASES[: samples(3, 1)])
-        alarms += sum(one["alarms"] > 0 for one in result["healthy"])
-        chance += [1.0 - math.exp(-one["free_s"] / 3600.0 / HOURS) for one in result["healthy"]]
-        found += result["changed"]
+        rig = of(seed)
+        healthy = of_healthy(rig, HEALTHY)["healthy"]
+        alarms += sum(one["alarms"] > 0 for one in healthy)
+        chance += [1.0 - math.exp(-one["free_s"] / 3600.0 / HOURS) for one in healthy]
+        cases = enumerate(CASES[: samples(3, 1)])
+        found += [of_changed(rig, name, size, 2_000 + 20 * number) for number, (name, size) in cases]
     assert bdtrc(alarms - 1, len(chance), float(np.mean(chance))) > 0.01
     named = [one for one in found if one.get("name") == one["change"]]
     assert len(named) >= 0.9 * len(found)

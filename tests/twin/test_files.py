@@ -11,7 +11,7 @@ from heli_host.cli import run
 from heli_host.errors import HeliError
 from heli_lab.innovations import Weather
 from heli_lab.twin import learn
-from heli_lab.twin.calibration import Calibration, Tail, write_calibration
+from heli_lab.twin.calibration import Calibration, Tail, fit_tail, write_calibration
 from heli_lab.twin.files import USUAL, open_rig
 
 CALIBRATION = Calibration(
@@ -64,6 +64,7 @@ def test_what_is_wrong_with_a_file_is_told(tmp_path: Path, old: str, new: str, t
         ("fly hover --sil --on-change land", "--on-change needs --twin"),
         ("fly hover --sil --twin makki2024 --on-change fall", "give tell or land"),
         ("fly hover --sil --twin nobody", "nobody"),
+        ("page --sil --twin nobody", "nobody"),
         ("page --log nothere", "nothere"),
         ("page --log nothere --twin makki2024", "heli-host twin nothere"),
         ("page --log nothere --fly hover", "nothing flies"),
@@ -77,6 +78,8 @@ def test_words_that_cannot_be_are_refused_in_one_line(
     assert run(words.split()) != 0
     shown = capsys.readouterr()
     assert told in " ".join((shown.out + shown.err).split())
+    # Before any board is opened.
+    assert "firmware 0" not in shown.out + shown.err
     assert "Traceback" not in shown.err
 
 
@@ -91,11 +94,17 @@ def test_learning_from_a_healthy_flight_writes_a_file_that_the_twin_takes(
     monkeypatch.setattr(learn, "fly_simulated", lambda *_: heli_host.read_flight(flown))
     monkeypatch.setattr(learn, "evidence", lambda *_: evidence)
     assert run(["twin", "--rig", "makki2024", "--healthy", str(flown), "--learn", str(file)]) == 0
-    assert f"files: {file}" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert f"files: {file}" in told and "calmer than a quiet room" in told
     learned = open_rig(str(file))
     assert learned.rig.name == "makki2024"
     assert run(["twin", str(flown), "--rig", "quanser-course", "--to", "9"]) == 0
     assert "monday.mcap is a flight of makki2024, the twin one of quanser-course" in capsys.readouterr().out
     assert learned.calibration.source.startswith("monday.mcap and 12 simulated flights")
+    # A minute of flight taught it, whose error the alarm allows for.
+    assert learned.calibration.tail.level_nats == pytest.approx(fit_tail(13 * [evidence], 60.0).level_nats)
     # A simulated flight without weather has next to none of it.
-    assert np.all(learned.calibration.weather.gust_Nm < USUAL.weather.gust_Nm)
+    gust_Nm = learned.calibration.weather.gust_Nm
+    assert np.any(gust_Nm < USUAL.weather.gust_Nm)
+    # A learned weather is not believed to be calmer than encoders can show.
+    assert np.all(learned.calibration.weather.quantisation >= 1.0) and np.all(gust_Nm > 1e-4)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from heli_lab.twin.calibration import SEGMENT_s, Tail, fit_tail
 from heli_lab.twin.changes import CHANGES
-from heli_lab.twin.likelihood_ratio import KEPT, ONSETS, RECENT, Innovation, LikelihoodRatio
+from heli_lab.twin.likelihood_ratio import KEPT, ONSETS, RECENT, Innovation, LikelihoodRatio, WINDOW_s
 
 from tests.innovations.density import log_density
 
@@ -107,3 +107,19 @@ def test_a_tail_gives_the_rate_that_is_asked_for_however_few_it_was_fitted_to() 
 
 def test_no_alarm_is_called_for_before_the_level() -> None:
     assert Tail(5.0, 100.0, 2.0, 20).threshold_nats(1e-6) == 5.0
+
+
+@pytest.mark.medium
+def test_numbers_that_were_found_in_flights_give_no_more_alarms_than_stated() -> None:
+    """Windows of two means that are known from flights six times as long: one error for all of a rig's."""
+    rng = np.random.default_rng(6)
+    rigs, windows, taught_s, stated = 1000, 400, 90.0, 0.2
+    known = 0.5 * (rng.normal(size=(20_000, 2)) ** 2).sum(axis=1)
+    course = [(SEGMENT_s * i + 1.0, one) for i, one in enumerate(known)]
+    error = rng.normal(size=(rigs, 1, 2)) * (WINDOW_s / taught_s) ** 0.5
+    found = 0.5 * ((rng.normal(size=(rigs, windows, 2)) + error) ** 2).sum(axis=2)
+    expected = rigs * windows * SEGMENT_s / 3600.0 / stated
+    alarms = np.sum(found > fit_tail([course], taught_s).threshold_nats(stated))
+    believed = np.sum(found > fit_tail([course]).threshold_nats(stated))
+    assert 0.8 * expected < alarms < 1.2 * expected
+    assert believed > 1.7 * expected

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
+from heli_host.declaration import Channel, State
+from heli_lab.twin.flights import samples_of_ticks
 from heli_lab.twin.samples import Samples, Step, Stepper
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,13 +13,8 @@ from hypothesis import strategies as st
 def made(first: int, count: int) -> Samples:
     number = np.arange(first, first + count)
     angles = np.sin(number[:, None] * 0.01 + np.arange(3))
-    return Samples(number, angles, np.cos(number[:, None] * 0.02 + np.arange(2)), number % 97 > 3)
-
-
-def part(samples: Samples, rows: Sequence[int] | slice) -> Samples:
-    return Samples(
-        samples.number[rows], samples.angles_rad[rows], samples.volts_V[rows], samples.flying[rows]
-    )
+    volts = np.cos(number[:, None] * 0.02 + np.arange(2))
+    return Samples(number, angles, volts, number % 97 > 3, number % 89 > 70)
 
 
 def told(steps: list[Step]) -> list[object]:
@@ -28,6 +23,7 @@ def told(steps: list[Step]) -> list[object]:
             s.index,
             s.begins,
             s.flying,
+            s.landing,
             s.samples,
             s.volts_V.tolist(),
             s.measured_rad is not None and s.measured_rad.tolist(),
@@ -42,7 +38,7 @@ def test_steps_do_not_depend_on_the_pieces(first: int, sizes: list[int]) -> None
     at_once = list(Stepper(0.001).take(whole))
     stepper, pieces, low = Stepper(0.001), [], 0
     for size in sizes:
-        pieces += list(stepper.take(part(whole, slice(low, low + size))))
+        pieces += list(stepper.take(whole.part(slice(low, low + size))))
         low += size
     assert told(pieces) == told(at_once)
 
@@ -60,16 +56,25 @@ def test_a_step_holds_the_samples_of_its_ten_milliseconds() -> None:
 def test_a_short_gap_is_bridged_and_a_long_one_begins_anew() -> None:
     samples = made(0, 300)
     short = np.r_[0:103, 131:300]
-    steps = list(Stepper(0.001).take(part(samples, short)))
+    steps = list(Stepper(0.001).take(samples.part(short)))
     assert [s.index for s in steps] == list(range(30))
     assert [s.begins for s in steps] == [True] + 29 * [False]
     assert steps[12].measured_rad is None
     assert np.allclose(steps[11].volts_V, samples.volts_V[102])
     long = np.r_[0:103, 183:300]
-    assert [s.index for s in Stepper(0.001).take(part(samples, long)) if s.begins] == [0, 19]
+    assert [s.index for s in Stepper(0.001).take(samples.part(long)) if s.begins] == [0, 19]
 
 
 def test_a_clock_that_begins_anew_begins_anew() -> None:
     stepper = Stepper(0.001)
     list(stepper.take(made(500, 100)))
     assert next(iter(stepper.take(made(0, 50)))).begins
+
+
+def test_a_board_that_lands_says_so() -> None:
+    states = [State.IDLE, State.CLOSED_LOOP, State.LANDING, State.EMERGENCY_LANDING, State.FAULT]
+    raw = np.zeros((len(states), len(Channel)), np.int32)
+    raw[:, Channel.STATE] = [int(state) for state in states]
+    found = samples_of_ticks(np.arange(len(states)), raw, np.ones(3))
+    assert found.flying.tolist() == [False, True, True, True, False]
+    assert found.landing.tolist() == [False, False, True, True, False]

@@ -74,7 +74,7 @@ def test_the_flight_ends_in_a_landing_and_says_why() -> None:
 
 def test_live_and_afterwards_are_the_same_tick_for_tick() -> None:
     log, seen = logged()
-    twin = open_twin("makki2024", log.parameters, 10.0)
+    twin = open_twin("makki2024")(log.parameters, 10.0)
     number = int(log.ticks["tick"][0]) + np.rint(log.ticks["t_s"] / 1e-3).astype(np.int64)
     rng, low, live = np.random.default_rng(1), 0, []
     while low < len(number):

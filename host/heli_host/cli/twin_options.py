@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from heli_host.heli import Heli
-    from heli_host.twins import TwinWatch
+    from heli_host.twins import TwinMaker, TwinWatch
 
 TwinOption = Annotated[
     str | None,
@@ -50,12 +50,23 @@ def check_on_change(twin: str | None, on_change: str | None) -> bool:
     return on_change == LAND
 
 
-def open_watch(heli: Heli, twin: str | None, on_change: Callable[[], None] | None = None) -> TwinWatch | None:
-    """Let a `twin`, the name of a rig or a file, fly along with a board; None where none is asked for.
-    When they part `on_change` is called.
+def read_twin(twin: str | None) -> TwinMaker | None:
+    """Read a `twin`, the name of a rig or a file, so that what is wrong with it is told before anything
+    starts; None where none is asked for.
     """
     if twin is None:
         return None
-    from heli_host.twins import TwinWatch, open_twin
+    from heli_host.twins import open_twin
 
-    return TwinWatch(heli.session, open_twin(twin, dict(heli.params)), on_change)
+    return open_twin(twin)
+
+
+def open_watch(
+    heli: Heli, twin: TwinMaker | None, on_change: Callable[[], None] | None = None
+) -> TwinWatch | None:
+    """Let a `twin`, as `read_twin` gives it, fly along with a board; when they part `on_change` is called."""
+    if twin is None:
+        return None
+    from heli_host.twins import HOURS, TwinWatch
+
+    return TwinWatch(heli.session, twin(dict(heli.params), HOURS), on_change)

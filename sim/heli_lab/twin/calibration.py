@@ -13,6 +13,7 @@ import numpy as np
 from heli_lab.errors import TwinError
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import Weather
+from heli_lab.twin.likelihood_ratio import WINDOW_s
 
 SEGMENT_s: Final = 5.0
 """Evidence whose maxima count as one excursion, s: the onsets that make it outlive some seconds. Longer: few
@@ -60,27 +61,38 @@ class Tail:
         return self.level_nats + self.scale_nats * beyond
 
 
-def fit_tail(flights: Sequence[Sequence[tuple[float, float]]]) -> Tail:
+def segment_maxima(course: Sequence[tuple[float, float]]) -> list[float]:
+    """Largest evidence [nats] of each `SEGMENT_s` of a `course` of times [s] and evidence."""
+    times, evidence = np.array(course, float).reshape(-1, 2).T
+    known = np.isfinite(evidence)
+    times, evidence = times[known], evidence[known]
+    if not len(times):
+        return []
+    number = ((times - times[0]) // SEGMENT_s).astype(int)
+    return [float(evidence[number == one].max()) for one in np.unique(number)]
+
+
+def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], taught_s: float = math.inf) -> Tail:
     """Fit the tail of the evidence to healthy flights.
+
+    Where the rig's numbers were found in flights themselves, their error adds to that of what is found in a
+    window: the variance of the difference is larger by the factor 1 + window / taught, and so is evidence,
+    which is half a square in standard deviations. Flights that are simulated with these very numbers, and
+    flights that they were found in, do not show it.
 
     Parameters
     ----------
     flights : sequence of sequence of (float, float)
         Times [s] and evidence [nats] of each.
+    taught_s : float
+        Flight that the rig's numbers were found in, s; infinite where they are known.
 
     Raises
     ------
     TwinError
         There are too few.
     """
-    maxima = []
-    for course in flights:
-        times, evidence = np.array(course, float).reshape(-1, 2).T
-        known = np.isfinite(evidence)
-        times, evidence = times[known], evidence[known]
-        if len(times):
-            number = ((times - times[0]) // SEGMENT_s).astype(int)
-            maxima += [evidence[number == one].max() for one in np.unique(number)]
+    maxima = [one for course in flights for one in segment_maxima(course)]
     if len(maxima) < 10:
         raise TwinError(
             f"{len(maxima)} segments of {SEGMENT_s:g} s of healthy flight are too few to tell what is normal",
@@ -90,7 +102,8 @@ def fit_tail(flights: Sequence[Sequence[tuple[float, float]]]) -> Tail:
     over = np.array([one - level for one in maxima if one > level])
     scale = max(float(over.mean()), _LEAST_SCALE_nats)
     hours = len(maxima) * SEGMENT_s / 3600.0
-    return Tail(level, len(over) / hours, scale, len(over))
+    wider = 1.0 + WINDOW_s / taught_s
+    return Tail(level * wider, len(over) / hours, scale * wider, len(over))
 
 
 @dataclass(frozen=True)

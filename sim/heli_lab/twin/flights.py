@@ -19,6 +19,8 @@ from heli_lab.identify.record import ON_GROUND, encoder_counts
 from heli_lab.twin.samples import Samples
 
 _OFF: Final = np.array([int(state) for state in State if state.name.lower() in ON_GROUND])
+_LANDING: Final = frozenset({"landing", "emergency_landing"})
+_LANDS: Final = np.array([int(state) for state in State if state.name.lower() in _LANDING])
 _STRAY: Final = 0.3
 """Steps by which a row's time may stray from the even grid."""
 
@@ -42,11 +44,13 @@ def samples_of(flight: Flight) -> tuple[Samples, float]:
     number: Integers = np.rint(whole).astype(np.int64)
     if np.any(np.diff(number) < 1) or np.max(np.abs(whole - number)) > _STRAY:
         raise TwinError("the rows of the flight are not evenly spaced", "log with an even clock, or resample")
-    flying = np.ones(len(flight), bool)
+    flying, landing = np.ones(len(flight), bool), np.zeros(len(flight), bool)
     if flight.state is not None and flight.state_names:
         off = [number for number, name in flight.state_names.items() if name in ON_GROUND]
         flying = ~np.isin(flight.state, off)
-    return Samples(number, flight.angles_rad, flight.voltages_V, flying), sample_s
+        lands = [number for number, name in flight.state_names.items() if name in _LANDING]
+        landing = np.isin(flight.state, lands)
+    return Samples(number, flight.angles_rad, flight.voltages_V, flying, landing), sample_s
 
 
 def samples_of_log(log: Log) -> tuple[Samples, float]:
@@ -82,8 +86,8 @@ def samples_of_ticks(tick: Integers, raw: npt.NDArray[np.int32], count_rad: Floa
         [numbers(raw, channel) * count_rad[axis] for axis, channel in enumerate(ENCODERS)]
     )
     volts = np.column_stack([physical(raw, channel) for channel in (Channel.FRONT, Channel.BACK)])
-    flying = ~np.isin(numbers(raw, Channel.STATE), _OFF)
-    return Samples(tick, angles, volts, flying)
+    state = numbers(raw, Channel.STATE)
+    return Samples(tick, angles, volts, ~np.isin(state, _OFF), np.isin(state, _LANDS))
 
 
 def count_rad_of(flight: Flight, rig: Rig) -> Floats:

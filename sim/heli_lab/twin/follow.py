@@ -135,9 +135,7 @@ def _follow(
     rows = (t_s >= low) & (t_s < high)
     if not np.any(rows):
         raise TwinError(f"{label} has no row from {low:g} to {high:g} s", "give a part of the flight")
-    part = Samples(
-        samples.number[rows], samples.angles_rad[rows], samples.volts_V[rows], samples.flying[rows]
-    )
+    part = samples.part(rows)
     model = TwinModel(chosen.model, chosen.rig)
     twin = Twin(model, chosen.calibration, count_rad, sample_s, hours, zero_s=zero_s)
     twin.keeps = True

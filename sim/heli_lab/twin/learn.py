@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from heli_host.errors import FlightAborted
 from heli_host.flight import Flight
 from heli_sim.model.base import Model
+from heli_sim.model.linear import derivatives, trim
+from heli_sim.model.parts import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.identify import Record, prepare
+from heli_lab.identify.functions import Floats
 from heli_lab.innovations import ModelFunctions, Unknowns, Weather, estimate, follow
+from heli_lab.innovations.linear import BLOCK_s
 from heli_lab.twin.calibration import QUIET, Calibration, Tail, fit_tail
 from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.healthy_flights import fly_simulated, in_weather, random_plan
@@ -25,6 +31,12 @@ its scale 18 % unsure. More: minutes of waiting. Fewer: thresholds that chance s
 
 _TRIES: Final = 3
 """Flights begun for each that is wanted: an arm that gusts move on its table is not armed."""
+SHOWS_s: Final = 0.5
+"""Time within which a gust has to move an axis by the rounding to be known, s: the memory of the gusts of a
+quiet room. Longer: gusts are believed that no flight tells. Shorter: the floor is above a quiet room's
+gusts."""
+_CALM: Final = 1.0 / 3.0
+"""Share of a quiet room's gusts below which a learned weather is called calm."""
 NEVER: Final = Tail(np.inf, 0.0, 0.0, 1)
 """Of a twin that calls nothing an alarm."""
 
@@ -44,8 +56,49 @@ def weather_of(model: Model, rig: Rig, records: Sequence[Record]) -> Weather:
     return found.weather
 
 
+def at_least_rounding(weather: Weather, model: Model, rig: Rig, count_rad: Floats) -> Weather:
+    """Raise a weather to the least that encoders can show.
+
+    A gust that moves an axis within `SHOWS_s` by less than the standard deviation of the rounding, a count
+    over the root of 12, cannot be told from none: of calm flights its estimate is anything from there down.
+
+    Parameters
+    ----------
+    weather : Weather
+        As estimated.
+    model : Model
+        Equations.
+    rig : Rig
+        Its numbers.
+    count_rad : ndarray (3,)
+        One count of each encoder.
+    """
+    bare = type(model)()
+    hover = trim(bare, rig)
+    names = [quantity.name for quantity in bare.parameters]
+    torques = [names.index(f"torque_{axis}") for axis in AXES]
+    by_torque = derivatives(bare, rig, hover.state, hover.volts_V).P[3:6, torques]
+    rounding_rad = count_rad / 12.0**0.5
+    least_Nm = 2.0 * rounding_rad / (np.abs(np.diagonal(by_torque)) * SHOWS_s**2)
+    # A gust that is shorter moves an axis less: as the root of the impulses that add up.
+    share = np.minimum(np.sqrt(8.0 * weather.memory_s / (3.0 * SHOWS_s)), 1.0)
+    small = weather.gust_Nm * share < least_Nm
+    return replace(
+        weather,
+        gust_Nm=np.where(small, least_Nm, weather.gust_Nm),
+        memory_s=np.where(small, SHOWS_s, weather.memory_s),
+        quantisation=np.maximum(weather.quantisation, 1.0),
+        curvature=None,
+    )
+
+
+def is_calm(weather: Weather) -> bool:
+    """Whether about some axis there was so little weather that that of an ordinary day will be an alarm."""
+    return bool(np.any(weather.gust_Nm < _CALM * QUIET.gust_Nm))
+
+
 def weather_of_flights(model: Model, rig: Rig, healthy: Sequence[Flight], labels: Sequence[str]) -> Weather:
-    """Prepare healthy flights, called `labels`, and estimate their weather.
+    """Prepare healthy flights, called `labels`, and estimate their weather, `at_least_rounding`.
 
     Raises
     ------
@@ -54,7 +107,8 @@ def weather_of_flights(model: Model, rig: Rig, healthy: Sequence[Flight], labels
     """
     calm = TwinModel(model, rig).model
     records = [prepare(flight, rig, label) for flight, label in zip(healthy, labels, strict=True)]
-    return weather_of(calm, rig, records)
+    count_rad = np.min([count_rad_of(flight, rig) for flight in healthy], axis=0)
+    return at_least_rounding(weather_of(calm, rig, records), calm, rig, count_rad)
 
 
 def learn(
@@ -76,7 +130,8 @@ def learn(
     rig : Rig
         Its numbers.
     healthy : sequence of Flight
-        Flights in which nothing changed; without any the weather is that of a quiet room.
+        Flights in which nothing changed, as long in all as those that the rig's numbers were found in;
+        without any the weather is that of a quiet room, and the numbers count as known.
     labels : sequence of str
         Their names.
     flights : int
@@ -100,6 +155,7 @@ def learn(
     for flight, label in zip(healthy, labels, strict=True):
         say(f"evidence in {label}", 0.1)
         courses.append(evidence(twin, weather, flight))
+    taught_s = BLOCK_s * sum(map(len, courses)) if courses else math.inf
     flown = in_weather(twin.model, weather)
     done = 0
     for number in range(_TRIES * flights):
@@ -115,7 +171,9 @@ def learn(
         courses.append(evidence(twin, weather, flight))
         done += 1
     own_text = f"{', '.join(labels)} and " if labels else ""
-    return Calibration(weather, fit_tail(courses), f"{own_text}{flights} simulated flights, seed {seed}")
+    return Calibration(
+        weather, fit_tail(courses, taught_s), f"{own_text}{flights} simulated flights, seed {seed}"
+    )
 
 
 def evidence(twin: TwinModel, weather: Weather, flight: Flight) -> list[tuple[float, float]]:

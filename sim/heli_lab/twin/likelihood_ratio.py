@@ -21,6 +21,7 @@ from heli_sim.model.parts import AXES
 from scipy.special import log_ndtr, logsumexp
 
 from heli_lab.identify.functions import Floats, Integers
+from heli_lab.innovations.linear import BLOCK_s
 from heli_lab.twin.changes import Change
 
 RECENT: Final = 12
@@ -30,6 +31,8 @@ KEPT: Final = 30
 """Onsets further back, the likeliest of each half second: a window of 15 s. Longer: slower fades are found,
 for as much more time. Shorter: a size has no time to become known."""
 ONSETS: Final = RECENT + KEPT
+WINDOW_s: Final = (KEPT + 1) * RECENT * BLOCK_s
+"""How far back the window reaches, s."""
 LEAST_COUNTS: Final = 2.0
 """Jump of an encoder's zero from which on it is believed, counts. Smaller: an angle that dwells at the
 border of a count looks like a jump by one. Larger: lost edges stay unseen."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -13,7 +14,7 @@ from heli_host.twins import TwinNews
 
 from heli_lab.errors import TwinError
 from heli_lab.identify.functions import Floats, Integers
-from heli_lab.twin.files import open_rig
+from heli_lab.twin.files import TwinRig, open_rig
 from heli_lab.twin.flights import samples_of_ticks
 from heli_lab.twin.kalman_filter import TwinModel
 from heli_lab.twin.twin import Twin
@@ -48,24 +49,25 @@ class TickTwin:
         return _FOLLOWS if self._twin.free else _WAITS
 
 
-def open_twin(name: str, parameters: Mapping[str, float], hours: float) -> TickTwin:
-    """Make the twin of a rig.
+def open_twin(name: str) -> Callable[[Mapping[str, float], float], TickTwin]:
+    """Read a rig, and return what makes its twin for a board's parameters and the hours of free flight in
+    which one false alarm is allowed; that raises a TwinError where the board does not say how many counts
+    its encoders have.
 
     Parameters
     ----------
     name : str
         Name of a rig, path of its file, or of a twin's file.
-    parameters : Mapping of str to float
-        The board's parameters: how many counts an encoder has.
-    hours : float
-        Free flight in which one false alarm is allowed, h.
 
     Raises
     ------
     SimError
-        Rig or file are unknown or wrong, or the board does not say how many counts its encoders have.
+        Rig or file are unknown or wrong.
     """
-    chosen = open_rig(name)
+    return partial(_beside, open_rig(name))
+
+
+def _beside(chosen: TwinRig, parameters: Mapping[str, float], hours: float) -> TickTwin:
     count_rad = rad_per_count(parameters)
     if not np.all(np.isfinite(count_rad)):
         raise TwinError("the board does not say how many counts its encoders have", "set *_counts_per_rev")

@@ -31,15 +31,28 @@ class Samples:
         Front and back voltage that act from each sample to the next.
     flying : ndarray of bool (n,)
         Whether the motors may run.
+    landing : ndarray of bool (n,)
+        Whether the board brings the arm down to its table.
     """
 
     number: Integers
     angles_rad: Floats
     volts_V: Floats
     flying: npt.NDArray[np.bool_]
+    landing: npt.NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.number)
+
+    def part(self, rows: slice | Integers | npt.NDArray[np.bool_]) -> Samples:
+        """Take some `rows`."""
+        return Samples(
+            self.number[rows],
+            self.angles_rad[rows],
+            self.volts_V[rows],
+            self.flying[rows],
+            self.landing[rows],
+        )
 
 
 @dataclass(frozen=True)
@@ -58,6 +71,8 @@ class Step:
         Voltages of its samples.
     flying : bool
         Whether the motors may run during all of it.
+    landing : bool
+        Whether the board lands during some of it.
     begins : bool
         Whether it does not go on where the step before it ended.
     """
@@ -67,6 +82,7 @@ class Step:
     samples: int
     volts_V: Floats
     flying: bool
+    landing: bool
     begins: bool
 
 
@@ -93,6 +109,7 @@ class Stepper:
         self._angles: Floats = np.empty((0, 3))
         self._volts: Floats = np.empty((0, 2))
         self._flying = np.empty(0, bool)
+        self._landing = np.empty(0, bool)
         self._next = first
 
     def take(self, samples: Samples) -> Iterator[Step]:
@@ -123,14 +140,23 @@ class Stepper:
                 np.full((missing, 3), np.nan),
                 np.repeat(self._volts[-1:], missing, axis=0),
                 np.repeat(self._flying[-1:], missing),
+                np.repeat(self._landing[-1:], missing),
             )
-        self._append(samples.angles_rad[rows], samples.volts_V[rows], samples.flying[rows])
+        new = samples.part(rows)
+        self._append(new.angles_rad, new.volts_V, new.flying, new.landing)
         yield from self._steps()
 
-    def _append(self, angles: Floats, volts: Floats, flying: npt.NDArray[np.bool_]) -> None:
+    def _append(
+        self,
+        angles: Floats,
+        volts: Floats,
+        flying: npt.NDArray[np.bool_],
+        landing: npt.NDArray[np.bool_],
+    ) -> None:
         self._angles = np.concatenate((self._angles, angles))
         self._volts = np.concatenate((self._volts, volts))
         self._flying = np.concatenate((self._flying, flying))
+        self._landing = np.concatenate((self._landing, landing))
         self._next += len(angles)
 
     def _steps(self) -> Iterator[Step]:
@@ -148,6 +174,7 @@ class Stepper:
                 count,
                 self._volts[whole],
                 bool(self._flying[whole].all()),
+                bool(self._landing[whole].any()),
                 self._begins,
             )
             self._begins = False
@@ -156,4 +183,4 @@ class Stepper:
         done = max(0, at - half)
         self._first += done
         self._angles, self._volts = self._angles[done:], self._volts[done:]
-        self._flying = self._flying[done:]
+        self._flying, self._landing = self._flying[done:], self._landing[done:]

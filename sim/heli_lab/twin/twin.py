@@ -27,6 +27,9 @@ BEGINS_AFTER_s: Final = 1.0
 _HISTORY_s: Final = 2.0
 """Flight before the filter begins, from which the effects' own states are integrated, s: far longer than any
 rotor lags."""
+LASTS_BLOCKS: Final = 6
+"""Measurements, 40 ms apart, over which evidence has to last before it counts: 0.24 s. Less: a rounding that
+a gust makes larger is an alarm. More: what shows at once is told that much later."""
 _MANY: Final = 1000.0
 """Times likelier from which on no number is said: such odds hold only if the catalogue has the cause at
 all."""
@@ -81,7 +84,8 @@ class Twin:
     Attributes
     ----------
     evidence_nats : float
-        Of the likeliest change against none; -inf while nothing is compared.
+        Of the likeliest change against none, the least of the last `LASTS_BLOCKS` measurements; -inf while
+        nothing is compared, and at the beginning.
     threshold_nats : float
         Evidence that is an alarm.
     free : bool
@@ -122,6 +126,7 @@ class Twin:
         self._motors_since_s = math.nan
         self._kalman: KalmanFilter | None = None
         self._ratio = LikelihoodRatio(model.changes, count_rad)
+        self._latest_nats: deque[float] = deque([-math.inf] * LASTS_BLOCKS, LASTS_BLOCKS)
         self._began = self._blocks = 0
         self._alarm_block: int | None = None
         self._named = False
@@ -169,8 +174,10 @@ class Twin:
             self._history.append((since_s, step.measured_rad, acting_V))
         elif self._kalman is None:
             self._history.clear()
-        if not free:
-            yield from self._wait(step.index, "on the ground, at a stop, or motors off")
+        # In a landing the motors run at the border of their dead zone, where evidence is not to be trusted;
+        # what has parted before is named all the same.
+        if not free or (step.landing and (self._alarm_block is None or self._named)):
+            yield from self._wait(step.index, "landing, on the ground, at a stop, or motors off")
             return
         kalman = self._kalman
         if kalman is None:
@@ -192,6 +199,7 @@ class Twin:
             self.model, self.calibration.weather, self._count_rad, self.step_s, self._block, state
         )
         self._ratio = LikelihoodRatio(self.model.changes, self._count_rad)
+        self._latest_nats.extend([-math.inf] * LASTS_BLOCKS)
         self._began, self._blocks = index, 0
         self._alarm_block, self._named, self.parted = None, False, False
         self.free = True
@@ -211,7 +219,8 @@ class Twin:
         if step.measured_rad is not None:
             amount = np.where(ages_s > 0.0, 1.0, 0.0)
             innovation = kalman.update(since_s, step.measured_rad, step.samples, volts_V, amount)
-            self.evidence_nats = ratio.take(innovation)
+            self._latest_nats.append(ratio.take(innovation))
+            self.evidence_nats = min(self._latest_nats)
         if self.keeps:
             self.most_nats.append((t_s, self.evidence_nats))
         if self._alarm_block is None:

@@ -79,8 +79,8 @@ def twin(
     from heli_lab.twin.figure import draw_evidence
     from heli_lab.twin.files import open_rig
     from heli_lab.twin.follow import follow_file
+    from heli_lab.twin.learn import is_calm, weather_of_flights
     from heli_lab.twin.learn import learn as learn_calibration
-    from heli_lab.twin.learn import weather_of_flights
 
     if not flights and learn is None:
         raise typer.BadParameter("give a flight, or --learn FILE")
@@ -109,6 +109,8 @@ def twin(
         say(*(f"{one.label}: {text}" for text in one.sentences()))
         if one.flown_rig not in ("", chosen.rig.name, Path(chosen.name).stem):
             say(f"{one.label} is a flight of {one.flown_rig}, the twin one of {chosen.rig.name}: see --rig")
+    if others and is_calm(chosen.calibration.weather):
+        say("the healthy flights are calmer than a quiet room: any draught will be an alarm; give others too")
     threshold_nats = chosen.calibration.threshold_nats(hours)
     say(f"alarm from {threshold_nats:.1f} nats on, {_rate(hours)}; {_source(chosen)}")
     if json is not None:

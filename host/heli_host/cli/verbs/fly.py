@@ -11,7 +11,7 @@ from heli_host.cli import simulated
 from heli_host.cli.gains import GainsOption, ParamsFileOption, check_gains, chosen_parameters
 from heli_host.cli.options import ClearFaultOption, PortOption, flight_folder
 from heli_host.cli.say import say, say_files, say_progress
-from heli_host.cli.twin_options import OnChangeOption, TwinOption, check_on_change, open_watch
+from heli_host.cli.twin_options import OnChangeOption, TwinOption, check_on_change, open_watch, read_twin
 from heli_host.cli.verb import Verb
 
 
@@ -80,6 +80,7 @@ def fly(
     check_result_places(json, figure=figure)
     if log is not None:
         check_new(log)
+    maker = read_twin(twin)
     with open_board(port, address if sil else None) as heli:
         if clear_fault:
             clear_latched_fault(heli)
@@ -94,7 +95,7 @@ def fly(
         if note := transport_note(transport):
             say_progress(note)
         say_progress(text, f"flying: {', then '.join(plan.title for plan in loaded)}")
-        watch = open_watch(heli, twin)
+        watch = open_watch(heli, maker)
         with LiveLine() as live:
 
             def show(progress: Progress) -> None:

@@ -13,7 +13,7 @@ import typer
 from heli_host.cli import simulated
 from heli_host.cli.options import PortOption, flight_folder
 from heli_host.cli.say import say
-from heli_host.cli.twin_options import OnChangeOption, TwinOption, check_on_change, open_watch
+from heli_host.cli.twin_options import OnChangeOption, TwinOption, check_on_change, open_watch, read_twin
 from heli_host.cli.verb import Verb
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from heli_host.page.cockpit import Cockpit
     from heli_host.page.serve import Address
     from heli_host.tape import Tape
+    from heli_host.twins import TwinMaker
 
 STEP_S = 0.5
 """Between two looks at whether the board is still there."""
@@ -102,7 +103,9 @@ def page(
     address = simulated.sil_address(
         rig=rig, seed=seed, board=board, elf=elf, model=model, effect=effect, effect_files=effects
     )
-    _fly(port, address if sil else None, rig, offered, begun, tapes, (twin, lands), host, http_port)
+    _fly(
+        port, address if sil else None, rig, offered, begun, tapes, (read_twin(twin), lands), host, http_port
+    )
 
 
 def _fly(
@@ -112,7 +115,7 @@ def _fly(
     plans: Sequence[Plan],
     begun: Sequence[str],
     laws: Sequence[Tape],
-    twin: tuple[str | None, bool],
+    twin: tuple[TwinMaker | None, bool],
     host: str,
     http_port: int,
 ) -> None:
@@ -144,8 +147,8 @@ def _fly(
             if heli.motors_may_run:
                 heli.land(wait=False)
 
-        name, lands = twin
-        watch = open_watch(heli, name, land if lands else None)
+        maker, lands = twin
+        watch = open_watch(heli, maker, land if lands else None)
         cockpit = Cockpit(heli, new_recorder, plans, text, outline, watch, laws)
         try:
             with serving(cockpit, host, http_port) as served:

@@ -1,0 +1,62 @@
+"""What is learned of calm flights is no less weather than the encoders' rounding hides."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from heli_lab.innovations import Weather
+from heli_lab.twin.learn import SHOWS_s, at_least_rounding
+from heli_sim.model import MultibodyModel
+from heli_sim.model.linear import derivatives, trim
+from heli_sim.model.parts import AXES
+from heli_sim.rig import Rig, load_rig
+from scipy.integrate import solve_ivp
+
+COUNT_rad = np.full(3, 2 * np.pi / 4096)
+ROUNDING_rad = COUNT_rad / np.sqrt(12.0)
+CALM = Weather(np.full(3, 2e-5), np.full(3, 0.03), np.full(3, 2e-5), np.array([0.02, 0.5, 1.7]))
+
+
+def floored(weather: Weather) -> Weather:
+    return at_least_rounding(weather, MultibodyModel(), load_rig("makki2024"), COUNT_rad)
+
+
+def moved_rad(rig: Rig, axis: int, torque_Nm: float) -> float:
+    """How far a torque moves an axis from hover within `SHOWS_s`, by the equations of motion."""
+    model = MultibodyModel()
+    hover = trim(model, rig)
+    pushed = rig.replace(**{f"torque_{AXES[axis]}": rig[f"torque_{AXES[axis]}"].value + torque_Nm})
+    run = solve_ivp(
+        lambda _, state: derivatives(model, pushed, state, hover.volts_V).rates, (0, SHOWS_s), hover.state
+    )
+    return float(run.y[axis, -1] - hover.state[axis])
+
+
+@pytest.mark.parametrize("axis", range(3), ids=AXES)
+def test_the_least_gust_moves_its_axis_by_the_rounding(axis: int) -> None:
+    least = floored(CALM)
+    moved = moved_rad(load_rig("makki2024"), axis, float(least.gust_Nm[axis]))
+    # Pitch is a pendulum and damped: in half a second that takes a fifth.
+    assert 0.75 * ROUNDING_rad[axis] < moved < 1.05 * ROUNDING_rad[axis]
+    assert least.memory_s[axis] == SHOWS_s
+
+
+def test_rounding_is_no_less_than_that_of_an_encoder() -> None:
+    assert floored(CALM).quantisation.tolist() == [1.0, 1.0, 1.7]
+
+
+def test_weather_that_shows_is_left_as_it_was_found() -> None:
+    room = Weather(
+        np.array([0.006, 0.002, 0.004]), np.array([0.3, 1.2, 0.6]), np.full(3, 1e-3), np.full(3, 1.2)
+    )
+    found = floored(room)
+    assert np.array_equal(found.gust_Nm, room.gust_Nm) and np.array_equal(found.memory_s, room.memory_s)
+    assert np.array_equal(found.drift_Nm, room.drift_Nm)
+
+
+def test_a_gust_too_short_to_show_is_raised_too() -> None:
+    """Three times the least for a thirtieth of the time moves an axis less than the least does."""
+    short = Weather(3.0 * floored(CALM).gust_Nm, np.full(3, SHOWS_s / 30), CALM.drift_Nm, np.ones(3))
+    assert np.array_equal(floored(short).gust_Nm, floored(CALM).gust_Nm)
+    long = Weather(3.0 * floored(CALM).gust_Nm, np.full(3, SHOWS_s / 10), CALM.drift_Nm, np.ones(3))
+    assert np.array_equal(floored(long).gust_Nm, long.gust_Nm)
