@@ -144,14 +144,14 @@ class _Searcher:
             return self.attempt(base, base.candidates, one)
 
         best_score = max((one.log_likelihood_gain for one in screened), default=0.0)
-        likely = [
-            one
-            for one in screened
-            if thresholds.EXPECTED_REFIT_GAIN * one.log_likelihood_gain
-            > self.penalty(one.candidate, one.tried) + thresholds.MIN_MARGIN
-            and one.log_likelihood_gain >= thresholds.SHORTLIST_SHARE * best_score
-        ][: thresholds.SHORTLIST]
-        refits = [refit(one) for one in likely if self.refits_left()]
+        left, likely, refits = self._worth_a_refit(screened), list[Scored](), list[Refit]()
+        # Scores that no refit bears out, as of an encoder at rest, say nothing against those below them.
+        while left and not any(self._accepted(one) for one in refits):
+            share = thresholds.SHORTLIST_SHARE * left[0].log_likelihood_gain
+            some = [one for one in left if one.log_likelihood_gain >= share][: thresholds.SHORTLIST]
+            refits += [refit(one) for one in some if self.refits_left()]
+            likely += some
+            left = left[len(some) :]
         for gone, start, score in closely_stated_terms(self.comparison, self.removable, screening):
             if (
                 self.refits_left()
@@ -191,6 +191,15 @@ class _Searcher:
             if lead > max(thresholds.SPLINE_MIN, thresholds.SPLINE_MARGIN * spline.margin):
                 best = spline
         return sorted(refits, key=lambda one: -one.margin), best
+
+    def _worth_a_refit(self, screened: Sequence[Scored]) -> list[Scored]:
+        """Those that may be significant, the highest score first."""
+        return [
+            one
+            for one in screened
+            if thresholds.EXPECTED_REFIT_GAIN * one.log_likelihood_gain
+            > self.penalty(one.candidate, one.tried) + thresholds.MIN_MARGIN
+        ]
 
     def exchange(self, final: Hypothesis) -> Hypothesis:
         """Put wider laws in the place of those that they contain, where that is significant."""

@@ -62,8 +62,8 @@ KIND: Final = EffectKind(
     acts_on="torque.travel",
     stage=Stage.TORQUE,
     numbers=(
-        Parameter("x_rad", "rad", "lean a_x towards the arm", 0.03, Prior(0.0, 0.03, -0.5, 0.5), size=True),
-        Parameter("y_rad", "rad", "lean a_y across the arm", 0.0, Prior(0.0, 0.03, -0.5, 0.5), size=True),
+        Parameter("x_rad", "rad", "lean a_x towards the arm", 0.03, Prior(0.0, 0.1, -0.5, 0.5), size=True),
+        Parameter("y_rad", "rad", "lean a_y across the arm", 0.0, Prior(0.0, 0.1, -0.5, 0.5), size=True),
     ),
     needs=("M_f", "M_b", "M_w", "M_h", "M_l", "L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x", "g"),
     rank=140,

@@ -79,7 +79,7 @@ def _kind(axis: str) -> EffectKind:
         # Without any play the shaft has no memory of which side it lies on, and the size no derivative.
         numbers=(
             Parameter(
-                "rad", "rad", "whole play b", 0.01, Prior(0.0, 0.01, 0.0, 0.3), size=True, neutral=1e-6
+                "rad", "rad", "whole play b", 0.01, Prior(0.0, 0.03, 0.0, 0.3), size=True, neutral=1e-6
             ),
         ),
         states=(Quantity("shaft_rad", "rad", f"angle y of the {axis} encoder's shaft"),),

@@ -38,7 +38,7 @@ def _kind(axis: str) -> EffectKind:
         stage=Stage.TORQUE,
         numbers=(
             Parameter(
-                "Nm_per_rad", "N m/rad", "stiffness k", 0.05, Prior(0.0, 0.1, low=-2.0, high=5.0), size=True
+                "Nm_per_rad", "N m/rad", "stiffness k", 0.05, Prior(0.0, 0.5, low=-2.0, high=5.0), size=True
             ),
             Parameter("rest_rad", "rad", "rest angle q_0", 0.0, Prior(0.0, 0.5, low=-6.3, high=6.3)),
         ),

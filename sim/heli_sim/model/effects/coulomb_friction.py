@@ -44,7 +44,7 @@ def _kind(axis: str, typical_Nm: float) -> EffectKind:
                 "N m",
                 "torque c",
                 typical_Nm,
-                Prior(0.0, typical_Nm, 0.0, 0.5),
+                Prior(0.0, 3 * typical_Nm, 0.0, 0.5),
                 size=True,
                 neutral=1e-14,
             ),

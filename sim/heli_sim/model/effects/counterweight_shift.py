@@ -33,7 +33,7 @@ KIND: Final = EffectKind(
     stage=Stage.TORQUE,
     numbers=(
         Parameter(
-            "m", "m", "distance Delta, outwards", 0.005, Prior(0.0, 0.01, low=-0.1, high=0.1), size=True
+            "m", "m", "distance Delta, outwards", 0.005, Prior(0.0, 0.03, low=-0.1, high=0.1), size=True
         ),
         Parameter("at_s", "s", "moment t_0", 20.0, Prior(30.0, 60.0, low=0.0), grid=moments_s),
     ),

@@ -42,7 +42,7 @@ def _kind(axis: str, symbol: str, typical_Nms2: float, prior: Prior, source: str
 _BROADSIDE: Final = "drag of bodies: the square of the speed; (22) of the paper has it for travel alone"
 
 KINDS: Final = (
-    _kind(AXES[0], r"\theta", 0.1, Prior(0.0, 0.1, -0.5, 2.0), _BROADSIDE),
-    _kind(AXES[1], r"\phi", 0.02, Prior(0.0, 0.02, -0.5, 2.0), _BROADSIDE),
-    _kind(AXES[2], r"\psi", 0.07, Prior(0.0, 0.1, -0.5, 2.0), "(22) of the paper, made to oppose motion"),
+    _kind(AXES[0], r"\theta", 0.1, Prior(0.0, 0.5, -0.5, 2.0), _BROADSIDE),
+    _kind(AXES[1], r"\phi", 0.02, Prior(0.0, 0.1, -0.5, 2.0), _BROADSIDE),
+    _kind(AXES[2], r"\psi", 0.07, Prior(0.0, 0.5, -0.5, 2.0), "(22) of the paper, made to oppose motion"),
 )

@@ -44,7 +44,7 @@ KIND: Final = EffectKind(
     acts_on="thrust",
     stage=Stage.INFLOW,
     numbers=(
-        Parameter("s_per_m", "s/m", "share c for each m/s", 0.08, Prior(0.0, 0.1, 0.0, 1.0), size=True),
+        Parameter("s_per_m", "s/m", "share c for each m/s", 0.08, Prior(0.0, 0.3, 0.0, 1.0), size=True),
     ),
     needs=("L_a", "L_theta"),
     rank=210,

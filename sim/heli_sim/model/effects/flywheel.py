@@ -54,7 +54,7 @@ KIND: Final = EffectKind(
             "N m s/V",
             "angular momentum h for each volt, up positive",
             0.01,
-            Prior(0.0, 0.015, -0.3, 0.3),
+            Prior(0.0, 0.05, -0.3, 0.3),
             size=True,
         ),
         Parameter("s", "s", "time constant T of the speed", 0.1, Prior(0.1, 0.06, low=0.01, high=0.6)),

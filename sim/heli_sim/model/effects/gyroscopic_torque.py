@@ -59,7 +59,7 @@ KIND: Final = EffectKind(
             "N m s/N",
             "angular momentum h for each newton, up positive",
             0.03,
-            Prior(0.0, 0.05, -1, 1),
+            Prior(0.0, 0.15, -1, 1),
             size=True,
         ),
     ),

@@ -41,7 +41,9 @@ class Parameter:
     typical : float
         A size at which the effect shows clearly, or for a parameter that is no size the value to start from.
     prior : Prior or None
-        What is known before a flight; None for a parameter that is never estimated.
+        What is known before a flight; None for a parameter that is never estimated. That of a size is
+        several typical sizes wide: a narrow one pulls a large effect towards nothing (a spring 14 standard
+        deviations stiff lost 68 of 108 nats to a curve).
     size : bool
         Whether it measures the size of the effect: at `neutral` there is no effect, and the model is about
         linear in it.

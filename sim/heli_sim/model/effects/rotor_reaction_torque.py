@@ -39,7 +39,7 @@ KIND: Final = EffectKind(
             "N m/N",
             "torque q_f for each newton in front",
             0.03,
-            Prior(0.0, 0.03, -1, 1),
+            Prior(0.0, 0.1, -1, 1),
             size=True,
         ),
         Parameter(
@@ -47,7 +47,7 @@ KIND: Final = EffectKind(
             "N m/N",
             "torque q_b for each newton at the back",
             -0.03,
-            Prior(0.0, 0.03, -1, 1),
+            Prior(0.0, 0.1, -1, 1),
             size=True,
         ),
     ),

@@ -39,7 +39,7 @@ KIND: Final = EffectKind(
             "1/s",
             "share r of the voltage lost a second",
             0.001,
-            Prior(0.0, 0.002, -0.01, 0.05),
+            Prior(0.0, 0.01, -0.01, 0.05),
             size=True,
         ),
         Parameter(

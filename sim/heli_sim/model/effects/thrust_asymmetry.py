@@ -28,7 +28,7 @@ KIND: Final = EffectKind(
     equation=r"F_f \to (1 + a) F_f, \quad F_b \to (1 - a) F_b",
     acts_on="thrust",
     stage=Stage.GAIN,
-    numbers=(Parameter("share", "1", "share a", 0.05, Prior(0.0, 0.1, low=-0.9, high=0.9), size=True),),
+    numbers=(Parameter("share", "1", "share a", 0.05, Prior(0.0, 0.3, low=-0.9, high=0.9), size=True),),
     rank=40,
     source="definition; what both rotors gain together is the thrust gain k",
 )

@@ -44,7 +44,7 @@ KIND: Final = EffectKind(
     acts_on="thrust",
     stage=Stage.GAIN,
     numbers=(
-        Parameter("per_s", "1/s", "share r lost a second", 0.003, Prior(0.0, 0.005, -0.02, 0.1), size=True),
+        Parameter("per_s", "1/s", "share r lost a second", 0.003, Prior(0.0, 0.02, -0.02, 0.1), size=True),
         Parameter(
             "bend_per_s",
             "1/s",

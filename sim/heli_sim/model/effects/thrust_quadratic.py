@@ -30,7 +30,7 @@ KIND: Final = EffectKind(
     acts_on="thrust",
     stage=Stage.CURVE,
     numbers=(
-        Parameter("share", "1", "quadratic share q", 0.3, Prior(0.0, 0.3, low=-1.0, high=1.5), size=True),
+        Parameter("share", "1", "quadratic share q", 0.3, Prior(0.0, 0.6, low=-1.0, high=1.5), size=True),
         Parameter("pivot_V", "V", "voltage e_0 above the dead zone at which the thrust is not changed", 1.0),
     ),
     rank=30,

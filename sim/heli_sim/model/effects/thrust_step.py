@@ -36,7 +36,7 @@ def _kind(rotor: str) -> EffectKind:
         acts_on="thrust",
         stage=Stage.GAIN,
         numbers=(
-            Parameter("share", "1", "share s lost", 0.1, Prior(0.0, 0.2, low=-1.0, high=1.0), size=True),
+            Parameter("share", "1", "share s lost", 0.1, Prior(0.0, 0.4, low=-1.0, high=1.0), size=True),
             Parameter("at_s", "s", "moment t_0", 20.0, Prior(30.0, 60.0, low=0.0), grid=moments_s),
         ),
         rank=60,

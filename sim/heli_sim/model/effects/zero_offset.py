@@ -29,7 +29,7 @@ def _kind(axis: str) -> EffectKind:
         equation=r"y = q + z",
         acts_on=f"measurement.{axis}",
         stage=Stage.ZERO,
-        numbers=(Parameter("rad", "rad", "offset z", 0.02, Prior(0.0, 0.03, -1.0, 1.0), size=True),),
+        numbers=(Parameter("rad", "rad", "offset z", 0.02, Prior(0.0, 0.1, -1.0, 1.0), size=True),),
         rank=180,
         source="definition; on travel it shows only beside a spring, a tilt or an eccentricity",
     )
