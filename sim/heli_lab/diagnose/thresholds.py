@@ -200,6 +200,11 @@ LAW_TERMS: Final = 3
 LAW_FINALISTS: Final = 4
 """Groups of terms that are refitted in a round. Fewer: one first-order score decides. More: time."""
 
+LAW_KEPT_SHARE: Final = 0.25
+"""Share of what its score promises that a refit must gain to count as one of them; up to twice as many are
+refitted. A stretched encoder promises tens of nats on the course that the filter predicts, and then gains
+nothing (blind cases, 2026-11). Lower: such terms take the places of the true one. Higher: time."""
+
 LAW_ALIKE: Final = 2
 """Of those, most of the same channel and quantities. By judgement. More: shapes of one dependence crowd out
 another quantity that is the true one."""

@@ -31,6 +31,7 @@ from heli_lab.diagnose.thresholds import (
     LAW_CONFIRMED,
     LAW_CURVE_SHARE,
     LAW_FINALISTS,
+    LAW_KEPT_SHARE,
     LAW_NEAR_REST,
     LAW_TERMS,
     MIN_MARGIN,
@@ -38,6 +39,8 @@ from heli_lab.diagnose.thresholds import (
 )
 from heli_lab.innovations import Estimate, Weather
 
+_NO_DRIFT_Nm: Final = 2e-5
+"""As good as none, while covariances stay regular."""
 _WHOLE: Final = 2.0
 """Standard errors within which a multiplicity is taken for the whole number beside it."""
 
@@ -194,15 +197,23 @@ class _Discoverer:
         courses = Courses(screening)
         every = groups(courses.spans)
         self.tried = tried_up_to(every)
-        scored = score(screening, courses, every)
         best: _Tried | None = None
         rivals = dict[str, float]()
-        for one in self.finalists(scored):
+        kept = 0
+        for one in (
+            *self.slow(near, weather, courses, every),
+            *self.finalists(score(screening, courses, every)),
+        ):
+            if kept >= LAW_FINALISTS:
+                break
+            if one.group.key in rivals:
+                continue
             self.say(f"trying {one.group.key}")
             made = self.tried_one(one, known, courses)
             if made is None:
                 continue
             gain = made.hypothesis.log_likelihood - near.log_likelihood
+            kept += gain >= LAW_KEPT_SHARE * one.log_likelihood_gain
             rivals[one.group.key] = gain - (made.penalty - (known.penalty if known else 0.0))
             if best is None or made.margin > best.margin:
                 best = made
@@ -213,8 +224,22 @@ class _Discoverer:
         self.rivals |= {key: chosen - margin for key, margin in rivals.items()}
         return self.tidied(best, known, courses)
 
+    def slow(
+        self, near: Hypothesis, weather: Weather, courses: Courses, every: Sequence[Group]
+    ) -> list[ScoredGroup]:
+        """The best where drift stands for what is missing: a law of slow quantities, such as travel, is worth
+        next to nothing beside a drift as large as itself. They are those of a weather without that drift.
+        """
+        drifts = weather.drift_Nm > weather.gust_Nm
+        if not drifts.any():
+            return []
+        still = replace(weather, drift_Nm=np.where(drifts, _NO_DRIFT_Nm, weather.drift_Nm), curvature=None)
+        acting = [one for one in every if not one.terms[0].channel.startswith("measurement")]
+        scored = score(Screening(replace(near.estimate, weather=still)), courses, acting)
+        return self.finalists(scored)[:LAW_ALIKE]
+
     def finalists(self, scored: Sequence[ScoredGroup]) -> list[ScoredGroup]:
-        """The best by what they promise less what they pay."""
+        """The best by what they promise less what they pay, twice as many as are wanted."""
 
         def worth(one: ScoredGroup) -> float:
             return one.log_likelihood_gain - self.penalty(one.group, Law(one.group.terms), frozenset())
@@ -223,7 +248,7 @@ class _Discoverer:
         for one in sorted(scored, key=worth, reverse=True):
             gain = one.log_likelihood_gain
             paid = gain - worth(one)
-            if EXPECTED_REFIT_GAIN * gain <= paid + MIN_MARGIN or len(chosen) >= LAW_FINALISTS:
+            if EXPECTED_REFIT_GAIN * gain <= paid + MIN_MARGIN or len(chosen) >= 2 * LAW_FINALISTS:
                 continue
             like = [other for other in chosen if _place(other.group) == _place(one.group)]
             if len(like) < LAW_ALIKE:
@@ -240,7 +265,9 @@ class _Discoverer:
         for i, value in enumerate(one.coefficients):
             start[law.coefficient(first + i)] = float(value)
         held = known.held if known else frozenset()
-        hypothesis = self.refit(law, self.stds(law, courses), start, self.base, held)
+        # From the weather that the known terms leave: beside them that of the base stands for them once more.
+        near = known.hypothesis if known else self.base
+        hypothesis = self.refit(law, self.stds(law, courses), start, near, held)
         penalty = self.penalty(one.group, law, held) + (known.penalty if known else 0.0)
         return _Tried(law, hypothesis, penalty, one.group, held)
 
@@ -405,7 +432,13 @@ def _on_own_rate(channel: str, key: str) -> bool:
 
 
 def _place(group: Group) -> tuple[str, frozenset[str]]:
-    return group.terms[0].channel, frozenset(q for one in group.terms for q in one.term.quantities)
+    """Where a group acts, and by what; encoders are one place: what the filter's course makes of a stretched
+    one it makes of all.
+    """
+    channel = group.terms[0].channel
+    if channel.startswith("measurement"):
+        return "measurement", frozenset()
+    return channel, frozenset(q for one in group.terms for q in one.term.quantities)
 
 
 def _numbers(hypothesis: Hypothesis) -> dict[str, tuple[float, float]]:
