@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from heli_sim.model.effects import EffectKind
 
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.diagnose.equation_discovery.grammar import Group, groups, tried_up_to
@@ -36,6 +37,7 @@ from heli_lab.diagnose.thresholds import (
     LAW_TERMS,
     MIN_MARGIN,
     NOTHING_STD_ERRORS,
+    SHORTLIST,
 )
 from heli_lab.innovations import Estimate, Weather
 
@@ -336,14 +338,53 @@ class _Discoverer:
         made = _Tried(of.law, hypothesis, penalty, of.group, held)
         return made if made.margin > of.margin - AMBIGUOUS else of
 
+    def listed_as_good(self, law: _Tried, kinds: Mapping[str, EffectKind]) -> str | None:
+        """Name an effect of the catalogue that does as well in the place of a law, None where none does.
+
+        While the weather stood for what is missing, the search could not see it.
+        """
+        near = law.hypothesis
+        screening = Screening(replace(self.base.estimate, weather=near.estimate.weather))
+        left = [
+            kind
+            for kind in kinds.values()
+            if kind.id not in self.base.ids and not kind.baseline and not kind.noise_inputs
+        ]
+        # A score is taken where an axis creeps, and does not see one that sticks.
+        for kind in left:
+            if kind.id in {f"coulomb_friction.{axis}" for axis in _axes(law.law)}:
+                dry = Candidate(kind.id, kind.make(kind.typical), kind.size)
+                if self.margin_of(dry, kind.typical, near) > law.margin - AMBIGUOUS:
+                    return kind.id
+        kept = 0
+        for one in screening.effects(left)[: 2 * SHORTLIST]:
+            price = self.price(one.candidate)
+            if kept >= SHORTLIST or EXPECTED_REFIT_GAIN * one.log_likelihood_gain <= price + MIN_MARGIN:
+                break
+            margin = self.margin_of(one.candidate, one.candidate.start_values(one.coefficients), near)
+            if margin > law.margin - AMBIGUOUS:
+                return one.candidate.id
+            gain = margin + price - self.base.log_likelihood
+            kept += gain >= LAW_KEPT_SHARE * one.log_likelihood_gain
+        return None
+
+    def margin_of(self, listed: Candidate, start: Mapping[str, float], near: Hypothesis) -> float:
+        """Log-likelihood, less its price, of the base with an effect of the catalogue."""
+        self.say(f"trying {listed.id} in its place")
+        made = self.comparison.refit([*self.base.candidates, listed], start, near)
+        return made.log_likelihood - self.price(listed)
+
+    def price(self, listed: Candidate) -> float:
+        """What an effect of the catalogue pays: BIC for its numbers, and for the list."""
+        return 0.5 * len(listed.effect.priors) * math.log(self.comparison.rows) + math.log(CANDIDATES_TRIED)
+
     def without_superfluous(self, of: _Tried) -> tuple[Hypothesis, tuple[str, ...]]:
         """The model with the law, without causes that the likelihood does not miss beside it; their ids."""
         final, gone = of.hypothesis, list[str]()
         for one in self.base.candidates:
             rest = [other for other in final.candidates[:-1] if other.id != one.id]
             less = self.comparison.refit([*rest, final.candidates[-1]], None, final)
-            price = 0.5 * len(one.effect.priors) * math.log(self.comparison.rows) + math.log(CANDIDATES_TRIED)
-            if final.log_likelihood - less.log_likelihood - price <= MIN_MARGIN:
+            if final.log_likelihood - less.log_likelihood - self.price(one) <= MIN_MARGIN:
                 final = less
                 gone.append(one.id)
         return final, tuple(gone)
@@ -360,6 +401,7 @@ def discover(
     base: Hypothesis,
     *,
     curve: Hypothesis | None = None,
+    kinds: Mapping[str, EffectKind] | None = None,
     refits: float = math.inf,
     say: Callable[[str], None] | None = None,
 ) -> Discovery | None:
@@ -374,6 +416,8 @@ def discover(
     curve : Hypothesis, optional
         The same with curves in the place of what is missing: its weather is what remains, and its likelihood
         what a law should come near to.
+    kinds : Mapping[str, EffectKind], optional
+        The catalogue: a law that one of its effects does as well as is none.
     refits : float
         Refits after which no further term is looked for.
     say : callable, optional
@@ -382,7 +426,8 @@ def discover(
     Returns
     -------
     Discovery or None
-        None where no law pays for itself, explains most of what a curve does, and is confirmed.
+        None where no law pays for itself, explains most of what a curve does, is confirmed, and does better
+        than what is on the list.
     """
     work = _Discoverer(comparison, base, say or (lambda _what: None))
     weather = (curve or base).estimate.weather
@@ -410,6 +455,8 @@ def discover(
     by_curve = curve.log_likelihood - base.log_likelihood if curve is not None and curve is not base else None
     if by_curve is not None and gained < LAW_CURVE_SHARE * by_curve:
         return None
+    if work.listed_as_good(law, kinds or {}) is not None:
+        return None
     hypothesis, superfluous = work.without_superfluous(law)
     rivals = sorted((Rival(*one) for one in others.items()), key=lambda one: one.log_likelihood_ratio)
     return Discovery(
@@ -429,6 +476,13 @@ def discover(
 def _on_own_rate(channel: str, key: str) -> bool:
     """Whether a term about an axis has a sign of the axis' own rate."""
     return f"tanh({channel.partition('.')[2]}_rate" in key
+
+
+def _axes(law: Law) -> set[str]:
+    """Axes about which a law acts first."""
+    by_rotors = {"both": "elevation", "difference": "pitch", "front": "pitch", "back": "pitch"}
+    places = (channel.partition(".")[2] for channel in law.channels)
+    return {by_rotors.get(place, place) for place in places}
 
 
 def _place(group: Group) -> tuple[str, frozenset[str]]:
