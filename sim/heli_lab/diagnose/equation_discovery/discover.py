@@ -38,6 +38,7 @@ from heli_lab.diagnose.thresholds import (
     MIN_MARGIN,
     NOTHING_STD_ERRORS,
     SHORTLIST,
+    SPLINE_MARGIN,
 )
 from heli_lab.innovations import Estimate, Weather
 
@@ -344,6 +345,9 @@ class _Discoverer:
         While the weather stood for what is missing, the search could not see it.
         """
         near = law.hypothesis
+        # As a spline has to, a law has to be better by a share of what it gains.
+        gained = law.margin - self.base.log_likelihood
+        enough = law.margin - max(AMBIGUOUS, SPLINE_MARGIN * gained)
         screening = Screening(replace(self.base.estimate, weather=near.estimate.weather))
         left = [
             kind
@@ -354,7 +358,7 @@ class _Discoverer:
         for kind in left:
             if kind.id in {f"coulomb_friction.{axis}" for axis in _axes(law.law)}:
                 dry = Candidate(kind.id, kind.make(kind.typical), kind.size)
-                if self.margin_of(dry, kind.typical, near) > law.margin - AMBIGUOUS:
+                if self.margin_of(dry, kind.typical, near) > enough:
                     return kind.id
         kept = 0
         for one in screening.effects(left)[: 2 * SHORTLIST]:
@@ -362,17 +366,23 @@ class _Discoverer:
             if kept >= SHORTLIST or EXPECTED_REFIT_GAIN * one.log_likelihood_gain <= price + MIN_MARGIN:
                 break
             margin = self.margin_of(one.candidate, one.candidate.start_values(one.coefficients), near)
-            if margin > law.margin - AMBIGUOUS:
+            if margin > enough:
                 return one.candidate.id
             gain = margin + price - self.base.log_likelihood
             kept += gain >= LAW_KEPT_SHARE * one.log_likelihood_gain
         return None
 
     def margin_of(self, listed: Candidate, start: Mapping[str, float], near: Hypothesis) -> float:
-        """Log-likelihood, less its price, of the base with an effect of the catalogue."""
+        """Log-likelihood, less its price, of the base with an effect of the catalogue; that its numbers are
+        unusual counts for nothing, as a law's may have any size.
+        """
         self.say(f"trying {listed.id} in its place")
         made = self.comparison.refit([*self.base.candidates, listed], start, near)
-        return made.log_likelihood - self.price(listed)
+        own = [
+            (made.values[name], prior) for name, prior in listed.effect.priors.items() if name in made.values
+        ]
+        unusual = sum(0.5 * ((value - prior.mean) / prior.std) ** 2 for value, prior in own)
+        return made.log_likelihood + unusual - self.price(listed)
 
     def price(self, listed: Candidate) -> float:
         """What an effect of the catalogue pays: BIC for its numbers, and for the list."""
