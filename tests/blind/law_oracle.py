@@ -5,7 +5,7 @@ With `oracle.py` the only files of this room that use the project's models.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -179,19 +179,24 @@ def _over_told(
 ) -> float:
     """Held-out error over 2 s with the proposed law over that of the fit told the law."""
     assert found.proposed_law is not None
+    told = Candidate("told_law", told_effect(hidden), ("told_law_size",))
+    reached = told_errors_deg(comparison, [*listed(name for name, _ in case.effects), told])
+    return found.proposed_law.gains[_AXES[axis]].after_deg / reached[_AXES[axis]]
+
+
+def listed(names: Iterable[str]) -> list[Candidate]:
+    """Effects of the catalogue for a fit to be told, from their typical sizes."""
     kinds = catalogue()
-    candidates = [
-        Candidate(name, kinds[name].make(kinds[name].typical), kinds[name].size, {})
-        for name, _ in case.effects
-    ]
-    effect = told_effect(hidden)
-    told = [*candidates, Candidate("told_law", effect, ("told_law_size",))]
-    start = {name: value for one in told for name, value in one.effect.values.items()}
-    hypothesis = comparison.refit(told, start, comparison.refit([]))
+    return [Candidate(name, kinds[name].make(kinds[name].typical), kinds[name].size, {}) for name in names]
+
+
+def told_errors_deg(comparison: Comparison, candidates: Sequence[Candidate]) -> dict[str, float]:
+    """Held-out errors over 2 s by axis of a fit that is told what is hidden."""
+    start = {name: value for one in candidates for name, value in one.effect.values.items()}
+    hypothesis = comparison.refit(candidates, start, comparison.refit([]))
     fit = predict(hypothesis.candidates, hypothesis.estimate, comparison.train, comparison.held_out).fit
     runs = free_runs(fit, comparison.held_out)
-    reached = judgement(runs, runs, 0).horizons["2"][_AXES[axis]].after_deg
-    return found.proposed_law.gains[_AXES[axis]].after_deg / reached
+    return {axis: one.after_deg for axis, one in judgement(runs, runs, 0).horizons["2"].items()}
 
 
-__all__ = ["judged_law", "law_torque_Nm", "told_effect", "true_torque_Nm"]
+__all__ = ["judged_law", "law_torque_Nm", "listed", "told_effect", "told_errors_deg", "true_torque_Nm"]

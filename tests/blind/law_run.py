@@ -7,14 +7,19 @@ import json
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from heli_host.flight import Flight
+
 from tests.blind.choice import add_choice, chosen
 from tests.blind.judge import SEEN
+from tests.blind.weather_case import WeatherCase
 
 CORRELATES, NEAR_TOLD = 0.9, 1.3
+Row = dict[str, Any]
+"""What is known of a case, for JSON; ``failure`` where it died."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -35,35 +40,72 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--keep", action="store_true", help="take flights that are there")
     parser.add_argument("--json", type=Path, default=Path("laws.json"))
     parser.add_argument("--nothing", action="store_true", help="cases without a law instead")
+    parser.add_argument("--seen", action="store_true", help="diagnose only laws that can be seen")
     given = parser.parse_args(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from tests.blind.law_cases import law_cases
     from tests.blind.law_oracle import judged_law
-    from tests.blind.run import prepare
     from tests.blind.weather_cases import weather_cases
 
     every = [one for one in weather_cases() if not one.off_list] if given.nothing else law_cases()
-    cases = chosen(every, given)
-    rows: dict[str, dict[str, Any]] = json.loads(given.json.read_text()) if given.json.exists() else {}
+    rows = judged_rows(chosen(every, given), judged_law, _said, given)
+    print(summary(rows))
+    return 0 if all("failure" not in row for row in rows.values()) else 1
+
+
+def judged_rows(
+    cases: Sequence[WeatherCase],
+    judge: Callable[[WeatherCase, tuple[Flight, Flight]], Row],
+    said: Callable[[Row], str],
+    given: argparse.Namespace,
+) -> dict[str, Row]:
+    """Judge those cases that the JSON file does not have, and write it after each.
+
+    Parameters
+    ----------
+    cases : sequence of WeatherCase
+        The cases.
+    judge : callable
+        A row of a case and its flights.
+    said : callable
+        A row in a line.
+    given : argparse.Namespace
+        Options ``json``, ``folder`` and ``keep``; with ``seen`` cases that do not count are left out.
+
+    Returns
+    -------
+    dict of Row
+        All that the file has now, by case.
+    """
+    from tests.blind.run import prepare
+
+    rows: dict[str, Row] = json.loads(given.json.read_text()) if given.json.exists() else {}
     for case in cases:
         if case.name in rows:
             continue
         started_s = time.process_time()
         try:
             ready = prepare(case, given.folder, keep=given.keep)
-            row: dict[str, Any] = {"told": dict(ready.told) if isinstance(ready.told, dict) else {}}
-            row |= judged_law(case, ready.flights)
+            row: Row = {"told": dict(ready.told) if isinstance(ready.told, dict) else {}}
+            if given.seen and not is_seen(row):
+                print(f"{case.name}: cannot be seen, {row['told']}", flush=True)
+                continue
+            row |= judge(case, ready.flights)
         except Exception as error:  # noqa: BLE001 - a case that dies must not end the others
             row = {"failure": f"{type(error).__name__}: {error}"}
         row["cpu_seconds"] = time.process_time() - started_s
         rows[case.name] = row
         given.json.write_text(json.dumps(rows, indent=1, default=float) + "\n")
-        print(f"{case.name}: {_said(row)}", flush=True)
-    print(summary(rows))
-    return 0 if all("failure" not in row for row in rows.values()) else 1
+        print(f"{case.name}: {said(row)}", flush=True)
+    return rows
 
 
-def _said(row: dict[str, Any]) -> str:
+def is_seen(row: Row) -> bool:
+    """Whether the law of a case stands out so far that it counts."""
+    return min((z for what, z in row["told"].items() if what.startswith("off-")), default=0.0) >= SEEN
+
+
+def _said(row: Row) -> str:
     if "failure" in row:
         return str(row["failure"])
     seen = ", ".join(f"{name} {z:.0f}" for name, z in row["told"].items())
@@ -74,7 +116,7 @@ def _said(row: dict[str, Any]) -> str:
     return f"[{seen}] {row['verdict']}, {', '.join(row['causes']) or 'no cause'}: {law}{numbers}"
 
 
-def summary(rows: dict[str, dict[str, Any]]) -> str:
+def summary(rows: dict[str, Row]) -> str:
     """Count how many laws are found, and how many are proposed where there is none.
 
     Parameters
@@ -83,11 +125,7 @@ def summary(rows: dict[str, dict[str, Any]]) -> str:
         Rows by case, as `main` writes them.
     """
     laws = [
-        row
-        for name, row in rows.items()
-        if name.startswith("law-")
-        and "failure" not in row
-        and min((z for what, z in row["told"].items() if what.startswith("off-")), default=0.0) >= SEEN
+        row for name, row in rows.items() if name.startswith("law-") and "failure" not in row and is_seen(row)
     ]
     others = [row for name, row in rows.items() if not name.startswith("law-") and "failure" not in row]
     proposed = [row for row in laws if row["expression"]]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from heli_host.log.flight_file import read_flight
 from heli_lab.diagnose import Diagnosis, diagnose, to_json
 from heli_sim.errors import SimError
 from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue
 from heli_sim.rig import Rig, load_rig
 
 from tests.blind.cases import Case, every_case
@@ -179,7 +180,9 @@ def seen(case: Case, folder: Path, keep: bool) -> dict[str, float | None]:
     return told.significance if isinstance(told, Told) else dict(told)
 
 
-def found_in(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> Diagnosis:
+def found_in(
+    rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS, off_list: Collection[str] = ()
+) -> Diagnosis:
     """Ask the diagnosis, which gets the flights and the nominal rig and nothing else.
 
     Parameters
@@ -190,9 +193,13 @@ def found_in(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> 
         The flight to fit and the one to hold out.
     refits : int
         Most refits of the search.
-
+    off_list : collection of str
+        Effects that are taken off its list.
     """
-    return diagnose(MultibodyModel(), rig, flights[:1], flights[1:], labels=["a", "b"], refits=refits)
+    kinds = {id_: kind for id_, kind in catalogue().items() if id_ not in off_list}
+    return diagnose(
+        MultibodyModel(), rig, flights[:1], flights[1:], kinds=kinds, labels=["a", "b"], refits=refits
+    )
 
 
 def diagnosed(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig
 
 from tests.blind.cases import every_case
@@ -16,6 +17,8 @@ from tests.blind.law_oracle import told_effect
 from tests.blind.law_run import summary
 from tests.blind.laws import LAWS, Makes
 from tests.blind.mujoco_rig import Moment
+from tests.blind.taken_off import TAKEN_OFF, taken_off_cases
+from tests.blind.taken_off_run import summary as summary_in_place
 from tests.blind.weather_cases import weather_cases
 
 CASES = law_cases()
@@ -61,6 +64,33 @@ def test_what_mujoco_flies_is_what_a_fit_is_told(name: str) -> None:
 
 
 _AXES = ("elevation", "pitch", "travel")
+
+
+def test_twelve_listed_effects_are_taken_off_the_list_one_by_one() -> None:
+    cases = taken_off_cases()
+    assert len(cases) >= 12
+    assert len({one.seed for one in (*cases, *CASES, *every_case(), *weather_cases())}) == len(cases) + len(
+        (*CASES, *every_case(), *weather_cases())
+    )
+    kinds = catalogue()
+    for case in cases:
+        name = case.effects[-1][0]
+        assert {name, *TAKEN_OFF[name]} <= kinds.keys()
+        assert not {name, *TAKEN_OFF[name]} & {one for one, _ in case.effects[:-1]}
+
+
+def test_a_law_in_an_effects_place_counts_if_it_flies_and_takes_most_of_the_error() -> None:
+    row: dict[str, Any] = {"expression": "x", "flies": "completed", "share": 0.85}
+    rows: dict[str, dict[str, Any]] = {
+        "good": row,
+        "poor": row | {"share": 0.7},
+        "falls": row | {"flies": "limit"},
+        "none": {"expression": None, "share": 1.0},
+        "died": {"failure": "died"},
+    }
+    said = summary_in_place(rows)
+    assert said.startswith("effects off the list: 4, laws proposed 3, that fly 2")
+    assert said.endswith("would 1")
 
 
 def test_only_visible_laws_count_and_each_law_on_nothing_is_told() -> None:

@@ -135,7 +135,7 @@ class WeatherCase(Case):
         return paths
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)
 def _flown(case: WeatherCase, flight: int, duration_s: float) -> tuple[Flight, Course]:
     watching = Watching()
     log = tracked(

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 from heli_host.log.table import write_csv
 from heli_lab.diagnose import to_json
 from heli_lab.diagnose.candidate import ExtendedModel
-from heli_lab.diagnose.equation_discovery.discover import discover, free_name
+from heli_lab.diagnose.equation_discovery.discover import _Discoverer, discover, free_name
 from heli_lab.diagnose.equation_discovery.grammar import Group
 from heli_lab.diagnose.equation_discovery.law import Law, LawTerm, law_effect
-from heli_lab.diagnose.equation_discovery.scoring import Courses, score
+from heli_lab.diagnose.equation_discovery.scoring import Courses, ScoredGroup, score
 from heli_lab.diagnose.equation_discovery.terms import Factor, Term
 from heli_lab.diagnose.failing_regimes import failing_regimes, false_discoveries
-from heli_lab.diagnose.model_comparison import Comparison
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.diagnose.screening import Screening, score_of
 from heli_lab.diagnose.thresholds import FALSE_DISCOVERY_RATE
 from heli_lab.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import effects_of
+from heli_sim.model.parts import AXES
 from heli_sim.rig import load_rig, write_rig
 from scipy.special import ndtr
 
@@ -119,6 +123,45 @@ def test_a_law_beside_one_that_was_proposed_before_has_a_name_of_its_own() -> No
     law = Law((LawTerm("torque.pitch", Term((Factor("linear", "elevation"),))),))
     two = [law_effect(law, dict.fromkeys(law.coefficients, 1.0), name=name) for name in ("one", "two")]
     assert len(MultibodyModel(tuple(two)).parameters) == len(MultibodyModel().parameters) + 2
+
+
+def scored_as(channel: str, quantity: str, nats: float) -> ScoredGroup:
+    group = Group((LawTerm(channel, Term((Factor("linear", quantity),))),), 1)
+    return ScoredGroup(group, nats, np.ones(1), (1.0,))
+
+
+def discoverer(base: Hypothesis) -> _Discoverer:
+    """One that has tried a hundred terms of one factor; it refits nothing."""
+    flights = SimpleNamespace(rows=1000, model=MultibodyModel())
+    work = _Discoverer(cast(Comparison, flights), base, lambda _: None)
+    work.tried = {1: 100}
+    return work
+
+
+def test_what_encoders_promise_leaves_room_for_a_torque_that_promises_less() -> None:
+    work = discoverer(cast(Hypothesis, SimpleNamespace(ids=())))
+    on_encoders = [scored_as(f"measurement.{axis}", axis, 80.0 + i) for i, axis in enumerate(AXES)]
+    chosen = work.finalists([*on_encoders, scored_as("torque.pitch", "travel", 40.0)])
+    channels = [one.group.terms[0].channel for one in chosen]
+    assert channels == ["measurement.travel", "measurement.pitch", "torque.pitch"]
+
+
+def test_where_drift_stands_for_what_is_missing_terms_are_scored_without_it() -> None:
+    proposed = diagnosed(off_list=True).proposed_law
+    assert proposed is not None
+    base = proposed.discovery.base
+    law, encoder = (scored_as(f"{kind}.pitch", "elevation", 0.0).group for kind in ("torque", "measurement"))
+    courses = Courses(Screening(base.estimate))
+    gust_Nm = base.estimate.weather.gust_Nm
+    calm, drifting = (
+        replace(base.estimate.weather, drift_Nm=gust_Nm * [0.5, times, 0.5], curvature=None)
+        for times in (0.5, 30.0)
+    )
+    assert discoverer(base).slow(base, calm, courses, [law, encoder]) == []
+    (beside,) = score(Screening(replace(base.estimate, weather=drifting)), courses, [law])
+    (slow,) = discoverer(base).slow(base, drifting, courses, [law, encoder])
+    assert slow.group is law
+    assert slow.log_likelihood_gain > 1.2 * beside.log_likelihood_gain
 
 
 def test_scores_of_all_channels_are_those_of_the_effect_itself() -> None:

@@ -139,7 +139,7 @@ def diagnose(
             tell("looking for the law of what is missing", 0.92)
             curve = found.final if verdict.off_list else None
             proposed = propose_law(
-                comparison, reached.extended, curve, runs_before, calibrate_s, seed, refits, tell
+                comparison, reached.extended, curve, tried, runs_before, calibrate_s, seed, refits, tell
             )
         return Diagnosis(
             found,

@@ -9,13 +9,14 @@ place, so that the search can go on beside it. Held-out flights have no part in 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 from heli_sim.model.effect import Stage
 from heli_sim.model.effects.kind import EffectKind
+from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.absent_terms import closely_stated_terms
@@ -90,12 +91,16 @@ class _Searcher:
         """
         if refit.margin <= thresholds.MIN_MARGIN:
             return False
-        candidate = refit.candidate
-        if candidate.is_spline:
+        if refit.candidate.is_spline:
             return True
-        return self._in_flight(refit.hypothesis) and told_from_nothing(
-            refit.hypothesis, candidate, self.kinds
-        )
+        return self._in_flight(refit.hypothesis) and self._told(refit, refit.candidate)
+
+    def _told(self, refit: Refit, candidate: Candidate) -> bool:
+        """Whether the size of one of its candidates, without which it is worse by its margin, is told from
+        nothing: by its standard error, or where that tells of one side alone, by the likelihood.
+        """
+        plain = refit.margin > thresholds.PLAIN_NATS
+        return plain or candidate.is_spline or told_from_nothing(refit.hypothesis, candidate, self.kinds)
 
     def _in_flight(self, hypothesis: Hypothesis) -> bool:
         """Whether the moments that an effect changes at lie within the free flight: at its edges a step is a
@@ -152,6 +157,10 @@ class _Searcher:
             refits += [refit(one) for one in some if self.refits_left()]
             likely += some
             left = left[len(some) :]
+        if not any(self._accepted(one) for one in refits):
+            dry = self._dry_friction(base, screening, {one.candidate.id for one in likely})
+            refits += [refit(one) for one in dry if self.refits_left()]
+            likely += dry
         for gone, start, score in closely_stated_terms(self.comparison, self.removable, screening):
             if (
                 self.refits_left()
@@ -201,6 +210,22 @@ class _Searcher:
             > self.penalty(one.candidate, one.tried) + thresholds.MIN_MARGIN
         ]
 
+    def _dry_friction(self, base: Hypothesis, screening: Screening, known: Collection[str]) -> list[Scored]:
+        """Dry friction of its usual size of axes that rest for long: a score is taken where an axis creeps,
+        and does not see one that is held.
+        """
+        courses = [one.course for one in screening.filtered.linears]
+        resting = np.concatenate([one.at_rest[one.rows] for one in courses]).mean(axis=0)
+        found = []
+        for axis, share in zip(AXES, resting, strict=True):
+            id_ = f"coulomb_friction.{axis}"
+            if share > thresholds.HELD_SHARE and id_ in self.kinds and id_ not in {*base.ids, *known}:
+                kind = self.kinds[id_]
+                candidate = Candidate(id_, kind.make(kind.typical), kind.size)
+                none = np.zeros(len(kind.size))
+                found.append(Scored(candidate, 0.0, none, none, 1))
+        return found
+
     def exchange(self, final: Hypothesis) -> Hypothesis:
         """Put wider laws in the place of those that they contain, where that is significant."""
         for candidate in final.candidates:
@@ -230,8 +255,7 @@ class _Searcher:
             rest = [other for other in final.candidates if other is not candidate]
             less = self.comparison.refit(rest, None, final) if rest else self.baseline
             refit = Refit(final, final.log_likelihood - less.log_likelihood, self.penalty(candidate), 0.0)
-            told = candidate.is_spline or told_from_nothing(final, candidate, self.kinds)
-            if refit.margin <= thresholds.MIN_MARGIN or not told:
+            if refit.margin <= thresholds.MIN_MARGIN or not self._told(refit, candidate):
                 final, number = less, 0
                 without.clear()
                 continue

@@ -31,6 +31,12 @@ SHORTLIST_SHARE: Final = 0.25
 errors counted as independent, which made scores less comparable. Lower: time. Higher: where first-order
 scores are off by more than a factor 4, the true effect is not refitted."""
 
+HELD_SHARE: Final = 0.5
+"""Share of the time at rest from which on an axis may be held by dry friction that no score sees. By
+judgement; on the case of the blind set (2026-11) that needs it the arm rests nine tenths of the time, the
+score is below 3 nats and a refit gains 1200. Lower: time, a refit an axis. Higher: friction that holds for
+long is missed."""
+
 EXPECTED_REFIT_GAIN: Final = 2.0
 """Factor by which a refit may exceed a first-order score: an effect whose score is below its penalty by more
 is not refitted. By judgement. Lower: nonlinear effects are lost. Higher: time."""
@@ -54,6 +60,12 @@ lost."""
 NOTHING_STD_ERRORS: Final = 2.0
 """Standard errors within which an effect's size is nothing, and the effect is not named. By definition of the
 intervals given. Higher: weak causes are lost."""
+
+PLAIN_NATS: Final = 50.0
+"""Margin from which an effect is something whatever the standard error of its size: that of friction that
+holds an axis says how little the flights know of more of it, not of less (Hauck and Donner, J. Am. Stat.
+Assoc. 72 (1977) 851). By judgement; ten standard errors where both tests hold. Lower: sizes are named whose interval
+has nothing in it. Higher: an axis that friction holds is not understood."""
 
 LIKE_REFITTED: Final = 2
 """Effects of a spline's own channel that are refitted over their grids before the spline may displace them.
@@ -204,6 +216,11 @@ LAW_TERMS: Final = 3
 
 LAW_FINALISTS: Final = 4
 """Groups of terms that are refitted in a round. Fewer: one first-order score decides. More: time."""
+
+LAW_KEPT_SHARE: Final = 0.25
+"""Share of what its score promises that a refit must gain to count as one of them; up to twice as many are
+refitted. A stretched encoder promises tens of nats on the course that the filter predicts, and then gains
+nothing (blind cases, 2026-11). Lower: such terms take the places of the true one. Higher: time."""
 
 LAW_ALIKE: Final = 2
 """Of those, most of the same channel and quantities. By judgement. More: shapes of one dependence crowd out

@@ -15,124 +15,35 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from heli_sim.model.effects import EffectKind
 
 from heli_lab.diagnose.candidate import Candidate
+from heli_lab.diagnose.equation_discovery.catalogue import Catalogue
+from heli_lab.diagnose.equation_discovery.discovery import Discovery, Rival
 from heli_lab.diagnose.equation_discovery.grammar import Group, groups, tried_up_to
-from heli_lab.diagnose.equation_discovery.law import NAME, Law, LawEffect, LawTerm, law_effect
+from heli_lab.diagnose.equation_discovery.law import NAME, Law, law_effect
 from heli_lab.diagnose.equation_discovery.scoring import Courses, ScoredGroup, coefficient_std, score
-from heli_lab.diagnose.equation_discovery.terms import Term
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.diagnose.screening import Screening
 from heli_lab.diagnose.thresholds import (
     AMBIGUOUS,
-    CANDIDATES_TRIED,
     EXPECTED_REFIT_GAIN,
     LAW_ALIKE,
     LAW_CONFIRMED,
     LAW_CURVE_SHARE,
     LAW_FINALISTS,
+    LAW_KEPT_SHARE,
     LAW_NEAR_REST,
     LAW_TERMS,
     MIN_MARGIN,
     NOTHING_STD_ERRORS,
 )
-from heli_lab.innovations import Estimate, Weather
+from heli_lab.innovations import Weather
 
+_NO_DRIFT_Nm: Final = 2e-5
+"""As good as none, while covariances stay regular."""
 _WHOLE: Final = 2.0
 """Standard errors within which a multiplicity is taken for the whole number beside it."""
-
-
-@dataclass(frozen=True)
-class Rival:
-    """Another term in the place of the last one.
-
-    Parameters
-    ----------
-    key : str
-        The term as text.
-    log_likelihood_ratio : float
-        Of the law proposed over the law with it, penalties included, nats.
-    """
-
-    key: str
-    log_likelihood_ratio: float
-
-
-@dataclass(frozen=True, eq=False)
-class Discovery:
-    """A law that explains what a model lacks; compared by identity.
-
-    Parameters
-    ----------
-    law : Law
-        Its terms.
-    base, hypothesis : Hypothesis
-        The model without the law and with it, each with the weather that suits it best.
-    penalty : float
-        What the law pays for its numbers and for the search, nats.
-    held_out : float or None
-        Log-likelihood ratio on the flights held out, nats; None without any.
-    curve : float or None
-        What curves in the law's place gained on the flights fitted, nats; None where none was fitted.
-    rivals : tuple of Rival
-        Other terms in the place of those of the law, closest first.
-    tried : int
-        Groups of terms that were scored.
-    superfluous : tuple of str
-        Causes named beside it that the law makes superfluous.
-    elsewhere : (Estimate, Estimate) or None
-        The flights held out without the law and with it; None without any.
-    """
-
-    law: Law
-    base: Hypothesis
-    hypothesis: Hypothesis
-    penalty: float
-    held_out: float | None
-    curve: float | None
-    rivals: tuple[Rival, ...]
-    tried: int
-    superfluous: tuple[str, ...] = ()
-    elsewhere: tuple[Estimate, Estimate] | None = None
-
-    @property
-    def effect(self) -> LawEffect:
-        """The law as an effect of the model."""
-        effect = self.hypothesis.candidates[-1].effect
-        assert isinstance(effect, LawEffect)
-        return effect
-
-    @property
-    def train(self) -> float:
-        """Log-likelihood ratio over the model without the law on the flights fitted, nats."""
-        return self.hypothesis.log_likelihood - self.base.log_likelihood
-
-    @property
-    def values(self) -> dict[str, tuple[float, float, str]]:
-        """Numbers of the law by name without prefix: value, standard error (0 where fixed) and unit."""
-        estimate = self.hypothesis.estimate
-        std = dict(zip(estimate.unknowns.names, np.sqrt(np.diag(estimate.covariance)), strict=True))
-        found = self.hypothesis.values
-        return {
-            q.name.removeprefix(f"{self.effect.prefix}_"): (
-                float(found.get(q.name, self.effect.values[q.name])),
-                float(std.get(q.name, 0.0)),
-                q.unit,
-            )
-            for q in self.effect.parameters
-        }
-
-    def with_numbers(self, number: int) -> LawTerm:
-        """Term `number` of the law with the inner numbers that the refit found."""
-        one, values = self.law.terms[number], self.values
-        factors = tuple(
-            replace(
-                factor,
-                numbers=tuple((own, values[name][0]) for own, name in self.law.numbers_of(number, j).items()),
-            )
-            for j, factor in enumerate(one.term.factors)
-        )
-        return LawTerm(one.channel, Term(factors))
 
 
 @dataclass(frozen=True)
@@ -194,15 +105,23 @@ class _Discoverer:
         courses = Courses(screening)
         every = groups(courses.spans)
         self.tried = tried_up_to(every)
-        scored = score(screening, courses, every)
         best: _Tried | None = None
         rivals = dict[str, float]()
-        for one in self.finalists(scored):
+        kept = 0
+        for one in (
+            *self.slow(near, weather, courses, every),
+            *self.finalists(score(screening, courses, every)),
+        ):
+            if kept >= LAW_FINALISTS:
+                break
+            if one.group.key in rivals:
+                continue
             self.say(f"trying {one.group.key}")
             made = self.tried_one(one, known, courses)
             if made is None:
                 continue
             gain = made.hypothesis.log_likelihood - near.log_likelihood
+            kept += gain >= LAW_KEPT_SHARE * one.log_likelihood_gain
             rivals[one.group.key] = gain - (made.penalty - (known.penalty if known else 0.0))
             if best is None or made.margin > best.margin:
                 best = made
@@ -213,8 +132,22 @@ class _Discoverer:
         self.rivals |= {key: chosen - margin for key, margin in rivals.items()}
         return self.tidied(best, known, courses)
 
+    def slow(
+        self, near: Hypothesis, weather: Weather, courses: Courses, every: Sequence[Group]
+    ) -> list[ScoredGroup]:
+        """The best where drift stands for what is missing: a law of slow quantities, such as travel, is worth
+        next to nothing beside a drift as large as itself. They are those of a weather without that drift.
+        """
+        drifts = weather.drift_Nm > weather.gust_Nm
+        if not drifts.any():
+            return []
+        still = replace(weather, drift_Nm=np.where(drifts, _NO_DRIFT_Nm, weather.drift_Nm), curvature=None)
+        acting = [one for one in every if not one.terms[0].channel.startswith("measurement")]
+        scored = score(Screening(replace(near.estimate, weather=still)), courses, acting)
+        return self.finalists(scored)[:LAW_ALIKE]
+
     def finalists(self, scored: Sequence[ScoredGroup]) -> list[ScoredGroup]:
-        """The best by what they promise less what they pay."""
+        """The best by what they promise less what they pay, twice as many as are wanted."""
 
         def worth(one: ScoredGroup) -> float:
             return one.log_likelihood_gain - self.penalty(one.group, Law(one.group.terms), frozenset())
@@ -223,7 +156,7 @@ class _Discoverer:
         for one in sorted(scored, key=worth, reverse=True):
             gain = one.log_likelihood_gain
             paid = gain - worth(one)
-            if EXPECTED_REFIT_GAIN * gain <= paid + MIN_MARGIN or len(chosen) >= LAW_FINALISTS:
+            if EXPECTED_REFIT_GAIN * gain <= paid + MIN_MARGIN or len(chosen) >= 2 * LAW_FINALISTS:
                 continue
             like = [other for other in chosen if _place(other.group) == _place(one.group)]
             if len(like) < LAW_ALIKE:
@@ -240,7 +173,9 @@ class _Discoverer:
         for i, value in enumerate(one.coefficients):
             start[law.coefficient(first + i)] = float(value)
         held = known.held if known else frozenset()
-        hypothesis = self.refit(law, self.stds(law, courses), start, self.base, held)
+        # From the weather that the known terms leave: beside them that of the base stands for them once more.
+        near = known.hypothesis if known else self.base
+        hypothesis = self.refit(law, self.stds(law, courses), start, near, held)
         penalty = self.penalty(one.group, law, held) + (known.penalty if known else 0.0)
         return _Tried(law, hypothesis, penalty, one.group, held)
 
@@ -309,18 +244,6 @@ class _Discoverer:
         made = _Tried(of.law, hypothesis, penalty, of.group, held)
         return made if made.margin > of.margin - AMBIGUOUS else of
 
-    def without_superfluous(self, of: _Tried) -> tuple[Hypothesis, tuple[str, ...]]:
-        """The model with the law, without causes that the likelihood does not miss beside it; their ids."""
-        final, gone = of.hypothesis, list[str]()
-        for one in self.base.candidates:
-            rest = [other for other in final.candidates[:-1] if other.id != one.id]
-            less = self.comparison.refit([*rest, final.candidates[-1]], None, final)
-            price = 0.5 * len(one.effect.priors) * math.log(self.comparison.rows) + math.log(CANDIDATES_TRIED)
-            if final.log_likelihood - less.log_likelihood - price <= MIN_MARGIN:
-                final = less
-                gone.append(one.id)
-        return final, tuple(gone)
-
 
 def free_name(used: Collection[str]) -> str:
     """Choose the name of a law beside effects of the names `used`."""
@@ -333,6 +256,7 @@ def discover(
     base: Hypothesis,
     *,
     curve: Hypothesis | None = None,
+    kinds: Mapping[str, EffectKind] | None = None,
     refits: float = math.inf,
     say: Callable[[str], None] | None = None,
 ) -> Discovery | None:
@@ -347,6 +271,8 @@ def discover(
     curve : Hypothesis, optional
         The same with curves in the place of what is missing: its weather is what remains, and its likelihood
         what a law should come near to.
+    kinds : Mapping[str, EffectKind], optional
+        The catalogue: a law that one of its effects does as well as is none.
     refits : float
         Refits after which no further term is looked for.
     say : callable, optional
@@ -355,7 +281,8 @@ def discover(
     Returns
     -------
     Discovery or None
-        None where no law pays for itself, explains most of what a curve does, and is confirmed.
+        None where no law pays for itself, explains most of what a curve does, is confirmed, and does better
+        than what is on the list.
     """
     work = _Discoverer(comparison, base, say or (lambda _what: None))
     weather = (curve or base).estimate.weather
@@ -383,7 +310,10 @@ def discover(
     by_curve = curve.log_likelihood - base.log_likelihood if curve is not None and curve is not base else None
     if by_curve is not None and gained < LAW_CURVE_SHARE * by_curve:
         return None
-    hypothesis, superfluous = work.without_superfluous(law)
+    listed = Catalogue(comparison, base, kinds or {}, work.say)
+    if listed.as_good(law.law, law.hypothesis, law.margin) is not None:
+        return None
+    hypothesis, superfluous = listed.without_superfluous(law.hypothesis)
     rivals = sorted((Rival(*one) for one in others.items()), key=lambda one: one.log_likelihood_ratio)
     return Discovery(
         law.law,
@@ -405,7 +335,13 @@ def _on_own_rate(channel: str, key: str) -> bool:
 
 
 def _place(group: Group) -> tuple[str, frozenset[str]]:
-    return group.terms[0].channel, frozenset(q for one in group.terms for q in one.term.quantities)
+    """Where a group acts, and by what; encoders are one place: what the filter's course makes of a stretched
+    one it makes of all.
+    """
+    channel = group.terms[0].channel
+    if channel.startswith("measurement"):
+        return "measurement", frozenset()
+    return channel, frozenset(q for one in group.terms for q in one.term.quantities)
 
 
 def _numbers(hypothesis: Hypothesis) -> dict[str, tuple[float, float]]:

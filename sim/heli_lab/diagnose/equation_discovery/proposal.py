@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from heli_sim.model.effects import EffectKind
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.effect_contribution import accelerations
-from heli_lab.diagnose.equation_discovery.discover import Discovery, discover
+from heli_lab.diagnose.equation_discovery.discover import discover
+from heli_lab.diagnose.equation_discovery.discovery import Discovery
 from heli_lab.diagnose.equation_discovery.law import CHANNELS, Law
 from heli_lab.diagnose.equation_discovery.notation import effect_file, expression, latex, sentence
 from heli_lab.diagnose.equation_discovery.scoring import Courses
@@ -232,6 +234,7 @@ def propose_law(
     comparison: Comparison,
     base: Hypothesis,
     curve: Hypothesis | None,
+    kinds: Mapping[str, EffectKind],
     runs_before: Sequence[FreeRun],
     calibrate_s: float | None,
     seed: int,
@@ -248,6 +251,8 @@ def propose_law(
         The model with the causes that were named.
     curve : Hypothesis, optional
         The same with curves in the place of what is missing.
+    kinds : Mapping[str, EffectKind]
+        The catalogue.
     runs_before : sequence of FreeRun
         Of the baseline.
     calibrate_s : float, optional
@@ -259,7 +264,9 @@ def propose_law(
     say : callable
         Called with what is being done, and the share of the work that is done.
     """
-    found = discover(comparison, base, curve=curve, refits=refits, say=lambda what: say(what, 0.94))
+    found = discover(
+        comparison, base, curve=curve, kinds=kinds, refits=refits, say=lambda what: say(what, 0.94)
+    )
     if found is None:
         return None
     estimate = found.hypothesis.estimate

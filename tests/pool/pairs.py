@@ -1,0 +1,217 @@
+"""`python -m tests.pool.pairs`: what a lively machine's flight is worth to another machine that flew gently.
+
+Two machines of one make fly in MuJoCo, in weather, behind a rotor lag: one lively, the other gently. The
+gentle one's numbers are estimated from its flight with the rig's file as the prior, and with what the pool
+makes of the lively machine. Both are held against another lively flight of the gentle machine, and against
+another gentle one: by the log-likelihood of its innovations, and by free runs over 2 s, of which weather is
+most.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from heli_lab.diagnose.free_run import FreeRun, free_runs
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.prediction import predict
+from heli_lab.identify import Record, prepare
+from heli_lab.pool import pool
+from heli_lab.pool.machine import Estimate, Machine, by_flights_alone
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import effects_of, parse_effects
+from heli_sim.rig import Rig, load_rig
+
+from tests.blind.hidden import RotorLag
+from tests.blind.tracking import CONTROLLERS
+from tests.blind.weather import MEMORIES_s, STRENGTHS_Nm, Weather
+from tests.blind.weather_case import WeatherCase
+
+LIVELY_s, GENTLE_s, OTHER_s = 40.0, 15.0, 30.0
+"""Lengths of the lively machine's flight, of the gentle one's, and of those that neither fit saw."""
+_LAG: Final = "rotor_lag"
+_AMONG_MACHINES: Final = 0.3
+"""Standard deviation among the machines of a make, over that among makes."""
+_NORMAL: Final = {
+    "thrust_gain": 0.08,
+    "dead_zone": 0.06,
+    **dict.fromkeys(("M_f", "M_b", "M_w", "M_h", "M_l"), 0.004),
+    **dict.fromkeys((f"friction_{axis}" for axis in ("elevation", "pitch", "travel")), 0.4),
+}
+"""Standard deviations of the logarithms of the makes' numbers about the file's."""
+
+
+@dataclass(frozen=True)
+class MachineCase(WeatherCase):
+    """A machine of a make.
+
+    Parameters
+    ----------
+    make : int
+        Seed of the make.
+    """
+
+    make: int
+
+    def rig(self) -> Rig:
+        """Draw the make from what the file says, and the machine from the make."""
+        rig = load_rig(self.rig_name)
+        make, own = np.random.default_rng([self.make, 9]), np.random.default_rng([self.seed, 1])
+        off = {
+            name: std * (make.standard_normal() + _AMONG_MACHINES * own.standard_normal())
+            for name, std in _NORMAL.items()
+        }
+        return rig.replace(**{name: rig[name].value * float(np.exp(one)) for name, one in off.items()})
+
+
+def machines(number: int) -> tuple[MachineCase, MachineCase]:
+    """Lay out a pair: the lively machine and the gentle one."""
+    rng = np.random.default_rng([8000 + number, 2])
+    lag_s = rng.uniform(0.05, 0.12)
+    both = []
+    for which in range(2):
+        own_s = float(lag_s * np.exp(0.1 * rng.standard_normal()))
+        both.append(
+            MachineCase(
+                f"pair-{number}-{('lively', 'gentle')[which]}",
+                ((_LAG, own_s),),
+                (),
+                8000 + 2 * number + which,
+                (RotorLag,),
+                "makki2024",
+                100,
+                bool(which),
+                CONTROLLERS[int(rng.integers(3))],
+                Weather(STRENGTHS_Nm[int(rng.integers(3))], MEMORIES_s[int(rng.integers(3))]),
+                8000 + number,
+            )
+        )
+    return both[0], both[1]
+
+
+def compared(number: int) -> dict[str, Any]:
+    """Measure a pair.
+
+    Returns
+    -------
+    dict
+        For each flight held out, ``lively`` and ``gentle``, and each prior, ``by_file`` and ``by_make``: the
+        ``log_likelihood`` of the flight, its own constants and weather estimated; rms errors over 2 s by axis
+        (``deg``) and over all axes in standard deviations of the quantisation (``normalised``). Of each of
+        the ``numbers``: truth, mean and standard deviation of the make's prior.
+    """
+    nominal = load_rig("makki2024")
+    lively, gentle = machines(number)
+    record = _record(lively, 0, LIVELY_s, nominal)
+    model = MultibodyModel(parse_effects([f"{_LAG}=0.06"]))
+    found = Comparison(model, nominal, [record], []).refit([])
+    machine = _machine("lively", found)
+    prior = pool([machine]).prior(nominal, "make")
+    train = _record(gentle, 0, GENTLE_s, nominal)
+    others = {
+        "lively": _record(replace(gentle, gentle=False), 1, OTHER_s, nominal),
+        "gentle": _record(gentle, 1, OTHER_s, nominal),
+    }
+    # Along the same courses, whatever the prior.
+    judges = {name: Comparison(model, nominal, [train], [other]) for name, other in others.items()}
+    answer: dict[str, Any] = {name: {} for name in others}
+    for what, rig, own in (
+        ("by_file", nominal, model),
+        ("by_make", prior, MultibodyModel(effects_of(prior))),
+    ):
+        hypothesis = Comparison(own, rig, [train], []).refit([])
+        fit = predict((), hypothesis.estimate, [train], ()).fit
+        for name, other in others.items():
+            (run,) = free_runs(fit, [other])
+            held_out = judges[name].held_out_estimate(hypothesis)
+            answer[name][what] = _errors(run, other) | {"log_likelihood": held_out.log_likelihood}
+    answer["numbers"] = {
+        name: [one.value, prior[name].value, 0.5 * prior[name].tolerance]
+        for name, one in gentle.rig().items()
+    }
+    return answer
+
+
+def _record(case: WeatherCase, flight: int, seconds: float, nominal: Rig) -> Record:
+    return prepare(case.flown(flight, seconds)[0], nominal, f"{case.name} {flight}")
+
+
+def _machine(label: str, found: Hypothesis) -> Machine:
+    """The machine as a diagnosis that named the lag has it."""
+    estimate = found.estimate
+    std = np.sqrt(np.diag(estimate.covariance))
+    priors, numbers = {}, {}
+    for i, one in enumerate(estimate.unknowns.free):
+        if one.record is None:
+            priors[one.name] = Estimate(one.prior.mean, one.prior.std, one.unit)
+            alone = by_flights_alone(float(estimate.theta[i]), float(std[i]), priors[one.name])
+            if alone is not None:
+                numbers[one.name] = alone
+    return Machine(label, "makki2024", "multibody", numbers, priors, {_LAG: 1.0}, ())
+
+
+def _errors(run: FreeRun, record: Record) -> dict[str, Any]:
+    rms_deg = run.errors["2"].rms_deg
+    return {
+        "deg": rms_deg.tolist(),
+        "normalised": float(np.sqrt(np.mean((np.deg2rad(rms_deg) / record.sigma_rad) ** 2))),
+    }
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> str:
+    """Count pairs in which the make's prior predicts the gentle machine better."""
+    lines = []
+    for name in ("lively", "gentle"):
+        ratios = [row[name]["by_make"]["normalised"] / row[name]["by_file"]["normalised"] for row in rows]
+        nats = [
+            row[name]["by_make"]["log_likelihood"] - row[name]["by_file"]["log_likelihood"] for row in rows
+        ]
+        lines.append(
+            f"another {name} flight of the gentle machine: likelier in {sum(n > 0.0 for n in nats)} of "
+            f"{len(nats)}, by {np.median(nats):.1f} nats ({min(nats):.1f} to {max(nats):.1f}); free runs "
+            f"better in {sum(r < 1.0 for r in ratios)}, ratio {np.median(ratios):.3f} ({min(ratios):.3f} to "
+            f"{max(ratios):.3f})"
+        )
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the pairs that the JSON file does not have, and count; 0 when all ran."""
+    parser = argparse.ArgumentParser(prog="python -m tests.pool.pairs", description=__doc__)
+    parser.add_argument("--pairs", type=int, default=20)
+    parser.add_argument("--json", type=Path, default=Path("pairs.json"))
+    given = parser.parse_args(arguments)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    rows: dict[str, dict[str, Any]] = json.loads(given.json.read_text()) if given.json.exists() else {}
+    for number in range(given.pairs):
+        if str(number) in rows:
+            continue
+        started_s = time.process_time()
+        rows[str(number)] = compared(number)
+        given.json.write_text(json.dumps(rows, indent=1) + "\n")
+        print(
+            f"pair {number}: {time.process_time() - started_s:.0f} s; {_said(rows[str(number)])}", flush=True
+        )
+    print(summary(list(rows.values())))
+    return 0
+
+
+def _said(row: dict[str, Any]) -> str:
+    return "; ".join(
+        f"{name} {row[name]['by_file']['normalised']:.3g} by the file, "
+        f"{row[name]['by_make']['normalised']:.3g} by the make, "
+        f"{row[name]['by_make']['log_likelihood'] - row[name]['by_file']['log_likelihood']:.1f} nats"
+        for name in ("lively", "gentle")
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
