@@ -64,8 +64,8 @@ intervals given. Higher: weak causes are lost."""
 PLAIN_NATS: Final = 50.0
 """Margin from which an effect is something whatever the standard error of its size: that of friction that
 holds an axis says how little the flights know of more of it, not of less (Hauck and Donner, J. Am. Stat.
-Assoc. 72 (1977) 851). By judgement; ten standard errors where both tests hold. Lower: sizes are named whose interval
-has nothing in it. Higher: an axis that friction holds is not understood."""
+Assoc. 72 (1977) 851). By judgement; ten standard errors where both tests hold. Lower: sizes are named whose
+interval has nothing in it. Higher: an axis that friction holds is not understood."""
 
 LIKE_REFITTED: Final = 2
 """Effects of a spline's own channel that are refitted over their grids before the spline may displace them.
