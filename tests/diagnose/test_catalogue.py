@@ -1,0 +1,83 @@
+"""What the list explains is no law; friction that holds an axis is tried though no score sees it."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from heli_lab.diagnose.candidate import Candidate
+from heli_lab.diagnose.equation_discovery.catalogue import Catalogue
+from heli_lab.diagnose.equation_discovery.law import Law, LawTerm, law_effect
+from heli_lab.diagnose.equation_discovery.terms import Factor, Term
+from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.screening import Screening
+from heli_lab.diagnose.search import _Searcher
+from heli_lab.diagnose.search_record import Refit
+from heli_lab.identify import prepare
+from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue
+from heli_sim.rig import load_rig
+
+from tests.diagnose.hidden import flights
+
+pytestmark = pytest.mark.diagnosis
+
+KINDS = catalogue()
+
+
+@pytest.mark.slow
+def test_a_law_that_an_effect_of_the_list_explains_as_well_is_none() -> None:
+    rig = load_rig("makki2024")
+    comparison = Comparison(
+        MultibodyModel(), rig, [prepare(flights("cable_spring.travel=0.1")[0], rig, "fit")], []
+    )
+    base = comparison.refit([])
+    law = Law((LawTerm("torque.travel", Term((Factor("linear", "travel"),))),))
+    effect = law_effect(law, dict.fromkeys(law.coefficients, 0.1))
+    near = comparison.refit(
+        [Candidate(effect.name, effect, tuple(effect.priors))], {**effect.values, **base.values}, base
+    )
+    margin = near.log_likelihood - 10.0
+    assert margin > base.log_likelihood + 50.0
+
+    def named(*ids: str) -> str | None:
+        kinds = {id_: KINDS[id_] for id_ in ids}
+        return Catalogue(comparison, base, kinds, lambda _: None).as_good(law, near, margin)
+
+    assert named("coulomb_friction.pitch", "cable_spring.travel") == "cable_spring.travel"
+    assert named("coulomb_friction.pitch") is None
+
+
+def dry_friction(resting: list[float], *, there: tuple[str, ...] = ()) -> list[str]:
+    """Ids of the frictions that are tried where the axes rest for these shares of the time."""
+    at_rest = np.arange(100)[:, None] < 100 * np.array(resting)
+    course = SimpleNamespace(at_rest=at_rest, rows=np.arange(100))
+    screening = SimpleNamespace(filtered=SimpleNamespace(linears=[SimpleNamespace(course=course)]))
+    searcher = cast(_Searcher, SimpleNamespace(kinds=KINDS))
+    base = cast(Hypothesis, SimpleNamespace(ids=there))
+    found = _Searcher._dry_friction(searcher, base, cast(Screening, screening), ())
+    for one in found:
+        assert one.candidate.start_values(one.coefficients) == pytest.approx(KINDS[one.candidate.id].typical)
+    return [one.candidate.id for one in found]
+
+
+def test_friction_is_tried_from_its_usual_size_where_an_axis_is_held() -> None:
+    assert dry_friction([0.9, 0.1, 0.2]) == ["coulomb_friction.elevation"]
+    assert dry_friction([0.9, 0.1, 0.7]) == ["coulomb_friction.elevation", "coulomb_friction.travel"]
+    assert dry_friction([0.9, 0.1, 0.7], there=("coulomb_friction.elevation",)) == ["coulomb_friction.travel"]
+    assert dry_friction([0.3, 0.1, 0.2]) == []
+
+
+def test_a_size_that_the_likelihood_tells_from_nothing_is_told_whatever_its_standard_error() -> None:
+    kind = KINDS["coulomb_friction.elevation"]
+    size = kind.size[0]
+    estimate = SimpleNamespace(
+        unknowns=SimpleNamespace(names=[size]), covariance=np.array([[0.05**2]]), theta=np.array([0.03])
+    )
+    hypothesis = cast(Hypothesis, SimpleNamespace(estimate=estimate, values={size: 0.03}))
+    candidate = Candidate(kind.id, kind.make(kind.typical), kind.size)
+    searcher = cast(_Searcher, SimpleNamespace(kinds=KINDS))
+    assert _Searcher._told(searcher, Refit(hypothesis, 1300.0, 11.0, 0.0), candidate)
+    assert not _Searcher._told(searcher, Refit(hypothesis, 30.0, 11.0, 0.0), candidate)
