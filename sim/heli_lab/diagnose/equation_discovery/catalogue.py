@@ -81,8 +81,9 @@ class Catalogue:
         return None
 
     def margin_of(self, listed: Candidate, start: Mapping[str, float], near: Hypothesis) -> float:
-        """Log-likelihood, less its price, of the base with an effect of the catalogue; that its numbers are
-        unusual counts for nothing, as a law's may have any size.
+        """Log-likelihood, less its price, of the base with one more effect, `listed`, estimated from `start`
+        and from the weather of the model `near`; that its numbers are unusual counts for nothing, as a law's
+        may have any size.
         """
         self.say(f"trying {listed.id} in its place")
         made = self.comparison.refit([*self.base.candidates, listed], start, near)
