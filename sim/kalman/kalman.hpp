@@ -5,27 +5,16 @@
 #include <cstddef>
 #include <vector>
 
-// Hot loops are compiled for wider vectors too, and chosen when the program is loaded. Nothing is
-// contracted, so that every machine finds the same numbers.
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__)
-#define HELI_WIDE __attribute__((target_clones("avx2", "default")))
-#else
-#define HELI_WIDE
-#endif
-#if defined(__GNUC__)
-#define HELI_INLINE inline __attribute__((always_inline))
-#else
-#define HELI_INLINE inline
-#endif
+#include "../wide.hpp"
 
 namespace heli_lab {
 
-// to[c] += sum of weights[j] table[j][c], `count` rows of a table of `columns`; a few columns at
-// once, so that their sums stay in registers.
-HELI_INLINE void add_rows(const double* weights, std::size_t count, const double* table,
-                          std::size_t columns, double* to) {
-  constexpr std::size_t kTogether = 16;
-  std::size_t c = 0;
+// to[c] += sum of weights[j] table[j][c], `count` rows of a table of `columns`, from column c on,
+// `kTogether` columns at once, so that their sums stay in registers; returns the first that is
+// left.
+template <std::size_t kTogether>
+HELI_INLINE std::size_t add_columns(const double* weights, std::size_t count, const double* table,
+                                    std::size_t columns, std::size_t c, double* to) {
   for (; c + kTogether <= columns; c += kTogether) {
     double sum[kTogether];
     for (std::size_t k = 0; k < kTogether; ++k) {
@@ -42,27 +31,15 @@ HELI_INLINE void add_rows(const double* weights, std::size_t count, const double
       to[c + k] = sum[k];
     }
   }
-  constexpr std::size_t kFew = 4;
-  for (; c + kFew <= columns; c += kFew) {
-    double sum[kFew] = {to[c], to[c + 1], to[c + 2], to[c + 3]};
-    for (std::size_t j = 0; j < count; ++j) {
-      const double weight = weights[j];
-      const double* line = table + j * columns + c;
-      for (std::size_t k = 0; k < kFew; ++k) {
-        sum[k] += weight * line[k];
-      }
-    }
-    for (std::size_t k = 0; k < kFew; ++k) {
-      to[c + k] = sum[k];
-    }
-  }
-  for (; c < columns; ++c) {
-    double sum = to[c];
-    for (std::size_t j = 0; j < count; ++j) {
-      sum += weights[j] * table[j * columns + c];
-    }
-    to[c] = sum;
-  }
+  return c;
+}
+
+// The same of all columns.
+HELI_INLINE void add_rows(const double* weights, std::size_t count, const double* table,
+                          std::size_t columns, double* to) {
+  std::size_t c = add_columns<16>(weights, count, table, columns, 0, to);
+  c = add_columns<4>(weights, count, table, columns, c, to);
+  add_columns<1>(weights, count, table, columns, c, to);
 }
 
 // e' = transition e + input w + drive, w' = memory^parts w + noise, y = measurement e + error.

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "../wide.hpp"
+
 namespace heli_lab {
 namespace {
 
@@ -158,11 +160,7 @@ void Program::evaluate(const std::vector<const double*>& inputs, std::size_t row
   run(inputs, rows, scalars.data(), outputs);
 }
 
-// The same instructions for any width of vectors, and nothing contracted: every machine finds the
-// same numbers.
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__)
-__attribute__((target_clones("avx2", "default")))
-#endif
+HELI_WIDE
 void Program::run(const std::vector<const double*>& inputs, std::size_t rows, const double* scalars,
                   const std::vector<double*>& outputs) const {
   std::vector<double> vectors(registers_ * kLanes);

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from heli_host.flight import Flight
 from heli_lab.diagnose import Diagnosis
-from heli_lab.diagnose.candidate import Candidate
+from heli_lab.diagnose.candidate import Candidate, usual
 from heli_lab.diagnose.effect_contribution import accelerations
 from heli_lab.diagnose.equation_discovery import NAME
 from heli_lab.diagnose.error_reduction import judgement
@@ -187,7 +187,7 @@ def _over_told(
 def listed(names: Iterable[str]) -> list[Candidate]:
     """Effects of the catalogue for a fit to be told, from their typical sizes."""
     kinds = catalogue()
-    return [Candidate(name, kinds[name].make(kinds[name].typical), kinds[name].size, {}) for name in names]
+    return [usual(kinds[name]) for name in names]
 
 
 def told_errors_deg(comparison: Comparison, candidates: Sequence[Candidate]) -> dict[str, float]:

@@ -36,9 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0 when every case ran.
     """
     parser = argparse.ArgumentParser(prog="python -m tests.blind.law_run", description=__doc__)
-    add_choice(parser)
-    parser.add_argument("--keep", action="store_true", help="take flights that are there")
-    parser.add_argument("--json", type=Path, default=Path("laws.json"))
+    add_rows(parser, Path("laws.json"))
     parser.add_argument("--nothing", action="store_true", help="cases without a law instead")
     parser.add_argument("--seen", action="store_true", help="diagnose only laws that can be seen")
     given = parser.parse_args(arguments)
@@ -51,6 +49,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rows = judged_rows(chosen(every, given), judged_law, _said, given)
     print(summary(rows))
     return 0 if all("failure" not in row for row in rows.values()) else 1
+
+
+def add_rows(parser: argparse.ArgumentParser, json_file: Path) -> None:
+    """Add the options that `judged_rows` and `chosen` read; `json_file` is kept unless another is named."""
+    add_choice(parser)
+    parser.add_argument("--keep", action="store_true", help="take flights that are there")
+    parser.add_argument("--json", type=Path, default=json_file)
+    parser.set_defaults(seen=False)
 
 
 def judged_rows(

@@ -8,8 +8,8 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from tests.blind.choice import add_choice, chosen
-from tests.blind.law_run import Row, judged_rows
+from tests.blind.choice import chosen
+from tests.blind.law_run import Row, add_rows, judged_rows
 
 SHARE = 0.8
 
@@ -28,10 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0 when every case ran.
     """
     parser = argparse.ArgumentParser(prog="python -m tests.blind.taken_off_run", description=__doc__)
-    add_choice(parser)
-    parser.add_argument("--keep", action="store_true", help="take flights that are there")
-    parser.add_argument("--json", type=Path, default=Path("taken_off.json"))
-    given = parser.parse_args(arguments, argparse.Namespace(seen=False))
+    add_rows(parser, Path("taken_off.json"))
+    given = parser.parse_args(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from tests.blind.taken_off import taken_off_cases
     from tests.blind.taken_off_oracle import judged_in_place

@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.candidate import Candidate
+from heli_lab.diagnose.candidate import Candidate, usual
 from heli_lab.diagnose.equation_discovery.catalogue import Catalogue
 from heli_lab.diagnose.equation_discovery.law import Law, LawTerm, law_effect
 from heli_lab.diagnose.equation_discovery.terms import Factor, Term
@@ -77,7 +77,7 @@ def test_a_size_that_the_likelihood_tells_from_nothing_is_told_whatever_its_stan
         unknowns=SimpleNamespace(names=[size]), covariance=np.array([[0.05**2]]), theta=np.array([0.03])
     )
     hypothesis = cast(Hypothesis, SimpleNamespace(estimate=estimate, values={size: 0.03}))
-    candidate = Candidate(kind.id, kind.make(kind.typical), kind.size)
+    candidate = usual(kind)
     searcher = cast(_Searcher, SimpleNamespace(kinds=KINDS))
     assert _Searcher._told(searcher, Refit(hypothesis, 1300.0, 11.0, 0.0), candidate)
     assert not _Searcher._told(searcher, Refit(hypothesis, 30.0, 11.0, 0.0), candidate)

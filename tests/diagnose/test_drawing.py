@@ -72,3 +72,12 @@ def test_no_process_is_left_behind_when_what_was_to_be_drawn_never_came() -> Non
         raise KeyError
     assert some.process is not None
     assert some.process.poll() is not None
+
+
+def test_a_picture_that_cannot_be_written_is_an_error_and_no_empty_picture(tmp_path: Path) -> None:
+    with Drawing(beside=True) as some:
+        picture = some.add(figure(6), tmp_path / "no folder" / "6.png")
+        while some.waiting:
+            time.sleep(0.01)
+        with pytest.raises(FileNotFoundError):
+            _ = str(picture)

@@ -51,6 +51,13 @@ def _degrees(flight: Flight) -> list[Floats]:
     return [some[f"{axis}_rad"] * DEG for axis in _AXES]
 
 
+def _in_radians(flight: Flight, path: Path, header: list[str]) -> Path:
+    """Times, elevation, pitch, travel, front and back under these names."""
+    some = _slow(flight)
+    angles = [some[f"{axis}_rad"] for axis in _AXES]
+    return _table(path, header, [some["t_s"], *angles, some["front_V"], some["back_V"]])
+
+
 def norwegian(flight: Flight, folder: Path) -> Path:
     some = _slow(flight)
     header = ["Tid (s)", "Høyde (grader)", "Helling (grader)", "Vandring (grader)", "Foran (V)", "Bak (V)"]
@@ -80,10 +87,8 @@ def french(flight: Flight, folder: Path) -> Path:
 
 
 def spanish(flight: Flight, folder: Path) -> Path:
-    some = _slow(flight)
     header = ["tiempo", "elevacion", "cabeceo", "giro", "v_delantero", "v_trasero"]
-    angles = [some[f"{axis}_rad"] for axis in _AXES]
-    return _table(folder / "es.csv", header, [some["t_s"], *angles, some["front_V"], some["back_V"]])
+    return _in_radians(flight, folder / "es.csv", header)
 
 
 def chinese(flight: Flight, folder: Path) -> Path:
@@ -95,24 +100,12 @@ def chinese(flight: Flight, folder: Path) -> Path:
 
 def epsilon_theta(flight: Flight, folder: Path) -> Path:
     """Greek letters of books in which theta is the pitch."""
-    some = _slow(flight)
-    header = ["t", "epsilon", "theta", "psi", "U1", "U2"]
-    return _table(
-        folder / "eps.csv",
-        header,
-        [some["t_s"], *(some[f"{axis}_rad"] for axis in _AXES), some["front_V"], some["back_V"]],
-    )
+    return _in_radians(flight, folder / "eps.csv", ["t", "epsilon", "theta", "psi", "U1", "U2"])
 
 
 def phi_theta(flight: Flight, folder: Path) -> Path:
     """Names of an aeroplane's angles in another order: phi is the elevation, theta the pitch."""
-    some = _slow(flight)
-    header = ["t", "phi", "theta", "psi", "Vf", "Vb"]
-    return _table(
-        folder / "phi.csv",
-        header,
-        [some["t_s"], *(some[f"{axis}_rad"] for axis in _AXES), some["front_V"], some["back_V"]],
-    )
+    return _in_radians(flight, folder / "phi.csv", ["t", "phi", "theta", "psi", "Vf", "Vb"])
 
 
 def state_space(flight: Flight, folder: Path) -> Path:

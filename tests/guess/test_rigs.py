@@ -18,10 +18,11 @@ OTHER = replace(PROFILE, mirrored=True)
 
 
 def told(monkeypatch: pytest.MonkeyPatch, nats: dict[str, float], profiles: dict[str, Profile]) -> None:
-    def guessed(table: Table, rig: Rig, rate_Hz: float | None = None, fly: bool = True) -> Guess:
-        return Guess(profiles.get(rig.name, PROFILE), (), (), nats=nats[rig.name])
+    def proposed(table: Table, rig: Rig, rate_Hz: float | None = None) -> tuple[Guess, Table]:
+        return Guess(profiles.get(rig.name, PROFILE), (), (), nats=nats[rig.name]), table
 
-    monkeypatch.setattr(rigs, "guess", guessed)
+    monkeypatch.setattr(rigs, "proposed", proposed)
+    monkeypatch.setattr(rigs, "flown", lambda guessed, _table, _rig: guessed)
 
 
 TABLES = [Table("a.csv", {}), Table("b.csv", {})]

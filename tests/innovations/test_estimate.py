@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.candidate import Candidate
+from heli_lab.diagnose.candidate import Candidate, usual
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.diagnose.screening import Screening
 from heli_sim.model import MultibodyModel
@@ -95,7 +95,7 @@ def test_weather_found_is_likelier_than_its_neighbours() -> None:
 @pytest.mark.parametrize("id_", ["coulomb_friction.elevation", "thrust_asymmetry", "rotor_lag"])
 def test_larger_model_is_never_less_likely_than_the_one_that_it_contains(id_: str) -> None:
     kind = KINDS[id_]
-    more = comparison().refit([Candidate(id_, kind.make(kind.typical), kind.size)], None, baseline())
+    more = comparison().refit([usual(kind)], None, baseline())
     # What it cannot avoid is the prior of its size, which at nothing is up to 1.4 standard deviations off.
     assert more.log_likelihood > baseline().log_likelihood - 1.2
 

@@ -66,7 +66,8 @@ class WorkBar:
         now_s = time.monotonic()
         if now_s - self._shown_s >= LINE_EVERY_S:
             self._shown_s = now_s
+            told = f"{stage}: {100 * done:.0f} %"
             # Of next to nothing that is done no time left can be told.
-            left_s = (now_s - self._started_s) * (1.0 - done) / max(done, _LEAST_TOLD)
-            told = f", about {left_s:.0f} s left" if done >= _LEAST_TOLD else ""
-            say_progress(f"{stage}: {100 * done:.0f} %{told}")
+            if done >= _LEAST_TOLD:
+                told += f", about {(now_s - self._started_s) * (1.0 - done) / done:.0f} s left"
+            say_progress(told)

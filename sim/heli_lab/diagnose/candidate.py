@@ -87,6 +87,11 @@ class Candidate:
         return values
 
 
+def usual(kind: EffectKind) -> Candidate:
+    """An effect of its typical size, for a refit to start from."""
+    return Candidate(kind.id, kind.make(kind.typical), kind.size)
+
+
 class ChangeFunctions:
     """The changes that candidates make in a `model`, as functions: those of all its flights are the same, and
     making one takes longer than to evaluate it along a flight of a minute.

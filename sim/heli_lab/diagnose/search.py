@@ -20,7 +20,7 @@ from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.absent_terms import closely_stated_terms
-from heli_lab.diagnose.candidate import Candidate
+from heli_lab.diagnose.candidate import Candidate, usual
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.diagnose.screening import Scored, Screening
 from heli_lab.diagnose.search_record import Alternative, Cause, Refit, Round, Search
@@ -220,9 +220,8 @@ class _Searcher:
         for axis, share in zip(AXES, resting, strict=True):
             id_ = f"coulomb_friction.{axis}"
             if share > thresholds.HELD_SHARE and id_ in self.kinds and id_ not in {*base.ids, *known}:
-                kind = self.kinds[id_]
-                candidate = Candidate(id_, kind.make(kind.typical), kind.size)
-                none = np.zeros(len(kind.size))
+                candidate = usual(self.kinds[id_])
+                none = np.zeros(len(candidate.linear_parameters))
                 found.append(Scored(candidate, 0.0, none, none, 1))
         return found
 

@@ -11,7 +11,7 @@ from heli_sim.rig import Rig, load_rig, rig_names
 
 from heli_lab.guess import thresholds
 from heli_lab.guess.result import Doubt, Guess
-from heli_lab.guess.run import guess
+from heli_lab.guess.run import flown, proposed
 
 
 @dataclass(frozen=True)
@@ -59,21 +59,21 @@ def guess_by_rigs(
     if rig is not None:
         known[rig.name] = rig
     count = len(known) + 1
-    found: dict[str, list[Guess]] = {}
+    found: dict[str, list[tuple[Guess, Table]]] = {}
     refusals: dict[str, HeliError] = {}
     for number, (name, one) in enumerate(known.items()):
         progress(number / count)
         try:
-            found[name] = [guess(table, one, rate_Hz, fly=False) for table in tables]
+            found[name] = [proposed(table, one, rate_Hz) for table in tables]
         except HeliError as error:
             refusals[name] = error
     if not found or (rig is not None and rig.name not in found):
         raise refusals[rig.name if rig is not None else next(iter(refusals))]
-    nats = {name: sum(one.nats for one in guesses) for name, guesses in found.items()}
+    nats = {name: sum(one.nats for one, _ in guesses) for name, guesses in found.items()}
     best = max(nats, key=lambda name: nats[name])
     chosen = rig.name if rig is not None else best
     progress(1.0 - 1.0 / count)
-    guesses = [guess(table, known[chosen], rate_Hz) for table in tables]
+    guesses = [flown(guessed, part, known[chosen]) for guessed, part in found[chosen]]
     others = [name for name in nats if name != chosen]
     # Rigs by which the same profile comes out are no two possibilities; that one of them fits better is told.
     differing = [name for name in others if _differs(found[name], found[chosen])]
@@ -101,6 +101,6 @@ def _than(ahead: float) -> str:
     return "worse" if ahead >= 0.0 else "better"
 
 
-def _differs(first: Sequence[Guess], second: Sequence[Guess]) -> bool:
+def _differs(first: Sequence[tuple[Guess, Table]], second: Sequence[tuple[Guess, Table]]) -> bool:
     pairs = zip(first, second, strict=True)
-    return any(profile_text(one.profile) != profile_text(other.profile) for one, other in pairs)
+    return any(profile_text(one.profile) != profile_text(other.profile) for (one, _), (other, _) in pairs)

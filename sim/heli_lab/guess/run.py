@@ -29,7 +29,7 @@ _VOLTAGE_UNITS: Final = frozenset({*VOLTAGE_UNITS, *SHARES})
 _NO_RATE: Final = "give a column of times, or the rate with --rate"
 
 
-def guess(table: Table, rig: Rig, rate_Hz: float | None = None, fly: bool = True) -> Guess:
+def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
     """Propose a profile for a table from names, ranges and physics.
 
     Parameters
@@ -40,14 +40,19 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None, fly: bool = True
         What is known of the rig: scales, table, encoders, supply. Only units and zeros depend on it.
     rate_Hz : float, optional
         Rows a second, for a table without times.
-    fly : bool
-        Whether the signs are flown through the baseline model.
 
     Raises
     ------
     FlightDataError
         When no five columns of it are the angles and voltages of a helicopter, or nothing says how fast it
         was logged.
+    """
+    return flown(*proposed(table, rig, rate_Hz), rig)
+
+
+def proposed(table: Table, rig: Rig, rate_Hz: float | None = None) -> tuple[Guess, Table]:
+    """Propose what `guess`, of the same arguments, proposes before it flies: by a `rig`, and `rate_Hz` where a
+    `table` has no times. The longest part of the table, which that is of, comes beside it.
     """
     table = table.aligned()
     reference = reference_of(rig)
@@ -91,8 +96,7 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None, fly: bool = True
         f"rig file says {reference.hover_V:.2f} V"
     )
     profile, clip_doubts = _clipped(table, profile, reference)
-    found_ = Guess(profile, (*doubts, *clip_doubts), tuple(evidence), nats=roles.nats)
-    return _flown(found_, table, rig) if fly else found_
+    return Guess(profile, (*doubts, *clip_doubts), tuple(evidence), nats=roles.nats), table
 
 
 def _fitting(
@@ -119,8 +123,9 @@ def _fitting(
 def _clipped(table: Table, profile: Profile, reference: Reference) -> tuple[Profile, list[Doubt]]:
     """Limit the voltages where a few are beyond the supply, as commands are before a clip."""
     limit = reference.supply_V
-    largest = max(float(np.abs(one.voltages_V).max()) for one in flights_of(table, profile))
-    beyond = max(float(np.mean(np.abs(one.voltages_V) > limit)) for one in flights_of(table, profile))
+    sizes_V = [np.abs(one.voltages_V) for one in flights_of(table, profile)]
+    largest = max(float(one.max()) for one in sizes_V)
+    beyond = max(float(np.mean(one > limit)) for one in sizes_V)
     if largest < thresholds.CLIP_SHARE * limit or beyond > thresholds.MOST_CLIPPED:
         return profile, []
     doubt = Doubt(
@@ -132,8 +137,10 @@ def _clipped(table: Table, profile: Profile, reference: Reference) -> tuple[Prof
     return replace(profile, clip_V=(-limit, limit)), [doubt]
 
 
-def _flown(guessed: Guess, table: Table, rig: Rig) -> Guess:
-    """Fly what was guessed through the baseline model, and every other choice of signs beside it."""
+def flown(guessed: Guess, table: Table, rig: Rig) -> Guess:
+    """Fly what was `guessed` of a `table` through the baseline model of a `rig`, and
+    every other choice of signs beside it.
+    """
     longest = max(flights_of(table, guessed.profile), key=len)
     choices = fly_choices(longest, rig)
     doubts = list(guessed.doubts)

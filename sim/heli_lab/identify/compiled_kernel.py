@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Final
 
 import casadi as ca
@@ -15,6 +15,7 @@ from typing_extensions import override
 
 from heli_lab.identify.functions import Floats, Functions, Inputs
 from heli_lab.identify.windows import Kernel
+from heli_lab.threads import shared_out
 
 _WORTH_THREADS_ROWS: Final = 500
 """Steps from which on a second thread saves more than it costs to start."""
@@ -352,7 +353,5 @@ class CompiledKernel(Kernel):
         shares = inputs.rows * np.arange(1, self._threads) / self._threads
         inner = np.minimum(np.searchsorted(np.cumsum(steps), shares) + 1, windows)
         edges = [0, *(int(edge) for edge in np.unique(inner) if edge < windows), windows]
-        with ThreadPoolExecutor(len(edges) - 1) as pool:
-            # Waited for, and what one of them raised is raised here.
-            list(pool.map(part, edges[:-1], edges[1:]))
+        shared_out(lambda ends: part(*ends), list(itertools.pairwise(edges)), self._threads)
         return angles, end

@@ -95,17 +95,10 @@ class Drawing:
 
     def finish(self) -> None:
         """Draw what nobody draws yet, and wait for the rest."""
-        while True:
-            with self._more:
-                if not self._waiting:
-                    break
-                picture = self._waiting.pop()
-            picture.keep(png_of(picture.figure))
+        self._draw()
         self.close()
         # A process that died has left what it was drawing.
-        while self._waiting:
-            picture = self._waiting.pop()
-            picture.keep(png_of(picture.figure))
+        self._draw()
 
     def close(self) -> None:
         """End the process beside, once it has drawn what it draws."""
@@ -114,6 +107,14 @@ class Drawing:
             self._more.notify()
         if self._thread.is_alive():
             self._thread.join()
+
+    def _draw(self) -> None:
+        while self._waiting:
+            try:
+                picture = self._waiting.pop()
+            except IndexError:  # the process beside was quicker
+                return
+            picture.keep(png_of(picture.figure))
 
     def _next(self) -> Picture | None:
         with self._more:
@@ -139,12 +140,14 @@ class Drawing:
                 try:
                     _write(process.stdin, pickle.dumps(picture.figure))
                     png = _read(process.stdout)
+                    if png:
+                        picture.keep(png)
                 except OSError:
                     png = b""
                 if not png:
+                    # Drawn here it is drawn, or what stands in the way is raised where it is told.
                     self._waiting.appendleft(picture)
                     break
-                picture.keep(png)
             # It has nothing that could be lost, and may still be starting.
             process.kill()
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from heli_sim.model.effects import EffectKind
 
-from heli_lab.diagnose.candidate import Candidate
+from heli_lab.diagnose.candidate import Candidate, usual
 from heli_lab.diagnose.equation_discovery.law import Law
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
 from heli_lab.diagnose.screening import Screening
@@ -63,11 +63,10 @@ class Catalogue:
             if kind.id not in self.base.ids and not kind.baseline and not kind.noise_inputs
         ]
         # A score is taken where an axis creeps, and does not see one that sticks.
+        dry = {f"coulomb_friction.{axis}" for axis in _axes(law)}
         for kind in left:
-            if kind.id in {f"coulomb_friction.{axis}" for axis in _axes(law)}:
-                dry = Candidate(kind.id, kind.make(kind.typical), kind.size)
-                if self.margin_of(dry, kind.typical, near) > enough:
-                    return kind.id
+            if kind.id in dry and self.margin_of(usual(kind), kind.typical, near) > enough:
+                return kind.id
         kept = 0
         for one in screening.effects(left)[: 2 * SHORTLIST]:
             price = self.price(one.candidate)
