@@ -51,8 +51,8 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
 
 
 def proposed(table: Table, rig: Rig, rate_Hz: float | None = None) -> tuple[Guess, Table]:
-    """Propose what `guess`, of the same arguments, proposes before it flies: by a `rig`, and `rate_Hz` where a
-    `table` has no times. The longest part of the table, which that is of, comes beside it.
+    """Propose what `guess`, of the same arguments, proposes before it flies: by a `rig`, and `rate_Hz` where
+    a `table` has no times. The longest part of the table, which that is of, comes beside it.
     """
     table = table.aligned()
     reference = reference_of(rig)
