@@ -49,7 +49,7 @@ def hover_V(rig: Rig) -> float:
 def flown(rig: Rig, seed: int, duration_s: float, model: Model | None = None) -> Flight:
     """Fly sines on travel and elevation with a multisine on both motors: 1 kHz, encoders, link and all."""
     random = np.random.default_rng(seed)
-    world = SilWorld(SilOptions(seed=seed), Plant(model or MultibodyModel(), rig))
+    world = SilWorld(SilOptions(seed=seed), Plant(model or MultibodyModel(), rig, seed))
     session = Session(InProcessTransport(world))
     session.connect()
     travel_deg, travel_s = random.uniform(40.0, 60.0), random.uniform(12.0, 18.0)
@@ -77,7 +77,7 @@ def flown_by_plan(
     rig: Rig, seed: int, plan: str | Path | Plan = "identify", model: Model | None = None
 ) -> Flight:
     """Fly a plan as `heli-host fly` does, in lockstep with a simulated rig: 1 kHz, encoders, link and all."""
-    world = SilWorld(SilOptions(seed=seed), Plant(model or MultibodyModel(), rig))
+    world = SilWorld(SilOptions(seed=seed), Plant(model or MultibodyModel(), rig, seed))
     session = Session(InProcessTransport(world))
     session.connect()
     with tempfile.TemporaryDirectory() as folder, Heli(session) as heli:

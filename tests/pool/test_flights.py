@@ -28,6 +28,7 @@ def test_the_standard_error_falls_with_the_root_of_the_number_of_flights(name: s
     assert 0.8 < float(np.mean(shares)) < 1.2
 
 
-def test_one_flight_holds_the_truth_within_two_standard_errors() -> None:
-    off = [value for rig in RIGS for value in pooled(rig, 1).off.values()]
+@pytest.mark.parametrize("count", [1, FLIGHTS])
+def test_flights_hold_the_truth_within_two_standard_errors(count: int) -> None:
+    off = [value for rig in RIGS for value in pooled(rig, count).off.values()]
     assert np.mean(np.abs(off) < 2.0) > 0.85
