@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from typing import TypeVar
@@ -65,3 +65,41 @@ def shared_out(work: Callable[[_Item], _T], items: Sequence[_Item], threads: int
     if threads == 1 or len(items) < 2 or _here.shared:
         return [work(item) for item in items]
     return list(_pool(threads).map(work, items))
+
+
+class Ahead:
+    """Works that will be asked for one after the other, done by a thread beside from the last one on: it and
+    whoever asks meet in the middle. They must not depend on each other.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: dict[str, Future[object]] = {}
+
+    @contextmanager
+    def working(self, works: Mapping[str, Callable[[], object]]) -> Iterator[None]:
+        """Begin these `works`, by key, and end what was not asked for with the block; in it nothing else is
+        shared out. Where there is no second thread nothing is done ahead.
+        """
+        if usual_threads() < 2 or len(works) < 2 or _here.shared or self._waiting:
+            yield
+            return
+        with using_threads(1):
+            self._waiting = {key: _beside().submit(work) for key, work in reversed(list(works.items()))}
+            try:
+                yield
+            finally:
+                for key in list(self._waiting):
+                    self.wait_for(key)
+
+    def wait_for(self, key: str) -> None:
+        """Wait for the work of a `key` if it was begun; what it raises is raised here. It is done no more
+        where it was not.
+        """
+        work = self._waiting.pop(key, None)
+        if work is not None and not work.cancel():
+            work.result()
+
+
+@cache
+def _beside() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(1, initializer=lambda: setattr(_here, "shared", True))

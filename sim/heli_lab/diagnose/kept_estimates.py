@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
+import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -51,6 +52,7 @@ class KeptEstimates:
         self._known: dict[str, Mapping[str, Any]] = {}
         self.asked: set[str] = set()
         """Keys that were asked for in this search."""
+        self._writing = threading.Lock()
         if path is None:
             return
         if not path.exists() or not path.stat().st_size:
@@ -90,8 +92,9 @@ class KeptEstimates:
         courses: Sequence[Course],
         functions: ModelFunctions,
         work_out: Callable[[], Estimate],
+        asked: bool = True,
     ) -> Estimate:
-        """Look up the estimate of a `key`, or `work_out` and keep it.
+        """Look up the estimate of a `key`, or `work_out` and keep it; several threads may, of other keys.
 
         Parameters
         ----------
@@ -101,8 +104,11 @@ class KeptEstimates:
             Those of the estimate.
         work_out : callable
             Makes it.
+        asked : bool
+            False where it is made before anybody asks for it.
         """
-        self.asked.add(key)
+        if asked:
+            self.asked.add(key)
         known = self._known.get(key)
         if known is not None:
             weather: dict[str, Any] = {
@@ -128,7 +134,7 @@ class KeptEstimates:
             "converged": bool(found.converged),
         }
         if self._path is not None:
-            with self._path.open("a", encoding="utf-8") as file:
+            with self._writing, self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(kept) + "\n")
         return found
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Final
 
 import numpy as np
@@ -24,6 +25,7 @@ from heli_lab.innovations import (
     estimate,
     follow,
 )
+from heli_lab.threads import Ahead
 
 _FOLLOWED: Final = 2
 """Times that the course is followed anew by the baseline's own filter: after the second it moves by less than
@@ -64,6 +66,15 @@ class Hypothesis:
         return dict(zip(self.estimate.unknowns.names, map(float, self.estimate.theta), strict=True))
 
 
+@dataclass(frozen=True)
+class Asked:
+    """A refit that will be asked for: arguments of `Comparison.refit`."""
+
+    candidates: Sequence[Candidate]
+    start: Mapping[str, float]
+    near: Hypothesis | None
+
+
 class Comparison:
     """Flights that all hypotheses are estimated on.
 
@@ -102,6 +113,7 @@ class Comparison:
         self._kept = kept or KeptEstimates()
         self.train, self.held_out = tuple(train), tuple(held_out)
         self.fits = 0
+        self._ahead = Ahead()
         self._best: dict[frozenset[str], Hypothesis] = {}
         """The likeliest hypothesis of each set of effects that was estimated."""
 
@@ -182,10 +194,26 @@ class Comparison:
         known = [one for key, one in self._best.items() if key <= ids]
         return max(known, key=lambda one: one.log_likelihood, default=None)
 
+    @contextmanager
+    def ahead(self, refits: Iterable[Asked]) -> Iterator[None]:
+        """Have a second thread work ahead on `refits` that this block asks for in this order."""
+        works = {
+            _key(*one): partial(self._estimate, *one, asked=False)
+            for one in ((one.candidates, one.start, one.near) for one in refits)
+        }
+        with self._ahead.working(works):
+            yield
+
     def _estimate(
-        self, candidates: Sequence[Candidate], start: Mapping[str, float], near: Hypothesis | None
+        self,
+        candidates: Sequence[Candidate],
+        start: Mapping[str, float],
+        near: Hypothesis | None,
+        asked: bool = True,
     ) -> Estimate:
-        key = key_of("train", candidates, start, near.estimate if near else None)
+        key = _key(candidates, start, near)
+        if asked:
+            self._ahead.wait_for(key)
         model = type(self.model)((*self.model.effects, *(candidate.effect for candidate in candidates)))
         unknowns = Unknowns(model, self.rig, self.train)
         functions = ModelFunctions(model, unknowns.quantities)
@@ -200,6 +228,7 @@ class Comparison:
             self.courses,
             functions,
             lambda: self._worked_out(unknowns, functions, theta, near),
+            asked,
         )
 
     def _worked_out(
@@ -236,6 +265,10 @@ class Comparison:
             functions,
             lambda: estimate(unknowns, self.held_out_courses, functions, unknowns.start, weather),
         )
+
+
+def _key(candidates: Sequence[Candidate], start: Mapping[str, float], near: Hypothesis | None) -> str:
+    return key_of("train", candidates, start, near.estimate if near else None)
 
 
 def _grids(candidates: Sequence[Candidate]) -> list[tuple[str, tuple[tuple[str, float], ...]]]:

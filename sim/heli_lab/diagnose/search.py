@@ -9,7 +9,8 @@ place, so that the search can go on beside it. Held-out flights have no part in 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -21,9 +22,10 @@ from heli_sim.model.parts import AXES
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.absent_terms import closely_stated_terms
 from heli_lab.diagnose.candidate import Candidate, usual
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.model_comparison import Asked, Comparison, Hypothesis
 from heli_lab.diagnose.screening import Scored, Screening
 from heli_lab.diagnose.search_record import Alternative, Cause, Refit, Round, Search
+from heli_lab.threads import shared_out
 
 _SEARCH_SHARE: Final = 0.9
 """Share of a diagnosis at which its search has ended."""
@@ -63,6 +65,16 @@ class _Searcher:
         assert best is not None
         gain = best.log_likelihood - base.log_likelihood
         return Refit(best, gain, self.penalty(one.candidate, one.tried), one.log_likelihood_gain)
+
+    @contextmanager
+    def _ahead(self, base: Hypothesis, shortlist: Sequence[Scored]) -> Iterator[None]:
+        """Work ahead on the first attempt with each of a `shortlist`."""
+        first = [(one, self._on_grid(one)[0]) for one in shortlist]
+        with self.comparison.ahead(
+            Asked([*base.candidates, candidate], candidate.start_values(one.coefficients), base)
+            for one, candidate in first
+        ):
+            yield
 
     def _on_grid(self, one: Scored) -> list[Candidate]:
         """The candidate, then the further values of its grid, to be refitted as long as each is better."""
@@ -154,7 +166,8 @@ class _Searcher:
         while left and not any(self._accepted(one) for one in refits):
             share = thresholds.SHORTLIST_SHARE * left[0].log_likelihood_gain
             some = [one for one in left if one.log_likelihood_gain >= share][: thresholds.SHORTLIST]
-            refits += [refit(one) for one in some if self.refits_left()]
+            with self._ahead(base, some):
+                refits += [refit(one) for one in some if self.refits_left()]
             likely += some
             left = left[len(some) :]
         if not any(self._accepted(one) for one in refits):
@@ -187,11 +200,9 @@ class _Searcher:
             ]
             spline = refit(curve)
             if spline.margin > needed:
-                more = [
-                    refit(one)
-                    for one in like[: thresholds.LIKE_REFITTED]
-                    if one.log_likelihood_gain > 0.0 and self.refits_left()
-                ]
+                like = [one for one in like[: thresholds.LIKE_REFITTED] if one.log_likelihood_gain > 0.0]
+                with self._ahead(base, like):
+                    more = [refit(one) for one in like if self.refits_left()]
                 refits += more
                 accepted += [one for one in more if self._accepted(one)]
                 best = max(accepted, key=lambda one: one.margin, default=None)
@@ -245,21 +256,7 @@ class _Searcher:
 
     def backward(self, final: Hypothesis) -> tuple[Hypothesis, list[Cause]]:
         """Drop what is no longer needed; measure the evidence of the rest, and its alternatives."""
-        number = 0
-        without: dict[str, Hypothesis] = {}
-        while number < len(final.candidates):
-            candidate = final.candidates[number]
-            share = 0.75 + 0.1 * number / len(final.candidates)
-            self.say(f"checking whether {candidate.id} is needed", share)
-            rest = [other for other in final.candidates if other is not candidate]
-            less = self.comparison.refit(rest, None, final) if rest else self.baseline
-            refit = Refit(final, final.log_likelihood - less.log_likelihood, self.penalty(candidate), 0.0)
-            if refit.margin <= thresholds.MIN_MARGIN or not self._told(refit, candidate):
-                final, number = less, 0
-                without.clear()
-                continue
-            without[candidate.id] = less
-            number += 1
+        final, without = self._needed(final)
         held_out = self._held_out(final, without)
         against = min(held_out, key=lambda id_: held_out[id_], default=None)
         if against is not None and held_out[against] < thresholds.HELD_OUT_AGAINST:
@@ -276,14 +273,34 @@ class _Searcher:
         ]
         return final, sorted(found, key=lambda one: -one.train)
 
+    def _needed(self, final: Hypothesis) -> tuple[Hypothesis, dict[str, Hypothesis]]:
+        """The model with the causes alone that are needed, and by each of their ids the model without it."""
+        while True:
+            every = final.candidates
+            rests = {one.id: [other for other in every if other is not one] for one in every}
+            without: dict[str, Hypothesis] = {}
+            less = final
+            with self.comparison.ahead(Asked(rest, {}, final) for rest in rests.values() if rest):
+                for number, candidate in enumerate(every):
+                    share = 0.75 + 0.1 * number / len(every)
+                    self.say(f"checking whether {candidate.id} is needed", share)
+                    rest = rests[candidate.id]
+                    less = self.comparison.refit(rest, None, final) if rest else self.baseline
+                    gain = final.log_likelihood - less.log_likelihood
+                    refit = Refit(final, gain, self.penalty(candidate), 0.0)
+                    if refit.margin <= thresholds.MIN_MARGIN or not self._told(refit, candidate):
+                        break
+                    without[candidate.id] = less
+            if len(without) == len(every):
+                return final, without
+            final = less
+
     def _held_out(self, final: Hypothesis, without: Mapping[str, Hypothesis]) -> dict[str, float]:
         if not self.comparison.held_out or not without:
             return {}
-        whole = self.comparison.held_out_estimate(final).log_likelihood
-        return {
-            id_: whole - self.comparison.held_out_estimate(less).log_likelihood
-            for id_, less in without.items()
-        }
+        every = shared_out(self.comparison.held_out_estimate, [final, *without.values()])
+        whole, *less = (one.log_likelihood for one in every)
+        return {id_: whole - one for id_, one in zip(without, less, strict=True)}
 
     def alternatives(
         self, final: Hypothesis, candidate: Candidate, less: Hypothesis
@@ -296,23 +313,36 @@ class _Searcher:
             return ()
         rest = [other for other in final.candidates if other is not candidate]
         best = max(refit.score for refit in seen.refits)
+
+        def beside_the_rest(refit: Refit) -> bool:
+            if refit.score < thresholds.ALTERNATIVE_SHARE * best:
+                return False
+            # A term of the baseline that was removed is no candidate.
+            kind = self.kinds.get(refit.candidate.id)
+            return kind is None or all(
+                _together(kind, self.kinds[one.id]) for one in rest if one.id in self.kinds
+            )
+
+        likely = [
+            refit
+            for refit in sorted(seen.refits, key=lambda refit: -refit.score)
+            if refit.candidate.id not in final.ids
+            and not refit.candidate.is_spline
+            and (not rest or beside_the_rest(refit))
+        ]
         ratios: dict[str, float] = {}
-        for refit in sorted(seen.refits, key=lambda refit: -refit.score):
-            id_ = refit.candidate.id
-            if id_ in final.ids or refit.candidate.is_spline or len(ratios) >= thresholds.ALTERNATIVES:
-                continue
-            other = refit.hypothesis
-            if rest:
-                if refit.score < thresholds.ALTERNATIVE_SHARE * best or not self.refits_left():
+        asked = [Asked([*rest, one.candidate], one.hypothesis.values, less) for one in likely]
+        with self.comparison.ahead(asked[: thresholds.ALTERNATIVES] if rest else ()):
+            for refit in likely:
+                if len(ratios) >= thresholds.ALTERNATIVES or (rest and not self.refits_left()):
+                    break
+                other = refit.hypothesis
+                if rest:
+                    other = self.comparison.refit([*rest, refit.candidate], refit.hypothesis.values, less)
+                if not self._in_flight(other):
                     continue
-                kind = self.kinds[id_]
-                if not all(_together(kind, self.kinds[one.id]) for one in rest if one.id in self.kinds):
-                    continue
-                other = self.comparison.refit([*rest, refit.candidate], refit.hypothesis.values, less)
-            if not self._in_flight(other):
-                continue
-            ahead = final.log_likelihood - other.log_likelihood
-            ratios[id_] = ahead + self.penalty(refit.candidate) - self.penalty(candidate)
+                ahead = final.log_likelihood - other.log_likelihood
+                ratios[refit.candidate.id] = ahead + self.penalty(refit.candidate) - self.penalty(candidate)
         return tuple(Alternative(id_, ratio) for id_, ratio in sorted(ratios.items(), key=lambda one: one[1]))
 
     def run(self) -> Search:

@@ -23,7 +23,7 @@ from heli_lab.diagnose.equation_discovery.discovery import Discovery, Rival
 from heli_lab.diagnose.equation_discovery.grammar import Group, groups, tried_up_to
 from heli_lab.diagnose.equation_discovery.law import NAME, Law, law_effect
 from heli_lab.diagnose.equation_discovery.scoring import Courses, ScoredGroup, coefficient_std, score
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.model_comparison import Asked, Comparison, Hypothesis
 from heli_lab.diagnose.screening import Screening
 from heli_lab.diagnose.thresholds import (
     AMBIGUOUS,
@@ -79,15 +79,15 @@ class _Discoverer:
         rest = sum(LAW_NEAR_REST for one in group.terms if _on_own_rate(one.channel, one.term.key))
         return 0.5 * free * math.log(self.comparison.rows) + math.log(self.tried[group.size]) + rest
 
-    def refit(
+    def asked(
         self,
         law: Law,
         stds: Mapping[str, float],
         start: Mapping[str, float],
         near: Hypothesis,
         held: frozenset[str] = frozenset(),
-        rest: Sequence[Candidate] | None = None,
-    ) -> Hypothesis:
+    ) -> Asked:
+        """The refit of a law beside the causes that were named."""
         effect = law_effect(law, stds, dict.fromkeys(held), self.name)
         values = {f"{effect.prefix}_{name}": value for name, value in start.items()}
         fixed = {n: v for n, v in values.items() if n in effect.values and n not in effect.priors}
@@ -95,8 +95,11 @@ class _Discoverer:
         linear = tuple(f"{effect.prefix}_{name}" for name in law.coefficients)
         text = f"law:{law.key}" + "".join(f" [{n}={start[n]:g}]" for n in sorted(held))
         candidate = Candidate(text, effect, linear)
-        named = self.base.candidates if rest is None else rest
-        return self.comparison.refit([*named, candidate], values, near)
+        return Asked([*self.base.candidates, candidate], values, near)
+
+    def refit(self, asked: Asked) -> Hypothesis:
+        """Estimate the model with a law."""
+        return self.comparison.refit(asked.candidates, asked.start, asked.near)
 
     def round(self, known: _Tried | None, weather: Weather) -> _Tried | None:
         """One more group of terms beside those known; None where none is worth what it pays."""
@@ -108,23 +111,28 @@ class _Discoverer:
         best: _Tried | None = None
         rivals = dict[str, float]()
         kept = 0
+        scored: dict[str, ScoredGroup] = {}
         for one in (
             *self.slow(near, weather, courses, every),
             *self.finalists(score(screening, courses, every)),
         ):
-            if kept >= LAW_FINALISTS:
-                break
-            if one.group.key in rivals:
-                continue
-            self.say(f"trying {one.group.key}")
-            made = self.tried_one(one, known, courses)
-            if made is None:
-                continue
-            gain = made.hypothesis.log_likelihood - near.log_likelihood
-            kept += gain >= LAW_KEPT_SHARE * one.log_likelihood_gain
-            rivals[one.group.key] = gain - (made.penalty - (known.penalty if known else 0.0))
-            if best is None or made.margin > best.margin:
-                best = made
+            scored.setdefault(one.group.key, one)
+        likely = [
+            (one, law, self.begun(one, law, known, courses))
+            for one in scored.values()
+            if (law := self.law_of(one, known)) is not None
+        ]
+        with self.comparison.ahead(asked for *_, asked in likely[:LAW_FINALISTS]):
+            for one, law, asked in likely:
+                if kept >= LAW_FINALISTS:
+                    break
+                self.say(f"trying {one.group.key}")
+                made = self.tried_one(one, law, asked, known)
+                gain = made.hypothesis.log_likelihood - near.log_likelihood
+                kept += gain >= LAW_KEPT_SHARE * one.log_likelihood_gain
+                rivals[one.group.key] = gain - (made.penalty - (known.penalty if known else 0.0))
+                if best is None or made.margin > best.margin:
+                    best = made
         before = near.log_likelihood - (known.penalty if known else 0.0)
         if best is None or best.margin - before <= MIN_MARGIN:
             return None
@@ -163,21 +171,27 @@ class _Discoverer:
                 chosen.append(one)
         return chosen
 
-    def tried_one(self, one: ScoredGroup, known: _Tried | None, courses: Courses) -> _Tried | None:
+    @staticmethod
+    def law_of(one: ScoredGroup, known: _Tried | None) -> Law | None:
+        """The law with one more group of terms; None where it has one twice."""
         terms = (*(known.law.terms if known else ()), *one.group.terms)
-        if len(set(terms)) < len(terms):
-            return None
-        law = Law(terms)
+        return Law(terms) if len(set(terms)) == len(terms) else None
+
+    def begun(self, one: ScoredGroup, law: Law, known: _Tried | None, courses: Courses) -> Asked:
+        """The refit of a law, from what the score says of its last group of terms."""
         start = _values(known) if known else {}
-        first = len(terms) - len(one.group.terms)
+        first = len(law.terms) - len(one.group.terms)
         for i, value in enumerate(one.coefficients):
             start[law.coefficient(first + i)] = float(value)
         held = known.held if known else frozenset()
         # From the weather that the known terms leave: beside them that of the base stands for them once more.
         near = known.hypothesis if known else self.base
-        hypothesis = self.refit(law, self.stds(law, courses), start, near, held)
+        return self.asked(law, self.stds(law, courses), start, near, held)
+
+    def tried_one(self, one: ScoredGroup, law: Law, asked: Asked, known: _Tried | None) -> _Tried:
+        held = known.held if known else frozenset()
         penalty = self.penalty(one.group, law, held) + (known.penalty if known else 0.0)
-        return _Tried(law, hypothesis, penalty, one.group, held)
+        return _Tried(law, self.refit(asked), penalty, one.group, held)
 
     def stds(self, law: Law, courses: Courses) -> dict[str, float]:
         """Prior standard deviations of a law's coefficients."""
@@ -223,7 +237,7 @@ class _Discoverer:
         penalty = of.penalty - 0.5 * math.log(self.comparison.rows)
         if gone in group.terms:
             group = Group(tuple(one for one in group.terms if one != gone), group.size)
-        hypothesis = self.refit(law, self.stds(law, courses), renamed, self.base, frozenset(held))
+        hypothesis = self.refit(self.asked(law, self.stds(law, courses), renamed, self.base, frozenset(held)))
         return _Tried(law, hypothesis, penalty, group, frozenset(held))
 
     def whole(self, of: _Tried, courses: Courses) -> _Tried:
@@ -239,7 +253,7 @@ class _Discoverer:
             return of
         held = of.held | frozenset(fixed)
         start = {**_values(of), **fixed}
-        hypothesis = self.refit(of.law, self.stds(of.law, courses), start, self.base, held)
+        hypothesis = self.refit(self.asked(of.law, self.stds(of.law, courses), start, self.base, held))
         penalty = of.penalty - 0.5 * len(fixed) * math.log(self.comparison.rows)
         made = _Tried(of.law, hypothesis, penalty, of.group, held)
         return made if made.margin > of.margin - AMBIGUOUS else of
