@@ -79,6 +79,25 @@ Out array(std::size_t a, std::size_t b, std::size_t c, std::size_t dimensions) {
 }
 
 // A function that finds two numbers of each state and torque at each step.
+heli_lab::Signals signals_of(const In<3>& transition, const In<3>& input, const In<3>& rates,
+                             std::size_t block) {
+  heli_lab::Signals signals;
+  signals.steps = transition.shape(0);
+  signals.states = transition.shape(1);
+  signals.columns = rates.shape(2);
+  require(transition.shape(2) == signals.states, "transition is not square");
+  require(input.shape(0) == signals.steps && input.shape(1) == signals.states &&
+              input.shape(2) == signals.states,
+          "input has another shape than transition");
+  require(rates.shape(0) == signals.steps && rates.shape(1) == signals.states,
+          "rates have another shape than transition");
+  require(block > 0, "a block has steps");
+  signals.transition = transition.data();
+  signals.input = input.data();
+  signals.rates = rates.data();
+  return signals;
+}
+
 template <void (*kFind)(const LinearSystem&, double*, double*)>
 void def_of_states(nb::module_& module, const char* name) {
   module.def(
@@ -142,26 +161,27 @@ NB_MODULE(_kalman, module) {
   module.def(
       "over_blocks",
       [](const In<3>& transition, const In<3>& input, const In<3>& rates, std::size_t block) {
-        heli_lab::Signals signals;
-        signals.steps = transition.shape(0);
-        signals.states = transition.shape(1);
-        signals.columns = rates.shape(2);
-        require(transition.shape(2) == signals.states, "transition is not square");
-        require(input.shape(0) == signals.steps && input.shape(1) == signals.states &&
-                    input.shape(2) == signals.states,
-                "input has another shape than transition");
-        require(rates.shape(0) == signals.steps && rates.shape(1) == signals.states,
-                "rates have another shape than transition");
-        require(block > 0, "a block has steps");
-        signals.transition = transition.data();
-        signals.input = input.data();
-        signals.rates = rates.data();
+        const heli_lab::Signals signals = signals_of(transition, input, rates, block);
         Out out = array(signals.steps / block, signals.states, signals.columns, 3);
         {
           const nb::gil_scoped_release release;
           heli_lab::over_blocks(signals, block, out.data());
         }
         return out;
+      },
+      "transition"_a, "input"_a, "rates"_a, "block"_a);
+  module.def(
+      "block_response",
+      [](const In<3>& transition, const In<3>& input, const In<3>& rates, std::size_t block) {
+        const heli_lab::Signals signals = signals_of(transition, input, rates, block);
+        const std::size_t blocks = signals.steps / block;
+        Out over = array(blocks, signals.states, signals.states, 3);
+        Out parts = array(block * blocks, signals.states, signals.columns, 3);
+        {
+          const nb::gil_scoped_release release;
+          heli_lab::block_response(signals, block, over.data(), parts.data());
+        }
+        return std::make_pair(over, parts);
       },
       "transition"_a, "input"_a, "rates"_a, "block"_a);
   module.def(

@@ -29,6 +29,42 @@ HELI_WIDE void over_blocks(const Signals& signals, std::size_t block, double* ou
   }
 }
 
+HELI_WIDE void block_response(const Signals& signals, std::size_t block, double* transition,
+                              double* parts) {
+  const std::size_t states = signals.states;
+  const std::size_t columns = signals.columns;
+  const std::size_t blocks = signals.steps / block;
+  const std::size_t size = states * columns;
+  std::vector<double> now(states * std::max(states, columns));
+  const auto advance = [&](const double* phi, double* table, std::size_t width) {
+    std::copy(table, table + states * width, now.begin());
+    std::fill(table, table + states * width, 0.0);
+    for (std::size_t i = 0; i < states; ++i) {
+      add_rows(phi + i * states, states, now.data(), width, table + i * width);
+    }
+  };
+  for (std::size_t number = 0; number < blocks; ++number) {
+    double* over = transition + number * states * states;
+    for (std::size_t i = 0; i < states * states; ++i) {
+      over[i] = i % (states + 1) == 0 ? 1.0 : 0.0;
+    }
+    for (std::size_t step = 0; step < block; ++step) {
+      const double* phi = signals.transition + (number * block + step) * states * states;
+      const double* gamma = signals.input + (number * block + step) * states * states;
+      const double* rates = signals.rates + (number * block + step) * size;
+      advance(phi, over, states);
+      for (std::size_t before = 0; before < step; ++before) {
+        advance(phi, parts + (before * blocks + number) * size, columns);
+      }
+      double* own = parts + (step * blocks + number) * size;
+      std::fill(own, own + size, 0.0);
+      for (std::size_t i = 0; i < states; ++i) {
+        add_rows(gamma + i * states, states, rates, columns, own + i * columns);
+      }
+    }
+  }
+}
+
 HELI_WIDE void midpoint(const double* jacobian, std::size_t steps, std::size_t states,
                         double step_s, double* transition, double* input) {
   std::vector<double> left(states * states);

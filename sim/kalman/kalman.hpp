@@ -99,6 +99,10 @@ struct Signals {
 // block][states][columns].
 void over_blocks(const Signals& signals, std::size_t block, double* out);
 
+// Transition over each block of steps, [steps / block][states][states], and what the rates of each
+// of its steps alone have moved at its end, [block][steps / block][states][columns].
+void block_response(const Signals& signals, std::size_t block, double* transition, double* parts);
+
 // The implicit midpoint rule over steps of `step_s` where rates change with the state by
 // `jacobian`: transition, and what rates during a step move; all [steps][states][states].
 void midpoint(const double* jacobian, std::size_t steps, std::size_t states, double step_s,

@@ -158,6 +158,21 @@ def test_steps_of_a_block_move_what_they_move_one_by_one(system: System) -> None
         assert np.allclose(found[block], state, atol=1e-12)
 
 
+def test_rates_of_one_step_alone_move_what_they_move_by_the_end_of_its_block(system: System) -> None:
+    random = np.random.default_rng(9)
+    response = random.normal(0.0, 1.0, (STEPS, STATES, STATES))
+    rates = random.normal(0.0, 1.0, (STEPS, STATES, 2))
+    over, parts = _kalman.block_response(system.transition, response, rates, 3)
+    assert over.shape == (2, STATES, STATES)
+    parts = parts.reshape(3, 2, STATES, 2)
+    for block in range(2):
+        first, second, third = system.transition[3 * block : 3 * block + 3]
+        assert np.allclose(over[block], third @ second @ first, atol=1e-12)
+        for step, after in enumerate((third @ second, third, np.eye(STATES))):
+            at = 3 * block + step
+            assert np.allclose(parts[step, block], after @ response[at] @ rates[at], atol=1e-12)
+
+
 def test_midpoint_rule_is_that_of_dense_algebra() -> None:
     jacobian = np.random.default_rng(8).normal(0.0, 60.0, (9, 7, 7))
     transition, response = _kalman.midpoint(jacobian, 0.01)

@@ -120,7 +120,7 @@ def free_run(
     priors = flight_constants(model, rig, known)
     found: dict[str, tuple[float, float]] = {}
     if first.segments:
-        fit = solve(_problem(model, rig, known, first, priors, threads), robust=False, scatter=False)
+        fit = solve(_problem(model, rig, known, first, priors, threads), robust=False, scatter=False, near=True)
         found = {name: (value, fit.std[name]) for name, value in fit.values.items()}
         known |= fit.values
     # Bounds without room between them: with the constants among the free, their kernel serves again.
@@ -128,7 +128,7 @@ def free_run(
     problem = _problem(model, rig, known, rest, held, threads)
     windows = [rows for _, rows in problem.windows(0)]
     fits = {
-        key: solve(problem.with_split_windows(parts), robust=False, scatter=False)
+        key: solve(problem.with_split_windows(parts), robust=False, scatter=False, near=True)
         for key, parts in HORIZONS.items()
     }
     return FreeRun(

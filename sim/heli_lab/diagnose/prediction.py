@@ -153,7 +153,7 @@ def _free_run(estimate: Estimate, records: Sequence[Record], own: bool) -> Fit:
         priors=local,
         values=shared,
     )
-    fit = solve(problem, robust=False, scatter=False)
+    fit = solve(problem, robust=False, scatter=False, near=True)
     if not own:
         return fit
     found = {(one.quantity, one.record): float(v) for one, v in zip(problem.free, fit.theta, strict=True)}

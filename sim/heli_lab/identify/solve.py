@@ -26,6 +26,7 @@ def solve(
     robust: bool = True,
     fine: bool = True,
     scatter: bool = True,
+    near: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Fit:
     """Fit the free parameters and the windows' initial states; there is a result also when the budget ran
@@ -46,6 +47,9 @@ def solve(
         Finish on every sample, not on the coarse grid.
     scatter : bool
         Widen standard errors by the effect of quantisation, which takes as long as two steps.
+    near : bool
+        The start is near, as where constants and initial states alone are free: one round on the coarse grid
+        is enough.
     on_progress : callable, optional
         Told where the fit is.
 
@@ -80,7 +84,7 @@ def solve(
         change = solver.reweight(point)
         solver.damping = 0.0
         enough = number >= thresholds.ROUGH_ROUNDS - 1 + bool(multimodal)
-        if not finished or (enough and change < thresholds.SETTLED_CHANGE and not restarted):
+        if near or not finished or (enough and change < thresholds.SETTLED_CHANGE and not restarted):
             break
     if fine and not solver.out_of_budget():
         solver.fine = True

@@ -334,14 +334,8 @@ class Linear:
         blocks.drive[into] = _kalman.over_blocks(found.Phi, found.Gamma, found.rates, n)
         blocks.drive[into, :, :1] += _kalman.over_blocks(found.Phi, found.Phi, self._moved(rows), n)
         blocks.measured_rad[into], blocks.measurement[into] = found.angles_rad[::n], found.C[::n]
-        over = np.broadcast_to(np.eye(self.states), (into.stop - into.start, self.states, self.states))
-        parts: list[Floats] = []
-        for step in range(n):
-            phi = found.Phi[step::n]
-            over = np.asarray(phi @ over, float)
-            parts = [phi @ part for part in parts]
-            parts.append(found.Gamma[step::n] @ found.by_torque[step::n])
-        blocks.transition[into], blocks.part_input[:, into] = over, parts
+        over, parts = _kalman.block_response(found.Phi, found.Gamma, found.by_torque, n)
+        blocks.transition[into], blocks.part_input[:, into] = over, parts.reshape(n, *over.shape[:2], 3)
 
     def _moved(self, rows: slice) -> Floats:
         """What a step's measurement has moved of the course before it, shape (n, states, 1)."""
