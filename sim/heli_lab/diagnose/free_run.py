@@ -120,7 +120,9 @@ def free_run(
     priors = flight_constants(model, rig, known)
     found: dict[str, tuple[float, float]] = {}
     if first.segments:
-        fit = solve(_problem(model, rig, known, first, priors, threads), robust=False, scatter=False, near=True)
+        fit = solve(
+            _problem(model, rig, known, first, priors, threads), robust=False, scatter=False, near=True
+        )
         found = {name: (value, fit.std[name]) for name, value in fit.values.items()}
         known |= fit.values
     # Bounds without room between them: with the constants among the free, their kernel serves again.
