@@ -129,6 +129,11 @@ class Regressors:
         self._quantities: dict[str, dict[str, Floats]] = {}
         self._directions: Floats = linear.course.directions[linear.course.rows]
 
+    def release(self) -> None:
+        """Give back what is kept of channels and quantities; it is made again when asked for."""
+        self._channels.clear()
+        self._quantities.clear()
+
     def spline_signals(self, candidate: Candidate) -> tuple[Floats, Floats | None]:
         """The same as `signals` for a spline term: its channel's influence times the B-spline basis.
 

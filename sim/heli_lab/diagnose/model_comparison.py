@@ -33,6 +33,9 @@ a hundredth of the quantisation (simulated and field flights, 2026-11)."""
 _OTHER_WEATHER_NATS: Final = 20.0
 """Gain over the hypothesis before from which on the weather is looked for afresh. By judgement: a cause of
 six standard deviations. Higher: what a cause leaves is measured against the weather that stood for it."""
+_MOST_ROWS_AHEAD: Final = 9000
+"""Measurements up to which two refits are worked out at once: six minutes of flight. A refit of ten minutes
+takes 0.15 GB."""
 _WORSE_NATS: Final = 0.1
 """Log-likelihood by which a larger model may stay behind one that it contains, by rounding."""
 
@@ -127,7 +130,7 @@ class Comparison:
         """Courses of the flights held out."""
         return self._followed(self.held_out)
 
-    @property
+    @cached_property
     def rows(self) -> int:
         """Measurements of the flights fitted."""
         step_s = self.courses[0].step_s
@@ -196,7 +199,12 @@ class Comparison:
 
     @contextmanager
     def ahead(self, refits: Iterable[Asked]) -> Iterator[None]:
-        """Have a second thread work ahead on `refits` that this block asks for in this order."""
+        """Have a second thread work ahead on `refits` that this block asks for in this order; not where two
+        refits at once would take too much memory.
+        """
+        if self.rows > _MOST_ROWS_AHEAD:
+            yield
+            return
         works = {
             _key(*one): partial(self._estimate, *one, asked=False)
             for one in ((one.candidates, one.start, one.near) for one in refits)

@@ -97,6 +97,12 @@ class Screening:
         offset = unknowns.std**-2.0 * (estimate.theta - unknowns.mean)
         self._error = innovations.left(self._solved(innovations.score() - offset))
 
+    def release(self) -> None:
+        """Give back what scoring keeps: 0.2 GB of ten minutes; it is made again when asked for."""
+        for linear, maker in zip(self.filtered.linears, self.regressors, strict=True):
+            linear.release()
+            maker.release()
+
     def effects(self, kinds: Iterable[EffectKind]) -> list[Scored]:
         """Score effects of the catalogue, each at the best point of its grid, the highest score first."""
         places = {kind.id: (kind, self._places(kind)) for kind in kinds}

@@ -136,13 +136,14 @@ class _Searcher:
             left = [kind for kind in self.kinds.values() if all(_together(kind, one) for one in known)]
             screened = screening.effects(left)
             splines = screening.splines(number)
-            for linear in screening.filtered.linears:
-                linear.release()
             full = len(hypothesis.candidates) >= thresholds.MAX_CAUSES or not self.refits_left()
             refits: list[Refit] = []
             taken: Refit | None = None
             if not full:
-                refits, taken = self.choice(hypothesis, screening, screened, splines)
+                absent = closely_stated_terms(self.comparison, self.removable, screening)
+                screening.release()
+                refits, taken = self.choice(hypothesis, screening, screened, splines, absent)
+            screening.release()
             self.rounds.append(
                 Round(tuple(screened), tuple(splines), tuple(refits), taken.candidate.id if taken else "")
             )
@@ -151,9 +152,16 @@ class _Searcher:
             hypothesis = taken.hypothesis
 
     def choice(
-        self, base: Hypothesis, screening: Screening, screened: Sequence[Scored], splines: Sequence[Scored]
+        self,
+        base: Hypothesis,
+        screening: Screening,
+        screened: Sequence[Scored],
+        splines: Sequence[Scored],
+        absent: Sequence[tuple[Candidate, dict[str, float], float]],
     ) -> tuple[list[Refit], Refit | None]:
-        """Refit the best of a round; the one to take, None where nothing is significant."""
+        """Refit the best of a round, terms that may be `absent` among them; the one to take, None where
+        nothing is significant.
+        """
         number = len(self.rounds)
 
         def refit(one: Scored) -> Refit:
@@ -174,7 +182,7 @@ class _Searcher:
             dry = self._dry_friction(base, screening, {one.candidate.id for one in likely})
             refits += [refit(one) for one in dry if self.refits_left()]
             likely += dry
-        for gone, start, score in closely_stated_terms(self.comparison, self.removable, screening):
+        for gone, start, score in absent:
             if (
                 self.refits_left()
                 and gone.id not in base.ids

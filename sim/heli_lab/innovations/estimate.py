@@ -145,11 +145,13 @@ def _linearised(
 
 @dataclass
 class _Point:
-    """Parameters and weather, and the model linearised there."""
+    """Parameters and weather, and the model linearised there, unless it was let go: of ten minutes it takes
+    100 MB.
+    """
 
     theta: Floats
     weather: Weather
-    filtered: Filtered
+    filtered: Filtered | None
     move: Floats
     covariance: Floats
     value: float
@@ -185,7 +187,10 @@ class _Ascent:
         return point
 
     def moved(self, point: _Point) -> _Point | None:
-        """Move the parameters, half as far where that leads down; None where nothing leads up."""
+        """Move the parameters, half as far where that leads down; None where nothing leads up. The point lets
+        go of the model linearised there: two at once are hardly ever needed.
+        """
+        point.filtered = None
         share = 1.0
         for _ in range(_HALVINGS):
             theta = point.theta + share * point.move
@@ -197,9 +202,10 @@ class _Ascent:
 
     def weathered(self, point: _Point, enough_nats: float) -> _Point:
         """The weather as likely as it can be, to `enough_nats`."""
-        own = point.filtered.moved(np.zeros(len(point.theta)))
-        weather = estimate_weather(point.filtered, own, point.weather, enough_nats)
-        return self.at(point.theta, weather, point.filtered)
+        filtered = point.filtered or self.linearised(point.theta)
+        own = filtered.moved(np.zeros(len(point.theta)))
+        weather = estimate_weather(filtered, own, point.weather, enough_nats)
+        return self.at(point.theta, weather, filtered)
 
     def run(self, point: _Point) -> tuple[_Point, bool]:
         last = -np.inf

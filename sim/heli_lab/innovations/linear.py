@@ -227,8 +227,6 @@ class Linear:
         States of the model.
     block : int
         Steps from one measurement of the filter to the next.
-    blocks : list of Blocks
-        The windows, as the filter takes them.
     variance_rad2 : ndarray (n, 3)
         Variance of the quantisation errors.
     """
@@ -241,7 +239,6 @@ class Linear:
         self.windows = [slice(int(low), int(high)) for low, high in itertools.pairwise(edges)]
         self._place(parameters)
         self.states = 6 + functions.own_states
-        self.blocks = self._windows()
 
     def _place(self, parameters: Floats) -> None:
         """Lay out the points of the course about which the model is linearised."""
@@ -301,8 +298,9 @@ class Linear:
         angles[:, :, 0] = self._measured[rows] - at_node
         return Derivatives(*_kalman.midpoint(a, h), rates, by_torque, c, angles)
 
-    def _windows(self) -> list[Blocks]:
-        """Lay out the windows and linearise in them, so many steps together."""
+    @cached_property
+    def blocks(self) -> list[Blocks]:
+        """The windows, as the filter takes them; once asked for they are kept, until `release`."""
         size, states, n = 1 + len(self.functions.free), self.states, self.block
         together = max(1, min(_TOGETHER, -(-self.rows // usual_threads())) // n) * n
         found: list[Blocks] = []
@@ -360,8 +358,11 @@ class Linear:
         return kept
 
     def release(self) -> None:
-        """Give back what `steps` keeps: 100 MB of ten minutes; they are laid out again when asked for."""
+        """Give back what `steps` and `blocks` keep: 110 and 70 MB of ten minutes; they are laid out again
+        when asked for.
+        """
         self.__dict__.pop("steps", None)
+        self.__dict__.pop("blocks", None)
 
     def torque_for(self, accelerations_rad_s2: Floats) -> Floats:
         """Torques about the axes that make accelerations along the course, shape (n, 3).

@@ -36,6 +36,8 @@ class Catalogue:
         The list.
     say : callable
         Called with what is being done.
+    base_held_out : float, optional
+        Log-likelihood of the base on the flights held out; None where there are none.
     """
 
     def __init__(
@@ -44,53 +46,80 @@ class Catalogue:
         base: Hypothesis,
         kinds: Mapping[str, EffectKind],
         say: Callable[[str], None],
+        base_held_out: float | None = None,
     ) -> None:
         self.comparison, self.base, self.kinds, self.say = comparison, base, kinds, say
+        self.base_held_out = base_held_out
 
-    def as_good(self, law: Law, near: Hypothesis, margin: float) -> str | None:
-        """Name an effect of the list that does as well in the place of a `law`, None where none does; `near`
-        is the model with the law, `margin` its log-likelihood less what it pays.
+    def as_good(self, law: Law, near: Hypothesis, penalty: float) -> str | None:
+        """Name an effect of the list that does as well in the place of a `law` on all flights, and beside
+        which the law is worth nothing; None where none does. `near` is the model with the law, `penalty` what
+        the law pays.
 
         While the weather stood for what is missing, the search could not see it.
         """
         # As a spline has to, a law has to be better by a share of what it gains.
-        gained = margin - self.base.log_likelihood
-        enough = margin - max(AMBIGUOUS, SPLINE_MARGIN * gained)
+        margin = near.log_likelihood - penalty + self.held_out(near)
+        enough = margin - max(AMBIGUOUS, SPLINE_MARGIN * (margin - self.base.log_likelihood))
         screening = Screening(replace(self.base.estimate, weather=near.estimate.weather))
         left = [
             kind
             for kind in self.kinds.values()
             if kind.id not in self.base.ids and not kind.baseline and not kind.noise_inputs
         ]
+
+        def does(listed: Candidate, start: Mapping[str, float]) -> tuple[bool, float]:
+            made = self.refit(listed, start, near)
+            value = self.margin(made, listed) + self.held_out(made)
+            return value > enough and not self.needed(near, made, listed, penalty), value
+
         # A score is taken where an axis creeps, and does not see one that sticks.
         dry = {f"coulomb_friction.{axis}" for axis in _axes(law)}
         for kind in left:
-            if kind.id in dry and self.margin_of(usual(kind), kind.typical, near) > enough:
+            if kind.id in dry and does(usual(kind), kind.typical)[0]:
                 return kind.id
         kept = 0
         for one in screening.effects(left)[: 2 * SHORTLIST]:
             price = self.price(one.candidate)
             if kept >= SHORTLIST or EXPECTED_REFIT_GAIN * one.log_likelihood_gain <= price + MIN_MARGIN:
                 break
-            listed = self.margin_of(one.candidate, one.candidate.start_values(one.coefficients), near)
-            if listed > enough:
+            instead, value = does(one.candidate, one.candidate.start_values(one.coefficients))
+            if instead:
                 return one.candidate.id
-            gain = listed + price - self.base.log_likelihood
+            gain = value + price - self.base.log_likelihood
             kept += gain >= LAW_KEPT_SHARE * one.log_likelihood_gain
         return None
 
-    def margin_of(self, listed: Candidate, start: Mapping[str, float], near: Hypothesis) -> float:
-        """Log-likelihood, less its price, of the base with one more effect, `listed`, estimated from `start`
-        and from the weather of the model `near`; that its numbers are unusual counts for nothing, as a law's
-        may have any size.
-        """
+    def refit(self, listed: Candidate, start: Mapping[str, float], near: Hypothesis) -> Hypothesis:
+        """Estimate the base with one more effect, `listed`, from `start` and the weather of `near`."""
         self.say(f"trying {listed.id} in its place")
-        made = self.comparison.refit([*self.base.candidates, listed], start, near)
+        return self.comparison.refit([*self.base.candidates, listed], start, near)
+
+    def margin(self, made: Hypothesis, listed: Candidate) -> float:
+        """Log-likelihood of a model `made` with an effect, less its price; that the effect's numbers are
+        unusual counts for nothing, as a law's may have any size.
+        """
         own = [
             (made.values[name], prior) for name, prior in listed.effect.priors.items() if name in made.values
         ]
         unusual = sum(0.5 * ((value - prior.mean) / prior.std) ** 2 for value, prior in own)
         return made.log_likelihood + unusual - self.price(listed)
+
+    def held_out(self, made: Hypothesis) -> float:
+        """What a model gains over the base on the flights held out, nats; 0 without any."""
+        if self.base_held_out is None:
+            return 0.0
+        return self.comparison.held_out_estimate(made).log_likelihood - self.base_held_out
+
+    def needed(self, near: Hypothesis, made: Hypothesis, listed: Candidate, penalty: float) -> bool:
+        """Whether a law gains what it pays beside an effect that does as well in its place, so that neither
+        stands for the other: Davidson and MacKinnon, Econometrica 49 (1981) 781, by likelihoods.
+        """
+        law = near.candidates[-1]
+        start = {name: made.values[name] for name in listed.effect.priors if name in made.values}
+        both = self.comparison.refit([*self.base.candidates, listed, law], start, near)
+        gain = both.log_likelihood - made.log_likelihood + self.held_out(both) - self.held_out(made)
+        return gain - penalty > AMBIGUOUS
 
     def price(self, listed: Candidate) -> float:
         """What an effect of the catalogue pays: BIC for its numbers, and for the list."""
