@@ -65,7 +65,12 @@ def test_derivatives_are_those_of_the_rates_themselves(effect: str, name: str, s
             np.mean(state[late] ** 2)
         )
         return
-    assert np.sqrt(np.mean((by_parameter[:, 3:6] - expected) ** 2)) < 0.02 * np.sqrt(np.mean(expected**2))
+    # A motor that stands through a whole step and starts with the next has a derivative on one side only.
+    dead_zone_V = linear.trajectory.parameters[linear.functions.names.index("dead_zone")]
+    turns = np.all(linear.trajectory.volts_V > dead_zone_V, axis=1)
+    assert turns.mean() > 0.9
+    off, expected = (by_parameter[:, 3:6] - expected)[turns], expected[turns]
+    assert np.sqrt(np.mean(off**2)) < 0.02 * np.sqrt(np.mean(expected**2))
 
 
 def test_course_moves_by_the_model_where_the_model_is_right() -> None:

@@ -71,7 +71,17 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Asked:
-    """A refit that will be asked for: arguments of `Comparison.refit`."""
+    """A refit that will be asked for: arguments of `Comparison.refit`.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+        The effects.
+    start : Mapping[str, float]
+        Values to start from by name.
+    near : Hypothesis, optional
+        A hypothesis to start from.
+    """
 
     candidates: Sequence[Candidate]
     start: Mapping[str, float]

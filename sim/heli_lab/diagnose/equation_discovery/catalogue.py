@@ -112,8 +112,9 @@ class Catalogue:
         return self.comparison.held_out_estimate(made).log_likelihood - self.base_held_out
 
     def needed(self, near: Hypothesis, made: Hypothesis, listed: Candidate, penalty: float) -> bool:
-        """Whether a law gains what it pays beside an effect that does as well in its place, so that neither
-        stands for the other: Davidson and MacKinnon, Econometrica 49 (1981) 781, by likelihoods.
+        """Whether a law gains its `penalty` beside an effect, `listed`, that does as well in its place, so
+        that neither stands for the other: Davidson and MacKinnon, Econometrica 49 (1981) 781, by likelihoods.
+        `near` is the model with the law, `made` the one with the effect.
         """
         law = near.candidates[-1]
         start = {name: made.values[name] for name in listed.effect.priors if name in made.values}
