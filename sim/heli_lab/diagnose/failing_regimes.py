@@ -159,11 +159,10 @@ def failing_regimes(before: Estimate, after: Estimate, axis: str, first: str = "
     }
     second = max(gains, key=lambda name: gains[name])
     edges = {name: _edges(values[name]) for name in (first, second)}
-    found = [
-        _regimes(one, estimate, axis, first, second, edges)
-        for one, estimate in ((screening, before), (Screening(after), after))
-    ]
-    return FailingRegimes(axis, first, second, edges[first], edges[second], found[0], found[1])
+    then = _regimes(screening, before, axis, first, second, edges)
+    screening.release()
+    now = _regimes(Screening(after), after, axis, first, second, edges)
+    return FailingRegimes(axis, first, second, edges[first], edges[second], then, now)
 
 
 def false_discoveries(p: Floats, rate: float = FALSE_DISCOVERY_RATE) -> Booleans:

@@ -130,15 +130,18 @@ class ResidualAnalysis:
 
 
 def residual_analysis(screenings: Sequence[Screening]) -> ResidualAnalysis:
-    """Describe what a model leaves, by `screenings` of the flights fitted and of those held out: weather of
-    the former, what foretells the innovations of all.
+    """Describe what a model leaves, by `screenings` of the flights fitted and of those held out, which then
+    give back what they keep: weather of the former, what foretells the innovations of all.
     """
     first = screenings[0]
     significant = [one for one in dependences(screenings) if one.log_likelihood_gain > one.penalty]
     autocorrelation, bound = _autocorrelation(first)
+    gains = weather_gains(first)
+    for one in screenings:
+        one.release()
     return ResidualAnalysis(
         first.estimate.weather,
-        weather_gains(first),
+        gains,
         autocorrelation,
         tuple(lag * BLOCK_s for lag in _WHITE_LAGS),
         bound,
@@ -203,10 +206,17 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
     first = 0
     for number, screening in enumerate(screenings):
         own = screening.filtered.linears
+        flights = range(first, first + len(own))
         for group in _groups(functions, screening.batch):
-            signals = (_torques(linear, group, place) for place, linear in enumerate(own, first))
-            sizes = [curves[0].shape[1] for curves in group for _ in AXES]
-            parts[number] += screening.information(signals, sizes)
+            sizes = [curves[0].shape[1] for curves in group]
+            torques_Nm = [np.hstack([curves[place] for curves in group]) for place in flights]
+            by_axis = [
+                screening.projected(
+                    screening.filtered.torque_regressors(screening.estimate.weather, axis, torques_Nm), sizes
+                )
+                for axis in range(len(AXES))
+            ]
+            parts[number] += [one[k] for k in range(len(group)) for one in by_axis]
         first += len(own)
     found = []
     for (what, size), std, *each in zip(names, priors, *parts, strict=True):
@@ -217,21 +227,11 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
     return sorted(found, key=lambda one: -one.log_likelihood_gain)
 
 
-def _torques(linear: Linear, group: Sequence[list[Floats]], place: int) -> tuple[Floats, None]:
-    """Changes of the rates by each function of a group as a torque about each axis, in flight `place`."""
-    columns = [
-        linear.steps.by_torque[:, :, axis : axis + 1] * curves[place][:, None, :]
-        for curves in group
-        for axis in range(3)
-    ]
-    return np.concatenate(columns, axis=2), None
-
-
 def _groups(functions: Mapping[str, list[Floats]], batch: int) -> Iterator[list[list[Floats]]]:
-    """Functions in their order, as many at once as make `batch` regressors about the three axes."""
+    """Functions in their order, as many at once as make `batch` regressors about an axis."""
     group: list[list[Floats]] = []
     for curves in functions.values():
-        if group and 3 * sum(one[0].shape[1] for one in [*group, curves]) > batch:
+        if group and sum(one[0].shape[1] for one in [*group, curves]) > batch:
             yield group
             group = []
         group.append(curves)

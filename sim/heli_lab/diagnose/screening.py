@@ -336,6 +336,8 @@ def score_of(information: Floats, score: Floats, prior_std: Floats) -> Score:
 def signals_of(maker: Regressors, candidates: Sequence[Candidate]) -> tuple[Floats, Floats | None]:
     """Changes of rates and measured angles by candidates in one flight, side by side."""
     pairs = [maker.signals(candidate) for candidate in candidates]
+    if len(pairs) == 1:
+        return pairs[0]
     rates = np.concatenate([one for one, _ in pairs], axis=2)
     if all(one is None for _, one in pairs):
         return rates, None

@@ -133,8 +133,13 @@ def _ramp(volts: Floats, dt: float, rows: Integers, every: int, delay_s: float) 
     if every == 1 and delay_s == 0.0:
         return volts[rows], np.zeros((len(rows), 2))
     # Before the record the first voltage is taken to have acted.
-    once = np.vstack((np.zeros(2), np.cumsum(volts, axis=0))) * dt
-    twice = np.vstack((np.zeros(2), np.cumsum(0.5 * (once[1:] + once[:-1]), axis=0))) * dt
+    once, twice = np.zeros((2, len(volts) + 1, 2))
+    np.cumsum(volts, axis=0, out=once[1:])
+    once *= dt
+    between = once[1:] + once[:-1]
+    between *= 0.5
+    np.cumsum(between, axis=0, out=twice[1:])
+    twice *= dt
 
     def integrals(at: Floats) -> tuple[Floats, Floats]:
         place = np.clip(at / dt, None, len(volts) - 1e-9)
