@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -26,6 +27,11 @@ from heli_lab.threads import shared_out, usual_threads
 _BATCH_NUMBERS: Final = 1_250_000
 """Numbers of the regressors that a thread filters at once, 10 MB: 32 regressors of a flight of a minute. The
 result does not depend on it, memory and time do."""
+_JUMP_s: Final = 1.0
+"""Time before and after a moment over which torques are averaged to see them jump there: longer than a step
+response of the filter, shorter than what drifts."""
+_JUMPS: Final = 3
+"""Moments of jumps that are tried beside the grid. Fewer: of two steps the smaller is missed. More: time."""
 _PEAKS: Final = 4
 """Frequencies that are tried on each axis: the highest peaks of the missing torque's spectrum. Fewer: a
 periodic torque beside larger disturbances is lost. More: time."""
@@ -257,7 +263,7 @@ class Screening:
                 self.seconds,
             )
         else:
-            candidates = effect_candidates(_thinned(kind, self.seconds), self.seconds)
+            candidates = effect_candidates(_thinned(kind, self.seconds, self._jumps), self.seconds)
         if kind.states or kind.delay:
             candidates = [
                 Candidate(candidate.id, kind.make(_scaled(kind, candidate, share)), (), candidate.grid)
@@ -297,12 +303,38 @@ class Screening:
                         best = Scored(other, gain, coefficients, std, best.tried)
         return best
 
-    def _peaks(self, axis: str) -> tuple[float, ...]:
-        """Frequencies of the highest peaks of the torque's spectrum about an axis that weather stands for."""
-        index = AXES.index(axis)
+    @cached_property
+    def _smoothed(self) -> tuple[Floats, Floats]:
+        """Times in the first flight, (m,), and torques there that weather stands for, (m, 3)."""
         t_s, torque_Nm, _ = self.filtered.smoothed_torques(
             self.estimate.weather, np.zeros(len(self.estimate.theta))
         )[0]
+        return t_s, torque_Nm
+
+    @cached_property
+    def _jumps(self) -> tuple[float, ...]:
+        """Moments at which the mean of those torques changes most, of all axes: weather with a memory of
+        seconds hides a step from a score that is taken a second beside it.
+        """
+        t_s, torque_Nm = self._smoothed
+        width = max(1, round(_JUMP_s / float(np.median(np.diff(t_s)))))
+        if len(t_s) < 4 * width:
+            return ()
+        sums = np.vstack((np.zeros(3), np.cumsum(torque_Nm, axis=0)))
+        means = (sums[width:] - sums[:-width]) / width
+        jump = np.abs(means[width:] - means[:-width])
+        height = (jump / (jump.std(axis=0) + 1e-12)).max(axis=1)
+        found = []
+        for _ in range(_JUMPS):
+            top = int(np.argmax(height))
+            found.append(float(t_s[top + width]))
+            height[max(0, top - 2 * width) : top + 2 * width] = -1.0
+        return tuple(found)
+
+    def _peaks(self, axis: str) -> tuple[float, ...]:
+        """Frequencies of the highest peaks of the torque's spectrum about an axis that weather stands for."""
+        index = AXES.index(axis)
+        t_s, torque_Nm = self._smoothed
         value = torque_Nm[:, index]
         step_s = float(np.median(np.diff(t_s)))
         frequency_Hz = np.fft.rfftfreq(4 * len(value), step_s)
@@ -354,17 +386,18 @@ def coefficient_std(candidate: Candidate) -> Floats:
     return np.array([candidate.effect.priors[name].std for name in candidate.linear_parameters])
 
 
-def _thinned(kind: EffectKind, seconds: float) -> EffectKind:
-    """The effect with coarser grids: the neighbourhood of the best point is refined later."""
-
-    def thin(values: tuple[float, ...]) -> tuple[float, ...]:
-        return values[:: -(-len(values) // _MAX_GRID)]
-
+def _thinned(kind: EffectKind, seconds: float, jumps: tuple[float, ...]) -> EffectKind:
+    """The effect with coarser grids, and with `jumps` in that of a moment: the neighbourhood of the best
+    point is refined later.
+    """
     scan = kind.grid_values(seconds)
-    numbers = tuple(
-        one if one.grid is None else replace(one, grid=thin(scan[kind.full(one.what)]))
-        for one in kind.numbers
-    )
+
+    def thin(what: str) -> tuple[float, ...]:
+        values = scan[kind.full(what)]
+        thinned = values[:: -(-len(values) // _MAX_GRID)]
+        return tuple(sorted({*thinned, *jumps})) if what == "at_s" else thinned
+
+    numbers = tuple(one if one.grid is None else replace(one, grid=thin(one.what)) for one in kind.numbers)
     return replace(kind, numbers=numbers)
 
 

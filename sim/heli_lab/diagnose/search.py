@@ -39,6 +39,8 @@ class _Searcher:
     refits_left: Callable[[], bool]
     removable: Sequence[EffectKind]
     rounds: list[Round] = field(default_factory=list)
+    bases: list[Hypothesis] = field(default_factory=list)
+    """What each round began with."""
 
     def penalty(self, candidate: Candidate, tried: int = 0) -> float:
         """Bayesian information criterion in nats, and the logarithm of the number of candidates tried."""
@@ -130,6 +132,7 @@ class _Searcher:
         """Add causes until none is accepted."""
         while True:
             number = len(self.rounds)
+            self.bases.append(hypothesis)
             self.say(f"looking for what is missing, round {number + 1}", 0.1 + 0.6 * (1 - 0.6**number))
             screening = Screening(hypothesis.estimate)
             known = [self.kinds[id_] for id_ in hypothesis.ids if id_ in self.kinds]
@@ -268,7 +271,7 @@ class _Searcher:
         held_out = self._held_out(final, without)
         against = min(held_out, key=lambda id_: held_out[id_], default=None)
         if against is not None and held_out[against] < thresholds.HELD_OUT_AGAINST:
-            return self.backward(without[against])
+            return self.backward(self._instead(final, against, without[against]))
         found = [
             Cause(
                 candidate,
@@ -280,6 +283,23 @@ class _Searcher:
             for candidate in final.candidates
         ]
         return final, sorted(found, key=lambda one: -one.train)
+
+    def _instead(self, final: Hypothesis, against: str, less: Hypothesis) -> Hypothesis:
+        """The model `less`, without a cause that the flights held out speak against. A spline may have
+        followed one flight only: what it had displaced comes back, the causes before it and the best of its
+        round.
+        """
+        number = next((n for n, one in enumerate(self.rounds) if one.taken == against), None)
+        gone = next(one for one in final.candidates if one.id == against)
+        if not gone.is_spline or number is None:
+            return less
+        displaced = list(self.bases[number].candidates)
+        displaced += [one.candidate for one in self.rounds[number].refits if self._accepted(one)][:1]
+        back = [one for one in displaced if not one.is_spline and one.id not in less.ids]
+        if not back:
+            return less
+        start = {**self.bases[number].values, **less.values}
+        return self.comparison.refit([*less.candidates, *back], start, less)
 
     def _needed(self, final: Hypothesis) -> tuple[Hypothesis, dict[str, Hypothesis]]:
         """The model with the causes alone that are needed, and by each of their ids the model without it."""
