@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import queue
 import sys
 import threading
@@ -28,6 +27,7 @@ from tests.blind.reliability import draw, reliability
 from tests.blind.run import REFITS, WORK, code_of_rows, seen
 from tests.blind.summary import confusion, text
 from tests.blind.weather_cases import weather_cases
+from tests.running.alone import one_thread_each
 
 _PROCESSES = 2
 
@@ -60,9 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not cases:
         print(f"no case is called {', '.join(given.only)}; cases.py and weather_cases.py have their names")
         return 2
-    # Two cases at once share out the cores; threads of the libraries would take one from the other.
-    for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(threads, "1")
+    one_thread_each()
     if given.flights:
         return _flown(cases, given)
     rows: list[Row] = []

@@ -14,6 +14,7 @@ from typing import Any
 from tests.blind.choice import is_wanted
 from tests.blind.run import REFITS
 from tests.field.cases import DATA, NO_DATA, Case, ask, cases, judged
+from tests.running.alone import one_thread_each
 
 
 def main(arguments: Sequence[str] | None = None, data: Path = DATA) -> int:
@@ -45,6 +46,7 @@ def main(arguments: Sequence[str] | None = None, data: Path = DATA) -> int:
     if not chosen:
         print(f"no case is called {', '.join(given.only)}; there are {', '.join(one.name for one in there)}")
         return 2
+    one_thread_each()
     answers: dict[str, Any] = {}
     right = 0
     spent_s = 0.0
