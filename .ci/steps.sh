@@ -30,7 +30,8 @@ system_packages() { # system_packages WHY PACKAGE...
   if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
     printf '%s: installing %s from the system'\''s packages ...\n' "$why" "$*" >&2
     {
-      apt-get update || true
+      [ -n "$(find "${TMPDIR:-/tmp}/heli-apt-updated" -mmin -60 2>/dev/null)" ] ||
+        { apt-get update && touch "${TMPDIR:-/tmp}/heli-apt-updated"; } || true
       DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends "$@"
     } </dev/null >"${TMPDIR:-/tmp}/heli-apt.log" 2>&1 && return
     tail -n 5 "${TMPDIR:-/tmp}/heli-apt.log" >&2
