@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from heli_lab.diagnose.candidate import Candidate, usual
 from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
-from heli_lab.diagnose.screening import Screening
+from heli_lab.diagnose.screening import Scored, Screening
 from heli_lab.diagnose.search import _Searcher
 from heli_lab.diagnose.search_record import Refit, Round
 from heli_lab.diagnose.spline_term import spline_term
@@ -87,3 +87,31 @@ def test_what_a_spline_displaced_comes_back_where_the_flights_held_out_speak_aga
     assert _Searcher._instead(searcher, final, first.id, hypothesis([spline])).ids == (spline.id,)
     assert len(asked) == 1
     assert np.isfinite(list(found.values.values())).all()
+
+
+def test_a_number_that_only_a_grid_searches_is_tried_on_both_sides_of_the_best_score() -> None:
+    kind = KINDS["encoder_eccentricity.travel"]
+    order = kind.full("order")
+    gain = {1.0: 182.0, 2.0: 125.0}
+    asked: list[float] = []
+
+    def refit(candidates: list[Candidate], start: dict[str, float], near: Hypothesis) -> Hypothesis:
+        asked.append(candidates[-1].effect.values[order])
+        found = hypothesis(candidates)
+        found.log_likelihood = gain[asked[-1]]  # type: ignore[misc]
+        return found
+
+    second = Candidate(kind.id, kind.make({order: 2.0}), kind.size, {order: 2.0})
+    searcher = cast(
+        _Searcher,
+        SimpleNamespace(
+            kinds=KINDS, comparison=SimpleNamespace(refit=refit), penalty=lambda candidate, tried: 10.0
+        ),
+    )
+    searcher._on_grid = lambda one: _Searcher._on_grid(searcher, one)  # type: ignore[method-assign]
+    base = hypothesis([])
+    base.log_likelihood = 0.0  # type: ignore[misc]
+    found = _Searcher.attempt(searcher, base, [], Scored(second, 48.0, np.full(2, 0.01), np.ones(2), 2))
+    assert asked == [2.0, 1.0]
+    assert found.candidate.effect.values[order] == 1.0
+    assert found.gain == 182.0

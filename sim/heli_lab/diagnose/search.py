@@ -55,48 +55,51 @@ class _Searcher:
         """Refit the model with one more candidate, at the best value of a parameter that only a grid
         searches.
         """
-        best: Hypothesis | None = None
-        for candidate in self._on_grid(one):
-            start = candidate.start_values(one.coefficients)
-            if best is not None:
+        scored, *directions = self._on_grid(one)
+        (first,) = scored
+        best = self.comparison.refit([*candidates, first], first.start_values(one.coefficients), base)
+        for further in directions:
+            for candidate in further:
                 start = {**best.values, **{n: candidate.effect.values[n] for n in candidate.grid}}
-            hypothesis = self.comparison.refit([*candidates, candidate], start, base)
-            if best is not None and hypothesis.log_likelihood <= best.log_likelihood:
-                break
-            best = hypothesis
-        assert best is not None
+                hypothesis = self.comparison.refit([*candidates, candidate], start, base)
+                if hypothesis.log_likelihood <= best.log_likelihood:
+                    break
+                best = hypothesis
         gain = best.log_likelihood - base.log_likelihood
         return Refit(best, gain, self.penalty(one.candidate, one.tried), one.log_likelihood_gain)
 
     @contextmanager
     def _ahead(self, base: Hypothesis, shortlist: Sequence[Scored]) -> Iterator[None]:
         """Work ahead on the first attempt with each of a `shortlist`."""
-        first = [(one, self._on_grid(one)[0]) for one in shortlist]
+        first = [(one, self._on_grid(one)[0][0]) for one in shortlist]
         with self.comparison.ahead(
             Asked([*base.candidates, candidate], candidate.start_values(one.coefficients), base)
             for one, candidate in first
         ):
             yield
 
-    def _on_grid(self, one: Scored) -> list[Candidate]:
-        """The candidate, then the further values of its grid, to be refitted as long as each is better."""
+    def _on_grid(self, one: Scored) -> list[list[Candidate]]:
+        """The candidate; then, where only a grid searches a parameter, those at its larger and at its smaller
+        values, to be refitted as long as each is better.
+        """
         candidate, kind = one.candidate, self.kinds.get(one.candidate.id)
         fixed = [name for name in candidate.grid if name not in candidate.effect.priors]
         if kind is None or len(fixed) != 1:
-            return [candidate]
+            return [[candidate]]
         (name,) = fixed
         values = kind.grid_values(1.0)[name]
-        if len(values) < 3:
-            return [candidate]
         near = int(np.argmin(np.abs(np.array(values) - candidate.grid[name])))
         return [
-            Candidate(
-                candidate.id,
-                kind.make({**candidate.effect.values, name: v}),
-                candidate.linear_parameters,
-                {**candidate.grid, name: v},
-            )
-            for v in (values[near], *values[near + 1 :])
+            [
+                Candidate(
+                    candidate.id,
+                    kind.make({**candidate.effect.values, name: v}),
+                    candidate.linear_parameters,
+                    {**candidate.grid, name: v},
+                )
+                for v in some
+            ]
+            for some in ((values[near],), values[near + 1 :], values[:near][::-1])
         ]
 
     def _accepted(self, refit: Refit) -> bool:
