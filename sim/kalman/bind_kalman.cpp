@@ -78,7 +78,6 @@ Out array(std::size_t a, std::size_t b, std::size_t c, std::size_t dimensions) {
   return Out(data, {a, b}, owner);
 }
 
-// A function that finds two numbers of each state and torque at each step.
 heli_lab::Signals signals_of(const In<3>& transition, const In<3>& input, const In<3>& rates,
                              std::size_t block) {
   heli_lab::Signals signals;
@@ -98,6 +97,7 @@ heli_lab::Signals signals_of(const In<3>& transition, const In<3>& input, const 
   return signals;
 }
 
+// A function that finds two numbers of each state and torque at each step.
 template <void (*kFind)(const LinearSystem&, double*, double*)>
 void def_of_states(nb::module_& module, const char* name) {
   module.def(
