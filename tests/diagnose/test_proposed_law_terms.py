@@ -10,7 +10,7 @@ import pytest
 from heli_lab.diagnose.equation_discovery.grammar import groups, tried_up_to
 from heli_lab.diagnose.equation_discovery.law import NAME, Law, LawTerm, law_effect, rotor_signs
 from heli_lab.diagnose.equation_discovery.notation import effect_file, expression
-from heli_lab.diagnose.equation_discovery.terms import QUANTITIES, Factor, Term
+from heli_lab.diagnose.equation_discovery.terms import FORMS, QUANTITIES, Factor, Term
 from heli_lab.diagnose.equation_discovery.units import Unit
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import RotorLag, catalogue
@@ -20,10 +20,14 @@ from hypothesis import strategies as st
 
 SPANS = dict.fromkeys(QUANTITIES, (-1.0, 1.2))
 EVERY = groups(SPANS)
+FIRST_OF_FORM = {
+    factor.form: one for one in reversed(EVERY) for term in one.terms for factor in term.term.factors
+}
 OF_EACH_SORT = (
     *EVERY[::97],
+    *FIRST_OF_FORM.values(),
     *(one for one in EVERY if any(f.memory for term in one.terms for f in term.term.factors)),
-)[:70]
+)[:76]
 
 
 def state_of(size: int, seed: int) -> list[float]:
@@ -57,6 +61,10 @@ def test_a_coefficient_has_the_unit_that_makes_its_channel_of_its_term(
 def test_there_is_no_sine_of_what_is_no_angle(quantity: str) -> None:
     with pytest.raises(ValueError, match="sin of"):
         Factor("sin", quantity, (("k", 1.0),))
+
+
+def test_every_function_is_tried() -> None:
+    assert FIRST_OF_FORM.keys() == FORMS.keys()
 
 
 def test_thousands_of_terms_are_tried_on_every_kind_of_channel_and_none_twice() -> None:

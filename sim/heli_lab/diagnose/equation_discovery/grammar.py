@@ -29,6 +29,9 @@ _BUMP_PLACES: Final = 9
 """Places of a bump over the range of an angle."""
 _BUMP_WIDTHS: Final = (0.06, 0.15)
 """Widths of a bump, shares of the range."""
+_SLACKS: Final = (0.3, 0.55, 0.8)
+"""Where what has a slack begins, shares of the largest angle: a stop at the end of an axis, a cable that
+hangs. Between two of them the refit finds the place."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +113,9 @@ def _singles(spans: Mapping[str, tuple[float, float]]) -> Iterator[_Products]:
             for k in _MULTIPLICITIES[quantity]:
                 yield (_one("sin", quantity, k=k),), (_one("cos", quantity, k=k),)
             yield from (((one,),) for one in _bumps(quantity, spans))
+            furthest = max(abs(one) for one in spans[quantity])
+            for share in _SLACKS:
+                yield ((_one("beyond", quantity, slack=round(share * furthest, 3)),),)
         for s in _LAGS_s:
             yield ((_one("linear", quantity, "lag", s=s),),)
             yield ((_sign(quantity, "washout", s=s),),)

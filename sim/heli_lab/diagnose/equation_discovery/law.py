@@ -257,6 +257,8 @@ def inner_prior(factor: Factor, own: str, value: float) -> Prior:
         return Prior(value, value, _LEAST_s, _MOST_s)
     if own == "k":
         return Prior(value, 0.3 * value, 0.3 * value, 3.0 * value)
+    if own == "slack":
+        return Prior(value, 0.5 * value, 0.3 * value, 2.0 * value)
     width = dict(factor.numbers)["width"]
     if own == "place":
         return Prior(value, width, value - 4.0 * width, value + 4.0 * width)

@@ -83,7 +83,7 @@ def _latex_number(value: float) -> str:
 def _latex_name(name: str) -> str:
     head = name.partition("_")[0]
     letters = head.rstrip("0123456789abc") or head[0]
-    symbol = {"lag": "T", "place": "x", "width": "w"}.get(letters, letters)
+    symbol = {"lag": "T", "place": "x", "width": "w", "slack": "s"}.get(letters, letters)
     return f"{symbol}_{{{head[len(letters) :]}}}"
 
 

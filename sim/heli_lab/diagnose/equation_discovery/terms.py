@@ -198,6 +198,15 @@ FORMS: Final[Mapping[str, Form]] = {
         None,
         ("place", "width"),
     ),
+    "beyond": Form(
+        lambda m, x, slack: m.fmax(x - slack, 0.0) - m.fmax(-x - slack, 0.0),
+        "(Max({x} - {slack}, 0) - Max(-{x} - {slack}, 0))",
+        r"[\max({x} - {slack}, 0) - \max(-{x} - {slack}, 0)]",
+        "(ca.fmax({x} - {slack}, 0) - ca.fmax(-{x} - {slack}, 0))",
+        1,
+        ("slack",),
+        odd=True,
+    ),
 }
 """Functions that terms are products of."""
 
