@@ -13,7 +13,7 @@ import pytest
 from heli_host.log.table import write_csv
 from heli_lab.diagnose import to_json
 from heli_lab.diagnose.candidate import ExtendedModel
-from heli_lab.diagnose.equation_discovery.discover import _Discoverer, discover, free_name
+from heli_lab.diagnose.equation_discovery.discover import _Discoverer, _Tried, discover, free_name
 from heli_lab.diagnose.equation_discovery.grammar import Group
 from heli_lab.diagnose.equation_discovery.law import Law, LawTerm, law_effect
 from heli_lab.diagnose.equation_discovery.scoring import Courses, ScoredGroup, score
@@ -254,3 +254,35 @@ def test_the_command_writes_law_and_file_and_says_it(
     assert "proposed_law" in Path("with_law.toml").read_text()
     page = Path("why/index.html").read_text(encoding="utf-8")
     assert "A law that is proposed for it" in page
+
+
+def test_sine_and_cosine_of_a_wave_share_their_whole_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    law = Law(
+        tuple(
+            LawTerm("torque.elevation", Term((Factor(form, "travel", (("k", 2.0),)),)))
+            for form in ("sin", "cos")
+        )
+    )
+    effect = law_effect(law, dict.fromkeys(law.coefficients, 0.1))
+    # The weaker of the two says little about its period.
+    theta = np.array([0.03, 0.02, 2.02, 2.6])
+    names = [f"{effect.prefix}_{name}" for name in ("c1_Nm", "c2_Nm", "k1", "k2")]
+    assert set(names) == set(effect.priors)
+    estimate = SimpleNamespace(
+        unknowns=SimpleNamespace(names=names), theta=theta, covariance=np.diag([1e-6, 1e-6, 0.02**2, 0.4**2])
+    )
+    found = SimpleNamespace(
+        candidates=[SimpleNamespace(effect=effect)],
+        estimate=estimate,
+        values=dict(zip(names, theta, strict=True)),
+        log_likelihood=100.0,
+        ids=(),
+    )
+    work = discoverer(cast(Hypothesis, SimpleNamespace(ids=(), candidates=(), values={}, log_likelihood=0.0)))
+    monkeypatch.setattr(work, "stds", lambda law, courses: dict.fromkeys(law.coefficients, 0.1))
+    monkeypatch.setattr(work, "refit", lambda asked: SimpleNamespace(log_likelihood=99.0, asked=asked))
+    tried = _Tried(law, cast(Hypothesis, found), 20.0, Group(law.terms, 2))
+    whole = work.whole(tried, cast(Courses, None))
+    assert whole.held == {"k1", "k2"}
+    start = whole.hypothesis.asked.start  # type: ignore[attr-defined]
+    assert [start[f"{effect.prefix}_{name}"] for name in ("k1", "k2")] == [2.0, 2.0]

@@ -243,12 +243,18 @@ class _Discoverer:
     def whole(self, of: _Tried, courses: Courses) -> _Tried:
         """Multiplicities at whole numbers where these are as likely; sine and cosine share theirs."""
         numbers = _numbers(of.hypothesis)
-        fixed = dict[str, float]()
-        for _, _, own, name, _, _ in of.law.inner():
+        waves = dict[tuple[str, str, float], list[str]]()
+        for i, j, own, name, begun, _ in of.law.inner():
             if own == "k" and name not in of.held:
-                value, std = numbers[name]
-                if round(value) >= 1 and abs(value - round(value)) < max(_WHOLE * std, 0.02):
-                    fixed[name] = float(round(value))
+                one = of.law.terms[i]
+                waves.setdefault((one.channel, one.term.factors[j].quantity, begun), []).append(name)
+        fixed = dict[str, float]()
+        for names in waves.values():
+            values, stds = np.array([numbers[name] for name in names]).T
+            weight = stds**-2.0
+            value, std = float(values @ weight / weight.sum()), float(weight.sum() ** -0.5)
+            if round(value) >= 1 and abs(value - round(value)) < max(_WHOLE * std, 0.02):
+                fixed |= dict.fromkeys(names, float(round(value)))
         if not fixed:
             return of
         held = of.held | frozenset(fixed)
