@@ -53,9 +53,32 @@ def test_a_law_that_an_effect_of_the_list_explains_as_well_is_none() -> None:
 
 
 @pytest.mark.slow
-def test_a_law_that_is_needed_beside_an_effect_of_the_list_stays_however_much_that_gains() -> None:
+def test_a_law_goes_while_an_effect_of_the_list_that_matters_more_is_missing_beside_it() -> None:
     law = Law((LawTerm("torque.pitch", Term((Factor("linear", "elevation"),))),))
-    assert as_good("cable_spring.travel=0.3", law, "cable_spring.travel", off_list=True) == [None]
+    found = as_good("cable_spring.travel=0.3", law, "cable_spring.travel", off_list=True)
+    assert found == ["cable_spring.travel"]
+
+
+@pytest.mark.parametrize(
+    ("law_nats", "effect_nats", "both_nats", "stays"),
+    [
+        (100.0, 80.0, 104.0, True),
+        (100.0, 80.0, 130.0, True),
+        (100.0, 80.0, 94.0, False),  # Beside the effect the law is worth 14, of 16 that it must.
+        (80.0, 100.0, 130.0, False),  # Beside the law the effect is worth more than the law beside it.
+    ],
+)
+def test_a_law_stays_that_is_worth_more_beside_an_effect_than_the_effect_beside_it(
+    law_nats: float, effect_nats: float, both_nats: float, stays: bool
+) -> None:
+    def made(nats: float) -> Hypothesis:
+        return cast(Hypothesis, SimpleNamespace(log_likelihood=nats, values={}, candidates=("law",)))
+
+    comparison = SimpleNamespace(rows=1500, refit=lambda candidates, start, near: made(both_nats))
+    base = cast(Hypothesis, SimpleNamespace(candidates=(), log_likelihood=0.0))
+    listed = Catalogue(cast(Comparison, comparison), base, KINDS, lambda _: None)
+    effect = usual(KINDS["input_delay"])
+    assert listed.encompasses(made(law_nats), made(effect_nats), effect, PENALTY) is stays
 
 
 def dry_friction(resting: list[float], *, there: tuple[str, ...] = ()) -> list[str]:

@@ -52,9 +52,9 @@ class Catalogue:
         self.base_held_out = base_held_out
 
     def as_good(self, law: Law, near: Hypothesis, penalty: float) -> str | None:
-        """Name an effect of the list that does as well in the place of a `law` on all flights, and beside
-        which the law is worth nothing; None where none does. `near` is the model with the law, `penalty` what
-        the law pays.
+        """Name an effect of the list that does as well in the place of a `law` on all flights, and that the
+        law does not encompass; None where none does. `near` is the model with the law, `penalty` what the law
+        pays.
 
         While the weather stood for what is missing, the search could not see it.
         """
@@ -71,7 +71,7 @@ class Catalogue:
         def does(listed: Candidate, start: Mapping[str, float]) -> tuple[bool, float]:
             made = self.refit(listed, start, near)
             value = self.margin(made, listed) + self.held_out(made)
-            return value > enough and not self.needed(near, made, listed, penalty), value
+            return value > enough and not self.encompasses(near, made, listed, penalty), value
 
         # A score is taken where an axis creeps, and does not see one that sticks.
         dry = {f"coulomb_friction.{axis}" for axis in _axes(law)}
@@ -111,16 +111,19 @@ class Catalogue:
             return 0.0
         return self.comparison.held_out_estimate(made).log_likelihood - self.base_held_out
 
-    def needed(self, near: Hypothesis, made: Hypothesis, listed: Candidate, penalty: float) -> bool:
-        """Whether a law gains its `penalty` beside an effect, `listed`, that does as well in its place, so
-        that neither stands for the other: Davidson and MacKinnon, Econometrica 49 (1981) 781, by likelihoods.
-        `near` is the model with the law, `made` the one with the effect.
+    def encompasses(self, near: Hypothesis, made: Hypothesis, listed: Candidate, penalty: float) -> bool:
+        """Whether a law is worth its `penalty` beside an effect, `listed`, that does as well in its place,
+        and more than the effect is worth beside the law: Davidson and MacKinnon, Econometrica 49 (1981) 781,
+        by likelihoods. `near` is the model with the law, `made` the one with the effect.
         """
         law = near.candidates[-1]
         start = {name: made.values[name] for name in listed.effect.priors if name in made.values}
         both = self.comparison.refit([*self.base.candidates, listed, law], start, near)
-        gain = both.log_likelihood - made.log_likelihood + self.held_out(both) - self.held_out(made)
-        return gain - penalty > AMBIGUOUS
+        of_law, of_effect = (
+            both.log_likelihood - one.log_likelihood + self.held_out(both) - self.held_out(one)
+            for one in (made, near)
+        )
+        return of_law - penalty > max(AMBIGUOUS, of_effect - self.price(listed))
 
     def price(self, listed: Candidate) -> float:
         """What an effect of the catalogue pays: BIC for its numbers, and for the list."""
