@@ -10,6 +10,7 @@ import shlex
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import ModuleType
 
@@ -33,6 +34,8 @@ NOT_SIMULATED = {"doctor", "ports", "flash", "sil"}
 # The rig of the bench steps: in the checklist the arm is tied, here it moves through tar.
 TIED = "tied.toml"
 # Of the table of rehearsals: what is typed at the board, the command, what it ends with.
+FALL_s = 1.5
+"""Time in which the arm, with the drivers off, has come to rest on the table."""
 REHEARSAL = re.compile(r"^\| `([a-z ]+)` \| `heli-host (.+)` \| `(.+)` \|$", re.MULTILINE)
 
 
@@ -161,6 +164,9 @@ def test_what_is_to_be_rehearsed_ends_as_the_checklist_says(
         with heli_host.connect(str(tmp_path / "due")) as heli:
             heli.params.restore(PATIENT)
         for typed, given, end in rows:
+            if typed.startswith("plug"):
+                # An encoder that is plugged in while the arm falls knows a part of the way only.
+                time.sleep(FALL_s)
             os.write(keyboard, f"{typed}\n".encode())
             server.stdout.readline()
             run(shlex.split(given))
