@@ -12,22 +12,20 @@ from tests.running.long import samples
 
 pytestmark = pytest.mark.slow
 
-RIGS = range(1, 1 + samples(12, 2))
+RIGS = range(1, 1 + samples(12, 4))
 FLIGHTS = 4
 BY_FLIGHTS = ("rotor_lag_s", "friction_pitch", "friction_travel", "dead_zone")
 """Numbers that one flight tells by itself; masses and lengths are told in combinations only, whose other
 members a file's tolerances hold."""
 
 
-def test_standard_errors_fall_with_the_root_of_the_number_of_flights() -> None:
+@pytest.mark.parametrize("name", BY_FLIGHTS)
+def test_the_standard_error_falls_with_the_root_of_the_number_of_flights(name: str) -> None:
     shares = [
         math.sqrt(FLIGHTS) * pooled(rig, FLIGHTS).alone[name].std / pooled(rig, 1).alone[name].std
-        for name in BY_FLIGHTS
         for rig in RIGS
     ]
     assert 0.8 < float(np.mean(shares)) < 1.2
-    # What one flight tells differs from flight to flight.
-    assert max(shares) < 2.0
 
 
 @pytest.mark.parametrize("count", [1, FLIGHTS])
