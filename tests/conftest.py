@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.running.alone import NAMES
+
 if TYPE_CHECKING:
     from tests.repo.typed import Typed
 
@@ -22,7 +24,7 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
 # The workers share the cores out among them: threads within a test would take a core from another.
-for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+for _threads in NAMES:
     os.environ[_threads] = "1"
 
 # What is read before the first test stays; to look for garbage in it took a third of the time until then.

@@ -74,7 +74,9 @@ def test_a_law_stays_that_is_worth_more_beside_an_effect_than_the_effect_beside_
     def made(nats: float) -> Hypothesis:
         return cast(Hypothesis, SimpleNamespace(log_likelihood=nats, values={}, candidates=("law",)))
 
-    comparison = SimpleNamespace(rows=1500, refit=lambda candidates, start, near: made(both_nats))
+    comparison = SimpleNamespace(
+        rows=1500, held_out=(), refit=lambda candidates, start, near: made(both_nats)
+    )
     base = cast(Hypothesis, SimpleNamespace(candidates=(), log_likelihood=0.0))
     listed = Catalogue(cast(Comparison, comparison), base, KINDS, lambda _: None)
     effect = usual(KINDS["input_delay"])

@@ -33,9 +33,9 @@ OTHERS = {"make", "sudo", "stty", "pio", "bossac"}
 NOT_SIMULATED = {"doctor", "ports", "flash", "sil"}
 # The rig of the bench steps: in the checklist the arm is tied, here it moves through tar.
 TIED = "tied.toml"
-# Of the table of rehearsals: what is typed at the board, the command, what it ends with.
 FALL_s = 1.5
 """Time in which the arm, with the drivers off, has come to rest on the table."""
+# Of the table of rehearsals: what is typed at the board, the command, what it ends with.
 REHEARSAL = re.compile(r"^\| `([a-z ]+)` \| `heli-host (.+)` \| `(.+)` \|$", re.MULTILINE)
 
 

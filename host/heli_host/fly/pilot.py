@@ -194,6 +194,7 @@ class Pilot:
             due_tick = min([end_tick, *(self._tick_of(piece) for piece in self._excitations[:1])])
             if self._on_taken_off is not None:
                 due_tick = min(due_tick, taken_off_tick)
+            # mypy gives no type to a lambda with a default.
             self._session.wait_for(lambda due=due_tick: self._tick() >= due or self._trouble(), _LOOK_S)  # type: ignore[misc]
             self._bridge_a_stall()
         self._check_up()

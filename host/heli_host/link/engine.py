@@ -308,6 +308,7 @@ class Engine:
         Request
             Done when answered or given up; only one may be on its way.
         """
+        # A protocol's dataclasses are not known to be such.
         numbered = dataclasses.replace(command, request=self._number())  # type: ignore[type-var]
         self._request = Request(numbered, now_s + timeout_s, now_s)
         return self._request

@@ -120,7 +120,7 @@ class _Records(RecordBuilder):
     """Collects records' bytes."""
 
     def data(self) -> bytes:
-        return bytes(self.end())  # type: ignore[no-untyped-call]
+        return bytes(self.end())  # type: ignore[no-untyped-call]  # mcap has no types here
 
 
 def json_bytes(body: Mapping[str, Any]) -> bytes:

@@ -115,7 +115,7 @@ def export_ros2(flight: Flight, path: str | Path) -> None:
             writer.add_metadata("notes", notes)
             writer.add_metadata("names", {field: name for name, field in fields.items()})
             writer.add_metadata("plan", {"plan": flight.plan})
-            writer.finish()  # type: ignore[no-untyped-call]
+            writer.finish()  # type: ignore[no-untyped-call]  # mcap has no types here
     except OSError as error:
         raise LogWriteError(
             f"cannot write {path}: {error.strerror or error}", "choose another folder"

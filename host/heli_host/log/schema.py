@@ -161,6 +161,7 @@ def parse_layout(text: str) -> MessageLayout:
         offsets.append(offset)
         end = offset + size
     layout = {"names": names, "formats": formats, "offsets": offsets, "itemsize": end}
+    # numpy's types know a layout of literal keys only.
     return MessageLayout(np.dtype(layout), constants)  # type: ignore[call-overload]
 
 

@@ -145,11 +145,10 @@ class _Searcher:
             full = len(hypothesis.candidates) >= thresholds.MAX_CAUSES or not self.refits_left()
             refits: list[Refit] = []
             taken: Refit | None = None
-            if not full:
-                absent = closely_stated_terms(self.comparison, self.removable, screening)
-                screening.release()
-                refits, taken = self.choice(hypothesis, screening, screened, splines, absent)
+            absent = [] if full else closely_stated_terms(self.comparison, self.removable, screening)
             screening.release()
+            if not full:
+                refits, taken = self.choice(hypothesis, screening, screened, splines, absent)
             self.rounds.append(
                 Round(tuple(screened), tuple(splines), tuple(refits), taken.candidate.id if taken else "")
             )

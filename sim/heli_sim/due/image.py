@@ -69,7 +69,7 @@ def _symbol(name: str, value: int, size: int, is_function: bool) -> Symbol:
 
 
 def _read_elf(path: Path) -> Image:
-    # Imported late: only programs with symbols need the library.
+    # Imported late: only programs with symbols need the library, which has no types.
     from elftools.common.exceptions import ELFError  # type: ignore[import-not-found,unused-ignore]
     from elftools.elf.elffile import ELFFile  # type: ignore[import-not-found,unused-ignore]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cached_property
 
 from heli_sim.model.effects import EffectKind
 
@@ -36,8 +37,6 @@ class Catalogue:
         The list.
     say : callable
         Called with what is being done.
-    base_held_out : float, optional
-        Log-likelihood of the base on the flights held out; None where there are none.
     """
 
     def __init__(
@@ -46,10 +45,8 @@ class Catalogue:
         base: Hypothesis,
         kinds: Mapping[str, EffectKind],
         say: Callable[[str], None],
-        base_held_out: float | None = None,
     ) -> None:
         self.comparison, self.base, self.kinds, self.say = comparison, base, kinds, say
-        self.base_held_out = base_held_out
 
     def as_good(self, law: Law, near: Hypothesis, penalty: float) -> str | None:
         """Name an effect of the list that does as well in the place of a `law` on all flights, and that the
@@ -107,9 +104,13 @@ class Catalogue:
 
     def held_out(self, made: Hypothesis) -> float:
         """What a model gains over the base on the flights held out, nats; 0 without any."""
-        if self.base_held_out is None:
+        if not self.comparison.held_out:
             return 0.0
-        return self.comparison.held_out_estimate(made).log_likelihood - self.base_held_out
+        return self.comparison.held_out_estimate(made).log_likelihood - self._base_held_out
+
+    @cached_property
+    def _base_held_out(self) -> float:
+        return self.comparison.held_out_estimate(self.base).log_likelihood
 
     def encompasses(self, near: Hypothesis, made: Hypothesis, listed: Candidate, penalty: float) -> bool:
         """Whether a law is worth its `penalty` beside an effect, `listed`, that does as well in its place,

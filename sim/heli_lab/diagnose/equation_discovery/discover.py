@@ -330,9 +330,7 @@ def discover(
     by_curve = curve.log_likelihood - base.log_likelihood if curve is not None and curve is not base else None
     if by_curve is not None and gained < LAW_CURVE_SHARE * by_curve:
         return None
-    listed = Catalogue(
-        comparison, base, kinds or {}, work.say, None if without is None else without.log_likelihood
-    )
+    listed = Catalogue(comparison, base, kinds or {}, work.say)
     if listed.as_good(law.law, law.hypothesis, law.penalty) is not None:
         return None
     hypothesis, superfluous = listed.without_superfluous(law.hypothesis)
