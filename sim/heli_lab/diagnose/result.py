@@ -6,12 +6,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
-import numpy as np
 from heli_sim.model.effects import EffectKind, effect_numbers
 from heli_sim.model.parts import AXES
 from heli_sim.rig import Number, Rig
@@ -28,7 +27,7 @@ from heli_lab.diagnose.residual_analysis import ResidualAnalysis
 from heli_lab.diagnose.search_record import Cause, Search
 from heli_lab.diagnose.spline_curve import SplineCurve, spline_curve_of
 from heli_lab.diagnose.spline_term import SplineTerm
-from heli_lab.diagnose.thresholds import FEW_WINDOWS, CALIBRATE_s
+from heli_lab.diagnose.thresholds import FEW_WINDOWS, LEAST_STD_SHARE, WITHIN_STEP_STD, CALIBRATE_s
 from heli_lab.diagnose.verdict import Verdict
 from heli_lab.identify import Fit
 from heli_lab.identify.result import Identification
@@ -95,7 +94,7 @@ class Diagnosis:
     def values(self, found: Cause) -> dict[str, tuple[float, float, str]]:
         """Parameters of a cause by full name: value, standard error and unit."""
         kind, fit = self.kinds[found.candidate.id], self.after.fit
-        std = stds(fit)
+        std = stds(fit, kind.size)
         return {
             q.name: (
                 fit.values.get(q.name, found.candidate.effect.values[q.name]),
@@ -237,9 +236,9 @@ class Diagnosis:
         source = f"found by heli-host diagnose from {labels}"
         effects: dict[str, Mapping[str, Number]] = dict(found.effects)
         fit = proposed.prediction.fit
-        std = stds(fit)
         for candidate in proposed.discovery.hypothesis.candidates[:-1]:
             kind = self.kinds[candidate.id]
+            std = stds(fit, kind.size)
             known = {q.name: fit.values.get(q.name, candidate.effect.values[q.name]) for q in kind.parameters}
             effects[candidate.id] = effect_numbers(
                 kind, known, {n: 2.0 * std.get(n, 0.0) for n in known}, source
@@ -256,14 +255,20 @@ class Diagnosis:
         return METRIC if self.after.held_out_fit else METRIC.replace("validation", "fitted")
 
 
-def stds(fit: Fit) -> dict[str, float]:
-    """Standard errors by name, none finer than what the log's sampling resolves.
+def stds(fit: Fit, sizes: Collection[str] = ()) -> dict[str, float]:
+    """Standard errors by name, none finer than what steps and samples resolve.
 
     Voltages are held over a sample: a time constant or a delay is uncertain by a part of it, whichever way
-    board and simulator count it.
+    board and simulator count it, and of what a controller answers within a step. What acts within a step is
+    blurred, so none of the `sizes` is finer than a share of itself.
     """
-    units = {one.name: one.unit for one in fit.problem.free}
     half_s = 0.5 * fit.problem.records[0].step_s
-    return {
-        name: float(np.hypot(std, half_s)) if units[name] == "s" else std for name, std in fit.std.items()
-    }
+    found = {}
+    for one in fit.problem.free:
+        std = fit.std[one.name]
+        if one.unit == "s":
+            std = math.hypot(WITHIN_STEP_STD * std, half_s)
+        if one.name in sizes:
+            std = math.hypot(std, LEAST_STD_SHARE * abs(fit.values[one.name]))
+        found[one.name] = float(std)
+    return found

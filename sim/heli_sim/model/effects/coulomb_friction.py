@@ -13,7 +13,6 @@ from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
 
-
 _RATE_STD_rad_s: Final = 0.008
 """How closely a flight shows the rate of an axis that moves: five counts a second of an encoder of 4096. The
 most likely value of twelve simulated flights with dry friction in gusts (2026-11): 0.008 to 0.012 about
