@@ -4,7 +4,7 @@ Two machines of one make fly in MuJoCo, in weather, behind a rotor lag: one live
 gentle one's numbers are estimated from its flight with the rig's file as the prior, and with what the pool
 makes of the lively machine. Both are held against another lively flight of the gentle machine, and against
 another gentle one: by the log-likelihood of its innovations, and by free runs over 2 s, of which weather is
-most.
+most. So is what no pool can be better than: the make as it was drawn, with the spread of its machines.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from heli_lab.identify import Record, prepare
 from heli_lab.pool import pool
 from heli_lab.pool.machine import Estimate, Machine, by_flights_alone
 from heli_sim.model import MultibodyModel
-from heli_sim.model.effects import effects_of, parse_effects
+from heli_sim.model.effects import catalogue, effect_numbers, effects_of, parse_effects
 from heli_sim.rig import Rig, load_rig
 
 from tests.blind.hidden import RotorLag
@@ -40,6 +40,8 @@ LIVELY_s, GENTLE_s, OTHER_s = 40.0, 15.0, 30.0
 _LAG: Final = "rotor_lag"
 _AMONG_MACHINES: Final = 0.3
 """Standard deviation among the machines of a make, over that among makes."""
+_LAG_AMONG_MACHINES: Final = 0.1
+"""Standard deviation of the logarithm of the lag among the machines of a make."""
 _NORMAL: Final = {
     "thrust_gain": 0.08,
     "dead_zone": 0.06,
@@ -63,13 +65,18 @@ class MachineCase(WeatherCase):
 
     def rig(self) -> Rig:
         """Draw the make from what the file says, and the machine from the make."""
-        rig = load_rig(self.rig_name)
-        make, own = np.random.default_rng([self.make, 9]), np.random.default_rng([self.seed, 1])
+        make, own = self.make_rig(), np.random.default_rng([self.seed, 1])
         off = {
-            name: std * (make.standard_normal() + _AMONG_MACHINES * own.standard_normal())
+            name: float(np.exp(std * _AMONG_MACHINES * own.standard_normal()))
             for name, std in _NORMAL.items()
         }
-        return rig.replace(**{name: rig[name].value * float(np.exp(one)) for name, one in off.items()})
+        return make.replace(**{name: make[name].value * one for name, one in off.items()})
+
+    def make_rig(self) -> Rig:
+        """Draw the make from what the file says."""
+        rig, make = load_rig(self.rig_name), np.random.default_rng([self.make, 9])
+        off = {name: float(np.exp(std * make.standard_normal())) for name, std in _NORMAL.items()}
+        return rig.replace(**{name: rig[name].value * one for name, one in off.items()})
 
 
 def machines(number: int) -> tuple[MachineCase, MachineCase]:
@@ -78,7 +85,7 @@ def machines(number: int) -> tuple[MachineCase, MachineCase]:
     lag_s = rng.uniform(0.05, 0.12)
     both = []
     for which in range(2):
-        own_s = float(lag_s * np.exp(0.1 * rng.standard_normal()))
+        own_s = float(lag_s * np.exp(_LAG_AMONG_MACHINES * rng.standard_normal()))
         both.append(
             MachineCase(
                 f"pair-{number}-{('lively', 'gentle')[which]}",
@@ -97,16 +104,31 @@ def machines(number: int) -> tuple[MachineCase, MachineCase]:
     return both[0], both[1]
 
 
+def as_drawn(number: int) -> Rig:
+    """The make of a pair as it was drawn: its numbers, and as tolerances twice the spread of its machines."""
+    case = machines(number)[0]
+    make, lag_s = case.make_rig(), np.random.default_rng([8000 + number, 2]).uniform(0.05, 0.12)
+    numbers = dict(make.numbers)
+    for name, std in _NORMAL.items():
+        value = make[name].value
+        numbers[name] = replace(make[name], tolerance=2.0 * _AMONG_MACHINES * std * value)
+    (name,) = catalogue()[_LAG].size
+    lag = effect_numbers(
+        catalogue()[_LAG], {name: lag_s}, {name: 2.0 * _LAG_AMONG_MACHINES * lag_s}, "as it was drawn"
+    )
+    return Rig("drawn", "the make as it was drawn", numbers, {_LAG: lag}, "multibody")
+
+
 def compared(number: int) -> dict[str, Any]:
     """Measure a pair.
 
     Returns
     -------
     dict
-        For each flight held out, ``lively`` and ``gentle``, and each prior, ``by_file`` and ``by_make``: the
-        ``log_likelihood`` of the flight, its own constants and weather estimated; rms errors over 2 s by axis
-        (``deg``) and over all axes in standard deviations of the quantisation (``normalised``). Of each of
-        the ``numbers``: truth, mean and standard deviation of the make's prior.
+        For each flight held out, ``lively`` and ``gentle``, and each prior, ``by_file``, ``by_make`` and
+        ``as_drawn``: the ``log_likelihood`` of the flight, its own constants and weather estimated; rms
+        errors over 2 s by axis (``deg``) and over all axes in standard deviations of the quantisation
+        (``normalised``). Of each of the ``numbers``: truth, mean and standard deviation of the make's prior.
     """
     nominal = load_rig("makki2024")
     lively, gentle = machines(number)
@@ -115,6 +137,7 @@ def compared(number: int) -> dict[str, Any]:
     found = Comparison(model, nominal, [record], []).refit([])
     machine = _machine("lively", found)
     prior = pool([machine]).prior(nominal, "make")
+    drawn = as_drawn(number)
     train = _record(gentle, 0, GENTLE_s, nominal)
     others = {
         "lively": _record(replace(gentle, gentle=False), 1, OTHER_s, nominal),
@@ -126,6 +149,7 @@ def compared(number: int) -> dict[str, Any]:
     for what, rig, own in (
         ("by_file", nominal, model),
         ("by_make", prior, MultibodyModel(effects_of(prior))),
+        ("as_drawn", drawn, MultibodyModel(effects_of(drawn))),
     ):
         hypothesis = Comparison(own, rig, [train], []).refit([])
         fit = predict((), hypothesis.estimate, [train], ()).fit
@@ -170,16 +194,17 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
     """Count pairs in which the make's prior predicts the gentle machine better."""
     lines = []
     for name in ("lively", "gentle"):
-        ratios = [row[name]["by_make"]["normalised"] / row[name]["by_file"]["normalised"] for row in rows]
-        nats = [
-            row[name]["by_make"]["log_likelihood"] - row[name]["by_file"]["log_likelihood"] for row in rows
-        ]
-        lines.append(
-            f"another {name} flight of the gentle machine: likelier in {sum(n > 0.0 for n in nats)} of "
-            f"{len(nats)}, by {np.median(nats):.1f} nats ({min(nats):.1f} to {max(nats):.1f}); free runs "
-            f"better in {sum(r < 1.0 for r in ratios)}, ratio {np.median(ratios):.3f} ({min(ratios):.3f} to "
-            f"{max(ratios):.3f})"
-        )
+        for prior, said in (("by_make", "the make's prior"), ("as_drawn", "the make as it was drawn")):
+            ratios = [row[name][prior]["normalised"] / row[name]["by_file"]["normalised"] for row in rows]
+            nats = [
+                row[name][prior]["log_likelihood"] - row[name]["by_file"]["log_likelihood"] for row in rows
+            ]
+            lines.append(
+                f"{said}, another {name} flight of the gentle machine: likelier in "
+                f"{sum(n > 0.0 for n in nats)} of {len(nats)}, by {np.median(nats):.1f} nats "
+                f"({min(nats):.1f} to {max(nats):.1f}); free runs better in {sum(r < 1.0 for r in ratios)}, "
+                f"ratio {np.median(ratios):.3f} ({min(ratios):.3f} to {max(ratios):.3f})"
+            )
     return "\n".join(lines)
 
 
