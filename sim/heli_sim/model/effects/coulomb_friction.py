@@ -13,12 +13,11 @@ from heli_sim.model.effects.kind import EffectKind, Parameter
 from heli_sim.model.parts import AXES, on_axis
 from heli_sim.rig.quantity import Prior
 
-_RATE_STD_rad_s: Final = 0.008
-"""How closely a flight shows the rate of an axis that moves: five counts a second of an encoder of 4096. The
-most likely value of twelve simulated flights with dry friction in gusts (2026-11): 0.008 to 0.012 about
-elevation and pitch, 0.004 to 0.008 about travel. Smaller: friction that turns over now and then on the wrong
-side comes out a fifth too small, and what is left of it passes for gusts of no memory. Half as much again:
-it comes out a tenth too large."""
+_RATE_STD_rad_s: Final = 0.0045
+"""How closely a flight shows the rate of an axis that moves: three counts a second of an encoder of 4096. Set
+on nineteen simulated flights with dry friction (2026-11), most likely with 0.004 without weather and with
+0.004 to 0.012 in gusts. Half as much: in gusts friction comes out a sixth too small, and what is left of it
+passes for gusts of no memory. Twice as much: without weather it comes out a tenth too large."""
 
 
 class CoulombFriction(Effect):
