@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 from heli_host.fly.plan import Plan
 from heli_lab.diagnose.experiment_design import compose_experiment, segment_for
+from heli_lab.diagnose.result import stds
 from heli_lab.diagnose.spline_term import KNOTS, bspline_basis, channel_quantity_pairs, knot_span
+from heli_lab.identify import Fit
 from heli_sim.model.effects import catalogue
 
 pytestmark = pytest.mark.slow
@@ -36,3 +41,21 @@ def test_next_flight_is_a_plan_that_can_be_flown(parts: tuple[str, ...]) -> None
 
 def test_every_effect_has_a_part_that_shows_it() -> None:
     assert {segment_for(kind) for kind in catalogue().values()} == {"motors", "travel", "elevation", "time"}
+
+
+def test_no_standard_error_is_finer_than_steps_and_samples_resolve() -> None:
+    named = {"rotor_lag_s": "s", "at_s": "s", "share": "1", "rest_rad": "rad"}
+    fit = SimpleNamespace(
+        problem=SimpleNamespace(
+            records=[SimpleNamespace(step_s=0.004)],
+            free=[SimpleNamespace(name=name, unit=unit) for name, unit in named.items()],
+        ),
+        std=dict.fromkeys(named, 1e-6) | {"at_s": 0.03},
+        values={"rotor_lag_s": 0.1, "at_s": 20.0, "share": -0.2, "rest_rad": 0.4},
+    )
+    found = stds(cast(Fit, fit), ("rotor_lag_s", "share"))
+    # Half a sample, and 0.7 % of a size; a moment is none.
+    assert found["rotor_lag_s"] == pytest.approx(np.hypot(0.002, 0.0007), rel=1e-3)
+    assert found["share"] == pytest.approx(0.0014, rel=1e-3)
+    assert found["at_s"] == pytest.approx(np.hypot(1.4 * 0.03, 0.002))
+    assert found["rest_rad"] == 1e-6

@@ -116,6 +116,23 @@ def test_axis_is_at_rest_where_its_count_stays_the_same_for_long() -> None:
     assert not again.predicted[:, 3:][again.at_rest].any()
 
 
+@pytest.mark.parametrize("play_counts", [6.0, 12.0])
+def test_directions_say_where_in_a_play_an_axis_is(play_counts: float) -> None:
+    record = windy()
+    time_s, half = np.arange(len(record.t_s)) * record.step_s, 0.5 * play_counts
+    axis = 40.0 * np.sin(2.0 * np.pi * time_s / 4.0) + 9.0 * np.sin(2.0 * np.pi * time_s / 1.7)
+    shaft = np.zeros(len(axis))
+    for k in range(1, len(axis)):
+        shaft[k] = np.clip(shaft[k - 1], axis[k] - half, axis[k] + half)
+    angles = np.stack((np.round(shaft), np.zeros(len(axis)), np.zeros(len(axis))), axis=1)
+    course = follow(replace(record, angles_rad=angles * record.count_rad))
+    rows = np.arange(len(course.directions)) * course.every
+    place = ((axis - shaft) / half)[rows]
+    # Straight from one side to the other, the places would be off by a quarter.
+    assert np.sqrt(np.mean((course.directions[:, 0] - place)[20:] ** 2)) < 0.15
+    assert not course.directions[:, 1:].any()
+
+
 def test_an_axis_that_friction_holds_needs_no_torque_and_the_others_theirs() -> None:
     linear = changed("", "thrust_gain", 0.0)
     wanted = np.random.default_rng(3).normal(size=(linear.rows, 3))

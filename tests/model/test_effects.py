@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from functools import cache
+from statistics import NormalDist
 
 import casadi as ca
 import numpy as np
@@ -228,6 +229,30 @@ def test_dry_friction_holds_what_pushes_less_and_slows_what_moves(axis: str) -> 
     assert float(left_Nm(0.0, -3.0 * c_Nm)) == pytest.approx(-2.0 * c_Nm)
     assert float(left_Nm(0.5, 0.0)) == pytest.approx(-c_Nm)
     assert float(left_Nm(-0.5, 0.0)) == pytest.approx(c_Nm)
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_along_a_measured_flight_dry_friction_is_its_mean_over_the_rates_left_open(axis: str) -> None:
+    c_Nm, row = 0.01, AXES.index(axis)
+    effect = KINDS[f"coulomb_friction.{axis}"].make({f"coulomb_friction_{axis}_Nm": c_Nm})
+    model, inertia = MultibodyModel((effect,)), ca.SX([0.8, 0.05, 0.7])
+    at = model.operands(
+        ca.SX.sym("x", 6), ca.SX.zeros(2), ca.SX(model.parameter_values(load_rig("makki2024")))
+    )
+    rate, push_Nm = at.state[f"{axis}_rate_rad_s"], ca.SX.sym("push")
+    plain, mean = (
+        ca.Function("friction", [rate, push_Nm], [one.friction_Nm(at, push_Nm / inertia, inertia)[row]])
+        for one in (effect, effect.along_measured())
+    )
+    # An axis at rest is held, as in the room.
+    assert [float(mean(0.0, push)) for push in (0.004, -0.03)] == [
+        float(plain(0.0, push)) for push in (0.004, -0.03)
+    ]
+    # One that moves: over four hundred equally likely rates of those that three counts a second leave open.
+    points = NormalDist(0.0, 3.0 * 2.0 * np.pi / 4096.0).quantiles(401)
+    for rate_rad_s in (-0.05, -0.006, -0.002, 0.002, 0.004, 0.009, 0.3):
+        expected = np.mean([float(plain(rate_rad_s + off, 0.005)) for off in points])
+        assert float(mean(rate_rad_s, 0.005)) == pytest.approx(expected, abs=0.03 * c_Nm)
 
 
 @pytest.mark.parametrize("text", ["cable_spring.elevation=0.3", "cable_spring.travel=0.3", "axis_tilt=0.1"])

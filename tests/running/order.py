@@ -14,7 +14,7 @@ import pytest
 
 from tests.running.cost import COSTS_KEY
 
-GUESSED_S: Final = {"documents": 30.0, "diagnosis": 20.0, "slow": 5.0, "emulated": 3.0}
+GUESSED_S: Final = {"documents": 10.0, "diagnosis": 10.0, "slow": 2.0, "emulated": 2.0, "medium": 0.5}
 GUESSED_OTHERWISE_S: Final = 0.02
 
 
