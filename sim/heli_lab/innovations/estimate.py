@@ -127,11 +127,12 @@ def estimate_weather(
     error: Sequence[Sequence[tuple[Floats, Floats]]],
     start: Weather,
     enough_nats: float = _CONVERGED_NATS,
+    known: Floats | None = None,
 ) -> Weather:
     """Maximise the likelihood of the innovations of an `error`, as `Filtered.moved` gives it, over the
-    weather, from `start` on, to `enough_nats`.
+    weather, from `start` on, whose log-likelihoods by axis may be `known`, shape (3,), to `enough_nats`.
     """
-    return maximise(lambda weathers: filtered.log_likelihoods(weathers, error), start, enough_nats)
+    return maximise(lambda weathers: filtered.log_likelihoods(weathers, error), start, enough_nats, known)
 
 
 def _linearised(
@@ -156,6 +157,8 @@ class _Point:
     covariance: Floats
     value: float
     promised: float
+    by_axis: Floats
+    """Log-likelihood of each axis' innovations, nats."""
 
 
 class _Ascent:
@@ -174,7 +177,8 @@ class _Ascent:
         offset = theta + move - self.unknowns.mean
         prior = offset @ (self.unknowns.std**-2.0 * offset)
         after = -0.5 * (squares + prior + innovations.log_variances.sum())
-        return _Point(theta, weather, filtered, move, covariance, value, float(after) - value)
+        by_axis = innovations.log_likelihoods()
+        return _Point(theta, weather, filtered, move, covariance, value, float(after) - value, by_axis)
 
     def begun(self, theta: Floats, weather: Weather | None) -> _Point:
         """Where to begin; without weather it is estimated at once, parameters following to first order."""
@@ -204,7 +208,7 @@ class _Ascent:
         """The weather as likely as it can be, to `enough_nats`."""
         filtered = point.filtered or self.linearised(point.theta)
         own = filtered.moved(np.zeros(len(point.theta)))
-        weather = estimate_weather(filtered, own, point.weather, enough_nats)
+        weather = estimate_weather(filtered, own, point.weather, enough_nats, point.by_axis)
         return self.at(point.theta, weather, filtered)
 
     def run(self, point: _Point) -> tuple[_Point, bool]:

@@ -66,6 +66,14 @@ class Innovations:
             found[own] += one[:, 1:].T @ one[:, 0]
         return found
 
+    def log_likelihoods(self) -> Floats:
+        """Log-likelihood of each axis' innovations of the error, nats, without its constant; shape (3,)."""
+        squares = sum(
+            (np.square(one[:, 0]).reshape(-1, 3).sum(axis=0) for one in self.flights), start=np.zeros(3)
+        )
+        found: Floats = -0.5 * (squares + self.log_variances)
+        return found
+
     def left(self, move: Floats) -> list[Floats]:
         """Innovations of the error of each flight, shape (m,), when the parameters have moved by `move`,
         shape (f,), to first order.

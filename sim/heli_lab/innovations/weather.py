@@ -102,7 +102,10 @@ _BOUNDS: Final = (
 
 
 def maximise(
-    value: Callable[[Sequence[Weather]], Floats], start: Weather, enough_nats: float = _CONVERGED_NATS
+    value: Callable[[Sequence[Weather]], Floats],
+    start: Weather,
+    enough_nats: float = _CONVERGED_NATS,
+    known: Floats | None = None,
 ) -> Weather:
     """Maximise a likelihood over the weather by Newton's method.
 
@@ -118,6 +121,8 @@ def maximise(
         Where to begin; its curvature is used where it has one.
     enough_nats : float
         Gain that one more step may promise, or bring, before the search ends.
+    known : ndarray (3,), optional
+        Value of `start`, where it is known.
     """
 
     def at(*points: Floats) -> Floats:
@@ -128,7 +133,7 @@ def maximise(
     if curvature is None:
         now, curvature = _curvature(at, point)
     else:
-        now = at(point)[0]
+        now = at(point)[0] if known is None else known
     for _ in range(_MOVES):
         gradient = _gradient(at, point, now)
         # At a bound only what leads inside counts.
