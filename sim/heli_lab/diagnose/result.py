@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -27,7 +27,13 @@ from heli_lab.diagnose.residual_analysis import ResidualAnalysis
 from heli_lab.diagnose.search_record import Cause, Search
 from heli_lab.diagnose.spline_curve import SplineCurve, spline_curve_of
 from heli_lab.diagnose.spline_term import SplineTerm
-from heli_lab.diagnose.thresholds import FEW_WINDOWS, LEAST_STD_SHARE, WITHIN_STEP_STD, CALIBRATE_s
+from heli_lab.diagnose.thresholds import (
+    FEW_WINDOWS,
+    LEAST_COUNTS,
+    LEAST_STD_SHARE,
+    WITHIN_STEP_STD,
+    CALIBRATE_s,
+)
 from heli_lab.diagnose.verdict import Verdict
 from heli_lab.identify import Fit
 from heli_lab.identify.result import Identification
@@ -94,7 +100,7 @@ class Diagnosis:
     def values(self, found: Cause) -> dict[str, tuple[float, float, str]]:
         """Parameters of a cause by full name: value, standard error and unit."""
         kind, fit = self.kinds[found.candidate.id], self.after.fit
-        std = stds(fit, kind.size)
+        std = stds(fit, kind)
         return {
             q.name: (
                 fit.values.get(q.name, found.candidate.effect.values[q.name]),
@@ -238,7 +244,7 @@ class Diagnosis:
         fit = proposed.prediction.fit
         for candidate in proposed.discovery.hypothesis.candidates[:-1]:
             kind = self.kinds[candidate.id]
-            std = stds(fit, kind.size)
+            std = stds(fit, kind)
             known = {q.name: fit.values.get(q.name, candidate.effect.values[q.name]) for q in kind.parameters}
             effects[candidate.id] = effect_numbers(
                 kind, known, {n: 2.0 * std.get(n, 0.0) for n in known}, source
@@ -255,20 +261,27 @@ class Diagnosis:
         return METRIC if self.after.held_out_fit else METRIC.replace("validation", "fitted")
 
 
-def stds(fit: Fit, sizes: Collection[str] = ()) -> dict[str, float]:
-    """Standard errors by name, none finer than what steps and samples resolve.
+def stds(fit: Fit, kind: EffectKind) -> dict[str, float]:
+    """Standard errors by name of the numbers of a `kind`, none finer than what flights resolve.
 
     Voltages are held over a sample: a time constant or a delay is uncertain by a part of it, whichever way
     board and simulator count it, and of what a controller answers within a step. What acts within a step is
-    blurred, so none of the `sizes` is finer than a share of itself.
+    blurred, so no size is finer than a share of itself; and what lies between an axis and its encoder is
+    shown in whole counts.
     """
-    half_s = 0.5 * fit.problem.records[0].step_s
+    record = fit.problem.records[0]
+    part, _, axis = kind.acts_on.partition(".")
     found = {}
     for one in fit.problem.free:
-        std = fit.std[one.name]
+        least = 0.0
         if one.unit == "s":
-            std = math.hypot(WITHIN_STEP_STD * std, half_s)
-        if one.name in sizes:
-            std = math.hypot(std, LEAST_STD_SHARE * abs(fit.values[one.name]))
-        found[one.name] = float(std)
+            least = 0.5 * record.step_s
+        elif one.unit == "rad" and part == "measurement" and axis in AXES:
+            least = LEAST_COUNTS * float(record.count_rad[AXES.index(axis)])
+        std = fit.std[one.name] * (WITHIN_STEP_STD if one.unit == "s" else 1.0)
+        if one.name in kind.size:
+            std = math.hypot(std, least, LEAST_STD_SHARE * fit.values[one.name])
+        else:
+            std = math.hypot(std, least)
+        found[one.name] = std
     return found
