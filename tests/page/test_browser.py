@@ -26,8 +26,9 @@ from tests.page.browser import PATIENCE_S, TABLET, WIDE, Tabs, click, tabs, unti
 from tests.page.laws import steady, tired
 from tests.page.page_server import Served, page_of_a_simulated_board, patient_page
 from tests.running.long import LONG, samples
+from tests.running.order import REAL_TIME
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("browser")]
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group(REAL_TIME)]
 
 GAMEPAD = """
 window.pad = {connected: true, axes: [0, 0, 0, 0], buttons: [0, 1, 2, 3].map(() => ({pressed: false}))};

@@ -25,10 +25,11 @@ from websockets.sync.client import connect
 from tests.page.laws import steady, tired
 from tests.page.page_server import Served, page_process, patient_page
 from tests.page.socket_page import SocketPage
+from tests.running.order import REAL_TIME
 
 pytest.importorskip("starlette", reason="the extra 'page' is not installed: make setup")
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group(REAL_TIME)]
 
 
 @pytest.fixture

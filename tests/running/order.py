@@ -2,7 +2,8 @@
 
 The tests of a file stay together, because they share what the file builds, unless a test is in a group of its
 own by ``xdist_group``. The dearest group goes first, so that none is left over at the end: by what its tests
-cost when they ran last, and where that is not known, by their markers.
+cost when they ran last, and where that is not known, by their markers. Before all others goes what hardly
+costs anything and takes minutes, because it flies in real time: one worker waits there, the others compute.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from tests.running.cost import COSTS_KEY
 
 GUESSED_S: Final = {"documents": 10.0, "diagnosis": 10.0, "slow": 2.0, "emulated": 2.0, "medium": 0.5}
 GUESSED_OTHERWISE_S: Final = 0.02
+REAL_TIME: Final = "real-time"
+"""Group of the tests that wait longest: five minutes, of which they compute one."""
 
 
 def group_of(item: pytest.Item) -> str:
@@ -41,7 +44,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     total_s: dict[str, float] = defaultdict(float)
     for item, group in groups.items():
         total_s[group] += cost_s(item, known_s)
-    items.sort(key=lambda item: (-total_s[groups[item]], groups[item]))
+    items.sort(key=lambda item: (groups[item] != REAL_TIME, -total_s[groups[item]], groups[item]))
     for item, group in groups.items():
         if not any(item.iter_markers("xdist_group")):
             item.add_marker(pytest.mark.xdist_group(group))

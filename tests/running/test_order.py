@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.running.cost import COSTS_KEY, plain
-from tests.running.order import group_of, pytest_collection_modifyitems
+from tests.running.order import REAL_TIME, group_of, pytest_collection_modifyitems
 
 pytestmark = pytest.mark.medium
 
@@ -29,14 +29,18 @@ def test_document(): pass
 @pytest.mark.xdist_group("document-a.md")
 def test_other_document(): pass
 """
+WAITS = f"""
+@pytest.mark.xdist_group("{REAL_TIME}")
+def test_that_waits(): pass
+"""
 
 
 def ordered(
-    pytester: pytest.Pytester, known_s: dict[str, float], *, worker: bool = True
+    pytester: pytest.Pytester, known_s: dict[str, float], *, worker: bool = True, tests: str = TESTS
 ) -> list[pytest.Item]:
     """The tests above, and then the cheap one of a file of its own, as a worker would run them."""
     pytester.makeini("[pytest]\nmarkers =\n  slow\n  documents\n")
-    items = pytester.getitems(TESTS)
+    items = pytester.getitems(tests)
     cache = SimpleNamespace(get={COSTS_KEY: known_s}.get)
     config: Any = SimpleNamespace(cache=cache, **({"workerinput": {}} if worker else {}))
     pytest_collection_modifyitems(config, items)
@@ -64,6 +68,10 @@ def test_the_cost_of_the_last_run_tells_it_better(pytester: pytest.Pytester) -> 
         "test_slow",
         "test_document",
     ]
+
+
+def test_what_flies_in_real_time_goes_before_all_that_costs_more(pytester: pytest.Pytester) -> None:
+    assert names(ordered(pytester, {}, tests=TESTS + WAITS))[0] == "test_that_waits"
 
 
 def test_a_file_is_a_group_and_a_document_one_of_its_own(pytester: pytest.Pytester) -> None:
