@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from tests.running import order
 from tests.running.cost import COSTS_KEY, plain
 from tests.running.order import REAL_TIME, group_of, pytest_collection_modifyitems
 
@@ -68,6 +69,16 @@ def test_the_cost_of_the_last_run_tells_it_better(pytester: pytest.Pytester) -> 
         "test_slow",
         "test_document",
     ]
+
+
+def test_a_clone_that_has_run_nothing_goes_by_what_is_written_down(
+    pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = "test_a_clone_that_has_run_nothing_goes_by_what_is_written_down.py"
+    monkeypatch.setattr(order, "written_down_s", lambda: {f"{file}::test_other_document": 9.0})
+    assert names(ordered(pytester, {}))[0] == "test_other_document"
+    # What ran here is known better.
+    assert names(ordered(pytester, {f"{file}::test_document": 0.3}))[0] == "test_document"
 
 
 def test_what_flies_in_real_time_goes_before_all_that_costs_more(pytester: pytest.Pytester) -> None:
