@@ -14,6 +14,7 @@ from heli_sim.rig import Rig
 
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.diagnose.kept_estimates import KeptEstimates, key_of
+from heli_lab.diagnose.thresholds import EVENT_EDGE_s
 from heli_lab.identify import Record
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import (
@@ -200,6 +201,17 @@ class Comparison:
         ):
             best = self._best[key] = Hypothesis(tuple(candidates), found)
         return best
+
+    def in_flight(self, hypothesis: Hypothesis) -> bool:
+        """Whether the moments that an effect changes at lie within the free flight: at its edges a step is a
+        constant.
+        """
+        spans = [
+            (float(record.t_s[record.segments[0][0]] - record.t_s[0]), record.segments[-1][1] * record.step_s)
+            for record in self.train
+        ]
+        moments = [value for name, value in hypothesis.values.items() if name.endswith("_at_s")]
+        return all(any(a + EVENT_EDGE_s < moment < b - EVENT_EDGE_s for a, b in spans) for moment in moments)
 
     def _remembered(self, candidates: Sequence[Candidate]) -> Hypothesis | None:
         """The likeliest of what was estimated before with some of these effects and no other."""

@@ -110,7 +110,7 @@ class _Searcher:
             return False
         if refit.candidate.is_spline:
             return True
-        return self._in_flight(refit.hypothesis) and self._told(refit, refit.candidate)
+        return self.comparison.in_flight(refit.hypothesis) and self._told(refit, refit.candidate)
 
     def _told(self, refit: Refit, candidate: Candidate) -> bool:
         """Whether the size of one of its candidates, without which it is worse by its margin, is told from
@@ -118,18 +118,6 @@ class _Searcher:
         """
         plain = refit.margin > thresholds.PLAIN_NATS
         return plain or candidate.is_spline or told_from_nothing(refit.hypothesis, candidate, self.kinds)
-
-    def _in_flight(self, hypothesis: Hypothesis) -> bool:
-        """Whether the moments that an effect changes at lie within the free flight: at its edges a step is a
-        constant.
-        """
-        edge = thresholds.EVENT_EDGE_s
-        spans = [
-            (float(record.t_s[record.segments[0][0]] - record.t_s[0]), record.segments[-1][1] * record.step_s)
-            for record in self.comparison.train
-        ]
-        moments = [value for name, value in hypothesis.values.items() if name.endswith("_at_s")]
-        return all(any(a + edge < moment < b - edge for a, b in spans) for moment in moments)
 
     def forward(self, hypothesis: Hypothesis) -> tuple[Hypothesis, Screening, bool]:
         """Add causes until none is accepted."""
@@ -369,7 +357,7 @@ class _Searcher:
                 other = refit.hypothesis
                 if rest:
                     other = self.comparison.refit([*rest, refit.candidate], refit.hypothesis.values, less)
-                if not self._in_flight(other):
+                if not self.comparison.in_flight(other):
                     continue
                 ahead = final.log_likelihood - other.log_likelihood
                 ratios[refit.candidate.id] = ahead + self.penalty(refit.candidate) - self.penalty(candidate)
