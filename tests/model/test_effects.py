@@ -214,36 +214,37 @@ def test_friction_and_drag_only_take_energy(id: str) -> None:
     assert min(powers) < -1e-4
 
 
-@pytest.mark.parametrize("axis", AXES)
-def test_dry_friction_holds_what_pushes_less_and_slows_what_moves(axis: str) -> None:
-    c_Nm, row = 0.01, AXES.index(axis)
+def friction_of(axis: str, c_Nm: float, *, measured: bool = False) -> ca.Function:
+    """Dry friction about an axis, N m, by the axis' rate and the other torque about it."""
     effect = KINDS[f"coulomb_friction.{axis}"].make({f"coulomb_friction_{axis}_Nm": c_Nm})
     model, inertia = MultibodyModel((effect,)), ca.SX([0.8, 0.05, 0.7])
     at = model.operands(
         ca.SX.sym("x", 6), ca.SX.zeros(2), ca.SX(model.parameter_values(load_rig("makki2024")))
     )
     rate, push_Nm = at.state[f"{axis}_rate_rad_s"], ca.SX.sym("push")
-    left = push_Nm + effect.friction_Nm(at, push_Nm / inertia, inertia)[row]
-    left_Nm = ca.Function("left", [rate, push_Nm], [left])
-    assert float(left_Nm(0.0, 0.9 * c_Nm)) == pytest.approx(0.0, abs=1e-15)
-    assert float(left_Nm(0.0, -3.0 * c_Nm)) == pytest.approx(-2.0 * c_Nm)
-    assert float(left_Nm(0.5, 0.0)) == pytest.approx(-c_Nm)
-    assert float(left_Nm(-0.5, 0.0)) == pytest.approx(c_Nm)
+    acting = effect.along_measured() if measured else effect
+    friction_Nm = acting.friction_Nm(at, push_Nm / inertia, inertia)[AXES.index(axis)]
+    return ca.Function("friction", [rate, push_Nm], [friction_Nm])
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_dry_friction_holds_what_pushes_less_and_slows_what_moves(axis: str) -> None:
+    c_Nm = 0.01
+    friction_Nm = friction_of(axis, c_Nm)
+
+    def left_Nm(rate_rad_s: float, push_Nm: float) -> float:
+        return push_Nm + float(friction_Nm(rate_rad_s, push_Nm))
+
+    assert left_Nm(0.0, 0.9 * c_Nm) == pytest.approx(0.0, abs=1e-15)
+    assert left_Nm(0.0, -3.0 * c_Nm) == pytest.approx(-2.0 * c_Nm)
+    assert left_Nm(0.5, 0.0) == pytest.approx(-c_Nm)
+    assert left_Nm(-0.5, 0.0) == pytest.approx(c_Nm)
 
 
 @pytest.mark.parametrize("axis", AXES)
 def test_along_a_measured_flight_dry_friction_is_its_mean_over_the_rates_left_open(axis: str) -> None:
-    c_Nm, row = 0.01, AXES.index(axis)
-    effect = KINDS[f"coulomb_friction.{axis}"].make({f"coulomb_friction_{axis}_Nm": c_Nm})
-    model, inertia = MultibodyModel((effect,)), ca.SX([0.8, 0.05, 0.7])
-    at = model.operands(
-        ca.SX.sym("x", 6), ca.SX.zeros(2), ca.SX(model.parameter_values(load_rig("makki2024")))
-    )
-    rate, push_Nm = at.state[f"{axis}_rate_rad_s"], ca.SX.sym("push")
-    plain, mean = (
-        ca.Function("friction", [rate, push_Nm], [one.friction_Nm(at, push_Nm / inertia, inertia)[row]])
-        for one in (effect, effect.along_measured())
-    )
+    c_Nm = 0.01
+    plain, mean = friction_of(axis, c_Nm), friction_of(axis, c_Nm, measured=True)
     # An axis at rest is held, as in the room.
     assert [float(mean(0.0, push)) for push in (0.004, -0.03)] == [
         float(plain(0.0, push)) for push in (0.004, -0.03)

@@ -79,10 +79,15 @@ class MachineCase(WeatherCase):
         return rig.replace(**{name: rig[name].value * one for name, one in off.items()})
 
 
+def _drawn(number: int) -> tuple[np.random.Generator, float]:
+    """What else a pair is drawn with, and the lag of its make."""
+    rng = np.random.default_rng([8000 + number, 2])
+    return rng, rng.uniform(0.05, 0.12)
+
+
 def machines(number: int) -> tuple[MachineCase, MachineCase]:
     """Lay out a pair: the lively machine and the gentle one."""
-    rng = np.random.default_rng([8000 + number, 2])
-    lag_s = rng.uniform(0.05, 0.12)
+    rng, lag_s = _drawn(number)
     both = []
     for which in range(2):
         own_s = float(lag_s * np.exp(_LAG_AMONG_MACHINES * rng.standard_normal()))
@@ -106,8 +111,7 @@ def machines(number: int) -> tuple[MachineCase, MachineCase]:
 
 def as_drawn(number: int) -> Rig:
     """The make of a pair as it was drawn: its numbers, and as tolerances twice the spread of its machines."""
-    case = machines(number)[0]
-    make, lag_s = case.make_rig(), np.random.default_rng([8000 + number, 2]).uniform(0.05, 0.12)
+    make, lag_s = machines(number)[0].make_rig(), _drawn(number)[1]
     numbers = dict(make.numbers)
     for name, std in _NORMAL.items():
         value = make[name].value

@@ -279,9 +279,6 @@ def stds(fit: Fit, kind: EffectKind) -> dict[str, float]:
         elif one.unit == "rad" and part == "measurement" and axis in AXES:
             least = LEAST_COUNTS * float(record.count_rad[AXES.index(axis)])
         std = fit.std[one.name] * (WITHIN_STEP_STD if one.unit == "s" else 1.0)
-        if one.name in kind.size:
-            std = math.hypot(std, least, LEAST_STD_SHARE * fit.values[one.name])
-        else:
-            std = math.hypot(std, least)
-        found[one.name] = std
+        blurred = LEAST_STD_SHARE * fit.values[one.name] if one.name in kind.size else 0.0
+        found[one.name] = math.hypot(std, least, blurred)
     return found

@@ -23,7 +23,7 @@ axis swings with 10 rad/s. Longer: thrust that changes within a step is blurred.
 
 REST_s: Final = 0.5
 """Time over which the count of an axis must stay the same for it to be at rest. Set with `REST_EDGE_s` on
-thirteen simulated flights with dry friction in gusts (2026-11): all of its sizes come out within 2.2 standard
+thirteen simulated flights with dry friction in gusts (2026-11): all of its sizes come out within 2.3 standard
 errors, with 0.3 s three of them do not. Shorter: an axis that moves slowly passes for held. Much longer: one
 that dry friction holds between two moves passes for moving."""
 REST_EDGE_s: Final = 0.06
@@ -153,6 +153,7 @@ def _directions(record: Record, nodes: Integers) -> Floats:
         rows = np.maximum(moves[following] - moves[last], 1)
         share = np.clip((nodes - moves[last] - 0.5) / rows, 0.0, 1.0)
         turned = signs[following] - signs[last]
+        # Slowly there, fast back: s^2 (1 - s) is at most 1 / 6.75.
         there_and_back = _BACK * 6.75 * share**2 * (1.0 - share)
         returned = (turned == 0.0) & (rows * record.step_s >= REST_s)
         found[:, axis] = (

@@ -103,8 +103,7 @@ def solve(unknowns: Unknowns, theta: Floats, innovations: Innovations) -> tuple[
     offset = theta - unknowns.mean
     information = innovations.information() + np.diag(precision)
     gradient = innovations.score() - precision * offset
-    squares = sum(float(one[:, 0] @ one[:, 0]) for one in innovations.flights)
-    value = -0.5 * (squares + offset @ (precision * offset) + innovations.log_variances.sum())
+    value = innovations.log_likelihoods.sum() - 0.5 * (offset @ (precision * offset))
     low, high = unknowns.bounds
     move = np.zeros(len(theta))
     free = np.ones(len(theta), bool)
@@ -177,8 +176,10 @@ class _Ascent:
         offset = theta + move - self.unknowns.mean
         prior = offset @ (self.unknowns.std**-2.0 * offset)
         after = -0.5 * (squares + prior + innovations.log_variances.sum())
-        by_axis = innovations.log_likelihoods()
-        return _Point(theta, weather, filtered, move, covariance, value, float(after) - value, by_axis)
+        promised = float(after) - value
+        return _Point(
+            theta, weather, filtered, move, covariance, value, promised, innovations.log_likelihoods
+        )
 
     def begun(self, theta: Floats, weather: Weather | None) -> _Point:
         """Where to begin; without weather it is estimated at once, parameters following to first order."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -66,6 +67,7 @@ class Innovations:
             found[own] += one[:, 1:].T @ one[:, 0]
         return found
 
+    @cached_property
     def log_likelihoods(self) -> Floats:
         """Log-likelihood of each axis' innovations of the error, nats, without its constant; shape (3,)."""
         squares = sum(

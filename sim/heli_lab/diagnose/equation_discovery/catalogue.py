@@ -68,8 +68,8 @@ class Catalogue:
         def does(listed: Candidate, start: Mapping[str, float]) -> tuple[bool, float]:
             made = self.refit(listed, start, near)
             value = self.margin(made, listed) + self.held_out(made)
-            does = value > enough and self.comparison.in_flight(made)
-            return does and not self.encompasses(near, made, listed, penalty), value
+            equal = value > enough and self.comparison.in_flight(made)
+            return equal and not self.encompasses(near, made, listed, penalty), value
 
         # A score is taken where an axis creeps, and does not see one that sticks.
         dry = {f"coulomb_friction.{axis}" for axis in _axes(law)}

@@ -16,8 +16,8 @@ from heli_sim.rig.quantity import Prior
 _RATE_STD_rad_s: Final = 0.0045
 """How closely a flight shows the rate of an axis that moves: three counts a second of an encoder of 4096. Set
 on nineteen simulated flights with dry friction (2026-11), most likely with 0.004 without weather and with
-0.004 to 0.012 in gusts. Half as much: in gusts friction comes out a sixth too small, and what is left of it
-passes for gusts of no memory. Twice as much: without weather it comes out a tenth too large."""
+0.004 to 0.012 in gusts. Half as much: in gusts friction comes out up to an eighth too small, and what is left
+of it passes for gusts of no memory. Twice as much: without weather it comes out a tenth too large."""
 
 
 class CoulombFriction(Effect):
@@ -30,10 +30,14 @@ class CoulombFriction(Effect):
 
     @override
     def friction_Nm(self, at: Operands, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
-        axis = AXES.index(self.place)
-        slowing = acceleration_rad_s2[axis] + at.state[f"{self.place}_rate_rad_s"] / self.own(at, "hold_s")
+        needed_Nm = inertia_kg_m2[AXES.index(self.place)] * self._slowing_rad_s2(at, acceleration_rad_s2)
         most_Nm = self.own(at, "Nm")
-        return on_axis(self.place, -ca.fmin(ca.fmax(inertia_kg_m2[axis] * slowing, -most_Nm), most_Nm))
+        return on_axis(self.place, -ca.fmin(ca.fmax(needed_Nm, -most_Nm), most_Nm))
+
+    def _slowing_rad_s2(self, at: Operands, acceleration_rad_s2: ca.SX) -> ca.SX:
+        """Deceleration that brings the axis to rest within the short time."""
+        rate_rad_s = at.state[f"{self.place}_rate_rad_s"]
+        return acceleration_rad_s2[AXES.index(self.place)] + rate_rad_s / self.own(at, "hold_s")
 
     @override
     def along_measured(self) -> Effect:
@@ -54,12 +58,12 @@ class CoulombFrictionOfMeasuredRate(CoulombFriction):
 
     @override
     def friction_Nm(self, at: Operands, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
-        rate_rad_s = at.state[f"{self.place}_rate_rad_s"]
-        slowing = acceleration_rad_s2[AXES.index(self.place)] + rate_rad_s / self.own(at, "hold_s")
         open_rad_s2 = _RATE_STD_rad_s / self.own(at, "hold_s")
-        moving = self.own(at, "Nm") * ca.erf(slowing / (math.sqrt(2.0) * open_rad_s2))
-        at_rest = super().friction_Nm(at, acceleration_rad_s2, inertia_kg_m2)
-        return ca.if_else(rate_rad_s == 0.0, at_rest, -on_axis(self.place, moving))
+        slowing_rad_s2 = self._slowing_rad_s2(at, acceleration_rad_s2)
+        moving_Nm = self.own(at, "Nm") * ca.erf(slowing_rad_s2 / (math.sqrt(2.0) * open_rad_s2))
+        at_rest_Nm = super().friction_Nm(at, acceleration_rad_s2, inertia_kg_m2)
+        is_at_rest = at.state[f"{self.place}_rate_rad_s"] == 0.0
+        return ca.if_else(is_at_rest, at_rest_Nm, -on_axis(self.place, moving_Nm))
 
 
 def _kind(axis: str, typical_Nm: float) -> EffectKind:
