@@ -9,6 +9,7 @@ FUZZ_S ?= 60
 FRAMES ?= 1000000
 LOGS ?= 4000
 CASES ?=
+PARTS ?=
 HELI := .venv/bin/heli-host
 
 help: ## this list
@@ -34,9 +35,9 @@ check: ## style, types and static analysis only
 	@.ci/setup test
 	@.ci/check
 
-bench: ## measure what the project promises: bench.json and a table
+bench: ## measure what the project promises: bench.json and a table; or some: make bench PARTS="due page"
 	@.ci/setup bench
-	@.venv/bin/python -m tests.bench
+	@.venv/bin/python -m tests.bench $(PARTS)
 
 blind: ## hide effects in flights, see whether diagnosis finds them: blind.json; goes on where it was stopped
 	@.ci/setup test

@@ -2,30 +2,18 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import platform
 import sys
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
-from tests.bench import (
-    campaign,
-    decoding,
-    diagnosis,
-    due,
-    identification,
-    line,
-    many_flights,
-    page,
-    plant,
-    reading,
-    recording,
-    simulation,
-)
+from tests.bench.parts import PARTS, Part
 from tests.bench.result import PROMISES, Measured
 
 RESULT = Path("bench.json")
@@ -41,51 +29,36 @@ def processor() -> str:
     return names[0] if names else platform.machine()
 
 
-def measure_all(say: Callable[[str], None]) -> list[Measured]:
-    """Measure everything.
+def measured_by(parts: Sequence[Part], console: Console) -> list[Measured]:
+    """Measure some parts, one after the other; a part that lacks something is skipped and says what.
 
     Parameters
     ----------
-    say : callable
+    parts : sequence of Part
+        In the order in which they are measured.
+    console : Console
         Told what is measured next, and how long that takes.
     """
-    say("[1/12] flying in simulation as fast as possible (about 60 s)")
-    measured = simulation.measure()
-    say("[2/12] decoding, against pymavlink (about 10 s)")
-    sent, duration_s = line.flight_bytes()
-    measured += decoding.measure(sent)
-    say("[3/12] counting bytes on the line (about 5 s)")
-    measured += line.measure(sent, duration_s)
-    say("[4/12] reading a ten-minute log (about 10 s)")
-    measured += reading.measure()
-    say("[5/12] recording in real time (about 85 s)")
-    measured += recording.measure()
-    say("[6/12] stopping from the live page, and what it costs (about 150 s)")
-    measured += page.measure()
-    say("[7/12] counting instructions of the Due's firmware (about 40 s)")
-    counted = due.measure()
-    if not counted:
-        say("      skipped: there is no cross-compiler for the Due; make firmware says how to get it")
-    measured += counted
-    say("[8/12] stepping and linearising the rig, against MuJoCo (about 10 s)")
-    measured += plant.measure()
-    say("[9/12] a campaign of two hundred short cases, with one worker and with two (about 35 s)")
-    measured += campaign.measure()
-    say("[10/12] diagnosing, against an earlier commit, and ten minutes of flight (about 10 minutes)")
-    measured += diagnosis.measure(say)
-    say("[11/12] diagnosing ten flights of a rig, and a hundred (about 10 minutes)")
-    measured += many_flights.measure()
-    say("[12/12] identifying fifty simulated rigs (about 5 minutes)")
-    return measured + identification.measure(say)
+    measured: list[Measured] = []
+    for number, part in enumerate(parts, 1):
+        console.print(f"[{number}/{len(parts)}] {part.what} (about {part.usual_time()})", markup=False)
+        lack = part.lack()
+        if lack:
+            console.print(f"      skipped: {lack}", markup=False)
+        else:
+            measured += part.measure(lambda text: console.print(text, markup=False))
+    return measured
 
 
-def table(measured: list[Measured]) -> tuple[Table, bool]:
+def table(measured: Sequence[Measured], whole: bool) -> tuple[Table, bool]:
     """Return the table, and whether every promise holds.
 
     Parameters
     ----------
-    measured : list of Measured
+    measured : sequence of Measured
         Every number.
+    whole : bool
+        Whether a promised number that is not there is worth a row.
     """
     values = {one.key: one for one in measured}
     report = Table(box=None, pad_edge=False)
@@ -94,7 +67,8 @@ def table(measured: list[Measured]) -> tuple[Table, bool]:
     all_hold = True
     for promise in PROMISES:
         if promise.key not in values:
-            report.add_row(promise.key, "-", "-", "", "[yellow]not measured[/]", promise.meaning)
+            if whole:
+                report.add_row(promise.key, "-", "-", "", "[yellow]not measured[/]", promise.meaning)
             continue
         one = values[promise.key]
         holds = promise.holds(one.value)
@@ -112,26 +86,46 @@ def table(measured: list[Measured]) -> tuple[Table, bool]:
     return report, all_hold
 
 
-def main() -> int:
-    """Run the bench; 1 when a promise does not hold."""
+def main(words: Sequence[str]) -> int:
+    """Run the bench; 1 when a promise does not hold.
+
+    Parameters
+    ----------
+    words : sequence of str
+        Names of parts; all where there are none.
+    """
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.bench",
+        description=__doc__,
+        epilog="Parts: " + "; ".join(f"{part.name}: {part.what}" for part in PARTS) + ".",
+    )
+    names = [part.name for part in PARTS]
+    parser.add_argument(
+        "parts", nargs="*", metavar="PART", help="measure these only, and leave bench.json as it is"
+    )
+    chosen = parser.parse_args(words).parts
+    if unknown := [name for name in chosen if name not in names]:
+        parser.error(f"no part is called {', '.join(unknown)}; there are {', '.join(names)}")
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 110)
-    measured = measure_all(lambda text: console.print(text, markup=False))
-    content = {
-        **{one.key: one.value for one in measured},
-        "repetitions": {one.key: list(one.repetitions) for one in measured},
-        "machine": {
-            "processor": processor(),
-            "cores": os.cpu_count(),
-            "python": platform.python_version(),
-            "system": platform.platform(),
-        },
-    }
-    RESULT.write_text(json.dumps(content, indent=2) + "\n")
-    report, all_hold = table(measured)
+    measured = measured_by([part for part in PARTS if not chosen or part.name in chosen], console)
+    report, all_hold = table(measured, whole=not chosen)
+    if not chosen:
+        content = {
+            **{one.key: one.value for one in measured},
+            "repetitions": {one.key: list(one.repetitions) for one in measured},
+            "machine": {
+                "processor": processor(),
+                "cores": os.cpu_count(),
+                "python": platform.python_version(),
+                "system": platform.platform(),
+            },
+        }
+        RESULT.write_text(json.dumps(content, indent=2) + "\n")
     console.print(report)
-    console.print(f"-> {RESULT}")
+    if not chosen:
+        console.print(f"-> {RESULT}")
     return 0 if all_hold else 1
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

@@ -146,8 +146,3 @@ def peak() -> Measured:
         assert summary.completed, summary.outcome
         words = ["diagnose", "long.mcap", "--rig", RIG]
         return Measured("diagnose_peak_GB_10_min", [now(folder)(words).peak_GB])
-
-
-def measure(say: Callable[[str], None]) -> list[Measured]:
-    """Compare with the earlier commit, and look at the memory."""
-    return [*ratios(say), peak()]

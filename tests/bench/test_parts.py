@@ -1,0 +1,47 @@
+"""The bench measures what it is asked to, and goes on where something is not installed."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from tests.bench.__main__ import main, measured_by, table
+from tests.bench.parts import PARTS, Part, module
+from tests.bench.result import PROMISES, Measured
+
+
+def test_a_part_without_its_package_is_skipped_in_one_line_and_the_next_is_measured() -> None:
+    said = io.StringIO()
+    first = Part(
+        "first", "what cannot be", 5, lambda _: [Measured("never", [1.0])], module("no_such_package")
+    )
+    second = replace(first, name="second", measure=lambda _: [Measured("there", [2.0])], lack=lambda: "")
+    measured = measured_by([first, second], Console(file=said, width=100))
+    assert [one.key for one in measured] == ["there"]
+    assert said.getvalue().splitlines()[1] == (
+        "      skipped: no_such_package is not installed; make bench does that"
+    )
+
+
+def test_a_part_that_is_not_known_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["growht"])
+    assert stopped.value.code == 2
+    assert "no part is called growht; there are simulation, " in capsys.readouterr().err
+
+
+def test_a_promise_that_is_missed_fails_and_one_that_was_not_asked_for_has_no_row() -> None:
+    promise = next(one for one in PROMISES if one.bound is not None and one.at_least)
+    assert promise.bound is not None
+    for value, holds in ((promise.bound, True), (0.9 * promise.bound, False)):
+        report, all_hold = table([Measured(promise.key, [value])], whole=False)
+        assert (all_hold, report.row_count) == (holds, 1)
+    report, _ = table([], whole=True)
+    assert report.row_count == len(PROMISES)
+
+
+def test_each_part_has_a_name_of_its_own() -> None:
+    assert len({part.name for part in PARTS}) == len(PARTS)
