@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +16,7 @@ pytestmark = pytest.mark.medium
 
 pytest_plugins = ["pytester"]
 
+ROOT = Path(__file__).resolve().parents[2]
 TESTS = """
 import pytest
 
@@ -100,6 +102,28 @@ def test_one_process_keeps_the_order_of_the_file(pytester: pytest.Pytester) -> N
     items = ordered(pytester, {}, worker=False)
     assert names(items) == ["test_cheap", "test_slow", "test_document", "test_other_document"]
     assert not any(items[0].iter_markers("xdist_group"))
+
+
+def test_two_workers_share_files_out_and_never_the_tests_of_one(
+    pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    pytester.makeini("[pytest]\naddopts = --dist=loadgroup --no-loadscope-reorder\n")
+    test = """
+    import os, time
+    from pathlib import Path
+    import pytest
+    @pytest.mark.parametrize("number", range(6))
+    def test_of_a_file(number):
+        time.sleep(0.05)
+        with Path(__file__).with_suffix(".txt").open("a") as file:
+            print(os.environ["PYTEST_XDIST_WORKER"], file=file)
+    """
+    pytester.makepyfile(test_one=test, test_two=test)
+    words = ("-n2", "-p", "tests.running.order", "-p", "no:cacheprovider")
+    pytester.runpytest_subprocess(*words).assert_outcomes(passed=12)
+    workers = [set((pytester.path / f"test_{name}.txt").read_text().split()) for name in ("one", "two")]
+    assert sorted(map(sorted, workers)) == [["gw0"], ["gw1"]]
 
 
 @pytest.mark.parametrize(
