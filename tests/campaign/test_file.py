@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from heli_lab.campaign.code import code_digest
 from heli_lab.campaign.draw import drawn
 from heli_lab.campaign.file import load_campaign
 from heli_lab.campaign.run import Campaign
@@ -142,3 +143,8 @@ def test_tolerances_draw_what_the_file_says_of_each_number() -> None:
         assert true["g"] == rig["g"] or rig["g"].tolerance > 0.0
     rms = (sum(z**2 for z in drawn_z) / len(drawn_z)) ** 0.5
     assert 0.4 < rms < 0.6
+
+
+def test_a_function_that_is_built_into_python_has_a_digest_as_any_other() -> None:
+    # Frozen, built in, and with a file.
+    assert len({code_digest([work]) for work in ("os:getpid", "sys:exit", "json:dumps")}) == 3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -102,7 +103,7 @@ def test_the_next_machine_is_expected_where_the_others_are(tmp_path: Path) -> No
 def test_one_machine_says_less_of_the_next_than_several_alike(tmp_path: Path) -> None:
     gain = 1.1 * RIG["thrust_gain"].value
     tolerances = [
-        make(tmp_path, *(diagnosis(gain, None) for _ in range(count)))
+        make(tmp_path, *(diagnosis((1.0 + 1e-6 * number) * gain, None) for number in range(count)))
         .prior(RIG, "make")["thrust_gain"]
         .tolerance
         for count in (1, 2, 5)
@@ -151,5 +152,7 @@ def test_machines_of_two_makes_and_of_one_name_are_refused(tmp_path: Path) -> No
     machine = make(tmp_path, one).machines[0]
     with pytest.raises(PoolError, match="two diagnoses are called machine0"):
         pool([machine, machine])
+    with pytest.raises(PoolError, match="machine0 and again are the same diagnosis"):
+        pool([machine, replace(machine, label="again")])
     with pytest.raises(PoolError, match="no diagnosis to pool"):
         pool([])

@@ -48,8 +48,10 @@ def _files(package: str) -> Iterator[tuple[str, Path]]:
     if spec is None:
         raise ImportError(f"there is no package {package}")
     if spec.submodule_search_locations is None:
-        path = Path(str(spec.origin))
-        yield path.name, path
+        # What is built into Python is told by Python's version.
+        if spec.has_location:
+            path = Path(str(spec.origin))
+            yield path.name, path
         return
     # An editable installation has sources in one folder and what is compiled in another.
     for folder in map(Path, spec.submodule_search_locations):

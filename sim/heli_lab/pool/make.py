@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -104,7 +105,8 @@ def pool(machines: Sequence[Machine]) -> Make:
     Raises
     ------
     PoolError
-        When there is none, two have one name, or they were diagnosed with other rigs or models.
+        When there is none, two have one name or say the same, or they were diagnosed with other rigs or
+        models.
     """
     if not machines:
         raise PoolError("there is no diagnosis to pool", "give one for each machine")
@@ -112,6 +114,11 @@ def pool(machines: Sequence[Machine]) -> Make:
     twice = sorted({label for label in labels if labels.count(label) > 1})
     if twice:
         raise PoolError(f"two diagnoses are called {', '.join(twice)}", "rename their files")
+    for one, other in itertools.combinations(machines, 2):
+        if replace(one, label=other.label) == other:
+            raise PoolError(
+                f"{one.label} and {other.label} are the same diagnosis", "give one for each machine"
+            )
     known = {(one.rig, one.model) for one in machines}
     if len(known) > 1:
         said = "; ".join(f"{one.label}: rig {one.rig}, model {one.model}" for one in machines)
