@@ -202,6 +202,7 @@ class _Ascent:
             after = self.at(theta, point.weather, self.linearised(theta))
             if after.value > point.value + _LEAST_GAIN * share * point.promised:
                 return after
+            after.filtered = None
             share *= 0.3
         return None
 

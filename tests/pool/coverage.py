@@ -1,0 +1,41 @@
+"""``python -m tests.pool.coverage``: standard errors of one rig's numbers from several of its flights together.
+
+Prints how they fall against the root of the number of flights, for what one flight tells by itself, and how
+often they hold the truth.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tests.pool.flights import pooled
+from tests.pool.test_flights import BY_FLIGHTS, FLIGHTS
+
+RIGS = range(1, 13)
+
+
+def main() -> None:
+    """Print both."""
+    for name in BY_FLIGHTS:
+        shares = [
+            math.sqrt(FLIGHTS) * pooled(rig, FLIGHTS).alone[name].std / pooled(rig, 1).alone[name].std
+            for rig in RIGS
+        ]
+        print(
+            f"{name}: {FLIGHTS} flights over one, times the root of {FLIGHTS}: mean {np.mean(shares):.2f}, "
+            f"{min(shares):.2f} to {max(shares):.2f} on {len(shares)} rigs",
+            flush=True,
+        )
+    for count in (1, FLIGHTS):
+        off = np.array([value for rig in RIGS for value in pooled(rig, count).off.values()])
+        print(
+            f"{count} flights: {np.mean(np.abs(off) < 2.0):.1%} of {len(off)} numbers within 2 standard errors, "
+            f"rms {np.sqrt(np.mean(off**2)):.2f}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
