@@ -1,4 +1,4 @@
-"""``python -m tests.pool.coverage``: standard errors of one rig's numbers from several of its flights together.
+"""``python -m tests.pool.coverage``: standard errors of a rig's numbers from several of its flights together.
 
 Prints how they fall against the root of the number of flights, for what one flight tells by itself, and how
 often they hold the truth.
@@ -31,8 +31,8 @@ def main() -> None:
     for count in (1, FLIGHTS):
         off = np.array([value for rig in RIGS for value in pooled(rig, count).off.values()])
         print(
-            f"{count} flights: {np.mean(np.abs(off) < 2.0):.1%} of {len(off)} numbers within 2 standard errors, "
-            f"rms {np.sqrt(np.mean(off**2)):.2f}",
+            f"{count} flights: {np.mean(np.abs(off) < 2.0):.1%} of {len(off)} numbers within 2 standard "
+            f"errors, rms {np.sqrt(np.mean(off**2)):.2f}",
             flush=True,
         )
 
