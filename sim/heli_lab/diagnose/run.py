@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,8 +47,8 @@ from heli_lab.threads import using_threads
 def diagnose(
     model: Model,
     rig: Rig,
-    flights: Sequence[Flight | Record],
-    validation: Sequence[Flight | Record] = (),
+    flights: Iterable[Flight | Record],
+    validation: Iterable[Flight | Record] = (),
     *,
     kinds: Mapping[str, EffectKind] | None = None,
     labels: Sequence[str] | None = None,
@@ -68,10 +69,12 @@ def diagnose(
         The model, with effects that are known beforehand.
     rig : Rig
         Start values and priors of its parameters.
+    flights, validation : iterable of Flight or Record
+        Flights to fit, and others to judge. They are taken one by one, and of each only the record is kept.
     kinds : Mapping[str, EffectKind], optional
         The catalogue; the package's own where not given.
     labels : sequence of str, optional
-        Names of all flights, those to fit first.
+        Names of the flights, those to fit first; others are numbered.
     start_s, stop_s : float, optional
         Use only this part of the flights to fit.
     seed : int
@@ -104,11 +107,12 @@ def diagnose(
         started_s = time.perf_counter()
         tell = say or (lambda _what, _share: None)
         every = catalogue() if kinds is None else dict(kinds)
-        names = list(labels or [f"flight {i + 1}" for i in range(len(flights) + len(validation))])
-        train, lost = _ready(flights, names[: len(flights)], rig, start_s, stop_s)
+        given = tuple(labels or ())
+        names = itertools.chain(given, (f"flight {n}" for n in itertools.count(1 + len(given))))
+        train, lost = _ready(flights, names, rig, start_s, stop_s)
         if not train:
             raise lost[0]
-        held_out, lost_held = _ready(validation, names[len(flights) :], rig, None, None)
+        held_out, lost_held = _ready(validation, names, rig, None, None)
         _refuse_twins(train, held_out)
         for record in held_out:
             calibration_s(record, calibrate_s)
@@ -287,15 +291,15 @@ def _extended(comparison: Comparison, found: Search) -> Hypothesis:
 
 
 def _ready(
-    flights: Sequence[Flight | Record],
-    labels: Sequence[str],
+    flights: Iterable[Flight | Record],
+    labels: Iterator[str],
     rig: Rig,
     start_s: float | None,
     stop_s: float | None,
 ) -> tuple[list[Record], list[NotExcited]]:
     """Flights that can be fitted, and what is wrong with those without excitation."""
     records, lost = [], []
-    for flight, label in zip(flights, labels, strict=True):
+    for flight, label in zip(flights, labels, strict=False):
         if isinstance(flight, Record):
             records.append(flight)
             continue
