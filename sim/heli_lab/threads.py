@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
-from typing import TypeVar
+from typing import Final, TypeVar
 
+_ARENA_MAX: Final = -8
+"""M_ARENA_MAX of glibc's malloc.h."""
 _T = TypeVar("_T")
 _Item = TypeVar("_Item")
 
@@ -30,6 +33,15 @@ def usual_threads() -> int:
     if _here.threads is not None:
         return _here.threads
     return 1 if os.environ.get("OMP_NUM_THREADS") == "1" else 2
+
+
+def one_heap() -> None:
+    """Have all threads take memory from one heap, where the C library is glibc. By its default each thread
+    has its own, and what one gives back no other gets: of ten minutes at 1 kHz a diagnosis held 0.58 GB, and
+    0.49 with one heap; of one minute 0.27 and 0.19. It is for a program to choose, before it has threads.
+    """
+    with suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).mallopt(_ARENA_MAX, 1)
 
 
 @contextmanager

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import platform
+import subprocess
+import sys
 import threading
 import time
 
@@ -65,3 +68,27 @@ def test_estimates_and_scores_are_the_same_with_one_thread_and_with_two() -> Non
 
     for one, two in zip(found(1), found(2), strict=True):
         assert np.array_equal(one, two)
+
+
+HEAPS = """
+import ctypes
+from heli_lab.threads import one_heap, shared_out
+{first}
+libc = ctypes.CDLL(None)
+libc.malloc.restype = ctypes.c_void_p
+shared_out(lambda _: [libc.malloc(50_000) for _ in range(100)], range(4), 2)
+libc.malloc_info(0, ctypes.c_void_p.in_dll(libc, "stdout"))
+"""
+
+
+@pytest.mark.medium
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="a heap for each thread is what glibc does")
+def test_threads_take_from_one_heap_where_a_program_says_so() -> None:
+    heaps = [
+        subprocess.run(
+            [sys.executable, "-c", HEAPS.format(first=first)], capture_output=True, text=True, check=True
+        ).stdout.count("<heap nr=")
+        for first in ("", "one_heap()")
+    ]
+    assert heaps[0] > 1
+    assert heaps[1] == 1

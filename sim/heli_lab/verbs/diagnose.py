@@ -96,10 +96,11 @@ def diagnose(
     from heli_lab.errors import NotExcited
     from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_flights, refuse_wrong_signs
     from heli_lab.page.drawing import Drawing
-    from heli_lab.threads import usual_threads
+    from heli_lab.threads import one_heap, usual_threads
 
     # What libraries keep is no garbage: to look through it again and again took 8 % of a diagnosis.
     gc.freeze()
+    one_heap()
     others = validate or []
     data_on_stdout(json)
     check_result_places(out, json, resume, report=report)
