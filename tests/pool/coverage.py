@@ -6,12 +6,9 @@ often they hold the truth.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from tests.pool.flights import pooled
-from tests.pool.test_flights import BY_FLIGHTS, FLIGHTS
+from tests.pool.flights import BY_FLIGHTS, FLIGHTS, off, shares_of_one
 
 RIGS = range(1, 13)
 
@@ -19,20 +16,17 @@ RIGS = range(1, 13)
 def main() -> None:
     """Print both."""
     for name in BY_FLIGHTS:
-        shares = [
-            math.sqrt(FLIGHTS) * pooled(rig, FLIGHTS).alone[name].std / pooled(rig, 1).alone[name].std
-            for rig in RIGS
-        ]
+        shares = shares_of_one(name, RIGS)
         print(
             f"{name}: {FLIGHTS} flights over one, times the root of {FLIGHTS}: mean {np.mean(shares):.2f}, "
             f"{min(shares):.2f} to {max(shares):.2f} on {len(shares)} rigs",
             flush=True,
         )
     for count in (1, FLIGHTS):
-        off = np.array([value for rig in RIGS for value in pooled(rig, count).off.values()])
+        every = off(count, RIGS)
         print(
-            f"{count} flights: {np.mean(np.abs(off) < 2.0):.1%} of {len(off)} numbers within 2 standard "
-            f"errors, rms {np.sqrt(np.mean(off**2)):.2f}",
+            f"{count} flights: {np.mean(np.abs(every) < 2.0):.1%} of {len(every)} numbers within 2 standard "
+            f"errors, rms {np.sqrt(np.mean(every**2)):.2f}",
             flush=True,
         )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -9,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from heli_host.flight import Flight
 from heli_lab.identify import Record, prepare
+from heli_lab.identify.functions import Floats
 from heli_lab.innovations import ModelFunctions, Unknowns, estimate, follow
 from heli_lab.pool.machine import Estimate, by_flights_alone
 from heli_sim.model import MultibodyModel
@@ -20,6 +23,11 @@ from tests.identify.made import flown, perturbed, thinned
 from tests.running.kept import FLOWN, KEPT
 
 SECONDS = 14.0
+FLIGHTS = 4
+"""Together, to be held against one."""
+BY_FLIGHTS = ("rotor_lag_s", "friction_pitch", "friction_travel", "dead_zone")
+"""Numbers that one flight tells by itself; masses and lengths are told in combinations only, whose other
+members a file's tolerances hold."""
 GUST_Nm = {"elevation": 0.012, "pitch": 0.004, "travel": 0.008}
 MADE_BY = (Path(__file__), Path(made.__file__))
 
@@ -85,3 +93,17 @@ def pooled(rig: int, count: int) -> Pooled:
         {one.name: float((theta[i] - truth[one.quantity]) / std[i]) for i, one in shared},
         {name: one for name, one in alone.items() if one is not None},
     )
+
+
+def shares_of_one(name: str, rigs: Iterable[int]) -> list[float]:
+    """Standard error of a number from `FLIGHTS` flights over that from one, times the root of `FLIGHTS`, of
+    each rig."""
+    return [
+        math.sqrt(FLIGHTS) * pooled(rig, FLIGHTS).alone[name].std / pooled(rig, 1).alone[name].std
+        for rig in rigs
+    ]
+
+
+def off(count: int, rigs: Iterable[int]) -> Floats:
+    """Every number of each rig from `count` flights, minus the truth, in standard errors."""
+    return np.array([value for rig in rigs for value in pooled(rig, count).off.values()])
