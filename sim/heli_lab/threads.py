@@ -7,7 +7,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from typing import Final, TypeVar
 
@@ -21,6 +21,13 @@ class _Here(threading.local):
     shared = False
     """Whether this thread does a share of a work, so that it shares out nothing itself."""
     threads: int | None = None
+    other_works: Callable[[], bool] | None = None
+    """Whether there is another thread that this one shares the machine with, and it has something to do."""
+
+    @property
+    def alone(self) -> bool:
+        """Whether this thread is to do its work by itself."""
+        return self.shared or (self.other_works is not None and self.other_works())
 
 
 _here = _Here()
@@ -30,6 +37,8 @@ def usual_threads() -> int:
     """Threads of a work that was not told how many: two, or one where ``OMP_NUM_THREADS`` is 1, which is how
     one says that other processes have the other cores.
     """
+    if _here.alone:
+        return 1
     if _here.threads is not None:
         return _here.threads
     return 1 if os.environ.get("OMP_NUM_THREADS") == "1" else 2
@@ -74,34 +83,43 @@ def shared_out(work: Callable[[_Item], _T], items: Sequence[_Item], threads: int
         Threads, 1 or more; `usual_threads` where not given.
     """
     threads = usual_threads() if threads is None else threads
-    if threads == 1 or len(items) < 2 or _here.shared:
+    if threads == 1 or len(items) < 2 or _here.alone:
         return [work(item) for item in items]
     return list(_pool(threads).map(work, items))
 
 
 class Ahead:
     """Works that will be asked for one after the other, done by a thread beside from the last one on: it and
-    whoever asks meet in the middle. They must not depend on each other.
+    whoever asks meet in the middle. They must not depend on each other. While one of the two has nothing to
+    do, the other shares out its work.
     """
 
     def __init__(self) -> None:
         self._waiting: dict[str, Future[object]] = {}
+        self._awaited = threading.Event()
 
     @contextmanager
     def working(self, works: Mapping[str, Callable[[], object]]) -> Iterator[None]:
-        """Begin these `works`, by key, and end what was not asked for with the block; in it nothing else is
-        shared out. Where there is no second thread nothing is done ahead.
+        """Begin these `works`, by key, and end what was not asked for with the block. Where there is no
+        second thread nothing is done ahead.
         """
-        if usual_threads() < 2 or len(works) < 2 or _here.shared or self._waiting:
+        if usual_threads() < 2 or len(works) < 2 or _here.other_works is not None:
             yield
             return
-        with using_threads(1):
-            self._waiting = {key: _beside().submit(work) for key, work in reversed(list(works.items()))}
-            try:
-                yield
-            finally:
-                for key in list(self._waiting):
-                    self.wait_for(key)
+        before, threads = _here.other_works, usual_threads()
+        self._waiting = {
+            key: _beside().submit(self._beside_whoever_asks, work, threads)
+            for key, work in reversed(list(works.items()))
+        }
+        _here.other_works = lambda: self.left
+        try:
+            yield
+        finally:
+            # All are waited for, whatever one of them raises.
+            with ExitStack() as stack:
+                stack.callback(setattr, _here, "other_works", before)
+                for key in self._waiting:
+                    stack.callback(self.wait_for, key)
 
     def wait_for(self, key: str) -> None:
         """Wait for the work of a `key` if it was begun; what it raises is raised here. It is done no more
@@ -109,9 +127,23 @@ class Ahead:
         """
         work = self._waiting.pop(key, None)
         if work is not None and not work.cancel():
-            work.result()
+            self._awaited.set()
+            try:
+                work.result()
+            finally:
+                self._awaited.clear()
+
+    @property
+    def left(self) -> bool:
+        """Whether the thread beside has something to do."""
+        return any(not work.done() for work in self._waiting.values())
+
+    def _beside_whoever_asks(self, work: Callable[[], object], threads: int) -> object:
+        _here.other_works = lambda: not self._awaited.is_set()
+        with using_threads(threads):
+            return work()
 
 
 @cache
 def _beside() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(1, initializer=lambda: setattr(_here, "shared", True))
+    return ThreadPoolExecutor(1)

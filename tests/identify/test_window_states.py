@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import pickle
 
 import numpy as np
 import pytest
@@ -126,3 +127,11 @@ def test_a_better_state_from_before_is_taken() -> None:
         problem, 0, theta, lost, evaluation, states, ones, np.array([2]), before=states, most=0
     )
     np.testing.assert_array_equal(back[2], states[2])
+
+
+def test_a_problem_posed_otherwise_has_the_kernel_of_the_first() -> None:
+    problem = posed(0.01)
+    for other in (problem.with_windows(1.0), problem.with_split_windows(2), problem.with_free(problem.free)):
+        assert other.kernel is problem.kernel
+        assert other.grid(0, False, problem.start) is not problem.grid(0, False, problem.start)
+    assert pickle.loads(pickle.dumps(problem)).kernel is not problem.kernel

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -128,6 +129,24 @@ def test_random_programs(recipe: list[tuple[int, int, int]]) -> None:
         values.append(ca.tanh(calls[which % len(calls)](values[a % len(values)], values[b % len(values)])))
     wanted = [ca.vertcat(*values[-6:]), ca.horzcat(*values[:4])]
     same(ca.Function("f", [x, u, t, p], wanted), course(2, 3, len(recipe)))
+
+
+def test_what_an_expression_holds_twice_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    x, u, t, p = ca.SX.sym("x", 2), ca.SX.sym("u", 2), ca.SX.sym("t"), ca.SX.sym("p", 3)
+    twice = [ca.sin(x[0] * p[0]) + 0.7, ca.sin(x[0] * p[0]) - 0.7]
+    function = ca.Function("f", [x, u, t, p], [ca.vertcat(*twice)])
+    held = [function.instruction_id(k) for k in range(function.n_instructions())]
+    assert held.count(ca.OP_SIN) == 2, "CasADi finds them itself: another expression is needed"
+    made: list[list[int]] = []
+    program = _straight_line.TableProgram
+
+    def counted(operations: list[int], *rest: Any) -> object:
+        made.append(operations)
+        return program(operations, *rest)
+
+    monkeypatch.setattr(_straight_line, "TableProgram", counted)
+    same(function, course(2, 3))
+    assert made[0].count(_straight_line.OPERATIONS.index("SIN")) == 1
 
 
 def test_a_models_derivatives() -> None:

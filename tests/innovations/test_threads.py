@@ -11,12 +11,17 @@ import time
 import numpy as np
 import pytest
 from heli_lab.diagnose.candidate import spline_candidates
+from heli_lab.diagnose.equation_discovery.grammar import groups
+from heli_lab.diagnose.equation_discovery.scoring import Courses, score
 from heli_lab.diagnose.model_comparison import Comparison
 from heli_lab.diagnose.screening import Screening
-from heli_lab.threads import shared_out, using_threads, usual_threads
+from heli_lab.threads import Ahead, shared_out, using_threads, usual_threads
 from heli_sim.model import MultibodyModel
+from heli_sim.model.effects import catalogue
 
 from tests.innovations.made import RIG, windy
+
+KINDS = [catalogue()[name] for name in ("rotor_lag", "periodic_torque.pitch", "thrust_step.front")]
 
 
 def test_results_come_in_the_order_of_the_items() -> None:
@@ -51,6 +56,52 @@ def test_a_block_uses_the_threads_that_it_was_told(monkeypatch: pytest.MonkeyPat
     assert usual_threads() == 1
 
 
+def test_of_two_who_work_the_one_that_goes_on_alone_shares_its_work_out() -> None:
+    begun, may_end = threading.Event(), threading.Event()
+    beside: list[int] = []
+
+    def held() -> None:
+        beside.append(usual_threads())
+        begun.set()
+        assert may_end.wait(60)
+        # Whoever asked waits by now, or will in a moment.
+        deadline = time.monotonic() + 60
+        while usual_threads() == 1 and time.monotonic() < deadline:
+            time.sleep(0.001)
+        beside.append(usual_threads())
+        beside.append(len({*shared_out(_name_after_a_while, range(4))}))
+
+    ahead = Ahead()
+    with using_threads(2), ahead.working({"never": lambda: None, "held": held}):
+        assert begun.wait(60)
+        assert usual_threads() == 1
+        assert {*shared_out(_name_after_a_while, range(4), 2)} == {threading.current_thread().name}
+        may_end.set()
+        ahead.wait_for("held")
+        assert beside == [1, 2, 2]
+        ahead.wait_for("never")
+        assert usual_threads() == 2
+        assert len({*shared_out(_name_after_a_while, range(4))}) == 2
+
+
+def test_what_goes_wrong_ahead_is_raised_where_it_is_asked_for_and_nothing_stays_behind() -> None:
+    def wrong() -> None:
+        begun.set()
+        raise ZeroDivisionError
+
+    ahead, done, begun = Ahead(), threading.Event(), threading.Event()
+    with using_threads(2):
+        with ahead.working({"never": lambda: None, "done": done.set, "wrong": wrong}):
+            assert done.wait(60)
+            with pytest.raises(ZeroDivisionError):
+                ahead.wait_for("wrong")
+        begun.clear()
+        with pytest.raises(ZeroDivisionError), ahead.working({"never": lambda: None, "wrong": wrong}):
+            assert begun.wait(60)
+        assert usual_threads() == 2
+        assert not ahead.left
+
+
 def _name_after_a_while(_: int) -> str:
     time.sleep(0.05)
     return threading.current_thread().name
@@ -63,6 +114,10 @@ def test_estimates_and_scores_are_the_same_with_one_thread_and_with_two() -> Non
             estimate = Comparison(MultibodyModel(), RIG, [windy()], []).refit([]).estimate
             screening = Screening(estimate)
             gains = [one.log_likelihood_gain for one in screening.splines()]
+            gains += [one.log_likelihood_gain for one in screening.effects(KINDS)]
+            courses = Courses(screening)
+            laws = score(screening, courses, groups(courses.spans)[:400])
+            gains += [one.log_likelihood_gain for one in laws]
             information = screening.spline_information(spline_candidates(screening.filtered.linears))
         return [estimate.theta, estimate.weather.point, np.array(gains), *(one for one, _ in information)]
 

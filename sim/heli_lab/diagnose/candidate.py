@@ -241,7 +241,7 @@ class ExtendedModel:
             ]
         self.state_count = len(own)
         inputs = [ca.vertcat(x, z), u, t, p]
-        self.change = AlongCourse(ca.Function("change", inputs, ca.cse([ca.densify(o) for o in outputs])))
+        self.change = AlongCourse(ca.Function("change", inputs, [ca.densify(o) for o in outputs]))
         if own:
             inputs = [z, t, x, u, p]
             self.own = OwnStates(

@@ -220,7 +220,7 @@ def _accelerations(linear: Linear) -> Floats:
 def _along(model: Model, trajectory: Trajectory, of: Callable[..., ca.SX]) -> Floats:
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
-    function = ca.Function("along", [x, u, t, p], [ca.cse(ca.densify(of(x, u, p, t)))])
+    function = ca.Function("along", [x, u, t, p], [ca.densify(of(x, u, p, t))])
     (found,) = AlongCourse(function)(trajectory)
     return np.ascontiguousarray(found[:, :, 0])
 

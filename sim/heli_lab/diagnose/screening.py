@@ -95,7 +95,7 @@ class Screening:
         self.batch = max(KNOTS, batch)
         """Regressors that are filtered together, one flight after the other."""
         # Of a long flight one such batch needs more memory than that already.
-        self._threads = threads if batch >= KNOTS else 1
+        self.threads = threads if batch >= KNOTS else 1
         self._innovations = innovations = filtered.innovations_by_flight(weather)
         unknowns = estimate.unknowns
         self.measurements = sum(len(one) for one in innovations.flights)
@@ -114,12 +114,9 @@ class Screening:
         places = {kind.id: (kind, self._places(kind)) for kind in kinds}
         flat = [candidate for _, candidates in places.values() for candidate in candidates]
         scores = iter(self.score(flat))
-        found = []
-        for kind, candidates in places.values():
-            best = self._best(kind, candidates, [next(scores) for _ in candidates])
-            if best is not None:
-                found.append(best)
-        return sorted(found, key=lambda one: -one.log_likelihood_gain)
+        scored = [(kind, some, [next(scores) for _ in some]) for kind, some in places.values()]
+        found = shared_out(lambda one: self._best(*one), scored, self.threads)
+        return sorted((one for one in found if one is not None), key=lambda one: -one.log_likelihood_gain)
 
     def splines(self, number: int = 0) -> list[Scored]:
         """Score every spline term, the highest score first; `number` distinguishes those of one model."""
@@ -142,7 +139,7 @@ class Screening:
                 width = 0
             groups[-1].append(candidate)
             width += size
-        return [score for scores in shared_out(self._score_group, groups, self._threads) for score in scores]
+        return [score for scores in shared_out(self._score_group, groups, self.threads) for score in scores]
 
     def score_signals(
         self, signals: Iterable[tuple[Floats, Floats | None]], sizes: Sequence[int], priors: Sequence[Floats]
@@ -212,14 +209,19 @@ class Screening:
         self._prepare(candidates)
         every = self.batch // KNOTS
         groups = [candidates[low : low + every] for low in range(0, len(candidates), every)]
-        return [one for found in shared_out(self._spline_group, groups, self._threads) for one in found]
+        return [one for found in shared_out(self._spline_group, groups, self.threads) for one in found]
 
     def _prepare(self, candidates: Iterable[Candidate]) -> None:
-        """Make what spline terms of a channel share, by the first of them whichever thread comes first."""
-        for maker in self.regressors:
-            for candidate in candidates:
-                if isinstance(candidate.effect, SplineTerm):
-                    maker.influence(candidate.effect)
+        """Make what spline terms of a channel share, by the first of them whichever thread scores first."""
+        first: dict[str, SplineTerm] = {}
+        for candidate in candidates:
+            if isinstance(candidate.effect, SplineTerm):
+                first.setdefault(candidate.effect.channel, candidate.effect)
+        shared_out(
+            lambda term: [maker.influence(term) for maker in self.regressors],
+            list(first.values()),
+            self.threads,
+        )
 
     def _spline_group(self, group: Sequence[Candidate]) -> list[tuple[Floats, Floats]]:
         signals = (signals_of(maker, group) for maker in self.regressors)

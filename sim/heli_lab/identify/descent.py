@@ -65,6 +65,7 @@ class Descent:
         self.variance: list[Floats] = []
         self.weights: list[Floats] = []
         self.reference: list[Floats] = []
+        self._first: tuple[Floats, list[Floats]] | None = None
         self.frozen = np.zeros(len(problem.free), bool)
         """Which free parameters keep their values for now, shape (f,)."""
 
@@ -72,6 +73,14 @@ class Descent:
         """Whether the fit has cost what it may."""
         seconds = time.perf_counter() - self.started_s
         return self.evaluations >= self.budget.evaluations or seconds >= self.budget.seconds
+
+    def first_states(self, theta: Floats) -> list[Floats]:
+        """Initial states that the angles suggest with free parameters `theta`, shape (f,), as of
+        `initial_states.first_states`, worked out once for as long as these stay.
+        """
+        if self._first is None or not np.array_equal(self._first[0], theta):
+            self._first = theta.copy(), first_states(self.problem, theta)
+        return [states.copy() for states in self._first[1]]
 
     def evaluate(self, theta: Floats, states: list[Floats]) -> Point:
         """Predict all records from a guess, with residuals, derivatives and cost: free parameters `theta`,
@@ -134,7 +143,7 @@ class Descent:
         of a `point`.
         """
         if self.problem.state_count > 6:
-            self.reference = first_states(self.problem, point.theta)
+            self.reference = self.first_states(point.theta)
 
     def _window_cost(self, point: Point, index: int) -> Floats:
         of_record = self.reference[index], self.variance[index], self.weights[index]
@@ -209,7 +218,7 @@ class Descent:
 
     def reduced(
         self, point: Point, damping: float = 0.0
-    ) -> tuple[Floats, Floats, list[tuple[Floats, Floats]]]:
+    ) -> tuple[Floats, Floats, list[tuple[Floats, Floats]], float]:
         """Normal equations of the free parameters alone, see `eliminate_states`.
 
         Parameters
@@ -225,14 +234,16 @@ class Descent:
             Negative gradient of half the sum of squares, without priors.
         follow : list of (ndarray (w, states), ndarray (w, states, k))
             How the initial states follow.
+        gain : float
+            What their own step takes off the sum of squares.
         """
         of_records = point.evaluations, point.states, self.reference, self.variance, self.weights
         return eliminate_states(self.problem, *of_records, damping=damping)
 
-    def _step(self, point: Point) -> tuple[Floats, list[Floats], Floats]:
-        """A damped Gauss-Newton step, and the standard errors."""
+    def _step(self, point: Point) -> tuple[Floats, list[Floats], Floats, float]:
+        """A damped Gauss-Newton step, the standard errors, and the cost that the step is to save."""
         problem = self.problem
-        information, gradient, follow = self.reduced(point, thresholds.STATE_DAMPING * self.damping)
+        information, gradient, follow, gain = self.reduced(point, thresholds.STATE_DAMPING * self.damping)
         weight = 1.0 / problem.prior_std**2
         right = gradient + weight * (problem.prior_mean - point.theta)
         # Damped in units of the priors: weak combinations of known numbers may move that far and no more.
@@ -244,7 +255,7 @@ class Descent:
             for start, (free, slave), columns in zip(point.states, follow, problem.columns, strict=True)
         ]
         std = np.sqrt(np.diag(np.linalg.inv(matrix))) if len(move) else np.zeros(0)
-        return move, states, std
+        return move, states, std, gain + float(move @ (2.0 * right - matrix @ move))
 
     def descend(
         self, point: Point, stage: str, share: tuple[float, float], most: int = thresholds.COARSE_STEPS
@@ -272,9 +283,11 @@ class Descent:
             if self.on_progress is not None:
                 done = share[0] + (share[1] - share[0]) * (1 - 0.5**number)
                 self.on_progress(Progress(stage, done, point.cost))
-            move, states, std = self._step(point)
+            move, states, std, promised = self._step(point)
             if self.out_of_budget():
                 return point, False
+            if self.damping == 0.0 and promised < thresholds.SMALL_STEP**2:
+                return point, True
             other = self.evaluate(point.theta + move, states)
             self._recover_windows(other, point)
             small = not len(move) or bool(np.all(np.abs(move) < thresholds.SMALL_STEP * std))

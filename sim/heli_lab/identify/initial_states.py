@@ -43,7 +43,7 @@ def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Fl
     """
     record = problem.records[index]
     states = np.zeros((len(rows), problem.state_count))
-    states[:, :_MECHANICAL] = [_parabola(record, int(row), STATE_FIT_S) for row in rows]
+    states[:, :_MECHANICAL] = _parabolas(record, rows, STATE_FIT_S)
     if problem.state_count == _MECHANICAL:
         return states
     states[:, _MECHANICAL:] = _after_run_in(problem, index, rows, states, theta)
@@ -74,10 +74,10 @@ def alternative_states(problem: Problem, index: int, theta: Floats, states: Floa
     parameters = problem.parameters(theta, index)
     ends = problem.kernel.end(grid.inputs, states, parameters)
     before, near = states.copy(), states.copy()
+    near[:, :_MECHANICAL] = _parabolas(record, np.array([first for first, _ in windows]), SHORT_FIT_S)
     for number, (first, _) in enumerate(windows):
         if number and sum(windows[number - 1]) == first and np.isfinite(ends[number - 1]).all():
             before[number] = ends[number - 1]
-        near[number, :_MECHANICAL] = _parabola(record, first, SHORT_FIT_S)
     places = {state.name: place for place, state in enumerate(problem.model.states)}
     values = dict(zip((one.name for one in problem.model.parameters), parameters, strict=True))
     shifted = []
@@ -110,23 +110,34 @@ def _after_run_in(problem: Problem, index: int, rows: Integers, states: Floats, 
     if len(some):
         windows = [(int(rows[i] - back[i]), int(back[i])) for i in some]
         grid = make_grid(record, windows, 1, delay=problem.input_shape(parameters)[0])
-        start = np.zeros((len(some), problem.state_count))
-        for number, i in enumerate(some):
-            free_from = next(low for low, high in record.segments if low <= rows[i] < high)
-            begin = windows[number][0]
-            start[number, :_MECHANICAL] = (
-                _parabola(record, begin, STATE_FIT_S) if begin >= free_from else states[i, :_MECHANICAL]
-            )
+        start = states[some].copy()
+        start[:, _MECHANICAL:] = 0.0
+        begun_at = np.array([first for first, _ in windows])
+        free = begun_at >= _segments_of(record, rows[some])[:, 0]
+        start[free, :_MECHANICAL] = _parabolas(record, begun_at[free], STATE_FIT_S)
         found[some] = problem.kernel.end(grid.inputs, start, parameters)[:, _MECHANICAL:]
     return np.where(np.isfinite(found), found, 0.0)
 
 
-def _parabola(record: Record, row: int, reach_s: float) -> Floats:
-    """Angles and rates at a row, from the samples around it in the same segment."""
-    start, stop = next(segment for segment in record.segments if segment[0] <= row < segment[1])
+def _segments_of(record: Record, rows: Integers) -> Integers:
+    """First row, and last row plus one, of the free segments that `rows` lie in, shape (w, 2)."""
+    segments = np.array(record.segments)
+    found: Integers = segments[np.searchsorted(segments[:, 0], rows, side="right") - 1]
+    return found
+
+
+def _parabolas(record: Record, rows: Integers, reach_s: float) -> Floats:
+    """Angles and rates at `rows`, from the samples around each in the same segment, shape (w, 6)."""
     reach = max(3, round(reach_s / record.step_s))
-    low, high = max(start, row - reach), min(stop, row + reach + 1)
-    time_s = (np.arange(low, high) - row) * record.step_s
-    fit: Floats = np.polynomial.polynomial.polyfit(time_s, record.angles_rad[low:high], 2)
-    result: Floats = np.concatenate((fit[0], fit[1]))
+    segments = _segments_of(record, rows)
+    low, high = np.maximum(segments[:, 0], rows - reach), np.minimum(segments[:, 1], rows + reach + 1)
+    result = np.empty((len(rows), _MECHANICAL))
+    # All but the rows near a segment's edge see the same times.
+    shapes, which = np.unique(np.column_stack((low - rows, high - rows)), axis=0, return_inverse=True)
+    for number, (before, after) in enumerate(shapes):
+        here = np.flatnonzero(which.ravel() == number)
+        samples = record.angles_rad[rows[here, None] + np.arange(before, after)]
+        seen = samples.transpose(1, 0, 2).reshape(after - before, -1)
+        fit = np.polynomial.polynomial.polyfit(np.arange(before, after) * record.step_s, seen, 2)
+        result[here] = fit[:2].reshape(2, len(here), 3).transpose(1, 0, 2).reshape(len(here), -1)
     return result

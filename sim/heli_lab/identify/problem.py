@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -157,6 +156,13 @@ class Problem:
         self.__dict__.update(state)
         self.kernel = kernel(self.model, self._kernel_free, self.threads)
 
+    def _same(self) -> Problem:
+        """The same problem, with this one's kernel and grids of its own."""
+        # copy.copy goes by what is pickled, and would build the kernel again.
+        other = Problem.__new__(Problem)
+        other.__dict__.update(self.__dict__, _grids={})
+        return other
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters."""
@@ -190,16 +196,15 @@ class Problem:
         """Pose the same problem with windows of nearly `window_s`; it shares records, parameters and kernel
         with this one.
         """
-        other = copy.copy(self)
+        other = self._same()
         other.window_s = window_s
-        other._grids = {}
         return other
 
     def with_free(self, free: Sequence[FreeParameter]) -> Problem:
         """Pose a problem of other free parameters for predictions alone: its kernel has no derivatives by
         them. Parameters that a flight has of its own come after those that all flights share.
         """
-        other = copy.copy(self)
+        other = self._same()
         names = [quantity.name for quantity in self.model.parameters]
         other.free = tuple(free)
         other.columns = tuple(
@@ -207,16 +212,14 @@ class Problem:
             for index in range(len(self.records))
         )
         other._place = np.array([names.index(one.quantity) for one in free], int)
-        other._grids = {}
         return other
 
     def with_split_windows(self, parts: int) -> Problem:
         """Pose the same problem with each window divided into `parts` of nearly equal length, each with its
         own initial state: the same samples, predicted over a shorter horizon.
         """
-        other = copy.copy(self)
+        other = self._same()
         other.window_parts = parts
-        other._grids = {}
         return other
 
     def parameters(self, theta: Floats, index: int = 0) -> Floats:

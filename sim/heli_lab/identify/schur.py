@@ -81,7 +81,7 @@ def eliminate_states(
     weights: Sequence[Floats],
     *,
     damping: float = 0.0,
-) -> tuple[Floats, Floats, list[tuple[Floats, Floats]]]:
+) -> tuple[Floats, Floats, list[tuple[Floats, Floats]], float]:
     """Eliminate the windows' initial states from the normal equations.
 
     Parameters
@@ -106,9 +106,12 @@ def eliminate_states(
     follow : list of (ndarray (w, states), ndarray (w, states, k))
         For each record: the step of the states with the parameters fixed, and minus the change of the states
         for each unit of the parameters that the record depends on.
+    gain : float
+        What the step of the states with the parameters fixed takes off the sum of squares, if that is as
+        quadratic as the normal equations have it.
     """
     nx, count = problem.state_count, len(problem.free)
-    information, gradient = np.zeros((count, count)), np.zeros(count)
+    information, gradient, states_gain = np.zeros((count, count)), np.zeros(count), 0.0
     follow = []
     for index, evaluation in enumerate(evaluations):
         assert evaluation.normal_matrix is not None
@@ -119,8 +122,9 @@ def eliminate_states(
         columns = problem.columns[index]
         information[np.ix_(columns, columns)] += complement[:, :-1, :-1].sum(axis=0)
         gradient[columns] += complement[:, :-1, -1].sum(axis=0)
+        states_gain += float(np.sum(normal[:, :nx, -1] * gain[:, :, -1]))
         follow.append((gain[:, :, -1], gain[:, :, :-1]))
-    return information, gradient, follow
+    return information, gradient, follow, states_gain
 
 
 def bounded_solve(matrix: Floats, right: Floats, low: Floats, high: Floats) -> Floats:

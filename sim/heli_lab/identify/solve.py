@@ -13,7 +13,6 @@ from heli_lab.identify import thresholds
 from heli_lab.identify.descent import Descent, Point
 from heli_lab.identify.fit import Budget, Fit, Progress
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.initial_states import first_states
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.uncertainty import quantisation_scatter, timing_variance
 
@@ -59,8 +58,8 @@ def solve(
         When the model cannot predict the flights at all from the start values.
     """
     solver = Descent(problem, budget or Budget(), robust, on_progress)
-    theta, states = _start(problem, start)
-    solver.reference = [array.copy() for array in first_states(problem, theta)]
+    theta, states = _start(solver, start)
+    solver.reference = solver.first_states(theta)
     point = solver.evaluate(theta, states)
     solver.reweight(point)
     if not math.isfinite(point.cost):
@@ -102,14 +101,15 @@ def solve(
     return _result(solver, point, converged, scatter)
 
 
-def _start(problem: Problem, start: Fit | Mapping[str, float] | None) -> tuple[Floats, list[Floats]]:
+def _start(solver: Descent, start: Fit | Mapping[str, float] | None) -> tuple[Floats, list[Floats]]:
+    problem = solver.problem
     theta = problem.start
     given = start.values if isinstance(start, Fit) else start or {}
     for index, name in enumerate(problem.names):
         if name in given:
             theta[index] = given[name]
     theta = np.clip(theta, *problem.bounds).astype(np.float64)
-    states = first_states(problem, theta)
+    states = solver.first_states(theta)
     if isinstance(start, Fit) and len(start.states) == len(states):
         # An effect's state and the rates beside it compensate for each other: one without the other is worse
         # than neither.
@@ -124,7 +124,7 @@ def _start(problem: Problem, start: Fit | Mapping[str, float] | None) -> tuple[F
 
 def _result(solver: Descent, point: Point, converged: bool, scatter: bool) -> Fit:
     problem = solver.problem
-    information, _, _ = solver.reduced(point)
+    information, *_ = solver.reduced(point)
     weight = np.diag(1.0 / problem.prior_std**2)
     covariance: Floats = np.linalg.inv(information + weight).astype(np.float64)
     if scatter and solver.fine and len(problem.free):

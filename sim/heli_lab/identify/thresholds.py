@@ -131,7 +131,8 @@ SETTLED_CHANGE: Final = 0.15
 go with the root, so 7 % at most is left; smaller costs rounds that change no digit."""
 SMALL_STEP: Final = 0.02
 """A step is small when no parameter moves by more of its standard error. Set by judgement; what is left
-of a fit is then well inside its error."""
+of a fit is then well inside its error. An undamped step of parameters and states together that is shorter,
+measured by what it takes off the cost, is not taken."""
 LARGEST_DAMPING: Final = 1e8
 """Levenberg-Marquardt damping beyond which a fit gives up, in units of the priors' precision. Set by
 judgement: steps are then smaller than any digit printed."""

@@ -74,7 +74,7 @@ class ModelFunctions:
             ca.horzcat(angles, by_free(angles)),
             ca.jacobian(angles, x),
         ]
-        self.along = AlongCourse(ca.Function("along", [x, u, t, p], ca.cse([ca.densify(w) for w in wanted])))
+        self.along = AlongCourse(ca.Function("along", [x, u, t, p], [ca.densify(w) for w in wanted]))
         self.own_states = len(model.states) - 6
         if self.own_states:
             z, y = ca.SX.sym("z", self.own_states), ca.SX.sym("y", 6)

@@ -129,7 +129,7 @@ class TwinModel:
         angles = model.measurement(x, u, p, t)
         by = ca.vertcat(*(p[i] for i in self.functions.places))
         wanted = [angles, ca.jacobian(angles, x), ca.jacobian(angles, by)]
-        return AlongCourse(ca.Function("measure", [x, u, t, p], ca.cse([ca.densify(w) for w in wanted])))
+        return AlongCourse(ca.Function("measure", [x, u, t, p], [ca.densify(w) for w in wanted]))
 
     def _resets(self, model: Model) -> AlongCourse:
         x, u, t, p = self._symbols(model)

@@ -19,6 +19,7 @@ from heli_lab.diagnose.equation_discovery.terms import QUANTITIES, Factor, Term
 from heli_lab.diagnose.screening import Screening, score_of
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import AlongCourse, Linear, Trajectory
+from heli_lab.threads import shared_out
 
 _LARGEST: Final[Mapping[str, float]] = {
     "torque.elevation": 0.3,
@@ -142,35 +143,46 @@ def score(screening: Screening, courses: Courses, groups: Sequence[Group]) -> li
     """Score groups of terms, each by itself, the highest score first; those that are constant along the
     flights are left out.
     """
-    found: list[ScoredGroup] = []
+    batches = [
+        (channel, batch)
+        for channel, some in itertools.groupby(groups, lambda group: group.terms[0].channel)
+        for batch in _batches(list(some), screening.batch)
+    ]
+    scored = shared_out(lambda one: _scored(screening, courses, *one), batches, screening.threads)
+    return sorted((one for some in scored for one in some), key=lambda one: -one.log_likelihood_gain)
+
+
+def _scored(
+    screening: Screening, courses: Courses, channel: str, batch: Sequence[Group]
+) -> list[ScoredGroup]:
+    """Scores of groups of terms of one channel, filtered together."""
     flights = range(len(courses.linears))
-    for channel, some in itertools.groupby(groups, lambda group: group.terms[0].channel):
-        for batch in _batches(list(some), screening.batch):
-            kept, stds, values = [], [], []
-            for group in batch:
-                own = [[courses.values(i, one) for i in flights] for one in group.terms]
-                together = [np.concatenate(one) for one in own]
-                if any(float(np.ptp(one)) <= _STEADY * float(np.abs(one).max()) for one in together):
-                    continue
-                kept.append(group)
-                values += own
-                stds.append(
-                    np.array(
-                        [
-                            coefficient_std(one, float(np.sqrt(np.mean(value**2))))
-                            for one, value in zip(group.terms, together, strict=True)
-                        ]
-                    )
-                )
-            if not kept:
-                continue
-            terms = [one for group in kept for one in group.terms]
-            only = _regressors(screening, courses, channel, terms, values)
-            parts = screening.projected(only, [len(group.terms) for group in kept])
-            for group, std, (information, gradient) in zip(kept, stds, parts, strict=True):
-                gain, coefficients = _solved(information, gradient, std)
-                found.append(ScoredGroup(group, gain, coefficients, tuple(map(float, std))))
-    return sorted(found, key=lambda one: -one.log_likelihood_gain)
+    kept, stds, values = [], [], []
+    for group in batch:
+        own = [[courses.values(i, one) for i in flights] for one in group.terms]
+        together = [np.concatenate(one) for one in own]
+        if any(float(np.ptp(one)) <= _STEADY * float(np.abs(one).max()) for one in together):
+            continue
+        kept.append(group)
+        values += own
+        stds.append(
+            np.array(
+                [
+                    coefficient_std(one, float(np.sqrt(np.mean(value**2))))
+                    for one, value in zip(group.terms, together, strict=True)
+                ]
+            )
+        )
+    if not kept:
+        return []
+    terms = [one for group in kept for one in group.terms]
+    only = _regressors(screening, courses, channel, terms, values)
+    parts = screening.projected(only, [len(group.terms) for group in kept])
+    found = []
+    for group, std, (information, gradient) in zip(kept, stds, parts, strict=True):
+        gain, coefficients = _solved(information, gradient, std)
+        found.append(ScoredGroup(group, gain, coefficients, tuple(map(float, std))))
+    return found
 
 
 def _batches(groups: Sequence[Group], most: int) -> Iterator[list[Group]]:
@@ -232,7 +244,7 @@ def _quantities(linear: Linear, trajectory: Trajectory) -> dict[str, Floats]:
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
     at = model.driven(x, u, p, t)
     wanted = [ca.densify(ca.SX(quantity.value(at))) for quantity in QUANTITIES.values()]
-    found = AlongCourse(ca.Function("quantities", [x, u, t, p], ca.cse(wanted)))(trajectory)
+    found = AlongCourse(ca.Function("quantities", [x, u, t, p], wanted))(trajectory)
     return {
         name: one[:, :, 0] if quantity.each else one[:, 0, 0]
         for (name, quantity), one in zip(QUANTITIES.items(), found, strict=True)
