@@ -8,7 +8,8 @@ import pickle
 import numpy as np
 import pytest
 from heli_host.flight import Flight
-from heli_lab.identify import Problem, check, prepare, solve, validate
+from heli_lab.identify import Budget, Problem, check, prepare, solve, validate
+from heli_lab.identify.descent import Descent
 from heli_lab.identify.functions import Floats
 from heli_lab.identify.initial_states import alternative_states, first_states
 from heli_lab.identify.window_states import refine_states, restart_states, window_cost
@@ -135,3 +136,17 @@ def test_a_problem_posed_otherwise_has_the_kernel_of_the_first() -> None:
         assert other.kernel is problem.kernel
         assert other.grid(0, False, problem.start) is not problem.grid(0, False, problem.start)
     assert pickle.loads(pickle.dumps(problem)).kernel is not problem.kernel
+
+
+def test_first_states_follow_the_parameters_and_are_worked_out_once_for_each() -> None:
+    lag = catalogue()["rotor_lag"].make({"rotor_lag_s": 0.05})
+    record = prepare(dry_flight(7), RIG, "flight 7")
+    problem = Problem(MultibodyModel((lag,)), RIG, [record], free=["rotor_lag_s"], step_s=0.004)
+    descent = Descent(problem, Budget(), False, None)
+    slow, fast = np.array([0.2]), np.array([0.02])
+    for theta in (slow, fast, fast, slow):
+        (states,) = descent.first_states(theta)
+        assert np.array_equal(states, first_states(problem, theta)[0])
+        # Whoever optimises them does not change what is remembered.
+        states += 1.0
+    assert not np.allclose(first_states(problem, slow)[0], first_states(problem, fast)[0])
