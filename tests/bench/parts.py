@@ -115,7 +115,7 @@ PARTS = (
         35,
         lambda _: campaign.measure(),
     ),
-    Part("diagnosis", "diagnosing, against an earlier commit", 540, diagnosis.ratios),
+    Part("diagnosis", "diagnosing, against an earlier commit", 630, diagnosis.ratios),
     Part("memory", "diagnosing ten minutes of flight", 120, lambda _: [diagnosis.peak()]),
     Part(
         "many-flights",
