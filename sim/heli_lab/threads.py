@@ -106,7 +106,7 @@ class Ahead:
         if usual_threads() < 2 or len(works) < 2 or _here.other_works is not None:
             yield
             return
-        before, threads = _here.other_works, usual_threads()
+        threads = usual_threads()
         self._waiting = {
             key: _beside().submit(self._beside_whoever_asks, work, threads)
             for key, work in reversed(list(works.items()))
@@ -117,7 +117,7 @@ class Ahead:
         finally:
             # All are waited for, whatever one of them raises.
             with ExitStack() as stack:
-                stack.callback(setattr, _here, "other_works", before)
+                stack.callback(setattr, _here, "other_works", None)
                 for key in self._waiting:
                     stack.callback(self.wait_for, key)
 

@@ -108,11 +108,11 @@ def _after_run_in(problem: Problem, index: int, rows: Integers, states: Floats, 
     back = np.minimum(rows - first, round(RUN_IN_S / record.step_s))
     some = np.flatnonzero(back > 0)
     if len(some):
-        windows = [(int(rows[i] - back[i]), int(back[i])) for i in some]
+        begun_at = rows[some] - back[some]
+        windows = list(zip(begun_at.tolist(), back[some].tolist(), strict=True))
         grid = make_grid(record, windows, 1, delay=problem.input_shape(parameters)[0])
         start = states[some].copy()
         start[:, _MECHANICAL:] = 0.0
-        begun_at = np.array([first for first, _ in windows])
         free = begun_at >= _segments_of(record, rows[some])[:, 0]
         start[free, :_MECHANICAL] = _parabolas(record, begun_at[free], STATE_FIT_S)
         found[some] = problem.kernel.end(grid.inputs, start, parameters)[:, _MECHANICAL:]
