@@ -1,8 +1,9 @@
 """Golden results of the diagnosis: ``python -m tests.field.golden [PATTERN...]`` compares with them.
 
 The diagnosis of every practice, field and measured case is reduced to its verdict, its causes with sizes and
-log-likelihood ratios, and the prediction errors. A change of names or structure must not change them. A change
-of the method must say why it does; ``--record`` writes the new results. ``golden.json`` holds results only, no row of a flight.
+log-likelihood ratios, and the prediction errors. A change of names or structure must not change them. A
+change of the method must say why it does; ``--record`` writes the new results. ``golden.json`` holds results only, no
+row of a flight.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ LOG_LIKELIHOOD_NATS: Final = 0.1
 """Tolerance of log-likelihood ratios, nats. A search converges to 0.02 nats: libraries that round differently
 may end one step earlier."""
 SIZE_STD: Final = 0.02
-"""Tolerance of a parameter, in its standard errors. A difference of 0.1 nats may be as much as 0.45 of them."""
+"""Tolerance of a parameter, in its standard errors. 0.1 nats may be as much as 0.45 of them."""
 RATIO: Final = 0.01
 """Tolerance of confidences and of prediction error ratios."""
 
