@@ -90,6 +90,8 @@ def usable(client: Client, code: str, works: tuple[str, ...]) -> tuple[list[str]
 
     Parameters
     ----------
+    client : distributed.Client
+        Connected to the cluster.
     code : str
         Digest of the campaign's.
     works : tuple of str
