@@ -237,6 +237,8 @@ class Vehicle(OpenLoopCommands):
 
         Raises
         ------
+        SetpointError
+            The elevation lies outside the limits in force on the board; nothing was armed.
         CommandRefused
             A pre-flight check failed.
         FlightAborted
@@ -244,6 +246,7 @@ class Vehicle(OpenLoopCommands):
         WaitTimeout
             It did not get there in time.
         """
+        check_setpoint({"elevation": elevation_deg}, self.params)
         if self.state is State.IDLE:
             self.arm()
         self.control(axes)

@@ -8,12 +8,15 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import heli_host
 import numpy as np
 import pytest
 from heli_host.declaration import Axes, State
-from heli_host.errors import CommandRefused
+from heli_host.errors import CommandRefused, HeliError
 from heli_host.log.reader import read_log
+from heli_host.page.cockpit import Cockpit
 from heli_host.page.seats import Seats
+from heli_host.page.source import UNKNOWN
 
 from tests.page import browser as browsers
 
@@ -123,6 +126,72 @@ def test_every_way_to_stop_stops(served: Served, window: Tabs) -> None:
         assert served.heli.session.stops == number, name
         until_state(page, "idle")
     assert page.input_value("#mark-text") == ""
+
+
+def until_stopped(served: Served, page: Page) -> None:
+    """Press Space in the field for a mark while a motor runs, until the board has heard one stop."""
+    page.focus("#mark-text")
+    page.keyboard.press("Space")
+    end_s = time.monotonic() + PATIENCE_S
+    while served.heli.session.stops < 1:
+        assert time.monotonic() < end_s, "no stop came"
+        time.sleep(0.01)
+    assert page.input_value("#mark-text") == "two words"
+
+
+def test_a_program_that_sends_nan_leaves_every_page_its_status_and_its_stop(
+    served: Served, window: Tabs
+) -> None:
+    page = window.open(served.address.page)
+    page.fill("#mark-text", "two")
+    page.focus("#mark-text")
+    page.keyboard.type(" words")
+    assert served.heli.session.stops == 0
+    with heli_host.join(served.address.program) as program:
+        for value in (float("nan"), float("inf")):
+            with pytest.raises(HeliError):
+                program.signal("my error", value)
+        # The largest numbers that are finite have no place on an axis, and must not end the drawing either.
+        for value in (1e308, -1e308, 9e11, -9e11):
+            program.signal("my error", value)
+        expect(page.locator("#strips")).to_contain_text("my error")
+    run_motors(served)
+    until_state(page, "open loop")
+    expect(page.locator("#alarm")).to_be_hidden()
+    until_stopped(served, page)
+    until_state(page, "idle")
+
+
+def test_a_page_without_a_status_alarms_shows_the_frames_state_and_stops(
+    served: Served, window: Tabs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(cockpit: Cockpit) -> dict[str, object]:
+        raise KeyError("a defect")
+
+    status = Cockpit.status
+    page = window.open(served.address.page)
+    page.fill("#mark-text", "two words")
+    expect(page.locator("#alarm")).to_be_hidden()
+    monkeypatch.setattr(Cockpit, "status", fails)
+    expect(page.locator("#alarm")).to_contain_text("sends no status any more")
+    run_motors(served)
+    until_state(page, "open loop")
+    expect(page.locator("#land")).to_be_enabled()
+    until_stopped(served, page)
+    until_state(page, "idle")
+    monkeypatch.setattr(Cockpit, "status", status)
+    expect(page.locator("#alarm")).to_be_hidden()
+
+
+def test_a_space_is_a_stop_while_no_sample_comes(
+    served: Served, window: Tabs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = window.open(served.address.page)
+    page.fill("#mark-text", "two words")
+    monkeypatch.setattr(Cockpit, "state", lambda _: UNKNOWN)
+    until(page, f"heliPage.frameState === {UNKNOWN[0]}")
+    expect(page.locator("#state")).to_have_text("idle")
+    until_stopped(served, page)
 
 
 def test_who_watches_stops_from_every_tab_of_the_panel(served: Served, window: Tabs) -> None:

@@ -79,10 +79,10 @@ def test_what_was_cleared_is_not_read_and_the_reader_is_told() -> None:
 def test_a_frame_holds_what_was_packed(first: int, count: int, reset: bool, thinned: bool) -> None:
     tick = np.arange(first, first + count, dtype=np.int64)
     raw = np.random.default_rng(1).integers(-(2**31), 2**31, (count, CHANNEL_COUNT)).astype(np.int32)
-    got = unpack(pack(Cut(tick, raw, count, reset, thinned), 7))
+    got = unpack(pack(Cut(tick, raw, count, reset, thinned), 7, (4, 12)))
     assert got.tick.tolist() == tick.tolist()
     np.testing.assert_array_equal(got.raw, raw)
-    assert got.number == 7
+    assert (got.number, got.state, got.fault) == (7, 4, 12)
     assert got.flags == RESET * reset + THINNED * thinned
 
 
@@ -92,4 +92,4 @@ def test_a_frame_holds_what_was_packed(first: int, count: int, reset: bool, thin
 def test_what_is_no_frame_is_told_apart(damage: object) -> None:
     assert callable(damage)
     with pytest.raises(LinkError):
-        unpack(damage(pack(Cut(*rows(3, 4), 4, False, False), 1)))
+        unpack(damage(pack(Cut(*rows(3, 4), 4, False, False), 1, (4, 12))))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -11,6 +13,7 @@ from heli_host.link.frames import Frame, FrameParser
 from heli_sim.errors import EndpointError, OptionError
 from heli_sim.sil.endpoint import Endpoint
 from heli_sim.sil.options import SilOptions
+from heli_sim.sil.process import SilProcess
 from heli_sim.sil.pty import PtyEndpoint
 from heli_sim.sil.server import run_server
 from heli_sim.sil.tcp import TcpEndpoint
@@ -159,21 +162,64 @@ def test_the_link_goes_with_the_terminal_and_a_stale_one_is_replaced(tmp_path: P
     assert not path.is_symlink()
 
 
-def test_a_link_that_another_server_took_over_is_left_alone(tmp_path: Path) -> None:
+def test_a_second_server_on_the_same_path_is_refused_and_takes_nothing(tmp_path: Path) -> None:
     path = tmp_path / "due"
-    first, second = PtyEndpoint(path), PtyEndpoint(path)
-    first.close()
-    assert path.is_symlink()
-    second.close()
-    assert not path.is_symlink()
-
-
-def test_a_file_in_the_links_place_is_not_overwritten(tmp_path: Path) -> None:
-    path = tmp_path / "due"
-    path.write_text("a student's homework")
-    with pytest.raises(EndpointError, match="no link"):
+    first = PtyEndpoint(path)
+    with pytest.raises(EndpointError, match=f"another simulated board, process {os.getpid()}; end that"):
         PtyEndpoint(path)
-    assert path.read_text() == "a student's homework"
+    assert str(path.readlink()) == first.terminal
+    # A pulled cable takes the link away, and the path is still this server's.
+    first.unplug()
+    with pytest.raises(EndpointError, match="another simulated board"):
+        PtyEndpoint(path)
+    first.plug()
+    assert str(path.readlink()) == first.terminal
+    first.close()
+    assert list(tmp_path.iterdir()) == []
+    PtyEndpoint(path).close()
+
+
+def test_the_link_of_a_killed_server_is_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "due"
+    killed = SilProcess(pty=path)
+    os.kill(killed.pid, signal.SIGKILL)
+    killed.stop()
+    assert path.is_symlink()
+    # Linux gives the number of the terminal to the next program, here to this endpoint.
+    next_program = PtyEndpoint()
+    assert str(path.readlink()) == next_program.terminal
+    endpoint = PtyEndpoint(path)
+    assert str(path.readlink()) == endpoint.terminal != next_program.terminal
+    endpoint.close()
+    next_program.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_link_of_another_program_is_neither_replaced_nor_removed(tmp_path: Path) -> None:
+    path, other = tmp_path / "due", PtyEndpoint()
+    for target in (other.terminal, "/dev/null", str(tmp_path), "nowhere"):
+        path.symlink_to(target)
+        with pytest.raises(EndpointError, match=f"a link to {target}, which no simulated board made"):
+            PtyEndpoint(path)
+        assert str(path.readlink()) == target
+        path.unlink()
+    endpoint = PtyEndpoint(path)
+    path.unlink()
+    path.symlink_to(other.terminal)
+    endpoint.close()
+    assert str(path.readlink()) == other.terminal
+    other.close()
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_a_file_or_folder_in_the_links_place_is_not_replaced(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "due"
+    text = path if kind == "file" else path / "homework.txt"
+    text.parent.mkdir(exist_ok=True)
+    text.write_text("a student's homework")
+    with pytest.raises(EndpointError, match=f"is a {kind}, not a link"):
+        PtyEndpoint(path)
+    assert text.read_text() == "a student's homework"
 
 
 def test_a_link_in_no_folder_is_refused(tmp_path: Path) -> None:

@@ -170,6 +170,11 @@ class Joined:
             Of the signal.
         value : float
             Its value now.
+
+        Raises
+        ------
+        PageError
+            The value is not finite.
         """
         self.ask("signal", name=name, value=float(value))
 

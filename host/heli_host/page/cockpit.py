@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from heli_host.page.flying import PlanFlight
 from heli_host.page.law_choice import LawChoice
 from heli_host.page.source import (
     KEPT_S,
+    UNKNOWN,
     Action,
     Lane,
     Need,
@@ -41,6 +43,10 @@ _LOOK_S = 0.2
 _SETTLED_LOOKS = 15
 """Looks at a page that is there each time before plans begin: one that still loads is busy for a second,
 which is a missing pilot."""
+_HEARD_S = 0.5
+"""How old the newest tick may be for its state to be the state now [s]: as old as the sign of a pilot who is
+present. Shorter, a busy computer makes the state unknown; longer, a page takes a board for idle that may have
+begun to fly."""
 _EVENTS_KEPT = 200
 _MOST_UNDO = 100
 
@@ -97,6 +103,7 @@ class Cockpit:
         self._flight: PlanFlight | None = None
         self._doing = ""
         self._marks = 0
+        self._heard_s = -math.inf
         self._present: Callable[[], bool] = lambda: False
         self._undo: list[tuple[str, float]] = []
         self._values = dict(heli.params)
@@ -172,6 +179,13 @@ class Cockpit:
             "twin": self._twin_status(),
             "law": self._law.status(),
         }
+
+    def state(self) -> tuple[int, int]:
+        """Return the board's state and fault now, for every frame; `UNKNOWN` while nothing is heard of it."""
+        newest = self._session.latest
+        if newest is None or time.monotonic() - self._heard_s > _HEARD_S:
+            return UNKNOWN
+        return int(newest[1][Channel.STATE]), int(newest[1][Channel.FAULT])
 
     def listen(self, news: News) -> None:
         """Have what happens told, as JSON, from any thread.
@@ -402,6 +416,7 @@ class Cockpit:
         self._add_event(news.tick, EVENT, news.text)
 
     def _take_ticks(self, ticks: Ticks) -> None:
+        self._heard_s = time.monotonic()
         self.tape.append(self._session.ticks_counted_on(ticks), ticks.raw)
 
     def _take_event(self, event: LinkEvent) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import gzip
 from collections.abc import Mapping
+from functools import cache
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 from pathlib import PurePosixPath
 
 from starlette.responses import PlainTextResponse, Response
 
+_PACKED = ".gz"
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 _HEADERS = {
     # A page of this package loads nothing from elsewhere, and what would make it is refused.
@@ -30,17 +33,29 @@ def page_file(path: str, headers: Mapping[str, str]) -> Response:
     headers : Mapping of str to str
         Of the request.
     """
-    place = PurePosixPath(path or "index.html")
-    kind = _TYPES.get(place.suffix)
-    if kind is None or ".." in place.parts or place.is_absolute():
+    # Only names that were listed: what a client writes never becomes a name in the file system.
+    stored = _stored().get(path or "index.html")
+    if stored is None:
         return PlainTextResponse("there is no such file\n", 404)
-    folder = files(__package__) / "static"
-    plain, packed = folder.joinpath(*place.parts), folder.joinpath(*place.parts[:-1], f"{place.name}.gz")
-    if plain.is_file():
-        return Response(plain.read_bytes(), media_type=kind, headers=_HEADERS)
-    if not packed.is_file():
-        return PlainTextResponse("there is no such file\n", 404)
-    body = packed.read_bytes()
+    kind, body = _TYPES[PurePosixPath(path or "index.html").suffix], stored.read_bytes()
+    if not stored.name.endswith(_PACKED):
+        return Response(body, media_type=kind, headers=_HEADERS)
     if "gzip" not in headers.get("accept-encoding", ""):
         return Response(gzip.decompress(body), media_type=kind, headers=_HEADERS)
     return Response(body, media_type=kind, headers={**_HEADERS, "Content-Encoding": "gzip"})
+
+
+@cache
+def _stored() -> dict[str, Traversable]:
+    """All files that are served, by their paths as a browser asks for them."""
+    found: dict[str, Traversable] = {}
+    folders = [("", files(__package__) / "static")]
+    while folders:
+        prefix, folder = folders.pop()
+        for one in folder.iterdir():
+            name = f"{prefix}{one.name.removesuffix(_PACKED)}"
+            if one.is_dir():
+                folders.append((f"{name}/", one))
+            elif PurePosixPath(name).suffix in _TYPES:
+                found[name] = one
+    return found

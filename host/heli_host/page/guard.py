@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import secrets
-from dataclasses import dataclass
-from urllib.parse import urlsplit
+from dataclasses import dataclass, field
+from urllib.parse import SplitResult, urlsplit
 
 from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, Response
 from starlette.websockets import WebSocket
 
+from heli_host.page.notes import Notes
+
 LOCAL_HOSTS = frozenset(("127.0.0.1", "localhost", "::1"))
 
+_LONGEST_PATH = 200
 _POLICY_VIOLATION = 1008
 
 
@@ -26,42 +29,57 @@ class Guard:
     host : str
         Address that the server is bound to. On a local one, only local names are served: a page elsewhere
         that has its own name point here is refused.
+    notes : Notes
+        Where a header is logged that no browser or program sends.
     """
 
     token: str
     host: str
+    notes: Notes = field(default_factory=Notes)
 
-    def refusal(self, connection: HTTPConnection) -> Response | None:
-        """Return why a connection is refused, whatever it carries; None for a good one.
+    def refusal(self, connection: HTTPConnection, *, needs_token: bool = True) -> Response | None:
+        """Return why a connection is refused; None for a good one.
 
         Parameters
         ----------
         connection : HTTPConnection
             A request, or a socket that wants to be opened.
+        needs_token : bool
+            Whether it must carry the token, which is then looked at before everything else.
         """
+        if needs_token and not self._has_token(connection):
+            words = "open the whole address that heli-host page printed: it carries a token\n"
+            return PlainTextResponse(words, 403)
+        if (length := len(connection.scope["path"])) > _LONGEST_PATH:
+            self._warn(connection, f"its path has {length} characters")
+            return PlainTextResponse("the path is too long\n", 414)
         asked = connection.headers.get("host", "")
-        name = urlsplit(f"//{asked}").hostname or ""
-        if self.host in LOCAL_HOSTS and name not in LOCAL_HOSTS:
+        address = _split(asked)
+        if address is None:
+            self._warn(connection, f"its Host header is {asked[:100]!r}")
+            return PlainTextResponse("the Host header is not an address\n", 400)
+        if self.host in LOCAL_HOSTS and (address.hostname or "") not in LOCAL_HOSTS:
             return PlainTextResponse(f"this page is served as {self.host} only\n", 421)
         origin = connection.headers.get("origin")
         # A program sends none; a browser always does where it matters.
-        if origin is not None and urlsplit(origin).netloc.lower() != asked.lower():
+        if origin is not None and not self._is_of(connection, origin, asked):
             return PlainTextResponse("a page of another origin may not ask this\n", 403)
         return None
 
-    def refusal_without_token(self, connection: HTTPConnection) -> Response | None:
-        """Return why a connection without the token is refused; None for one that has it.
-
-        Parameters
-        ----------
-        connection : HTTPConnection
-            A request, or a socket that wants to be opened.
-        """
+    def _has_token(self, connection: HTTPConnection) -> bool:
         given = connection.query_params.get("token", "")
-        if secrets.compare_digest(given.encode(), self.token.encode()):
-            return None
-        words = "open the whole address that heli-host page printed: it carries a token\n"
-        return PlainTextResponse(words, 403)
+        return secrets.compare_digest(given.encode(), self.token.encode())
+
+    def _is_of(self, connection: HTTPConnection, origin: str, asked: str) -> bool:
+        try:
+            return urlsplit(origin).netloc.lower() == asked.lower()
+        except ValueError:
+            self._warn(connection, f"its Origin header is {origin[:100]!r}")
+            return False
+
+    def _warn(self, connection: HTTPConnection, cause: str) -> None:
+        client = connection.client.host if connection.client is not None else "a client"
+        self.notes.warn(f"a request of {client} is refused: {cause}")
 
     async def admit(self, socket: WebSocket) -> bool:
         """Open a socket, or refuse to.
@@ -76,11 +94,19 @@ class Guard:
         bool
             Whether it is open.
         """
-        if (self.refusal(socket) or self.refusal_without_token(socket)) is not None:
+        if self.refusal(socket) is not None:
             await socket.close(_POLICY_VIOLATION)
             return False
         await socket.accept()
         return True
+
+
+def _split(host: str) -> SplitResult | None:
+    """Take a Host header apart; None where it is no address, such as ``[``."""
+    try:
+        return urlsplit(f"//{host}")
+    except ValueError:
+        return None
 
 
 def new_token() -> str:

@@ -102,9 +102,10 @@ class Replay:
     def status(self) -> dict[str, Any]:
         """Return what a page shows in words, as JSON."""
         at = max(self._at - 1, 0)
+        state, fault = self.state()
         return {
-            "state": int(self._raw[at, Channel.STATE]),
-            "fault": int(self._raw[at, Channel.FAULT]),
+            "state": state,
+            "fault": fault,
             "connected": True,
             "link": {"ticks": self._at, "lost_ticks": self._log.ticks_lost},
             "recording": None,
@@ -115,6 +116,11 @@ class Replay:
             "playing": self._playing,
             "speed": self._speed,
         }
+
+    def state(self) -> tuple[int, int]:
+        """Return the state and fault that the log holds at the moment that is shown."""
+        at = max(self._at - 1, 0)
+        return int(self._raw[at, Channel.STATE]), int(self._raw[at, Channel.FAULT])
 
     def listen(self, news: News) -> None:
         """Nothing happens besides what the status says.
@@ -186,7 +192,9 @@ class Replay:
         return {}
 
     def _seek(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        tick = round(number(arguments, "t_s") / TICK_S)
+        first_s, last_s = float(self._tick[0]) * TICK_S, float(self._tick[-1]) * TICK_S
+        # Any finite number may be asked for; far outside the log it would not fit into a tick.
+        tick = round(min(max(number(arguments, "t_s"), first_s - 1.0), last_s + 1.0) / TICK_S)
         with self._lock:
             self._at = int(np.clip(np.searchsorted(self._tick, tick), 0, len(self._tick)))
             first = int(np.searchsorted(self._tick, tick - round(_BEFORE_S / TICK_S)))

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import secrets
 import time
-from collections.abc import Mapping
+from collections.abc import Coroutine, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -19,70 +18,25 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from heli_host.errors import HeliError, printable
 from heli_host.page.files import page_file
 from heli_host.page.guard import Guard
+from heli_host.page.notes import Notes
+from heli_host.page.outbox import Outbox
+from heli_host.page.request import BadRequest, read_request
 from heli_host.page.seats import Seats
 from heli_host.page.source import Action, Lane, Need, Source
-from heli_host.page.wire import pack
+from heli_host.page.wire import as_json
 
-FRAME_S = 0.05
-"""Between two frames to a client [s]: 20 a second look smooth, and three tabs not quite double the work."""
-MOST_ROWS = 5000
-"""Rows of a frame: who falls behind by more than five seconds gets every second, third, ... of them."""
-UNACKNOWLEDGED = 8
-"""Frames on their way to a client: 0.4 s. Then it is waited for, and the rows become fewer."""
-EMPTY_S = 0.08
-"""Longest time without a frame to a client that keeps up [s]."""
 STATUS_S = 0.1
-PRESENCE_S = 0.5
-"""How often a status goes out that says the same as before [s]."""
+PRESENCE_S = 0.2
+"""How often a status goes out that says the same as before [s]. A page whose status is older than 0.6 s shows
+that: longer than this, a server that is busy for a moment alarms; shorter costs processor time."""
 
-_QUEUED = 500
-_LONGEST_MESSAGE = 4096
-
-
-class Client:
-    """One WebSocket: its words go out by one task, its frames by another.
-
-    Parameters
-    ----------
-    socket : WebSocket
-        Open.
-    key : str
-        Id of the client.
-
-    Attributes
-    ----------
-    sent, acknowledged : int
-        Number of the newest frame that was sent, and of the newest that was shown.
-    may_send : asyncio.Event
-        Set by an acknowledgement.
-    wants_rows : bool
-        Whether it is sent frames.
-    """
-
-    def __init__(self, socket: WebSocket, key: str) -> None:
-        self.socket = socket
-        self.key = key
-        self.words: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue(_QUEUED)
-        self.sent = 0
-        self.acknowledged = 0
-        self.may_send = asyncio.Event()
-        self.wants_rows = True
-
-    def tell(self, news: Mapping[str, Any]) -> None:
-        """Put words in line; a client that does not read them loses some.
-
-        Parameters
-        ----------
-        news : Mapping of str to object
-            As JSON.
-        """
-        with contextlib.suppress(asyncio.QueueFull):
-            self.words.put_nowait(news)
+_FAILED = 1011
+_REPORT = "report it with the line in the server's log"
 
 
 class Service:
@@ -105,8 +59,11 @@ class Service:
         self.seats = Seats()
         self._source = source
         self._guard = guard
-        self._clients: dict[str, Client] = {}
+        self._clients: dict[str, Outbox] = {}
+        self._notes = Notes()
         self._status: Mapping[str, Any] = {}
+        self._status_s = 0.0
+        self._seats: Mapping[str, Any] = {}
         self._names = 0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._tasks: set[asyncio.Task[None]] = set()
@@ -138,22 +95,31 @@ class Service:
                 lane.shutdown(wait=False, cancel_futures=True)
 
     async def _serve_file(self, request: Request) -> Response:
-        refusal = self._guard.refusal(request)
         path = request.path_params["path"]
-        if refusal is None and not path:
-            refusal = self._guard.refusal_without_token(request)
+        # The page itself is for who has the token; its files hold nothing but what everybody can download.
+        refusal = self._guard.refusal(request, needs_token=not path)
         return refusal if refusal is not None else page_file(path, request.headers)
 
     async def _stop_by_post(self, request: Request) -> Response:
         """For a page whose socket is not open, and for ``curl``."""
-        refusal = self._guard.refusal(request) or self._guard.refusal_without_token(request)
+        refusal = self._guard.refusal(request)
         if refusal is not None:
             return refusal
+        trouble = self._stop()
+        return Response(f"{trouble or 'stopped'}\n", 503 if trouble else 200, media_type="text/plain")
+
+    def _stop(self) -> str:
+        """Stop in this thread, immediately: it waits for no lane, no queue and no other client. Returns what
+        went wrong; a stop that failed must be answered, whatever the reason.
+        """
         try:
             self._source.stop()
         except HeliError as error:
-            return Response(f"{error}\n", 503, media_type="text/plain")
-        return Response("stopped\n", media_type="text/plain")
+            return str(error)
+        except Exception as error:  # noqa: BLE001
+            self._notes.warn(f"a stop failed: {type(error).__name__}: {error}")
+            return "the stop failed; use the rig's own stop switch"
+        return ""
 
     async def _serve_stop(self, socket: WebSocket) -> None:
         if not await self._guard.admit(socket):
@@ -163,32 +129,51 @@ class Service:
                 message = await socket.receive()
                 if message["type"] == "websocket.disconnect":
                     return
-                try:
-                    # In this thread, at once: it waits for no lane, no queue and no other client.
-                    self._source.stop()
-                    answer = "stopped"
-                except HeliError as error:
-                    answer = f"error: {error}"
-                await socket.send_text(answer)
+                trouble = self._stop()
+                await socket.send_text(f"error: {trouble}" if trouble else "stopped")
 
     async def _serve_client(self, socket: WebSocket) -> None:
         if not await self._guard.admit(socket):
             return
         client = self._enter(socket)
-        tasks = [asyncio.create_task(part(client)) for part in (self._send_words, self._send_rows)]
+        tasks: set[asyncio.Task[None]] = set()
         try:
-            await self._listen_to(client)
-        except (WebSocketDisconnect, RuntimeError):
-            # RuntimeError is Starlette's word for a socket that was closed meanwhile.
-            pass
+            self._tell(client, self._hello(client))
+            self._clients[client.key] = client
+            self._tell_seats()
+            tasks = {asyncio.create_task(part) for part in self._parts(client)}
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        except Exception as error:  # noqa: BLE001 - a client without a task for its news would show old news
+            await self._see_off(client, error)
         finally:
             for task in tasks:
                 task.cancel()
+            # Two may have failed together: asyncio prints a trace for the one that is not looked at.
+            await asyncio.gather(*tasks, return_exceptions=True)
             self._clients.pop(client.key, None)
             self.seats.leave(client.key)
             self._tell_seats()
 
-    def _enter(self, socket: WebSocket) -> Client:
+    def _parts(self, client: Outbox) -> Iterator[Coroutine[Any, Any, None]]:
+        yield self._listen_to(client)
+        yield client.send_words()
+        if client.wants_rows:
+            yield client.send_rows(self._source)
+
+    async def _see_off(self, client: Outbox, error: Exception) -> None:
+        """Close the socket of a client whose task failed, and log why unless the client itself has gone."""
+        states = (client.socket.client_state, client.socket.application_state)
+        # RuntimeError is Starlette's word for a socket that was closed in the meantime.
+        is_closed = isinstance(error, RuntimeError) and WebSocketState.DISCONNECTED in states
+        if is_closed or isinstance(error, WebSocketDisconnect):
+            return
+        self._notes.warn(f"{client.name} is disconnected: {type(error).__name__}: {error}")
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            await client.socket.close(_FAILED)
+
+    def _enter(self, socket: WebSocket) -> Outbox:
         query = socket.query_params
         is_program = query.get("role") == "program"
         key = printable(query.get("client", ""))[:40] or secrets.token_hex(8)
@@ -199,14 +184,11 @@ class Service:
             # A tab that was duplicated brings the other's id.
             key = secrets.token_hex(8)
             self.seats.join(key, name, now_s, may_fly=not is_program)
-        client = Client(socket, key)
+        client = Outbox(socket, key, name)
         client.wants_rows = query.get("rows") != "0"
-        client.tell(self._hello(client))
-        self._clients[key] = client
-        self._tell_seats()
         return client
 
-    def _hello(self, client: Client) -> dict[str, Any]:
+    def _hello(self, client: Outbox) -> dict[str, Any]:
         described = self._source.describe()
         return {"hello": {"you": client.key, **described}, "status": self._source.status(), **self._seated()}
 
@@ -224,7 +206,7 @@ class Service:
             }
         }
 
-    async def _listen_to(self, client: Client) -> None:
+    async def _listen_to(self, client: Outbox) -> None:
         while True:
             message = await client.socket.receive()
             if message["type"] == "websocket.disconnect":
@@ -235,7 +217,7 @@ class Service:
             elif words is not None:
                 await self._take_words(client, words)
 
-    def _take_sign(self, client: Client, data: bytes) -> None:
+    def _take_sign(self, client: Outbox, data: bytes) -> None:
         """Four bytes: the number of the newest frame that was shown. It is also the sign of life."""
         if len(data) == 4:
             # A page that was connected before may still answer for what it got then.
@@ -244,18 +226,18 @@ class Service:
             client.may_send.set()
         self.seats.beat(client.key, time.monotonic())
 
-    async def _take_words(self, client: Client, words: str) -> None:
+    async def _take_words(self, client: Outbox, words: str) -> None:
         try:
-            asked = json.loads(words) if len(words) <= _LONGEST_MESSAGE else None
-        except ValueError:
-            asked = None
-        if not isinstance(asked, dict) or not isinstance(asked.get("do"), str):
-            client.tell({"answer": None, "error": "that is no request", "remedy": "see docs/page.md"})
+            request = read_request(words)
+        except BadRequest as error:
+            self._notes.warn(f"a request of {client.name} is refused: {error}")
+            self._tell(client, _refused(error.asked, error.cause, error.remedy))
             return
-        name = asked["do"]
+        name, asked = request.name, request.asked
         if name == "stop":
-            self._source.stop()
-            client.tell({"answer": asked.get("id"), "do": name})
+            trouble = self._stop()
+            answer = {"answer": asked.get("id"), "do": name}
+            self._tell(client, _refused(asked, trouble, "") if trouble else answer)
         elif name in ("ask", "grant", "keep", "share"):
             self._seat_action(client, name, asked)
         elif name in self._source.actions:
@@ -264,28 +246,28 @@ class Service:
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
         else:
-            client.tell(_refused(asked, f"nothing is called {name[:40]!r} here", "see docs/page.md"))
+            self._tell(client, _refused(asked, f"nothing is called {name[:40]!r} here", "see docs/page.md"))
 
-    def _seat_action(self, client: Client, name: str, asked: Mapping[str, Any]) -> None:
+    def _seat_action(self, client: Outbox, name: str, asked: Mapping[str, Any]) -> None:
         now_s = time.monotonic()
         granted = True
         if name == "ask":
             granted = self.seats.ask(client.key, now_s)
         elif client.key != self.seats.pilot:
-            client.tell(_refused(asked, "only who flies can answer that", "ask for control"))
+            self._tell(client, _refused(asked, "only who flies can answer that", "ask for control"))
             return
         elif name == "share":
             self.seats.shared = bool(asked.get("on"))
         else:
             granted = self.seats.answer(client.key, name == "grant")
-        client.tell({"answer": asked.get("id"), "do": name, "granted": granted})
+        self._tell(client, {"answer": asked.get("id"), "do": name, "granted": granted})
         self._tell_seats()
 
-    async def _act(self, client: Client, name: str, action: Action, asked: Mapping[str, Any]) -> None:
+    async def _act(self, client: Outbox, name: str, action: Action, asked: Mapping[str, Any]) -> None:
         source, wish = self._source, self._source.wish()
         if not self._allowed(client, action):
             pilot = self.seats.name(self.seats.pilot) or "nobody"
-            client.tell(_refused(asked, f"{pilot} flies, you watch", "ask for control"))
+            self._tell(client, _refused(asked, f"{pilot} flies, you watch", "ask for control"))
             return
 
         def run() -> Mapping[str, Any]:
@@ -296,42 +278,21 @@ class Service:
         loop = asyncio.get_running_loop()
         try:
             answer = await loop.run_in_executor(self._lanes[action.lane], run)
+            text = self._as_json({"answer": asked.get("id"), "do": name, **answer})
         except HeliError as error:
-            client.tell(_refused(asked, error.cause, error.remedy))
+            self._tell(client, _refused(asked, error.cause, error.remedy))
         except OSError as error:
-            client.tell(_refused(asked, error.strerror or str(error), "choose another place"))
+            self._tell(client, _refused(asked, error.strerror or str(error), "choose another place"))
+        except Exception as error:  # noqa: BLE001 - who asked must be answered, and asyncio would print a trace
+            self._notes.warn(f"{name} of {client.name} failed: {type(error).__name__}: {error}")
+            self._tell(client, _refused(asked, f"{name} failed: {type(error).__name__}", _REPORT))
         else:
-            client.tell({"answer": asked.get("id"), "do": name, **answer})
+            client.tell(text)
 
-    def _allowed(self, client: Client, action: Action) -> bool:
+    def _allowed(self, client: Outbox, action: Action) -> bool:
         if action.need is Need.ANYBODY or client.key == self.seats.pilot:
             return True
         return action.need is Need.TUNER and self.seats.shared
-
-    async def _send_words(self, client: Client) -> None:
-        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-            while True:
-                words = await client.words.get()
-                await client.socket.send_text(json.dumps(words, allow_nan=False, separators=(",", ":")))
-
-    async def _send_rows(self, client: Client) -> None:
-        if not client.wants_rows:
-            return
-        position, sent_s = 0, 0.0
-        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-            while True:
-                while client.sent - client.acknowledged >= UNACKNOWLEDGED:
-                    client.may_send.clear()
-                    await client.may_send.wait()
-                cut = self._source.tape.cut(position, MOST_ROWS)
-                now_s = time.monotonic()
-                # Without rows an empty frame asks for the sign of life: a board that is silent is no lost
-                # pilot.
-                if len(cut.tick) or now_s - sent_s >= EMPTY_S:
-                    client.sent, sent_s = client.sent + 1, now_s
-                    await client.socket.send_bytes(pack(cut, client.sent))
-                    position = cut.end
-                await asyncio.sleep(FRAME_S)
 
     def _hear(self, news: Mapping[str, Any]) -> None:
         """Take news from any thread."""
@@ -339,27 +300,50 @@ class Service:
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(self._tell_all, news)
 
+    def _tell(self, client: Outbox, news: Mapping[str, Any]) -> None:
+        client.tell(self._as_json(news))
+
     def _tell_all(self, news: Mapping[str, Any]) -> None:
+        try:
+            text = self._as_json(news)
+        except Exception as error:  # noqa: BLE001 - news that cannot be written must not cost the news after them
+            self._notes.warn(f"{', '.join(news)} cannot be sent: {type(error).__name__}: {error}")
+            return
         for client in self._clients.values():
-            client.tell(news)
+            if "status" in news:
+                client.tell_status(text)
+            else:
+                client.tell(text)
+
+    def _as_json(self, news: Mapping[str, Any]) -> str:
+        text, is_not_finite = as_json(news)
+        if is_not_finite:
+            self._notes.warn(f"{', '.join(news)} holds a number that is not finite; pages get null")
+        return text
 
     def _tell_seats(self) -> None:
         self._tell_all(self._seated())
 
     async def _watch(self) -> None:
         """Tell the status when it has changed, and from time to time that it has not."""
-        told_s, seated = 0.0, self._seated()
         while True:
             await asyncio.sleep(STATUS_S)
-            now_s = time.monotonic()
-            status, seats = self._source.status(), self._seated()
-            differs = {**status, "link": None} != {**self._status, "link": None}
-            if differs or now_s - told_s >= PRESENCE_S:
-                self._status, told_s = status, now_s
-                self._tell_all({"status": status})
-            if seats != seated:
-                seated = seats
-                self._tell_all(seats)
+            try:
+                self._look()
+            except Exception as error:  # noqa: BLE001 - without this task every page would show an old status
+                self._notes.warn(f"the status cannot be read: {type(error).__name__}: {error}")
+
+    def _look(self) -> None:
+        now_s = time.monotonic()
+        seats = self._seated()
+        if seats != self._seats:
+            self._seats = seats
+            self._tell_all(seats)
+        status = self._source.status()
+        differs = {**status, "link": None} != {**self._status, "link": None}
+        if differs or now_s - self._status_s >= PRESENCE_S:
+            self._status, self._status_s = status, now_s
+            self._tell_all({"status": status})
 
 
 def _refused(asked: Mapping[str, Any], cause: str, remedy: str) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
@@ -14,6 +15,9 @@ from heli_host.page.tape import Tape
 
 KEPT_S = 600.0
 """How much of the past a page that is opened now still finds [s]; 38 MB of memory."""
+
+UNKNOWN = (255, 0)
+"""State and fault of a board that is not heard: no state has this number."""
 
 News = Callable[[Mapping[str, Any]], None]
 
@@ -74,6 +78,10 @@ class Source(Protocol):
 
     def status(self) -> dict[str, Any]:
         """Return what a page shows in words, as JSON; asked ten times a second, so it must not wait."""
+        ...
+
+    def state(self) -> tuple[int, int]:
+        """Return the board's state and fault now, for every frame; `UNKNOWN` while nothing is heard of it."""
         ...
 
     def listen(self, news: News) -> None:
@@ -141,7 +149,26 @@ def number(arguments: Mapping[str, Any], name: str) -> float:
     value = arguments.get(name)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ParameterError(f"{name} is no number", "give one")
-    return float(value)
+    return finite(name, value)
+
+
+def finite(name: str, value: float) -> float:
+    """Return a number as a float; a ParameterError unless it is finite.
+
+    Parameters
+    ----------
+    name : str
+        What it is, for the message.
+    value : float
+        As it came; JSON has whole numbers of any length, and Python's also NaN and Infinity.
+    """
+    try:
+        converted = float(value)
+    except OverflowError:
+        converted = math.inf if value > 0 else -math.inf
+    if not math.isfinite(converted):
+        raise ParameterError(f"{name} is {converted}, not a finite number", "give a finite number")
+    return converted
 
 
 def text(arguments: Mapping[str, Any], name: str, most: int = 200) -> str:

@@ -13,6 +13,9 @@ from heli_lab.errors import CampaignError
 if TYPE_CHECKING:
     from distributed import Client
 
+LOOPBACK: Final = "127.0.0.1:0"
+"""Where Dask serves its HTTP. Without an address it listens on every interface, even with its dashboard off:
+measured with 2026.8."""
 CONNECT_s: Final = 10.0
 """Until an address counts as one that does not answer."""
 FIRST_WORKER_s: Final = 60.0
@@ -41,6 +44,9 @@ def workers_of(scheduler: str | None, processes: int) -> Iterator[Client]:
         "distributed.comm.timeouts.connect": f"{CONNECT_s:g}s",
         "distributed.admin.tick.limit": "1h",
         "distributed.worker.memory.terminate": False,
+        # A campaign asks for none of its pages, so other users of this machine get none.
+        "distributed.scheduler.http.routes": [],
+        "distributed.worker.http.routes": [],
     }
     with dask.config.set(settings):
         if scheduler is None:
@@ -50,7 +56,9 @@ def workers_of(scheduler: str | None, processes: int) -> Iterator[Client]:
                     n_workers=1,
                     threads_per_worker=processes,
                     processes=False,
-                    dashboard_address=":0",
+                    dashboard_address=LOOPBACK,
+                    worker_dashboard_address=LOOPBACK,
+                    scheduler_kwargs={"dashboard": False},
                     memory_limit=0,
                 ) as cluster,
                 Client(cluster) as client,
@@ -82,6 +90,8 @@ def usable(client: Client, code: str, works: tuple[str, ...]) -> tuple[list[str]
 
     Parameters
     ----------
+    client : distributed.Client
+        Connected to the cluster.
     code : str
         Digest of the campaign's.
     works : tuple of str

@@ -13,6 +13,7 @@ from typing_extensions import override
 
 from heli_sim.errors import EndpointError
 from heli_sim.sil.endpoint import Endpoint, LineChange
+from heli_sim.sil.port_link import PortLink
 
 _CHUNK: Final = 65536
 # Places in what tcgetattr returns.
@@ -36,18 +37,22 @@ class PtyEndpoint(Endpoint):
     Raises
     ------
     EndpointError
-        When the link's place is taken by something that is not a link, or cannot be written.
+        When another server holds the link's path, or the path cannot be had: see `PortLink`.
     """
 
     def __init__(self, link: str | Path | None = None) -> None:
-        self._link = Path(link) if link is not None else None
+        self._link = PortLink(Path(link)) if link is not None else None
         self._master = -1
         self._open = False
         self._dtr = False
         self._changes: list[LineChange] = []
         self._kept = b""
         self.url = ""
-        self.plug()
+        try:
+            self.plug()
+        except EndpointError:
+            self.close()
+            raise
 
     @override
     @property
@@ -101,8 +106,8 @@ class PtyEndpoint(Endpoint):
     def unplug(self) -> None:
         if self._master < 0:
             return
-        if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self.terminal:
-            self._link.unlink()
+        if self._link is not None:
+            self._link.remove()
         os.close(self._master)
         self._master = -1
         self._open, self._dtr, self._kept = False, False, b""
@@ -126,30 +131,16 @@ class PtyEndpoint(Endpoint):
         termios.tcsetattr(slave, termios.TCSANOW, settings)
         os.close(slave)
         os.set_blocking(self._master, False)
-        try:
-            self._make_link()
-        except EndpointError:
-            self.unplug()
-            raise
-        self.url = str(self._link) if self._link is not None else self.terminal
+        self.url = self.terminal
+        if self._link is not None:
+            self._link.point_to(self.terminal)
+            self.url = str(self._link.path)
 
     @override
     def close(self) -> None:
         self.unplug()
-
-    def _make_link(self) -> None:
-        if self._link is None:
-            return
-        if self._link.exists() and not self._link.is_symlink():
-            raise EndpointError(f"{self._link} exists and is no link", "choose another path for the port")
-        beside = self._link.with_name(f".{self._link.name}.{os.getpid()}")
-        try:
-            beside.symlink_to(self.terminal)
-            beside.replace(self._link)
-        except OSError as error:
-            raise EndpointError(
-                f"cannot make the port {self._link}: {error.strerror}", "choose a folder that can be written"
-            ) from None
+        if self._link is not None:
+            self._link.release()
 
     def _hang_up(self) -> None:
         self._open, self._kept = False, b""

@@ -6,7 +6,8 @@ const STOP_BUTTONS = [1, 2, 3]; // all on the right but the lowest, whatever the
 
 function writing(target) { return target instanceof HTMLInputElement && target.type !== "range"; }
 
-// Space and Esc stop whatever has the focus; only while the motors are off does a field for words get its spaces.
+// Space and Esc stop whatever has the focus; only while the motors are off for certain does a field for words get its
+// spaces.
 export function listenForStop(stop, motorsAreOff) {
   window.addEventListener("keydown", (event) => {
     if (event.code !== "Space" && event.key !== "Escape") return;

@@ -26,34 +26,35 @@ export function unpack(buffer) {
   const raw = [];
   for (let c = 0; c < channels; c++) raw.push(new Int32Array(buffer, HEADER + 4 * rows * (1 + c), rows));
   return {
-    thinned: (flags & 1) !== 0, reset: (flags & 2) !== 0, number: head.getUint32(4, true), rows,
+    thinned: (flags & 1) !== 0, reset: (flags & 2) !== 0, number: head.getUint32(4, true), rows, state: head.getUint8(12),
     first: head.getFloat64(16, true), offset: new Uint32Array(buffer, HEADER, rows), raw,
   };
 }
 
 export class Link {
-  constructor({ onWords, onRows, onOpen, onClosed }) {
-    Object.assign(this, { onWords, onRows, onOpen, onClosed });
+  constructor({ onWords, onRows, onOpen, onClosed, onBeat }) {
+    Object.assign(this, { onWords, onRows, onOpen, onClosed, onBeat });
     this.waiting = new Map();
     this.number = 0;
     this.isOpen = false;
     this.socket = new Worker("socket.js");
     this.socket.onmessage = ({ data }) => {
-      if (data.text) this.take(JSON.parse(data.text));
+      if (data.words) this.take(data.words, data.cameMs);
       else if (data.rows) {
         const frame = unpack(data.rows);
         this.onRows(frame);
         // Says that these were shown, and that this page lives: without it setpoints go missing to the board.
         this.socket.postMessage({ shown: frame.number });
-      } else if (data.open) this.opened();
+      } else if (data.nowMs) this.onBeat(data.nowMs);
+      else if (data.open) this.opened(data.cameMs);
       else this.closed();
     };
     this.socket.postMessage({ address: address("/ws", { client: ownId() }) });
   }
 
-  opened() {
+  opened(cameMs) {
     this.isOpen = true;
-    this.onOpen();
+    this.onOpen(cameMs);
   }
 
   closed() {
@@ -63,11 +64,11 @@ export class Link {
     this.onClosed();
   }
 
-  take(words) {
+  take(words, cameMs) {
     if ("answer" in words) {
       this.waiting.get(words.answer)?.(words);
       this.waiting.delete(words.answer);
-    } else this.onWords(words);
+    } else this.onWords(words, cameMs);
   }
 
   ask(name, more = {}) {

@@ -10,42 +10,85 @@ const $ = (id) => document.getElementById(id);
 const DEG = 180 / Math.PI;
 const AXES = ["elevation", "pitch", "travel"];
 const KINDS = { closed_loop: "fly", open_loop: "warn", streamed: "warn", armed: "warn", hold: "warn", landing: "warn", fault: "bad", emergency_landing: "bad" };
+const OFF = ["idle", "fault"];
 const WORDS_MS = 120;
+const STALE_MS = 600; // a status is due every 200 ms, a frame every 80 ms
 
 let hello = null, history = null, strips = null, scene = null, status = null, wordsMs = 0;
+let statusMs = 0, stale = true, lost = false; // when the status that is shown came, by the clock of the socket's thread
+let frameState = null, frameMs = -Infinity, beatMs = -Infinity; // the state that the newest frame carries, by number
 
 function say(words, bad = false) {
   $("said").textContent = words;
   $("said").className = bad ? "bad" : "";
 }
 
+// Only what changes: a screen reader would read the same words ten times a second.
+function put(id, words) { if ($(id).textContent !== words) $(id).textContent = words; }
+
 function alarm(words) {
   $("alarm").hidden = !words;
-  $("alarm").textContent = words;
+  put("alarm", words);
 }
 
 const stop = new Stop((answer) => say(answer === "stopped" ? "stop: sent to the board, before everything else" : answer, answer !== "stopped"));
 const link = new Link({
-  onOpen: () => alarm(""),
-  onClosed: () => alarm(status && KINDS[name()] ? "Nobody answers: the board gets no setpoints from this page, and lands by itself. Trying again …" : "Nobody answers. Trying again …"),
+  onOpen: (cameMs) => { statusMs = cameMs; },
+  onClosed: () => {
+    if (!lost) alarm(KINDS[name()] ? "Nobody answers: the board gets no setpoints from this page, and lands by itself. Trying again …" : "Nobody answers. Trying again …");
+    [lost, stale, frameState] = [true, true, null];
+  },
+  onBeat: (nowMs) => {
+    beatMs = performance.now();
+    if (link.isOpen && nowMs - statusMs > STALE_MS) showStale();
+    gamepad.poll(beatMs);
+  },
   // With the rows, not with what is drawn: a stop must not wait for a slow or hidden picture.
-  onRows: (frame) => { history?.append(frame); gamepad.poll(performance.now()); },
-  onWords: (words) => take(words),
+  onRows: (frame) => {
+    [frameState, frameMs] = [frame.state, performance.now()];
+    history?.append(frame);
+    gamepad.poll(performance.now());
+  },
+  onWords: (words, cameMs) => take(words, cameMs),
 });
 const controls = new Controls(link, say);
 
-function name() { return hello?.states[status?.state]?.name ?? ""; }
+function nameOf(state) { return hello?.states[state]?.name ?? ""; }
+
+// The state that is shown: of the status, or of the newest frame where the status is old; empty when unknown.
+function name() { return nameOf(stale ? frameState : status?.state); }
+
+// Whether the motors are off for certain: by a status and a frame, neither of them old. Otherwise they may run.
+function surelyOff() {
+  if (hello?.mode === "replay") return true;
+  const nowMs = performance.now(), fresh = !stale && nowMs - beatMs < STALE_MS && nowMs - frameMs < STALE_MS;
+  return fresh && status.connected && OFF.includes(name()) && OFF.includes(nameOf(frameState));
+}
+
+function showStale() {
+  stale = true;
+  alarm("The server sends no status any more. Space and Esc stop the motors, even in a text field.");
+  put("state", name().replace("_", " ") || "unknown");
+  $("state").dataset.kind = "bad";
+  put("words", name() ? "This is the state in the newest samples." : "No samples come either.");
+  if (status && name()) controls.show({ ...status, state: frameState });
+}
 
 function stopNow() { stop.now(); }
 
-function take(words) {
+function take(words, cameMs) {
   if (words.hello) greet(words.hello);
   if (words.values) controls.values(words);
   if (words.channels) { history.channels.forEach((spec, i) => Object.assign(spec, words.channels[i])); strips?.rename(); }
   if (words.event) controls.event(words.event);
   if (words.signal) strips?.signal(words.signal.name, words.signal.tick, words.signal.value);
   if (words.recorded) controls.recorded = `recorded ${words.recorded}`;
-  if (words.status) showStatus(words.status);
+  if (words.status) {
+    showStatus(words.status);
+    // Only what is shown counts: a status at which this page fails is followed by the alarm.
+    [statusMs, stale, lost] = [cameMs, false, false];
+    alarm("");
+  }
   if (words.seats) controls.seat(words.seats);
 }
 
@@ -73,7 +116,7 @@ function showStatus(news) {
   const twin = news.twin ? ` ${news.twin.words}` : "";
   const words = !news.connected ? "The board does not answer: it holds, then lands by itself. It is looked for." : fault ? `${fault.meaning}: ${fault.remedy}.` : (state?.words ?? "") + twin;
   if (news.twin?.parted) $("state").dataset.parted = "yes"; else delete $("state").dataset.parted;
-  if ($("words").textContent !== words) $("words").textContent = words;
+  put("words", words);
   controls.show(news);
 }
 
@@ -89,7 +132,7 @@ function angles(suffix) { return AXES.map((axis) => history.latest(history.chann
 function showNumbers(nowMs) {
   if (nowMs - wordsMs < WORDS_MS || !history.end) return;
   wordsMs = nowMs;
-  const is = angles("_rad"), goal = angles("_setpoint_rad"), off = ["idle", "fault"].includes(name());
+  const is = angles("_rad"), goal = angles("_setpoint_rad"), off = OFF.includes(name());
   [...$("numbers").tBodies[0].rows].forEach((row, i) => {
     row.cells[1].textContent = (is[i] * DEG).toFixed(1);
     row.cells[2].textContent = off ? "–" : (goal[i] * DEG).toFixed(1);
@@ -102,7 +145,7 @@ function showNumbers(nowMs) {
 }
 
 const gamepad = new Gamepad(stopNow, (axis, by) => controls.move(axis, by));
-listenForStop(stopNow, () => hello?.mode === "replay" || ["idle", "fault", ""].includes(name()));
+listenForStop(stopNow, surelyOff);
 listenForArrows((axis, by) => controls.move(axis, by), () => controls.mark());
 $("pause").addEventListener("click", () => (strips.view === null ? strips.pause() : strips.follow()));
 for (const button of document.querySelectorAll("[data-span]")) button.addEventListener("click", () => strips.follow(Number(button.dataset.span)));
@@ -110,11 +153,11 @@ for (const button of document.querySelectorAll("[data-span]")) button.addEventLi
 function frame(nowMs) {
   requestAnimationFrame(frame);
   if (!history) return;
-  strips.draw(nowMs);
   showNumbers(nowMs);
+  strips.draw(nowMs);
   if (history.end) scene.draw(nowMs, strips.intervalMs, angles("_rad"), angles("_setpoint_rad"), !["idle", "fault", "armed", ""].includes(name()), status?.twin?.ghost_rad ?? null);
 }
 requestAnimationFrame(frame);
 
 // For tests and the curious: what this page holds, in the board's own numbers.
-window.heliPage = { get history() { return history; }, get hello() { return hello; }, get status() { return status; }, get strips() { return strips; } };
+window.heliPage = { get history() { return history; }, get hello() { return hello; }, get status() { return status; }, get frameState() { return frameState; }, get strips() { return strips; } };

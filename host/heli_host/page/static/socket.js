@@ -13,8 +13,9 @@ function sign() {
 function open(address) {
   socket = new WebSocket(address);
   socket.binaryType = "arraybuffer";
-  socket.onopen = () => postMessage({ open: true });
-  socket.onmessage = ({ data }) => (typeof data === "string" ? postMessage({ text: data }) : postMessage({ rows: data }, [data]));
+  socket.onopen = () => postMessage({ open: true, cameMs: performance.now() });
+  // With the time at which words came: how old a status is must not depend on how slowly the page draws.
+  socket.onmessage = ({ data }) => (typeof data === "string" ? postMessage({ words: JSON.parse(data), cameMs: performance.now() }) : postMessage({ rows: data }, [data]));
   socket.onclose = () => {
     [shown, shownMs] = [0, -Infinity]; // numbers of frames begin anew
     postMessage({ open: false });
@@ -32,5 +33,6 @@ onmessage = ({ data }) => {
 };
 setInterval(() => {
   const nowMs = performance.now();
+  postMessage({ nowMs });
   if (nowMs - shownMs < HUNG_MS && nowMs - signedMs >= SIGN_MS) sign();
 }, SIGN_MS);
