@@ -108,7 +108,7 @@ def test_a_number_that_only_a_grid_searches_is_tried_on_both_sides_of_the_best_s
             kinds=KINDS, comparison=SimpleNamespace(refit=refit), penalty=lambda candidate, tried: 10.0
         ),
     )
-    searcher._on_grid = lambda one: _Searcher._on_grid(searcher, one)  # type: ignore[method-assign]
+    searcher._on_grid = lambda scored: _Searcher._on_grid(searcher, scored)  # type: ignore[method-assign]
     base = hypothesis([])
     base.log_likelihood = 0.0  # type: ignore[misc]
     found = _Searcher.attempt(searcher, base, [], Scored(second, 48.0, np.full(2, 0.01), np.ones(2), 2))

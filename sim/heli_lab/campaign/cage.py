@@ -113,8 +113,8 @@ class Cage:
             return Answer(case.name, key, failure=f"no answer after {self.limits.wait_s:g} s: it hung")
         if not line.endswith(b"\n"):
             return self._ended(case, key)
-        said = json.loads(line)
-        return Answer(case.name, key, said["row"], said["detail"], said["failure"], said["cpu_s"])
+        reply = json.loads(line)
+        return Answer(case.name, key, reply["row"], reply["detail"], reply["failure"], reply["cpu_s"])
 
     def _ended(self, case: Case, key: str) -> Answer | None:
         """Say why the process has ended."""
@@ -140,9 +140,9 @@ class Cage:
             stderr=subprocess.DEVNULL,
         )
         self._orders, self._answers = self._process.stdin, queue.SimpleQueue()
-        told = (self._process.stdout, self._answers)
+        pipes = (self._process.stdout, self._answers)
         # Windows waits for sockets only, so a thread waits for the pipe.
-        threading.Thread(target=_pass_on, args=told, daemon=True).start()
+        threading.Thread(target=_pass_on, args=pipes, daemon=True).start()
 
 
 def _pass_on(pipe: IO[bytes], lines: queue.SimpleQueue[bytes]) -> None:
@@ -171,8 +171,8 @@ def serve(orders: IO[bytes], answers: IO[bytes]) -> None:
         order = json.loads(waiting.get())
         before_s = time.process_time()
         allow_cpu(before_s + order["cpu_s"])
-        said = _done(order["work"], order["settings"])
-        answers.write(_line({**said, "cpu_s": time.process_time() - before_s}) + b"\n")
+        reply = _done(order["work"], order["settings"])
+        answers.write(_line({**reply, "cpu_s": time.process_time() - before_s}) + b"\n")
         answers.flush()
 
 
@@ -190,12 +190,12 @@ def _done(work: str, settings: Mapping[str, Any]) -> dict[str, Any]:
     return {"row": dict(row), "detail": detail, "failure": ""}
 
 
-def _line(said: Mapping[str, Any]) -> bytes:
+def _line(message: Mapping[str, Any]) -> bytes:
     try:
-        return json.dumps(said, default=_plain).encode()
+        return json.dumps(message, default=_plain).encode()
     except (TypeError, ValueError) as error:
         failed: dict[str, Any] = {"row": {}, "detail": None, "failure": f"its result is no JSON: {error}"}
-        return json.dumps({**failed, "cpu_s": said["cpu_s"]}).encode()
+        return json.dumps({**failed, "cpu_s": message["cpu_s"]}).encode()
 
 
 def _plain(value: Any) -> Any:

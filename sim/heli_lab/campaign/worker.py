@@ -63,7 +63,9 @@ class _Cages:
     @contextmanager
     def one(self, limits: Limits) -> Iterator[Cage]:
         with self.lock:
-            fit = next((one for one in self.idle if one.limits.threads == limits.threads), None)
+            fit = next(
+                (idle_cage for idle_cage in self.idle if idle_cage.limits.threads == limits.threads), None
+            )
             if fit is not None:
                 self.idle.remove(fit)
         cage = fit or Cage(limits)
@@ -101,10 +103,10 @@ def other_code(code: str, works: tuple[str, ...]) -> str:
     `works`; empty where it is the same.
     """
     try:
-        own = code_digest(works)
+        worker_code = code_digest(works)
     except ImportError as error:
         return str(error)
-    return "" if own == code else f"its code has the digest {own}, the campaign's has {code}"
+    return "" if worker_code == code else f"its code has the digest {worker_code}, the campaign's has {code}"
 
 
 def attend(order: Order) -> Answer | Refused:

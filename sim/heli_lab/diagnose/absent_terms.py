@@ -64,7 +64,7 @@ def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[A
     flights fitted: those more likely absent than not, the most likely first.
     """
     values, stds = fit.values, fit.std
-    found = []
+    terms = []
     for id_, kind in kinds.items():
         names = [name for name in kind.override if name in values and rig[name].value > 0.0]
         if not kind.baseline or not names:
@@ -77,7 +77,7 @@ def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[A
         if confidence < thresholds.ABSENT_MIN_CONFIDENCE:
             continue
         share, std = 1.0 - numbers[0][0], max(numbers[0][1], thresholds.ABSENT_MIN_STD)
-        found.append(
+        terms.append(
             AbsentTerm(
                 id_,
                 min(max(share, 0.0), 1.0),
@@ -87,7 +87,7 @@ def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[A
                 min((1.0 - value) / max(std, thresholds.ABSENT_MIN_STD) for value, std in numbers),
             )
         )
-    return tuple(sorted(found, key=lambda one: -one.confidence))
+    return tuple(sorted(terms, key=lambda term: -term.confidence))
 
 
 def absence_probability(value: float, std: float) -> float:
@@ -125,7 +125,7 @@ def closely_stated_terms(
         The term gone, the values to refit from, and the gain that the score test promises, nats.
     """
     known = {effect.name for effect in screening.estimate.unknowns.model.effects}
-    asked = [
+    specs = [
         kind
         for kind in kinds
         if kind.baseline
@@ -135,14 +135,14 @@ def closely_stated_terms(
     ]
     shares = [
         Candidate(kind.id, replace(kind.make(), priors={kind.size[0]: _ANY_SHARE}), kind.size)
-        for kind in asked
+        for kind in specs
     ]
-    found = []
-    for kind, (gain, coefficients, _) in zip(asked, screening.score(shares), strict=True):
+    terms = []
+    for kind, (gain, coefficients, _) in zip(specs, screening.score(shares), strict=True):
         if gain < thresholds.ABSENT_MIN or not _LEAST_SHARE < coefficients[0] < _MOST_SHARE:
             continue
         (name,) = kind.size
         candidate = Candidate(kind.id, replace(kind.make({name: 1.0}), priors={name: _WHOLE}), (name,))
         start = {number: comparison.rig[number].value for number in kind.override}
-        found.append((candidate, {**start, name: _START_SHARE}, gain))
-    return found
+        terms.append((candidate, {**start, name: _START_SHARE}, gain))
+    return terms

@@ -62,11 +62,11 @@ class Candidate:
     def neutral(self) -> dict[str, float]:
         """Values of its sizes at which it does next to nothing, within the priors' bounds, by full name."""
         sizes = self.linear_parameters or tuple(self.effect.priors)[:1]
-        found = {}
+        values = {}
         for name in sizes:
             prior = self.effect.priors[name]
-            found[name] = float(np.clip(0.0, prior.low + 1e-6 * prior.std, prior.high))
-        return found
+            values[name] = float(np.clip(0.0, prior.low + 1e-6 * prior.std, prior.high))
+        return values
 
     @property
     def is_spline(self) -> bool:
@@ -215,13 +215,13 @@ class ExtendedModel:
         self.more = type(model)((*model.effects, effect))
         self.effect = effect
         names = [quantity.name for quantity in self.more.parameters]
-        own = [state.name for state in effect.states]
+        state_names = [state.name for state in effect.states]
         self.places = [names.index(q.name) for q in model.parameters]
         self.own_places = {q.name: names.index(q.name) for q in effect.parameters}
         states = [state.name for state in self.more.states]
         base = [states.index(state.name) for state in model.states]
-        extra = [states.index(name) for name in own]
-        x, z = ca.SX.sym("x", len(model.states)), ca.SX.sym("z", len(own))
+        extra = [states.index(name) for name in state_names]
+        x, z = ca.SX.sym("x", len(model.states)), ca.SX.sym("z", len(state_names))
         u, t, p = ca.SX.sym("u", 2), ca.SX.sym("t"), ca.SX.sym("p", len(names))
         both = ca.SX(len(states), 1)
         for i, place in enumerate(base):
@@ -239,10 +239,10 @@ class ExtendedModel:
                 ca.vertcat(*(rates[i] for i in base)) - model.dynamics(x, u, p_base, t),
                 angles - model.measurement(x, u, p_base, t),
             ]
-        self.state_count = len(own)
+        self.state_count = len(state_names)
         inputs = [ca.vertcat(x, z), u, t, p]
         self.change = AlongCourse(ca.Function("change", inputs, [ca.densify(o) for o in outputs]))
-        if own:
+        if state_names:
             inputs = [z, t, x, u, p]
             self.own = OwnStates(
                 ca.Function("rates", inputs, [ca.densify(ca.vertcat(*(rates[i] for i in extra)))]),
@@ -262,11 +262,11 @@ class ExtendedModel:
             parameters[place] = values[name]
         state = trajectory.state
         if self.state_count:
-            own = self._own_states(trajectory, parameters)
+            effect_states = self._own_states(trajectory, parameters)
             for place, axis in known_directions([self.effect]):
                 if directions is not None:
-                    own[:, place] = directions[:, axis]
-            state = np.column_stack((state, own))
+                    effect_states[:, place] = directions[:, axis]
+            state = np.column_stack((state, effect_states))
         rates, measured = self.change(
             Trajectory(trajectory.t_s, state, trajectory.volts_V, trajectory.step_s, parameters)
         )

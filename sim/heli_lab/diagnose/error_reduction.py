@@ -76,9 +76,9 @@ def error_reduction(
     """Compare the errors of two models by axis; one of each for each flight, in the same windows. `seed` is
     the bootstrap's.
     """
-    rows = np.concatenate([one.rows for one in before])
-    squares_before = np.concatenate([one.squares_rad2 for one in before])
-    squares_after = np.concatenate([one.squares_rad2 for one in after])
+    rows = np.concatenate([run.rows for run in before])
+    squares_before = np.concatenate([run.squares_rad2 for run in before])
+    squares_after = np.concatenate([run.squares_rad2 for run in after])
     count = len(rows)
     random = np.random.default_rng(seed)
     weights = random.multinomial(count, np.full(count, 1.0 / count), _RESAMPLES)

@@ -118,15 +118,15 @@ def free_run(
     known = {**dict(zip(names, map(float, model.parameter_values(rig)), strict=True)), **values}
     first, rest = _split(record, calibrate_s)
     priors = flight_constants(model, rig, known)
-    found: dict[str, tuple[float, float]] = {}
+    calibrated: dict[str, tuple[float, float]] = {}
     if first.segments:
         fit = solve(
             _problem(model, rig, known, first, priors, threads), robust=False, scatter=False, near=True
         )
-        found = {name: (value, fit.std[name]) for name, value in fit.values.items()}
+        calibrated = {name: (value, fit.std[name]) for name, value in fit.values.items()}
         known |= fit.values
     # Bounds without room between them: with the constants among the free, their kernel serves again.
-    held = {name: Prior(known[name], one.std, known[name], known[name]) for name, one in priors.items()}
+    held = {name: Prior(known[name], prior.std, known[name], known[name]) for name, prior in priors.items()}
     problem = _problem(model, rig, known, rest, held, threads)
     windows = [rows for _, rows in problem.windows(0)]
     fits = {
@@ -137,8 +137,8 @@ def free_run(
         record.label,
         first.used_s,
         rest.used_s,
-        found,
-        priors if found else {},
+        calibrated,
+        priors if calibrated else {},
         {key: _errors(fit, windows) for key, fit in fits.items()},
         fits["2"],
     )
@@ -152,21 +152,21 @@ def free_runs(
     """
     problem = fit.problem
     names = [quantity.name for quantity in problem.model.parameters]
-    own = [problem.parameters(fit.theta, index) for index in range(len(problem.records))]
+    parameters = [problem.parameters(fit.theta, index) for index in range(len(problem.records))]
     if not validation:
         return tuple(
             free_run(
                 problem.model,
                 problem.rig,
-                dict(zip(names, map(float, one), strict=True)),
+                dict(zip(names, map(float, flight_values), strict=True)),
                 record,
                 0.0,
                 problem.threads,
             )
-            for one, record in zip(own, problem.records, strict=True)
+            for flight_values, record in zip(parameters, problem.records, strict=True)
         )
     # What each of several flights has of its own, another one has on average.
-    values = dict(zip(names, map(float, np.mean(own, axis=0)), strict=True))
+    values = dict(zip(names, map(float, np.mean(parameters, axis=0)), strict=True))
     return tuple(
         free_run(
             problem.model, problem.rig, values, record, calibration_s(record, calibrate_s), problem.threads
@@ -222,11 +222,11 @@ def _problem(
 
 def _split(record: Record, seconds: float) -> tuple[Record, Record]:
     """The first seconds of free flight, and the rest; scraps beside longer pieces of the rest are dropped."""
-    left = round(seconds / record.step_s)
+    remaining = round(seconds / record.step_s)
     first, rest = [], []
     for start, stop in record.segments:
-        cut = min(stop, start + left)
-        left -= cut - start
+        cut = min(stop, start + remaining)
+        remaining -= cut - start
         first += [(start, cut)] if cut > start else []
         rest += [(cut, stop)] if stop > cut else []
     least = round(LEAST_SEGMENT_S / record.step_s)

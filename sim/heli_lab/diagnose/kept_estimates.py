@@ -76,8 +76,8 @@ class KeptEstimates:
         whole = 0
         for line in lines:
             try:
-                one = json.loads(line)
-                self._known[one["key"]] = one
+                entry = json.loads(line)
+                self._known[entry["key"]] = entry
             except (ValueError, KeyError):
                 break
             whole += 1
@@ -92,7 +92,7 @@ class KeptEstimates:
         courses: Sequence[Course],
         functions: ModelFunctions,
         work_out: Callable[[], Estimate],
-        asked: bool = True,
+        record_use: bool = True,
     ) -> Estimate:
         """Look up the estimate of a `key`, or `work_out` and keep it; several threads may, of other keys.
 
@@ -104,10 +104,10 @@ class KeptEstimates:
             Those of the estimate.
         work_out : callable
             Makes it.
-        asked : bool
+        record_use : bool
             False where it is made before anybody asks for it.
         """
-        if asked:
+        if record_use:
             self.asked.add(key)
         known = self._known.get(key)
         if known is not None:
@@ -124,19 +124,19 @@ class KeptEstimates:
                 tuple(courses),
                 functions,
             )
-        found = work_out()
+        estimate = work_out()
         self._known[key] = kept = {
             "key": key,
-            "theta": found.theta.tolist(),
-            "covariance": found.covariance.tolist(),
-            "log_likelihood": float(found.log_likelihood),
-            "weather": {name: _listed(getattr(found.weather, name)) for name in _WEATHER},
-            "converged": bool(found.converged),
+            "theta": estimate.theta.tolist(),
+            "covariance": estimate.covariance.tolist(),
+            "log_likelihood": float(estimate.log_likelihood),
+            "weather": {name: _listed(getattr(estimate.weather, name)) for name in _WEATHER},
+            "converged": bool(estimate.converged),
         }
         if self._path is not None:
             with self._writing, self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(kept) + "\n")
-        return found
+        return estimate
 
 
 def _listed(value: Any) -> Any:
@@ -150,9 +150,9 @@ def key_of(
     with all their values, values to `start` from, and the estimate to begin `near`.
     """
     digest = hashlib.sha256(what.encode())
-    for one in candidates:
-        known = one.id, sorted(one.effect.values.items()), sorted(one.effect.priors.items())
-        digest.update(repr((*known, _equations(one.effect))).encode())
+    for candidate in candidates:
+        known = candidate.id, sorted(candidate.effect.values.items()), sorted(candidate.effect.priors.items())
+        digest.update(repr((*known, _equations(candidate.effect))).encode())
     digest.update(repr(sorted((name, float(value)) for name, value in start.items())).encode())
     if near is not None:
         digest.update(repr((near.unknowns.names, near.log_likelihood)).encode())
@@ -179,7 +179,9 @@ def digest_of(model: Model, rig: Rig, records: Iterable[Record]) -> str:
             digest.update(path.read_bytes())
     effects = [(effect.name, sorted(effect.values.items())) for effect in model.effects]
     digest.update(repr((model.name, effects)).encode())
-    numbers = [(name, one.value, one.tolerance, one.unit) for name, one in sorted(rig.items())]
+    numbers = [
+        (name, quantity.value, quantity.tolerance, quantity.unit) for name, quantity in sorted(rig.items())
+    ]
     digest.update(repr(numbers).encode())
     for record in records:
         digest.update(repr((record.label, record.segments)).encode())

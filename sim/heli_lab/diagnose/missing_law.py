@@ -100,12 +100,12 @@ def missing_laws(diagnosis: Diagnosis, most: int = 2) -> list[MissingLaw]:
 
     What no curve was found for, such as a torque by chance or a term that is absent, has none.
     """
-    found: list[MissingLaw] = []
+    laws: list[MissingLaw] = []
     verdict = diagnosis.verdict
     for cause in (*verdict.off_list, *verdict.causes)[:most]:
         whole = diagnosis.search.final if cause.candidate.is_spline else diagnosis.extended
-        found.append(missing_law(whole.estimate, cause.candidate))
-    return found
+        laws.append(missing_law(whole.estimate, cause.candidate))
+    return laws
 
 
 def missing_law(estimate: Estimate, cause: Candidate) -> MissingLaw:
@@ -117,9 +117,9 @@ def missing_law(estimate: Estimate, cause: Candidate) -> MissingLaw:
     if not size.any():
         return _missing_angle(estimate, less, cause)
     blocks = [_Blocks(linear) for linear in without]
-    law = np.concatenate([block.mean(one) for block, one in zip(blocks, torque, strict=True)])
+    law = np.concatenate([block.mean(values) for block, values in zip(blocks, torque, strict=True)])
     missing, std = _torque_by_chance(less)
-    left, _ = _torque_by_chance(estimate)
+    remaining, _ = _torque_by_chance(estimate)
     rest = np.sqrt(np.mean((missing - law) ** 2, axis=0)) + 1e-9
     axis = int(np.argmax(size / rest))
     places = [
@@ -136,7 +136,7 @@ def missing_law(estimate: Estimate, cause: Candidate) -> MissingLaw:
         on,
         on_unit,
         place,
-        *(factor * one[:, axis] for one in (missing, std, left, law)),
+        *(factor * values[:, axis] for values in (missing, std, remaining, law)),
     )
 
 
@@ -155,13 +155,13 @@ class _Blocks:
 
 def _without(estimate: Estimate, name: str) -> Estimate:
     """The same model without one of its effects: all other numbers stay, the weather is sought afresh."""
-    own = estimate.unknowns
-    model = type(own.model)(tuple(effect for effect in own.model.effects if effect.name != name))
+    full = estimate.unknowns
+    model = type(full.model)(tuple(effect for effect in full.model.effects if effect.name != name))
     records = [course.record for course in estimate.courses]
-    unknowns = Unknowns(model, own.rig, records)
-    values = dict(zip(own.names, estimate.theta, strict=True))
+    unknowns = Unknowns(model, full.rig, records)
+    values = dict(zip(full.names, estimate.theta, strict=True))
     start = zip(unknowns.names, unknowns.start, strict=True)
-    theta = np.array([values.get(one, value) for one, value in start])
+    theta = np.array([values.get(parameter, value) for parameter, value in start])
     functions = ModelFunctions(model, unknowns.quantities)
     less = replace(
         estimate,
@@ -177,17 +177,17 @@ def _without(estimate: Estimate, name: str) -> Estimate:
 
 def _held(estimate: Estimate, names: Iterable[str]) -> Estimate:
     """The same estimate with the parameters `names` no longer free."""
-    own = estimate.unknowns
-    values = dict(zip(own.names, map(float, estimate.theta), strict=True))
+    full = estimate.unknowns
+    values = dict(zip(full.names, map(float, estimate.theta), strict=True))
     known = {name: values[name] for name in names if name in values}
     records = [course.record for course in estimate.courses]
-    unknowns = Unknowns(own.model, own.rig, records, fixed=known)
+    unknowns = Unknowns(full.model, full.rig, records, fixed=known)
     return replace(
         estimate,
         unknowns=unknowns,
-        theta=np.array([values[one] for one in unknowns.names]),
+        theta=np.array([values[parameter] for parameter in unknowns.names]),
         covariance=np.diag(unknowns.std**2),
-        functions=ModelFunctions(own.model, unknowns.quantities),
+        functions=ModelFunctions(full.model, unknowns.quantities),
     )
 
 
@@ -203,8 +203,10 @@ def _torque_by_chance(estimate: Estimate) -> tuple[Floats, Floats]:
     """Torques about the three axes, (k, 3) over all flights, that stand for what a model lacks, and their
     standard errors.
     """
-    found = estimate.filtered().smoothed_torques(estimate.weather, np.zeros(len(estimate.theta)))
-    return np.concatenate([one for _, one, _ in found]), np.concatenate([one for _, _, one in found])
+    smoothed = estimate.filtered().smoothed_torques(estimate.weather, np.zeros(len(estimate.theta)))
+    return np.concatenate([values for _, values, _ in smoothed]), np.concatenate(
+        [values for _, _, values in smoothed]
+    )
 
 
 def _torque_of_law(with_: Linear, without: Linear) -> Floats:
@@ -221,19 +223,19 @@ def _along(model: Model, trajectory: Trajectory, of: Callable[..., ca.SX]) -> Fl
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
     function = ca.Function("along", [x, u, t, p], [ca.densify(of(x, u, p, t))])
-    (found,) = AlongCourse(function)(trajectory)
-    return np.ascontiguousarray(found[:, :, 0])
+    (values,) = AlongCourse(function)(trajectory)
+    return np.ascontiguousarray(values[:, :, 0])
 
 
 def _quantities(linear: Linear) -> dict[str, Floats]:
     """Quantities that a law may go with, shape (n,), by name: those of spline terms, and how fast the thrust
     changes, which is what a lag and a delay go with.
     """
-    found = quantity_values(linear.model, linear.trajectory)
+    values = quantity_values(linear.model, linear.trajectory)
     for name, time_s in itertools.product(("thrust", "thrust_difference"), _LAGS_s):
-        late = _lagged(found[name], linear.trajectory.step_s / time_s)
-        found[f"change of {name} within {time_s:g} s"] = found[name] - late
-    return found
+        late = _lagged(values[name], linear.trajectory.step_s / time_s)
+        values[f"change of {name} within {time_s:g} s"] = values[name] - late
+    return values
 
 
 def _lagged(values: Floats, step: float) -> Floats:
@@ -249,12 +251,12 @@ def _best_place(
     places: Sequence[Mapping[str, Floats]], law: Floats, cause: Candidate
 ) -> tuple[Floats, str, str]:
     """What a law is best drawn over: its values, its name in words and its unit."""
-    together = {name: np.concatenate([one[name] for one in places]) for name in places[0]}
+    together = {name: np.concatenate([place[name] for place in places]) for name in places[0]}
     if isinstance(cause.effect, SplineTerm):
         name = cause.effect.on
     else:
         followed = {name: _followed(value, law) for name, value in together.items()}
-        name = max(followed, key=lambda one: followed[one])
+        name = max(followed, key=lambda candidate: followed[candidate])
         if followed[name] < _FOLLOWS:
             factor, unit = SHOWN["N m"]
             return factor * law, "what the law gives", unit
@@ -282,24 +284,24 @@ def _missing_angle(estimate: Estimate, less: Estimate, cause: Candidate) -> Miss
     screenings = Screening(less), Screening(_held(estimate, cause.effect.values))
     linears = screenings[1].filtered.linears
     laws = [
-        _along(one.model, one.nodes, one.model.measurement)
+        _along(linear.model, linear.nodes, linear.model.measurement)
         - _along(other.model, other.nodes, other.model.measurement)
-        for one, other in zip(linears, screenings[0].filtered.linears, strict=True)
+        for linear, other in zip(linears, screenings[0].filtered.linears, strict=True)
     ]
     law = np.concatenate(laws)
     axis = int(np.argmax(law.std(axis=0)))
-    places = [quantity_values(one.model, one.nodes) for one in linears]
+    places = [quantity_values(linear.model, linear.nodes) for linear in linears]
     place, on, on_unit = _best_place(places, law[:, axis], cause)
     name = next((n for n in places[0] if quantity_in_words(n) == on), AXES[axis])
-    place = np.concatenate([one[name] for one in places])
+    place = np.concatenate([quantities[name] for quantities in places])
     low, step = knot_span(place)
     term = spline_term(f"measurement.{AXES[axis]}", name, low, step, _NUMBER)
-    term = replace(term, priors={one: Prior(0.0, _WIDE_rad) for one in term.priors})
+    term = replace(term, priors={prior_name: Prior(0.0, _WIDE_rad) for prior_name in term.priors})
     candidate = Candidate(f"spline:{term.channel}:{name}", term, tuple(term.priors))
     shown = np.linspace(low, low + step * (KNOTS - 3), _SHOWN_PLACES)
     weights = bspline_basis(shown, low, step)
     weights -= weights.mean(axis=0)
-    (without, covariance), (left, _) = (_coefficients(one, candidate) for one in screenings)
+    (without, covariance), (remaining, _) = (_coefficients(screening, candidate) for screening in screenings)
     std = np.sqrt(np.einsum("ni,ij,nj->n", weights, covariance, weights))
     drawn = weights @ np.linalg.lstsq(bspline_basis(place, low, step), law[:, axis], rcond=None)[0]
     factor, unit = SHOWN["rad"]
@@ -314,6 +316,6 @@ def _missing_angle(estimate: Estimate, less: Estimate, cause: Candidate) -> Miss
         on_factor * shown,
         factor * (weights @ without),
         factor * std,
-        factor * (weights @ left),
+        factor * (weights @ remaining),
         factor * drawn,
     )

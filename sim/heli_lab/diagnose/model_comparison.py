@@ -153,9 +153,9 @@ class Comparison:
         functions = ModelFunctions(self.model, unknowns.quantities)
         weather, theta = None, unknowns.start
         for _ in range(_FOLLOWED):
-            found = estimate(unknowns, courses, functions, theta, weather)
-            weather, theta = found.weather, found.theta
-            courses = tuple(found.filtered().followed(weather))
+            estimate_ = estimate(unknowns, courses, functions, theta, weather)
+            weather, theta = estimate_.weather, estimate_.theta
+            courses = tuple(estimate_.filtered().followed(weather))
         return courses
 
     def refit(
@@ -176,30 +176,34 @@ class Comparison:
             A hypothesis whose parameters and weather to start from. Where this one contains it, it is never
             less likely: else the estimate begins again from there.
         """
-        asked = len(self._kept.asked)
-        found = self._estimate(candidates, start or {}, near)
+        used_count = len(self._kept.asked)
+        hypothesis = self._estimate(candidates, start or {}, near)
         if near is not None and not set(near.ids) <= {candidate.id for candidate in candidates}:
             # Fewer effects than before: what these were once with is the better place to begin.
             known = self._remembered(candidates)
-            if known is not None and known.log_likelihood > found.log_likelihood + _WORSE_NATS:
+            if known is not None and known.log_likelihood > hypothesis.log_likelihood + _WORSE_NATS:
                 again = self._estimate(candidates, start or {}, known)
-                found = max(found, again, key=lambda one: one.log_likelihood)
-        elif near is not None and found.log_likelihood < near.log_likelihood - _WORSE_NATS:
+                hypothesis = max(
+                    hypothesis, again, key=lambda candidate_hypothesis: candidate_hypothesis.log_likelihood
+                )
+        elif near is not None and hypothesis.log_likelihood < near.log_likelihood - _WORSE_NATS:
             neutral: dict[str, float] = {}
             for candidate in candidates:
                 if candidate.id not in near.ids:
                     neutral |= candidate.neutral
             again = self._estimate(candidates, neutral, near)
-            found = max(found, again, key=lambda one: one.log_likelihood)
-        self.fits += len(self._kept.asked) > asked
+            hypothesis = max(
+                hypothesis, again, key=lambda candidate_hypothesis: candidate_hypothesis.log_likelihood
+            )
+        self.fits += len(self._kept.asked) > used_count
         key = frozenset(candidate.id for candidate in candidates)
         best = self._best.get(key)
         if (
             best is None
-            or found.log_likelihood > best.log_likelihood
+            or hypothesis.log_likelihood > best.log_likelihood
             or _grids(best.candidates) != _grids(candidates)
         ):
-            best = self._best[key] = Hypothesis(tuple(candidates), found)
+            best = self._best[key] = Hypothesis(tuple(candidates), hypothesis)
         return best
 
     def in_flight(self, hypothesis: Hypothesis) -> bool:
@@ -216,8 +220,8 @@ class Comparison:
     def _remembered(self, candidates: Sequence[Candidate]) -> Hypothesis | None:
         """The likeliest of what was estimated before with some of these effects and no other."""
         ids = {candidate.id for candidate in candidates}
-        known = [one for key, one in self._best.items() if key <= ids]
-        return max(known, key=lambda one: one.log_likelihood, default=None)
+        known = [hypothesis for key, hypothesis in self._best.items() if key <= ids]
+        return max(known, key=lambda hypothesis: hypothesis.log_likelihood, default=None)
 
     @contextmanager
     def ahead(self, refits: Iterable[Asked]) -> Iterator[None]:
@@ -228,8 +232,8 @@ class Comparison:
             yield
             return
         works = {
-            _key(*one): partial(self._estimate, *one, asked=False)
-            for one in ((one.candidates, one.start, one.near) for one in refits)
+            _key(*spec): partial(self._estimate, *spec, record_use=False)
+            for spec in ((spec.candidates, spec.start, spec.near) for spec in refits)
         }
         with self._ahead.working(works):
             yield
@@ -239,17 +243,20 @@ class Comparison:
         candidates: Sequence[Candidate],
         start: Mapping[str, float],
         near: Hypothesis | None,
-        asked: bool = True,
+        record_use: bool = True,
     ) -> Estimate:
         key = _key(candidates, start, near)
-        if asked:
+        if record_use:
             self._ahead.wait_for(key)
         model = type(self.model)((*self.model.effects, *(candidate.effect for candidate in candidates)))
         unknowns = Unknowns(model, self.rig, self.train)
         functions = ModelFunctions(model, unknowns.quantities)
         known = {**(near.values if near else {}), **start}
         theta = np.array(
-            [known.get(one.name, value) for one, value in zip(unknowns.free, unknowns.start, strict=True)]
+            [
+                known.get(parameter.name, value)
+                for parameter, value in zip(unknowns.free, unknowns.start, strict=True)
+            ]
         )
         theta = np.clip(theta, *unknowns.bounds)
         return self._kept.estimate(
@@ -258,7 +265,7 @@ class Comparison:
             self.courses,
             functions,
             lambda: self._worked_out(unknowns, functions, theta, near),
-            asked,
+            record_use,
         )
 
     def _worked_out(
@@ -266,30 +273,30 @@ class Comparison:
     ) -> Estimate:
         if near is None:
             return estimate(unknowns, self.courses, functions, theta)
-        found = estimate(unknowns, self.courses, functions, theta, near.estimate.weather)
-        if found.log_likelihood > near.log_likelihood + _OTHER_WEATHER_NATS:
+        estimate_ = estimate(unknowns, self.courses, functions, theta, near.estimate.weather)
+        if estimate_.log_likelihood > near.log_likelihood + _OTHER_WEATHER_NATS:
             # What was missing had passed for weather: the likelihood may have another maximum now.
-            other = found.other_weather()
+            other = estimate_.other_weather()
             if other is not None:
-                again = estimate(unknowns, self.courses, functions, found.theta, other)
-                return max(found, again, key=lambda one: one.log_likelihood)
-        return found
+                again = estimate(unknowns, self.courses, functions, estimate_.theta, other)
+                return max(estimate_, again, key=lambda candidate_estimate: candidate_estimate.log_likelihood)
+        return estimate_
 
     def held_out_estimate(self, hypothesis: Hypothesis) -> Estimate:
         """Estimate of the flights held out: what all flights share is as the hypothesis has it, each flight's
         own constants and the weather are its own.
         """
-        own = hypothesis.estimate
+        trained = hypothesis.estimate
         shared = {
-            one.quantity: float(value)
-            for one, value in zip(own.unknowns.free, own.theta, strict=True)
-            if one.record is None
+            parameter.quantity: float(value)
+            for parameter, value in zip(trained.unknowns.free, trained.theta, strict=True)
+            if parameter.record is None
         }
-        unknowns = Unknowns(own.unknowns.model, self.rig, self.held_out, fixed=shared)
-        functions = ModelFunctions(own.unknowns.model, unknowns.quantities)
-        weather = replace(own.weather, curvature=None)
+        unknowns = Unknowns(trained.unknowns.model, self.rig, self.held_out, fixed=shared)
+        functions = ModelFunctions(trained.unknowns.model, unknowns.quantities)
+        weather = replace(trained.weather, curvature=None)
         return self._kept.estimate(
-            key_of("held out", hypothesis.candidates, shared, own),
+            key_of("held out", hypothesis.candidates, shared, trained),
             unknowns,
             self.held_out_courses,
             functions,
@@ -304,6 +311,11 @@ def _key(candidates: Sequence[Candidate], start: Mapping[str, float], near: Hypo
 def _grids(candidates: Sequence[Candidate]) -> list[tuple[str, tuple[tuple[str, float], ...]]]:
     """What tells two sets of the same effects apart: values that no estimate moves."""
     return sorted(
-        (one.id, tuple(sorted((n, v) for n, v in one.effect.values.items() if n not in one.effect.priors)))
-        for one in candidates
+        (
+            candidate.id,
+            tuple(
+                sorted((n, v) for n, v in candidate.effect.values.items() if n not in candidate.effect.priors)
+            ),
+        )
+        for candidate in candidates
     )

@@ -119,8 +119,8 @@ def predict(
     What differs from flight to flight, encoder zeros and a constant torque about each axis, is ruled by the
     free run itself: filtered innovations tell little of such constants.
     """
-    fit = _free_run(estimate, train, own=True)
-    held_out_fit = _free_run(estimate, held_out, own=False) if held_out else None
+    fit = _free_run(estimate, train, own_calibration=True)
+    held_out_fit = _free_run(estimate, held_out, own_calibration=False) if held_out else None
     errors_train = errors(fit)
     return Prediction(
         tuple(candidates),
@@ -131,16 +131,18 @@ def predict(
     )
 
 
-def _free_run(estimate: Estimate, records: Sequence[Record], own: bool) -> Fit:
-    """Fit zeros, constant torques and initial states of `records`, everything else as estimated; `own` says
-    that these are the records of the estimate, whose free parameters and covariance the result then has.
+def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bool) -> Fit:
+    """Fit zeros, constant torques and initial states of `records`, everything else as estimated. With
+    `own_calibration` these are the records of the estimate, and the result has its free parameters and covariance.
     """
     unknowns = estimate.unknowns
-    local = {one.quantity: one.prior for one in unknowns.free if one.record is not None}
+    local = {
+        parameter.quantity: parameter.prior for parameter in unknowns.free if parameter.record is not None
+    }
     shared = {
-        one.quantity: float(value)
-        for one, value in zip(unknowns.free, estimate.theta, strict=True)
-        if one.record is None
+        parameter.quantity: float(value)
+        for parameter, value in zip(unknowns.free, estimate.theta, strict=True)
+        if parameter.record is None
     }
     problem = Problem(
         unknowns.model,
@@ -154,13 +156,16 @@ def _free_run(estimate: Estimate, records: Sequence[Record], own: bool) -> Fit:
         values=shared,
     )
     fit = solve(problem, robust=False, scatter=False, near=True)
-    if not own:
+    if not own_calibration:
         return fit
-    found = {(one.quantity, one.record): float(v) for one, v in zip(problem.free, fit.theta, strict=True)}
+    values = {
+        (parameter.quantity, parameter.record): float(v)
+        for parameter, v in zip(problem.free, fit.theta, strict=True)
+    }
     theta = np.array(
         [
-            v if one.record is None else found[one.quantity, one.record]
-            for one, v in zip(unknowns.free, estimate.theta, strict=True)
+            v if parameter.record is None else values[parameter.quantity, parameter.record]
+            for parameter, v in zip(unknowns.free, estimate.theta, strict=True)
         ]
     )
     low, high = unknowns.bounds
@@ -215,7 +220,7 @@ def errors(fit: Fit) -> Errors:
 
 def _prior_penalty(fit: Fit) -> float:
     problem = fit.problem
-    own = {name for effect in problem.model.effects for name in effect.priors}
-    rig = np.array([one.quantity not in own for one in problem.free], bool)
+    effect_names = {name for effect in problem.model.effects for name in effect.priors}
+    rig = np.array([parameter.quantity not in effect_names for parameter in problem.free], bool)
     off = ((fit.theta - problem.prior_mean) / problem.prior_std)[rig]
     return float(0.5 * (off @ off))

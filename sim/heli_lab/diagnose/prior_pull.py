@@ -85,14 +85,14 @@ class PriorPull:
 
 def prior_pulls(fit: Fit) -> tuple[PriorPull, ...]:
     """Find the numbers of a `fit` beyond `FAR_STD`, the farthest first; an effect's own are not the rig's."""
-    own = {name for effect in fit.problem.model.effects for name in effect.priors}
+    effect_names = {name for effect in fit.problem.model.effects for name in effect.priors}
     every = (
-        PriorPull(one.name, one.unit, float(value), fit.std[one.name], one.prior)
-        for one, value in zip(fit.problem.free, fit.theta, strict=True)
-        if one.quantity not in own
+        PriorPull(parameter.name, parameter.unit, float(value), fit.std[parameter.name], parameter.prior)
+        for parameter, value in zip(fit.problem.free, fit.theta, strict=True)
+        if parameter.quantity not in effect_names
     )
-    far = [one for one in every if abs(one.deviations) > FAR_STD]
-    return tuple(sorted(far, key=lambda one: -abs(one.deviations)))
+    far = [pull for pull in every if abs(pull.deviations) > FAR_STD]
+    return tuple(sorted(far, key=lambda pull: -abs(pull.deviations)))
 
 
 def tried_without(pulls: Sequence[PriorPull], estimate: Estimate) -> tuple[PriorPull, ...]:
@@ -107,17 +107,21 @@ def tried_without(pulls: Sequence[PriorPull], estimate: Estimate) -> tuple[Prior
     """
     if not pulls:
         return ()
-    own = estimate.unknowns
-    names = [one.name for one in pulls]
-    places = [own.names.index(name) for name in names]
+    unknowns_ = estimate.unknowns
+    names = [pull.name for pull in pulls]
+    places = [unknowns_.names.index(name) for name in names]
     free = estimated(
-        own.without_priors(names), estimate.courses, estimate.functions, estimate.theta, estimate.weather
+        unknowns_.without_priors(names),
+        estimate.courses,
+        estimate.functions,
+        estimate.theta,
+        estimate.weather,
     )
     # Likelihoods hold what priors take off: these numbers' is no part of what the flights say.
-    off = (estimate.theta - own.mean) / own.std
+    off = (estimate.theta - unknowns_.mean) / unknowns_.std
     gain = free.log_likelihood - estimate.log_likelihood - 0.5 * float(off[places] @ off[places])
     std = np.sqrt(np.diag(free.covariance))
     return tuple(
-        replace(one, freed=Freed(float(free.theta[place]), float(std[place]), gain))
-        for one, place in zip(pulls, places, strict=True)
+        replace(pull, freed=Freed(float(free.theta[place]), float(std[place]), gain))
+        for pull, place in zip(pulls, places, strict=True)
     )

@@ -62,7 +62,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         label=diagnosis.label,
         extended=extended,
         sentence=numbers["sentence"],
-        cautions=[_sentence(one) for one in numbers["cautions"]],
+        cautions=[_sentence(caution) for caution in numbers["cautions"]],
         cause=_cause(laws, kept),
         judged="a flight that no fit saw" if diagnosis.after.held_out_fit else "the flight that was fitted",
         prediction=kept("prediction", figure_of_prediction(before, after, _axis(diagnosis, laws))),
@@ -70,7 +70,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
             "address": kept("gain", figure_of_gain(diagnosis.judgement.horizons, extended)),
             "rows": _gain(numbers["gain"]["axis"]),
         },
-        causes=[_found(one, kept) for one in numbers["causes"]],
+        causes=[_found(cause, kept) for cause in numbers["causes"]],
         unknown=_unknown(numbers["unexplained"]),
         curves=kept("curves", figures.figure_of_curves(curves)) if curves else None,
         weather=_weather(diagnosis, numbers),
@@ -129,9 +129,9 @@ def _axis(diagnosis: Diagnosis, laws: Sequence[MissingLaw]) -> str:
 
     def shows(axis: str) -> float:
         """What the eye sees of the gain, or where there is none of the error: as a share of the picture."""
-        one = diagnosis.gains[axis]
-        after_deg = one.after_deg if diagnosis.extended.candidates else 0.0
-        return float((one.before_deg - after_deg) / max(ranges_deg[axis], 1e-9))
+        reduction = diagnosis.gains[axis]
+        after_deg = reduction.after_deg if diagnosis.extended.candidates else 0.0
+        return float((reduction.before_deg - after_deg) / max(ranges_deg[axis], 1e-9))
 
     return laws[0].axis if laws and not diagnosis.extended.candidates else max(AXES, key=shows)
 
@@ -174,12 +174,12 @@ def _law(diagnosis: Diagnosis, kept: _Kept) -> dict[str, Any] | None:
         "address": kept("law", law_figures.figure_of_law(proposed)),
         "rows": [
             # A plain number in an expression is no share of anything.
-            [name, f"{one['value']:g}", ""]
-            if one["unit"] == "1" and not one["std"]
-            else [name, _plus_minus(one, one["unit"]), _shown_unit(one["unit"])]
-            for name, one in numbers["numbers"].items()
+            [name, f"{number['value']:g}", ""]
+            if number["unit"] == "1" and not number["std"]
+            else [name, _plus_minus(number, number["unit"]), _shown_unit(number["unit"])]
+            for name, number in numbers["numbers"].items()
         ],
-        "rivals": [[one.key, f"{one.log_likelihood_ratio:.0f}"] for one in discovery.rivals],
+        "rivals": [[rival.key, f"{rival.log_likelihood_ratio:.0f}"] for rival in discovery.rivals],
         "gain": _gain(numbers["gain"]),
     }
 
@@ -188,12 +188,12 @@ def _gain(gain: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
     return [
         [
             axis,
-            f"{one['before']:.3g}",
-            f"{one['after']:.3g}",
-            f"{one['ratio']:.2f}",
-            f"{one['interval95'][0]:.2f} to {one['interval95'][1]:.2f}",
+            f"{reduction['before']:.3g}",
+            f"{reduction['after']:.3g}",
+            f"{reduction['ratio']:.2f}",
+            f"{reduction['interval95'][0]:.2f} to {reduction['interval95'][1]:.2f}",
         ]
-        for axis, one in gain.items()
+        for axis, reduction in gain.items()
     ]
 
 
@@ -206,18 +206,18 @@ def _calibration(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                     name,
                     *(
                         _plus_minus(n, n["unit"])
-                        for m in (one["before"], one["after"])
+                        for m in (flight["before"], flight["after"])
                         for n in _pair(m[name])
                     ),
                     _shown_unit(number["unit"]),
                 ]
-                for name, number in one["after"].items()
+                for name, number in flight["after"].items()
             ],
-            "note": f"{one['flight']}: zeros and constant torques from its first "
-            f"{one['calibrated_s']:.1f} s of free flight; the {one['judged_s']:.1f} s after them are judged.",
+            "note": f"{flight['flight']}: zeros and constant torques from its first "
+            f"{flight['calibrated_s']:.1f} s of free flight; the {flight['judged_s']:.1f} s after them are judged.",
         }
-        for one in flights
-        if one["after"]
+        for flight in flights
+        if flight["after"]
     ]
 
 
@@ -235,23 +235,24 @@ def _shown_unit(unit: str) -> str:
     return SHOWN.get(unit, (1.0, unit))[1]
 
 
-def _found(one: dict[str, Any], kept: _Kept) -> dict[str, Any]:
-    others = ", ".join(one["ambiguous_with"])
+def _found(cause: dict[str, Any], kept: _Kept) -> dict[str, Any]:
+    others = ", ".join(cause["ambiguous_with"])
     evidence = ", ".join(
         f"{name.replace('_', ' ')} {value:.3g}"
-        for name, value in one["evidence"].items()
+        for name, value in cause["evidence"].items()
         if isinstance(value, float)
     )
-    equation = figures.figure_of_equation(one["equation"])
+    equation = figures.figure_of_equation(cause["equation"])
     return {
-        "effect": one["effect"],
-        "confidence": f"{one['confidence']:.2f}",
-        "sentence": _capital(one["sentence"]),
+        "effect": cause["effect"],
+        "confidence": f"{cause['confidence']:.2f}",
+        "sentence": _capital(cause["sentence"]),
         "unclear": f" It could as well be {others}." if others else "",
-        "latex": one["equation"],
-        "equation": kept(f"equation-{one['effect']}", equation),
+        "latex": cause["equation"],
+        "equation": kept(f"equation-{cause['effect']}", equation),
         "rows": [
-            [name, _plus_minus(n, n["unit"]), _shown_unit(n["unit"])] for name, n in one["parameters"].items()
+            [name, _plus_minus(n, n["unit"]), _shown_unit(n["unit"])]
+            for name, n in cause["parameters"].items()
         ],
         "evidence": f"Evidence: {evidence}.",
     }
@@ -263,11 +264,11 @@ def _residual(residual: dict[str, Any]) -> dict[str, Any]:
     rows = [
         [
             axis,
-            *(f"{one[when]:.3f}" for when in _WHEN),
+            *(f"{errors[when]:.3f}" for when in _WHEN),
             *(f"{correlation[when][axis]:.2f}" for when in _WHEN),
             "yes" if residual["white"][role]["after"][axis] else "no",
         ]
-        for axis, one in residual["axis"].items()
+        for axis, errors in residual["axis"].items()
     ]
     whole = residual["normalised"]
     rows.append(["all", *(f"{whole[when]:.3f}" for when in _WHEN), "", "", ""])
@@ -293,7 +294,7 @@ def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
         "said": f"Something foretells the motion about {missing['axis']} that no effect of the catalogue "
         f"explains: log-likelihood ratio {missing['log_likelihood_gain']:.0f} nats. Any smooth curve of "
         "these would do, the strongest first:",
-        "depends": [_capital(curve_in_words(one)) for one in missing["correlates_with"]],
+        "depends": [_capital(curve_in_words(curve)) for curve in missing["correlates_with"]],
         "gain": _gain(missing.get("gain_with_splines", {})),
     }
 
@@ -304,12 +305,12 @@ def _weather(diagnosis: Diagnosis, numbers: dict[str, Any]) -> dict[str, Any]:
         "rows": [
             [
                 axis,
-                f"{1e3 * one['gust_Nm']:.2g}",
-                f"{one['memory_s']:.2g}",
-                f"{1e3 * one['drift_Nm']:.2g}",
-                f"{one['log_likelihood_ratio']:.0f}",
+                f"{1e3 * values['gust_Nm']:.2g}",
+                f"{values['memory_s']:.2g}",
+                f"{1e3 * values['drift_Nm']:.2g}",
+                f"{values['log_likelihood_ratio']:.0f}",
             ]
-            for axis, one in numbers["weather"].items()
+            for axis, values in numbers["weather"].items()
         ],
     }
 
@@ -320,13 +321,13 @@ def _ranking(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
 
     return [
         [
-            f"{one['round']}: {readable_id(one['candidate'])}{' (taken)' if one['taken'] else ''}",
-            cell(one["score"]),
-            cell(one["train"]),
-            cell(one["penalty"]),
+            f"{round_['round']}: {readable_id(round_['candidate'])}{' (taken)' if round_['taken'] else ''}",
+            cell(round_["score"]),
+            cell(round_["train"]),
+            cell(round_["penalty"]),
         ]
-        for one in ranking
-        if one["train"] is not None or one["score"] > 3.0
+        for round_ in ranking
+        if round_["train"] is not None or round_["score"] > 3.0
     ]
 
 
@@ -337,14 +338,16 @@ def _more_rounds(diagnosis: Diagnosis) -> str:
 
 def _used(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     used = []
-    for one in flights:
-        role = "fitted" if one["role"] == "train" else "held out"
-        spans = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in one["used"])
-        notes = "".join(f" {note}." for note in one["notes"])
+    for flight in flights:
+        role = "fitted" if flight["role"] == "train" else "held out"
+        spans = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in flight["used"])
+        notes = "".join(f" {note}." for note in flight["notes"])
         used.append(
             {
-                "said": f"{one['flight']}, {role}: {one['seconds_used']:.1f} s used ({spans}).{notes}",
-                "left_out": [[f"{c['from_s']:.2f}", f"{c['to_s']:.2f}", c["why"]] for c in one["left_out"]],
+                "said": f"{flight['flight']}, {role}: {flight['seconds_used']:.1f} s used ({spans}).{notes}",
+                "left_out": [
+                    [f"{c['from_s']:.2f}", f"{c['to_s']:.2f}", c["why"]] for c in flight["left_out"]
+                ],
             }
         )
     return used

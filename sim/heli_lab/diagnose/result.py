@@ -97,23 +97,23 @@ class Diagnosis:
     refits: int = 0
     proposed_law: ProposedLaw | None = None
 
-    def values(self, found: Cause) -> dict[str, tuple[float, float, str]]:
+    def values(self, cause: Cause) -> dict[str, tuple[float, float, str]]:
         """Parameters of a cause by full name: value, standard error and unit."""
-        kind, fit = self.kinds[found.candidate.id], self.after.fit
+        kind, fit = self.kinds[cause.candidate.id], self.after.fit
         std = stds(fit, kind)
         return {
             q.name: (
-                fit.values.get(q.name, found.candidate.effect.values[q.name]),
+                fit.values.get(q.name, cause.candidate.effect.values[q.name]),
                 std.get(q.name, 0.0),
                 q.unit,
             )
             for q in kind.parameters
         }
 
-    def sentence(self, found: Cause) -> str:
+    def sentence(self, cause: Cause) -> str:
         """A cause with its parameters, in one sentence without its full stop."""
-        numbers = self.values(found)
-        return self.kinds[found.candidate.id].describe(
+        numbers = self.values(cause)
+        return self.kinds[cause.candidate.id].describe(
             {name: value for name, (value, _, _) in numbers.items()},
             {name: std for name, (_, std, _) in numbers.items()},
         )
@@ -124,7 +124,7 @@ class Diagnosis:
         where the model with the causes fails, and where it does with the law.
         """
         proposed = self.proposed_law
-        splines = [one.candidate.id.split(":") for one in self.search.rounds[0].splines]
+        splines = [spline.candidate.id.split(":") for spline in self.search.rounds[0].splines]
         best = [(channel, on) for _, channel, on in splines if channel.startswith("torque")]
         channel, on = best[0] if best else (f"torque.{self.residual_analysis.axis}", "")
         if proposed is not None:
@@ -148,9 +148,11 @@ class Diagnosis:
     @property
     def curves(self) -> list[SplineCurve]:
         """The spline terms in the place of causes outside the catalogue, the strongest first."""
-        effects = (one.candidate.effect for one in self.verdict.off_list)
+        effects = (cause.candidate.effect for cause in self.verdict.off_list)
         return [
-            spline_curve_of(one, self.search.final.estimate) for one in effects if isinstance(one, SplineTerm)
+            spline_curve_of(effect, self.search.final.estimate)
+            for effect in effects
+            if isinstance(effect, SplineTerm)
         ]
 
     @property
@@ -184,8 +186,8 @@ class Diagnosis:
         if held_out is None:
             cautions.append("no flight was held out: nothing here is confirmed; give one to --validate")
         else:
-            cautions += self._cautions_of_judgement(sum(one.used_s for one in held_out.problem.records))
-        cautions += [one.sentence for one in self.pulled]
+            cautions += self._cautions_of_judgement(sum(record.used_s for record in held_out.problem.records))
+        cautions += [pull.sentence for pull in self.pulled]
         if not self.search.complete:
             cautions.append("the work allowed ran out before everything was tried; give more with --budget")
         return cautions
@@ -213,14 +215,14 @@ class Diagnosis:
         """
         if with_law and self.proposed_law is not None:
             return self._rig_with_law(name, self.proposed_law)
-        found = Identification(self.after.fit, (), (), (), ()).rig(name)
+        rig = Identification(self.after.fit, (), (), (), ()).rig(name)
         labels = ", ".join(record.label for record in self.after.fit.problem.records)
         source = f"found by heli-host diagnose from {labels}"
-        effects: dict[str, Mapping[str, Number]] = dict(found.effects)
-        for one in self.verdict.causes:
-            numbers = self.values(one)
-            effects[one.candidate.id] = effect_numbers(
-                self.kinds[one.candidate.id],
+        effects: dict[str, Mapping[str, Number]] = dict(rig.effects)
+        for cause in self.verdict.causes:
+            numbers = self.values(cause)
+            effects[cause.candidate.id] = effect_numbers(
+                self.kinds[cause.candidate.id],
                 {key: value for key, (value, _, _) in numbers.items()},
                 {key: 2.0 * std for key, (_, std, _) in numbers.items()},
                 source,
@@ -234,13 +236,13 @@ class Diagnosis:
                 {key: 2.0 * std for key, (_, std, _) in numbers.items()},
                 source,
             )
-        return Rig(found.name, found.description, found.numbers, effects, found.model)
+        return Rig(rig.name, rig.description, rig.numbers, effects, rig.model)
 
     def _rig_with_law(self, name: str, proposed: ProposedLaw) -> Rig:
-        found = Identification(proposed.prediction.fit, (), (), (), ()).rig(name)
+        rig = Identification(proposed.prediction.fit, (), (), (), ()).rig(name)
         labels = ", ".join(record.label for record in self.after.fit.problem.records)
         source = f"found by heli-host diagnose from {labels}"
-        effects: dict[str, Mapping[str, Number]] = dict(found.effects)
+        effects: dict[str, Mapping[str, Number]] = dict(rig.effects)
         fit = proposed.prediction.fit
         for candidate in proposed.discovery.hypothesis.candidates[:-1]:
             kind = self.kinds[candidate.id]
@@ -253,7 +255,7 @@ class Diagnosis:
             what: Number(value, unit, 2.0 * error, source)
             for what, (value, error, unit) in proposed.discovery.values.items()
         }
-        return Rig(found.name, found.description, found.numbers, effects, found.model)
+        return Rig(rig.name, rig.description, rig.numbers, effects, rig.model)
 
     @property
     def metric(self) -> str:
@@ -271,14 +273,14 @@ def stds(fit: Fit, kind: EffectKind) -> dict[str, float]:
     """
     record = fit.problem.records[0]
     part, _, axis = kind.acts_on.partition(".")
-    found = {}
-    for one in fit.problem.free:
+    errors = {}
+    for parameter in fit.problem.free:
         least = 0.0
-        if one.unit == "s":
+        if parameter.unit == "s":
             least = 0.5 * record.step_s
-        elif one.unit == "rad" and part == "measurement" and axis in AXES:
+        elif parameter.unit == "rad" and part == "measurement" and axis in AXES:
             least = LEAST_COUNTS * float(record.count_rad[AXES.index(axis)])
-        std = fit.std[one.name] * (WITHIN_STEP_STD if one.unit == "s" else 1.0)
-        blurred = LEAST_STD_SHARE * fit.values[one.name] if one.name in kind.size else 0.0
-        found[one.name] = math.hypot(std, least, blurred)
-    return found
+        std = fit.std[parameter.name] * (WITHIN_STEP_STD if parameter.unit == "s" else 1.0)
+        blurred = LEAST_STD_SHARE * fit.values[parameter.name] if parameter.name in kind.size else 0.0
+        errors[parameter.name] = math.hypot(std, least, blurred)
+    return errors

@@ -88,8 +88,8 @@ class Screening:
         weather = estimate.weather
         functions = ChangeFunctions(filtered.linears[0].model)
         self.regressors = tuple(Regressors(linear, functions) for linear in filtered.linears)
-        self.seconds = max(float(one.trajectory.t_s[-1]) for one in filtered.linears)
-        rows = max(one.rows for one in filtered.linears)
+        self.seconds = max(float(model.trajectory.t_s[-1]) for model in filtered.linears)
+        rows = max(model.rows for model in filtered.linears)
         threads = usual_threads() if threads is None else threads
         batch = _BATCH_NUMBERS // (rows * filtered.linears[0].states)
         self.batch = max(KNOTS, batch)
@@ -98,7 +98,7 @@ class Screening:
         self.threads = threads if batch >= KNOTS else 1
         self._innovations = innovations = filtered.innovations_by_flight(weather)
         unknowns = estimate.unknowns
-        self.measurements = sum(len(one) for one in innovations.flights)
+        self.measurements = sum(len(flight) for flight in innovations.flights)
         self._bordered = innovations.information() + np.diag(unknowns.std**-2.0), innovations.own
         offset = unknowns.std**-2.0 * (estimate.theta - unknowns.mean)
         self._error = innovations.left(self._solved(innovations.score() - offset))
@@ -115,18 +115,21 @@ class Screening:
         flat = [candidate for _, candidates in places.values() for candidate in candidates]
         scores = iter(self.score(flat))
         scored = [(kind, some, [next(scores) for _ in some]) for kind, some in places.values()]
-        found = shared_out(lambda one: self._best(*one), scored, self.threads)
-        return sorted((one for one in found if one is not None), key=lambda one: -one.log_likelihood_gain)
+        scored_ = shared_out(lambda arguments: self._best(*arguments), scored, self.threads)
+        return sorted(
+            (scored_effect for scored_effect in scored_ if scored_effect is not None),
+            key=lambda scored_effect: -scored_effect.log_likelihood_gain,
+        )
 
     def splines(self, number: int = 0) -> list[Scored]:
         """Score every spline term, the highest score first; `number` distinguishes those of one model."""
         candidates = spline_candidates(self.filtered.linears, number)
         self._prepare(candidates)
-        found = [
+        scored_ = [
             Scored(candidate, *score, 1)
             for candidate, score in zip(candidates, self.score(candidates), strict=True)
         ]
-        return sorted(found, key=lambda one: -one.log_likelihood_gain)
+        return sorted(scored_, key=lambda scored_spline: -scored_spline.log_likelihood_gain)
 
     def score(self, candidates: Sequence[Candidate]) -> list[Score]:
         """Gain [nats], coefficients and their standard errors of each candidate by itself."""
@@ -192,11 +195,11 @@ class Screening:
             score += only.T @ error
             for number, part in enumerate(parts):
                 raw[number] += only[:, part].T @ only[:, part]
-        taken = self._solved(mixed)
-        score -= taken.T @ own_score
+        fitted = self._solved(mixed)
+        score -= fitted.T @ own_score
         results = []
         for total, part in zip(raw, parts, strict=True):
-            information = total - mixed[:, part].T @ taken[:, part]
+            information = total - mixed[:, part].T @ fitted[:, part]
             results.append((0.5 * (information + information.T), score[part]))
         return results
 
@@ -209,7 +212,11 @@ class Screening:
         self._prepare(candidates)
         every = self.batch // KNOTS
         groups = [candidates[low : low + every] for low in range(0, len(candidates), every)]
-        return [one for found in shared_out(self._spline_group, groups, self.threads) for one in found]
+        return [
+            information
+            for group_information in shared_out(self._spline_group, groups, self.threads)
+            for information in group_information
+        ]
 
     def _prepare(self, candidates: Iterable[Candidate]) -> None:
         """Make what spline terms of a channel share, by the first of them whichever thread scores first."""
@@ -225,7 +232,7 @@ class Screening:
 
     def _spline_group(self, group: Sequence[Candidate]) -> list[tuple[Floats, Floats]]:
         signals = (signals_of(maker, group) for maker in self.regressors)
-        return self.information(signals, [len(one.linear_parameters) for one in group])
+        return self.information(signals, [len(candidate.linear_parameters) for candidate in group])
 
     def _score_group(self, candidates: Sequence[Candidate]) -> list[Score]:
         sizes = [max(1, len(candidate.linear_parameters)) for candidate in candidates]
@@ -258,8 +265,10 @@ class Screening:
                 replace(
                     kind,
                     numbers=tuple(
-                        replace(one, grid=self._peaks(axis)) if kind.full(one.what) == frequency else one
-                        for one in kind.numbers
+                        replace(number, grid=self._peaks(axis))
+                        if kind.full(number.what) == frequency
+                        else number
+                        for number in kind.numbers
                     ),
                 ),
                 self.seconds,
@@ -277,7 +286,7 @@ class Screening:
     def _refined(self, kind: EffectKind, candidates: Sequence[Candidate], best: Scored) -> Scored:
         """Halve the grid's distance about its best point, in parameters of three values and more."""
         for name in best.candidate.grid:
-            values = sorted({one.grid[name] for one in candidates})
+            values = sorted({tried.grid[name] for tried in candidates})
             prior = kind.priors.get(name)
             if len(values) < 3 or prior is None:
                 continue
@@ -326,12 +335,12 @@ class Screening:
         means = (sums[width:] - sums[:-width]) / width
         jump = np.abs(means[width:] - means[:-width])
         height = (jump / (jump.std(axis=0) + 1e-12)).max(axis=1)
-        found = []
+        jumps = []
         for _ in range(_JUMPS):
             top = int(np.argmax(height))
-            found.append(float(t_s[top + width]))
+            jumps.append(float(t_s[top + width]))
             height[max(0, top - 2 * width) : top + 2 * width] = -1.0
-        return tuple(found)
+        return tuple(jumps)
 
     def _peaks(self, axis: str) -> tuple[float, ...]:
         """Frequencies of the highest peaks of the torque's spectrum about an axis that weather stands for."""
@@ -372,12 +381,12 @@ def signals_of(maker: Regressors, candidates: Sequence[Candidate]) -> tuple[Floa
     pairs = [maker.signals(candidate) for candidate in candidates]
     if len(pairs) == 1:
         return pairs[0]
-    rates = np.concatenate([one for one, _ in pairs], axis=2)
-    if all(one is None for _, one in pairs):
+    rates = np.concatenate([rates_ for rates_, _ in pairs], axis=2)
+    if all(angles_ is None for _, angles_ in pairs):
         return rates, None
     shape = len(rates), 3
     return rates, np.concatenate(
-        [np.zeros((*shape, r.shape[2])) if one is None else one for r, one in pairs], axis=2
+        [np.zeros((*shape, r.shape[2])) if angles_ is None else angles_ for r, angles_ in pairs], axis=2
     )
 
 
@@ -399,7 +408,9 @@ def _thinned(kind: EffectKind, seconds: float, jumps: tuple[float, ...]) -> Effe
         thinned = values[:: -(-len(values) // _MAX_GRID)]
         return tuple(sorted({*thinned, *jumps})) if what == "at_s" else thinned
 
-    numbers = tuple(one if one.grid is None else replace(one, grid=thin(one.what)) for one in kind.numbers)
+    numbers = tuple(
+        number if number.grid is None else replace(number, grid=thin(number.what)) for number in kind.numbers
+    )
     return replace(kind, numbers=numbers)
 
 

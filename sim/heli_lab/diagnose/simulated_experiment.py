@@ -46,9 +46,9 @@ def simulate_experiment(estimate: Estimate, plan: str, seed: int = 0) -> Record 
     unknowns = estimate.unknowns
     model = unknowns.model
     values = {
-        one.quantity: float(value)
-        for one, value in zip(unknowns.free, estimate.theta, strict=True)
-        if one.record is None
+        parameter.quantity: float(value)
+        for parameter, value in zip(unknowns.free, estimate.theta, strict=True)
+        if parameter.record is None
     }
     rig = unknowns.rig.replace(**{name: value for name, value in values.items() if name in unknowns.rig})
     effects = tuple(

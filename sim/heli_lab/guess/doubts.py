@@ -36,8 +36,8 @@ class Signs:
 def role_doubts(ranked: list[Roles]) -> tuple[list[Doubt], list[str]]:
     """What is open about the columns, of all assignments, the likeliest first; and what they rest on."""
     best = ranked[0]
-    second = next((one for one in ranked if not one.same_as(best)), None)
-    by_physics = max(ranked, key=lambda one: one.physics)
+    second = next((roles for roles in ranked if not roles.same_as(best)), None)
+    by_physics = max(ranked, key=lambda roles: roles.physics)
     doubts = []
     if second is not None and best.nats - second.nats < thresholds.SURE_NATS:
         doubts.append(
@@ -63,14 +63,14 @@ def role_doubts(ranked: list[Roles]) -> tuple[list[Doubt], list[str]]:
 
 def _told(roles: Roles) -> str:
     kind = ("sum", "difference") if roles.summed else ("front", "back")
-    said = dict(zip((*AXES, *kind), roles.columns, strict=True))
-    return ", ".join(f"{role} is {column}" for role, column in said.items())
+    labels = dict(zip((*AXES, *kind), roles.columns, strict=True))
+    return ", ".join(f"{role} is {column}" for role, column in labels.items())
 
 
 def scale_doubts(possible: list[Scale], motion: Motion, reference: Reference, rig: Rig) -> list[Doubt]:
     """What is open about the units, of all choices, the likeliest first."""
     best, doubts = possible[0], []
-    second = next(one for one in possible if one.units != best.units)
+    second = next(scale for scale in possible if scale.units != best.units)
     if best.nats - second.nats < thresholds.SURE_NATS:
         doubts.append(
             Doubt(
@@ -92,15 +92,17 @@ def scale_doubts(possible: list[Scale], motion: Motion, reference: Reference, ri
                 )
             )
     for axis in AXES:
-        said = motion.stated.get(axis, "")
-        if said and said != best.angles[axis]:
+        stated = motion.stated.get(axis, "")
+        if stated and stated != best.angles[axis]:
             doubts.append(
-                Doubt(f"{axis}'s unit", best.angles[axis], f"{said}, as the header says", "physics disagrees")
+                Doubt(
+                    f"{axis}'s unit", best.angles[axis], f"{stated}, as the header says", "physics disagrees"
+                )
             )
-    said = motion.stated.get("voltage", "")
-    if said and said != best.voltage:
+    stated = motion.stated.get("voltage", "")
+    if stated and stated != best.voltage:
         doubts.append(
-            Doubt("the voltages' unit", best.voltage, f"{said}, as the header says", "physics disagrees")
+            Doubt("the voltages' unit", best.voltage, f"{stated}, as the header says", "physics disagrees")
         )
     if best.biased:
         doubts.append(
@@ -113,7 +115,7 @@ def scale_doubts(possible: list[Scale], motion: Motion, reference: Reference, ri
         )
     if best.voltage in SHARES:
         full = f" of {best.full:g}" if best.voltage == "pwm" else ""
-        if not said:
+        if not stated:
             doubts.append(
                 Doubt(
                     "the voltages' unit",
@@ -137,17 +139,17 @@ def _units(scale: Scale) -> str:
     return f"angles in {shown}, voltages in {scale.voltage}{full}{halves}"
 
 
-def sign_doubts(found: dict[str, Explained], signs: Signs, roles: Roles) -> list[Doubt]:
+def sign_doubts(explained: dict[str, Explained], signs: Signs, roles: Roles) -> list[Doubt]:
     """What is open about the signs: axes that answer too little, and which rotor is the front one."""
     doubts = []
     for axis in AXES:
-        if found[axis].nats < thresholds.SURE_NATS:
+        if explained[axis].nats < thresholds.SURE_NATS:
             doubts.append(
                 Doubt(
                     f"{axis}'s sign",
                     "as proposed",
                     "the other one",
-                    f"its cause explains {found[axis].nats:.1f} nats of it only; fly it more",
+                    f"its cause explains {explained[axis].nats:.1f} nats of it only; fly it more",
                 )
             )
     changed = signs.swapped or signs.pitch < 0.0 or signs.travel < 0.0
@@ -156,7 +158,7 @@ def sign_doubts(found: dict[str, Explained], signs: Signs, roles: Roles) -> list
     )
     motors = "the difference is back less front" if roles.summed else "the motors' names are exchanged"
     if changed or not stated:
-        one = {
+        doubt = {
             (False, 1.0, 1.0): "front and back as proposed",
             (False, 1.0, -1.0): "travel counts the other way",
             (False, -1.0, 1.0): "pitch counts the other way",
@@ -171,7 +173,7 @@ def sign_doubts(found: dict[str, Explained], signs: Signs, roles: Roles) -> list
         doubts.append(
             Doubt(
                 "which rotor is the front one",
-                one,
+                doubt,
                 two,
                 "these are mirror images of each other and fly alike: lift the front rotor by hand and look "
                 "whether pitch rises; if not, set mirrored = true",
@@ -210,11 +212,11 @@ def zero(rest: Rest, reference: Reference) -> tuple[float, list[Doubt]]:
     ]
 
 
-def lags(found: dict[str, Explained]) -> tuple[dict[str, float], list[Doubt], list[str]]:
+def lags(explained: dict[str, Explained]) -> tuple[dict[str, float], list[Doubt], list[str]]:
     """By how much each column is late, what is open about that, and what to say."""
     late_s = dict.fromkeys((*AXES, "voltages"), 0.0)
     doubts = []
-    lag = {axis: found[axis].lag_s for axis in AXES}
+    lag = {axis: explained[axis].lag_s for axis in AXES}
     if abs(lag["travel"]) > thresholds.LATE_S:
         late_s["travel"] = lag["travel"]
         doubts.append(
@@ -226,7 +228,7 @@ def lags(found: dict[str, Explained]) -> tuple[dict[str, float], list[Doubt], li
             )
         )
     apart = lag["elevation"] - lag["pitch"]
-    if abs(apart) > thresholds.APART_S and found["elevation"].nats > thresholds.SURE_NATS:
+    if abs(apart) > thresholds.APART_S and explained["elevation"].nats > thresholds.SURE_NATS:
         doubts.append(
             Doubt(
                 "elevation's time",
@@ -246,9 +248,9 @@ def lags(found: dict[str, Explained]) -> tuple[dict[str, float], list[Doubt], li
                 "no rotor answers like that",
             )
         )
-    said = (
+    sentence = (
         f"pitch answers {lag['pitch']:.2f} s and elevation {lag['elevation']:.2f} s after the voltages "
         "(rotors, line and log together: a flight cannot tell these apart), travel follows pitch by "
         f"{lag['travel']:.2f} s"
     )
-    return late_s, doubts, [said]
+    return late_s, doubts, [sentence]

@@ -54,14 +54,16 @@ def voltages(signals: Signals, roles: Roles) -> tuple[Floats, Floats]:
 
 
 def _best(signals: Signals, column: str, axis: str, cause: Floats, reference: Reference) -> Explained:
-    one = signals.filtered[column]
+    signal = signals.filtered[column]
     rows = free_rows(signals, column) if axis == "elevation" else signals.inner
-    rest = one.value * 0.0 if axis == "travel" else one.value - one.value.mean()
+    rest = signal.value * 0.0 if axis == "travel" else signal.value - signal.value.mean()
     stiffness = reference.stiffness.get(axis, (0.0, 0.1))
     tried = []
     for lag_s in np.arange(*thresholds.LAGS_S):
-        found = explain(one.acceleration, (rest, one.rate), late(cause, float(lag_s)), stiffness, rows)
-        tried.append(Explained(found.nats, found.gain, float(lag_s)))
+        explained = explain(
+            signal.acceleration, (rest, signal.rate), late(cause, float(lag_s)), stiffness, rows
+        )
+        tried.append(Explained(explained.nats, explained.gain, float(lag_s)))
     return max(tried, key=lambda each: each.nats)
 
 

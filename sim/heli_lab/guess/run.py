@@ -81,16 +81,16 @@ def proposed(table: Table, rig: Rig, rate_Hz: float | None = None) -> tuple[Gues
     doubts += scale_doubts(possible, motion, reference, rig)
     rad = {axis: rad_of(scale.angles[axis], axis, reference) for axis in AXES}
     bias = reference.hover_V / scale.volts(reference) if scale.biased else 0.0
-    found = answers(signals, roles, reference, rad, bias)
-    signs = _signs(found, roles)
-    doubts += sign_doubts(found, signs, roles)
+    explained = answers(signals, roles, reference, rad, bias)
+    signs = _signs(explained, roles)
+    doubts += sign_doubts(explained, signs, roles)
     rest = rest_of(signals, roles.elevation, float(np.degrees(signs.elevation * rad["elevation"])))
     offset_deg, zero_doubts = zero(rest, reference)
     doubts += zero_doubts
-    late_s, lag_doubts, lag_notes = lags(found)
+    late_s, lag_doubts, lag_notes = lags(explained)
     doubts += lag_doubts
     profile = _profile(table, clock, rate_Hz, roles, scale, signs, reference, offset_deg, late_s)
-    evidence += [_answer_sentence(axis, found[axis]) for axis in AXES] + lag_notes
+    evidence += [_answer_sentence(axis, explained[axis]) for axis in AXES] + lag_notes
     evidence.append(
         f"hover: {abs(motion.level) * scale.volts(reference):.2f} V together, the "
         f"rig file says {reference.hover_V:.2f} V"
@@ -110,22 +110,22 @@ def _fitting(
         The likeliest assignments, the likeliest first, with what units say among their nats; how the axes of
         that one move.
     """
-    near = [one for one in ranked if ranked[0].nats - one.nats < thresholds.FITTING_NATS]
-    found = []
-    for one in near[: thresholds.MOST_FITTED]:
-        motion = _motion(table, signals, one, answers(signals, one, reference))
+    near = [roles for roles in ranked if ranked[0].nats - roles.nats < thresholds.FITTING_NATS]
+    fits = []
+    for roles in near[: thresholds.MOST_FITTED]:
+        motion = _motion(table, signals, roles, answers(signals, roles, reference))
         nats = scales(motion, reference)[0].nats
-        found.append((replace(one, nats=one.nats + nats, physics=one.physics + nats), motion))
-    found.sort(key=lambda each: -each[0].nats)
-    return [one for one, _ in found], found[0][1]
+        fits.append((replace(roles, nats=roles.nats + nats, physics=roles.physics + nats), motion))
+    fits.sort(key=lambda each: -each[0].nats)
+    return [roles_ for roles_, _ in fits], fits[0][1]
 
 
 def _clipped(table: Table, profile: Profile, reference: Reference) -> tuple[Profile, list[Doubt]]:
     """Limit the voltages where a few are beyond the supply, as commands are before a clip."""
     limit = reference.supply_V
-    sizes_V = [np.abs(one.voltages_V) for one in flights_of(table, profile)]
-    largest = max(float(one.max()) for one in sizes_V)
-    beyond = max(float(np.mean(one > limit)) for one in sizes_V)
+    sizes_V = [np.abs(flight.voltages_V) for flight in flights_of(table, profile)]
+    largest = max(float(size_V.max()) for size_V in sizes_V)
+    beyond = max(float(np.mean(size_V > limit)) for size_V in sizes_V)
     if largest < thresholds.CLIP_SHARE * limit or beyond > thresholds.MOST_CLIPPED:
         return profile, []
     doubt = Doubt(
@@ -149,7 +149,7 @@ def flown(guessed: Guess, table: Table, rig: Rig) -> Guess:
             Doubt("the signs", "as proposed", "any others", "too little of it is in the air to fly the model")
         )
     else:
-        second = min(choices[1:], key=lambda one: one.ratio)
+        second = min(choices[1:], key=lambda choice: choice.ratio)
         if second.ratio < thresholds.FLOWN_RATIO:
             doubts.append(
                 Doubt(
@@ -168,9 +168,11 @@ def flown(guessed: Guess, table: Table, rig: Rig) -> Guess:
 
 
 def _motion(table: Table, signals: Signals, roles: Roles, first: dict[str, Explained]) -> Motion:
-    one, two = voltages(signals, roles)
+    first_V, second_V = voltages(signals, roles)
     rows = free_rows(signals, roles.elevation)
-    level = float(np.mean(one[rows] if roles.summed else (one + two)[rows])) if rows.any() else 0.0
+    level = (
+        float(np.mean(first_V[rows] if roles.summed else (first_V + second_V)[rows])) if rows.any() else 0.0
+    )
     columns = dict(zip(AXES, (roles.elevation, roles.pitch, roles.travel), strict=True))
     values = {axis: table.columns[column].values for axis, column in columns.items()}
     stated = {axis: _unit(table, column, _ANGLE_UNITS) for axis, column in columns.items()}
@@ -180,7 +182,7 @@ def _motion(table: Table, signals: Signals, roles: Roles, first: dict[str, Expla
     return Motion(
         {axis: first[axis].gain for axis in AXES},
         level,
-        _peak(one, two, roles.summed),
+        _peak(first_V, second_V, roles.summed),
         {axis: step_of(values[axis]) for axis in AXES},
         {axis: bool(np.all(np.mod(values[axis][np.isfinite(values[axis])], 1.0) == 0.0)) for axis in AXES},
         stated,
@@ -189,22 +191,22 @@ def _motion(table: Table, signals: Signals, roles: Roles, first: dict[str, Expla
     )
 
 
-def _peak(one: Floats, two: Floats, summed: bool) -> float:
+def _peak(first_V: Floats, second_V: Floats, summed: bool) -> float:
     """Largest voltage of a motor; of sum and difference half of what each reaches: a bias is not known."""
-    peaks = [float(np.quantile(np.abs(values), 0.995)) for values in (one, two)]
+    peaks = [float(np.quantile(np.abs(values), 0.995)) for values in (first_V, second_V)]
     return max(peaks) * (0.5 if summed else 1.0)
 
 
 def _unit(table: Table, column: str, known: frozenset[str]) -> str:
-    said = table.columns[column].unit or split_unit(column)[1]
-    return said if said in known else ""
+    unit = table.columns[column].unit or split_unit(column)[1]
+    return unit if unit in known else ""
 
 
-def _signs(found: dict[str, Explained], roles: Roles) -> Signs:
+def _signs(explained: dict[str, Explained], roles: Roles) -> Signs:
     """The fewest changes after which everything agrees."""
-    elevation = 1.0 if found["elevation"].gain >= 0.0 else -1.0
-    answers_difference = found["pitch"].gain >= 0.0
-    follows_pitch = found["travel"].gain >= 0.0
+    elevation = 1.0 if explained["elevation"].gain >= 0.0 else -1.0
+    answers_difference = explained["pitch"].gain >= 0.0
+    follows_pitch = explained["travel"].gain >= 0.0
     if answers_difference:
         return Signs(elevation, 1.0, 1.0 if follows_pitch else -1.0, False)
     if follows_pitch:
@@ -212,10 +214,10 @@ def _signs(found: dict[str, Explained], roles: Roles) -> Signs:
     return Signs(elevation, -1.0, 1.0, False)
 
 
-def _answer_sentence(axis: str, one: Explained) -> str:
+def _answer_sentence(axis: str, explained: Explained) -> str:
     cause = {"elevation": "the sum of the voltages", "pitch": "their difference", "travel": "pitch"}[axis]
-    way = "with" if one.gain >= 0.0 else "against"
-    return f"{axis} goes {way} {cause}: {one.nats:.0f} nats"
+    way = "with" if explained.gain >= 0.0 else "against"
+    return f"{axis} goes {way} {cause}: {explained.nats:.0f} nats"
 
 
 def _profile(

@@ -65,7 +65,7 @@ def signals_of(table: Table, t_s: Floats, names: list[str]) -> Signals:
         known = usable & np.isfinite(values)
         if known.sum() > 10:
             raw[name] = np.interp(even_s, t_s[known], unwrapped(values[known]))
-    filtered = {name: filtered_signal(one) for name, one in raw.items()}
+    filtered = {name: filtered_signal(samples) for name, samples in raw.items()}
     inner = (even_s > even_s[0] + EDGE_S) & (even_s < even_s[-1] - EDGE_S)
     return Signals(even_s, raw, filtered, inner)
 

@@ -101,8 +101,8 @@ class Descent:
         variance, weights = [], []
         for index, evaluation in enumerate(point.evaluations):
             grid = self.problem.grid(index, self.fine, point.theta)
-            found, weight = self._variance_and_weights(evaluation, grid)
-            variance.append(found)
+            record_variance, weight = self._variance_and_weights(evaluation, grid)
+            variance.append(record_variance)
             weights.append(weight)
         change = (
             max(
@@ -122,14 +122,14 @@ class Descent:
             rows = np.repeat(weight, grid.inputs.steps)[:, None]
             share = float(np.mean(rows))
             kept = evaluation.residual * np.sqrt(rows)
-            found = np.maximum(1.0, long_run_variance(kept, grid.slices, grid.inputs.step_s) / share)
-            found = floor_axes(found, np.mean(kept**2, axis=0) / share, grid.record.sigma_rad)
+            variance = np.maximum(1.0, long_run_variance(kept, grid.slices, grid.inputs.step_s) / share)
+            variance = floor_axes(variance, np.mean(kept**2, axis=0) / share, grid.record.sigma_rad)
             before = weight
             if self.robust:
-                weight = window_weights(evaluation.residual, grid.slices, found)
+                weight = window_weights(evaluation.residual, grid.slices, variance)
             if np.array_equal(weight, before):
                 break
-        return found, weight
+        return variance, weight
 
     def _cost(self, point: Point) -> float:
         problem = self.problem

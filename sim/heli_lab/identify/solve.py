@@ -72,7 +72,7 @@ def solve(
     for number in range(rounds):
         # While amplitudes are still wrong, a frequency or a moment would leave its basin of attraction.
         rough = number < thresholds.ROUGH_ROUNDS
-        solver.frozen[:] = [rough and one.quantity in multimodal for one in problem.free]
+        solver.frozen[:] = [rough and parameter.quantity in multimodal for parameter in problem.free]
         share = (0.6 * number / rounds, 0.6 * (number + 1) / rounds)
         # Far from the solution the weights are rough: only later rounds need small steps.
         most = thresholds.ROUGH_STEPS if rough else thresholds.COARSE_STEPS
@@ -115,10 +115,10 @@ def _start(solver: Descent, start: Fit | Mapping[str, float] | None) -> tuple[Fl
         # than neither.
         places = {state.name: i for i, state in enumerate(start.problem.model.states)}
         known = [(i, places[s.name]) for i, s in enumerate(problem.model.states) if s.name in places]
-        for own, old in zip(states, start.states, strict=True):
-            if len(own) == len(old):
+        for new, old in zip(states, start.states, strict=True):
+            if len(new) == len(old):
                 for new_place, old_place in known:
-                    own[:, new_place] = old[:, old_place]
+                    new[:, new_place] = old[:, old_place]
     return theta, states
 
 

@@ -99,7 +99,7 @@ def solve(unknowns: Unknowns, theta: Floats, innovations: Innovations) -> tuple[
     value : float
         Logarithm of the posterior at `theta`, nats.
     """
-    precision, own = unknowns.std**-2.0, innovations.own
+    precision, per_flight = unknowns.std**-2.0, innovations.own
     offset = theta - unknowns.mean
     information = innovations.information() + np.diag(precision)
     gradient = innovations.score() - precision * offset
@@ -111,13 +111,13 @@ def solve(unknowns: Unknowns, theta: Floats, innovations: Innovations) -> tuple[
         rest = gradient - information[:, ~free] @ move[~free]
         # What is held meets nothing, and moves by nothing.
         held = np.where(free[:, None] & free, information, np.diag(np.where(free, 0.0, 1.0)))
-        move[free] = solve_bordered(held, np.where(free, rest, 0.0), own)[free]
+        move[free] = solve_bordered(held, np.where(free, rest, 0.0), per_flight)[free]
         over = free & ((theta + move < low) | (theta + move > high))
         if not over.any():
             break
         move[over] = (np.clip(theta + move, low, high) - theta)[over]
         free &= ~over
-    covariance = inverse_bordered(information, own)
+    covariance = inverse_bordered(information, per_flight)
     return move, covariance, float(value)
 
 
@@ -172,7 +172,7 @@ class _Ascent:
     def at(self, theta: Floats, weather: Weather, filtered: Filtered) -> _Point:
         innovations = filtered.innovations_by_flight(weather)
         move, covariance, value = solve(self.unknowns, theta, innovations)
-        squares = sum(float(left @ left) for left in innovations.left(move))
+        squares = sum(float(residual @ residual) for residual in innovations.left(move))
         offset = theta + move - self.unknowns.mean
         prior = offset @ (self.unknowns.std**-2.0 * offset)
         after = -0.5 * (squares + prior + innovations.log_variances.sum())
@@ -187,8 +187,8 @@ class _Ascent:
         point = self.at(theta, weather or Weather.start(), filtered)
         if weather is None:
             for _ in range(_FIRST_TURNS):
-                found = estimate_weather(filtered, filtered.moved(point.move), point.weather)
-                point = self.at(theta, found, filtered)
+                weather_ = estimate_weather(filtered, filtered.moved(point.move), point.weather)
+                point = self.at(theta, weather_, filtered)
         return point
 
     def moved(self, point: _Point) -> _Point | None:
@@ -209,8 +209,8 @@ class _Ascent:
     def weathered(self, point: _Point, enough_nats: float) -> _Point:
         """The weather as likely as it can be, to `enough_nats`."""
         filtered = point.filtered or self.linearised(point.theta)
-        own = filtered.moved(np.zeros(len(point.theta)))
-        weather = estimate_weather(filtered, own, point.weather, enough_nats, point.by_axis)
+        error = filtered.moved(np.zeros(len(point.theta)))
+        weather = estimate_weather(filtered, error, point.weather, enough_nats, point.by_axis)
         return self.at(point.theta, weather, filtered)
 
     def run(self, point: _Point) -> tuple[_Point, bool]:

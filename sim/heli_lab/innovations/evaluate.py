@@ -138,11 +138,11 @@ class AlongCourse:
 
     def __call__(self, trajectory: Trajectory) -> list[Floats]:
         """Evaluate: one array an output, shape (n, rows, columns)."""
-        inputs = [_table(one) for one in (trajectory.state, trajectory.volts_V, trajectory.t_s)]
-        found = self._program.evaluate(inputs, np.ascontiguousarray(trajectory.parameters, float))
+        inputs = [_table(array) for array in (trajectory.state, trajectory.volts_V, trajectory.t_s)]
+        values = self._program.evaluate(inputs, np.ascontiguousarray(trajectory.parameters, float))
         return [
             table.reshape(len(table), rows, columns)
-            for table, (rows, columns) in zip(found, self._shapes, strict=True)
+            for table, (rows, columns) in zip(values, self._shapes, strict=True)
         ]
 
 
@@ -199,8 +199,8 @@ class OwnStates:
         -------
         ndarray (n, z)
         """
-        own: Floats = self._integrator.run(
-            [_table(one) for one in course],
+        states: Floats = self._integrator.run(
+            [_table(array) for array in course],
             np.ascontiguousarray(t_s, float),
             np.ascontiguousarray(parameters, float),
             step_s,
@@ -208,4 +208,4 @@ class OwnStates:
             substeps - 1 if seen is None else seen,
             np.zeros(self._size),
         )
-        return own
+        return states

@@ -55,33 +55,34 @@ class Innovations:
 
     def information(self) -> Floats:
         """Fisher information of the parameters, shape (f, f)."""
-        found = np.zeros((self.size, self.size))
-        for one, own in zip(self.flights, self.columns, strict=True):
-            found[np.ix_(own, own)] += one[:, 1:].T @ one[:, 1:]
-        return found
+        information = np.zeros((self.size, self.size))
+        for flight, columns in zip(self.flights, self.columns, strict=True):
+            information[np.ix_(columns, columns)] += flight[:, 1:].T @ flight[:, 1:]
+        return information
 
     def score(self) -> Floats:
         """Derivatives of the log-likelihood by the parameters, shape (f,)."""
-        found = np.zeros(self.size)
-        for one, own in zip(self.flights, self.columns, strict=True):
-            found[own] += one[:, 1:].T @ one[:, 0]
-        return found
+        score = np.zeros(self.size)
+        for flight, columns in zip(self.flights, self.columns, strict=True):
+            score[columns] += flight[:, 1:].T @ flight[:, 0]
+        return score
 
     @cached_property
     def log_likelihoods(self) -> Floats:
         """Log-likelihood of each axis' innovations of the error, nats, without its constant; shape (3,)."""
         squares = sum(
-            (np.square(one[:, 0]).reshape(-1, 3).sum(axis=0) for one in self.flights), start=np.zeros(3)
+            (np.square(flight[:, 0]).reshape(-1, 3).sum(axis=0) for flight in self.flights), start=np.zeros(3)
         )
-        found: Floats = -0.5 * (squares + self.log_variances)
-        return found
+        values: Floats = -0.5 * (squares + self.log_variances)
+        return values
 
     def left(self, move: Floats) -> list[Floats]:
         """Innovations of the error of each flight, shape (m,), when the parameters have moved by `move`,
         shape (f,), to first order.
         """
         return [
-            one[:, 0] - one[:, 1:] @ move[own] for one, own in zip(self.flights, self.columns, strict=True)
+            flight[:, 0] - flight[:, 1:] @ move[columns]
+            for flight, columns in zip(self.flights, self.columns, strict=True)
         ]
 
 
@@ -117,28 +118,28 @@ class Filtered:
             Sum of the logarithms of the variances of each axis.
         """
         by_flight = self.innovations_by_flight(weather)
-        every = np.zeros((sum(len(one) for one in by_flight.flights), 1 + self.size))
+        every = np.zeros((sum(len(flight) for flight in by_flight.flights), 1 + self.size))
         low = 0
-        for one, own in zip(by_flight.flights, self.columns, strict=True):
-            every[low : low + len(one), np.concatenate(([0], 1 + own))] = one
-            low += len(one)
+        for flight, columns in zip(by_flight.flights, self.columns, strict=True):
+            every[low : low + len(flight), np.concatenate(([0], 1 + columns))] = flight
+            low += len(flight)
         return every, by_flight.log_variances
 
     def innovations_by_flight(self, weather: Weather) -> Innovations:
         """Filter: the same, of each flight by the parameters alone that it depends on."""
-        every = [(one, blocks) for one in self.linears for blocks in one.blocks]
+        every = [(linear, blocks) for linear in self.linears for blocks in linear.blocks]
         parts = iter(
             shared_out(lambda part: self._filter(*part, weather, part[1].drive, part[1].measured_rad), every)
         )
-        found, total = [], np.zeros(3)
-        for one in self.linears:
+        flights, total = [], np.zeros(3)
+        for linear in self.linears:
             values = []
-            for _ in one.blocks:
+            for _ in linear.blocks:
                 value, log_variances = next(parts)
                 values.append(value)
                 total += log_variances
-            found.append(np.concatenate(values))
-        return Innovations(tuple(found), self.columns, self.size, total)
+            flights.append(np.concatenate(values))
+        return Innovations(tuple(flights), self.columns, self.size, total)
 
     def regressors(
         self, weather: Weather, signals: Iterable[tuple[Floats, Floats | None]]
@@ -153,12 +154,12 @@ class Filtered:
             For each flight changes of the rates, (n, states, s), and of the measured angles, (n, 3, s). Made
             one by one, they need the memory of one.
         """
-        for one, (rates, angles) in zip(self.linears, signals, strict=True):
-            found = []
-            for blocks, moved in zip(one.blocks, one.over_blocks(rates), strict=True):
+        for linear, (rates, angles) in zip(self.linears, signals, strict=True):
+            parts = []
+            for blocks, moved in zip(linear.blocks, linear.over_blocks(rates), strict=True):
                 seen = np.zeros((len(moved), 3, moved.shape[2])) if angles is None else angles[blocks.rows]
-                found.append(self._filter(one, blocks, weather, -moved, seen)[0])
-            yield np.concatenate(found)
+                parts.append(self._filter(linear, blocks, weather, -moved, seen)[0])
+            yield np.concatenate(parts)
 
     def torque_regressors(
         self, weather: Weather, axis: int, torques_Nm: Sequence[Floats]
@@ -175,20 +176,20 @@ class Filtered:
         torques_Nm : sequence of ndarray (n, s)
             For each flight each torque in the steps.
         """
-        for one, values in zip(self.linears, torques_Nm, strict=True):
-            found = []
-            for blocks in one.blocks:
+        for linear, values in zip(self.linears, torques_Nm, strict=True):
+            parts = []
+            for blocks in linear.blocks:
                 moved = np.zeros((len(blocks.rows), blocks.transition.shape[1], values.shape[1]))
                 for part, at_end in enumerate(blocks.part_input):
                     moved -= at_end[:, :, axis, None] * values[blocks.rows + part][:, None, :]
                 seen = np.zeros((len(moved), 3, values.shape[1]))
-                found.append(self._filter(one, blocks, weather, moved, seen)[0])
-            yield np.concatenate(found)
+                parts.append(self._filter(linear, blocks, weather, moved, seen)[0])
+            yield np.concatenate(parts)
 
     def _filter(
-        self, one: Linear, blocks: Blocks, weather: Weather, drive: Floats, measured: Floats
+        self, linear: Linear, blocks: Blocks, weather: Weather, drive: Floats, measured: Floats
     ) -> tuple[Floats, Floats]:
-        value, log_variances = _kalman.filter(*self._system(one, blocks, weather), drive, measured)
+        value, log_variances = _kalman.filter(*self._system(linear, blocks, weather), drive, measured)
         return value.reshape(-1, drive.shape[2]), np.array(log_variances)
 
     def moved(self, move: Floats) -> list[list[tuple[Floats, Floats]]]:
@@ -196,10 +197,10 @@ class Filtered:
         return [
             [
                 ((blocks.drive @ weight)[:, :, None], (blocks.measured_rad @ weight)[:, :, None])
-                for blocks in one.blocks
+                for blocks in linear.blocks
             ]
-            for one, own in zip(self.linears, self.columns, strict=True)
-            for weight in [np.concatenate(([1.0], -move[own]))]
+            for linear, columns in zip(self.linears, self.columns, strict=True)
+            for weight in [np.concatenate(([1.0], -move[columns]))]
         ]
 
     def smoothed_torques(self, weather: Weather, move: Floats) -> list[tuple[Floats, Floats, Floats]]:
@@ -217,26 +218,26 @@ class Filtered:
         list of (ndarray (k,), ndarray (k, 3), ndarray (k, 3))
             For each flight times since its first sample, gusts and drift together, and their standard error.
         """
-        found = []
+        result = []
         for number, signals in enumerate(self.moved(move)):
             times, values, errors = [], [], []
-            one = self.linears[number]
-            for blocks, (drive, measured) in zip(one.blocks, signals, strict=True):
+            linear = self.linears[number]
+            for blocks, (drive, measured) in zip(linear.blocks, signals, strict=True):
                 nx = blocks.transition.shape[1]
-                mean, variance = _kalman.smooth(*self._system(one, blocks, weather), drive, measured)
-                times.append(one.nodes.t_s[blocks.rows])
+                mean, variance = _kalman.smooth(*self._system(linear, blocks, weather), drive, measured)
+                times.append(linear.nodes.t_s[blocks.rows])
                 values.append(mean[:, nx : nx + 3] + mean[:, nx + 3 :])
                 errors.append(np.sqrt(variance[:, nx : nx + 3] + variance[:, nx + 3 :]))
-            found.append((np.concatenate(times), np.concatenate(values), np.concatenate(errors)))
-        return found
+            result.append((np.concatenate(times), np.concatenate(values), np.concatenate(errors)))
+        return result
 
-    def _system(self, one: Linear, blocks: Blocks, weather: Weather) -> tuple[Floats, ...]:
+    def _system(self, linear: Linear, blocks: Blocks, weather: Weather) -> tuple[Floats, ...]:
         return (
             blocks.transition,
             blocks.part_input,
             blocks.measurement,
             np.ascontiguousarray(blocks.variance_rad2 * weather.quantisation),
-            weather.memory(one.course.step_s),
+            weather.memory(linear.course.step_s),
             weather.variance_N2m2,
             _initial_variance(blocks.transition.shape[1]),
         )
@@ -248,9 +249,9 @@ class Filtered:
         weathers, nats, without its constant; shape (w, 3).
         """
         every = [
-            (one, blocks, signal, slice(low, low + _FOUR))
-            for one, signals in zip(self.linears, error, strict=True)
-            for blocks, signal in zip(one.blocks, signals, strict=True)
+            (linear, blocks, signal, slice(low, low + _FOUR))
+            for linear, signals in zip(self.linears, error, strict=True)
+            for blocks, signal in zip(linear.blocks, signals, strict=True)
             for low in range(0, len(weathers), _FOUR)
         ]
         total = np.zeros((len(weathers), 3))
@@ -260,14 +261,14 @@ class Filtered:
         return total
 
     def _log_likelihoods(
-        self, one: Linear, blocks: Blocks, signal: tuple[Floats, Floats], weathers: Sequence[Weather]
+        self, linear: Linear, blocks: Blocks, signal: tuple[Floats, Floats], weathers: Sequence[Weather]
     ) -> Floats:
         values: Floats = _kalman.log_likelihoods(
             blocks.transition,
             blocks.part_input,
             blocks.measurement,
             blocks.variance_rad2,
-            np.array([weather.memory(one.course.step_s) for weather in weathers]),
+            np.array([weather.memory(linear.course.step_s) for weather in weathers]),
             np.array([weather.variance_N2m2 for weather in weathers]),
             np.array([weather.quantisation for weather in weathers]),
             _initial_variance(blocks.transition.shape[1]),
@@ -277,28 +278,28 @@ class Filtered:
 
     def followed(self, weather: Weather) -> list[Course]:
         """Courses as this model's filter follows them, every step measured."""
-        found = []
-        for one in self.linears:
-            course = one.course
+        courses = []
+        for linear in self.linears:
+            course = linear.course
             predicted, filtered = course.predicted.copy(), course.filtered.copy()
-            steps = one.steps
+            steps = linear.steps
             torque_input = steps.Gamma @ steps.by_torque
-            for window, rows in zip(one.windows, course.windows, strict=True):
+            for window, rows in zip(linear.windows, course.windows, strict=True):
                 before, after = _kalman.track(
                     steps.Phi[window],
                     np.ascontiguousarray(torque_input[window])[None],
                     steps.C[window],
-                    np.ascontiguousarray(one.variance_rad2[window] * weather.quantisation),
+                    np.ascontiguousarray(linear.variance_rad2[window] * weather.quantisation),
                     weather.memory(course.step_s),
                     weather.variance_N2m2,
-                    _initial_variance(one.states),
+                    _initial_variance(linear.states),
                     steps.drive[window],
                     steps.angle_error_rad[window],
                 )
                 predicted[rows] = course.predicted[rows] + before[:, :6]
                 filtered[rows] = course.predicted[rows] + after[:, :6]
-            found.append(course.followed(predicted, filtered))
-        return found
+            courses.append(course.followed(predicted, filtered))
+        return courses
 
 
 def _initial_variance(states: int) -> Floats:

@@ -234,7 +234,7 @@ class Linear:
     def __init__(self, course: Course, functions: ModelFunctions, parameters: Floats) -> None:
         self.course, self.functions, self.model = course, functions, functions.model
         self.block = max(1, round(BLOCK_s / course.step_s))
-        lengths = [one.stop - one.start for one in course.windows]
+        lengths = [window.stop - window.start for window in course.windows]
         edges = np.concatenate(([0], np.cumsum(lengths))).astype(int)
         self.windows = [slice(int(low), int(high)) for low, high in itertools.pairwise(edges)]
         self._place(parameters)
@@ -263,9 +263,11 @@ class Linear:
         volts_V = grid.inputs.mean_V
         nodes = course.predicted
         if functions.own_states:
-            own = functions.integrate(Trajectory(t_s, middle, volts_V, h, parameters), course.directions)
-            middle = np.hstack((middle, 0.5 * (own[:-1] + own[1:])))
-            nodes = np.hstack((nodes, own[:-1]))
+            effect_states = functions.integrate(
+                Trajectory(t_s, middle, volts_V, h, parameters), course.directions
+            )
+            middle = np.hstack((middle, 0.5 * (effect_states[:-1] + effect_states[1:])))
+            nodes = np.hstack((nodes, effect_states[:-1]))
         rows = course.rows
         self.rows = len(rows)
         self.trajectory = Trajectory(t_s[rows], middle[rows], volts_V[rows], h, parameters)
@@ -303,7 +305,7 @@ class Linear:
         """The windows, as the filter takes them; once asked for they are kept, until `release`."""
         size, states, n = 1 + len(self.functions.free), self.states, self.block
         together = max(1, min(_TOGETHER, -(-self.rows // usual_threads())) // n) * n
-        found: list[Blocks] = []
+        result: list[Blocks] = []
         parts: list[tuple[Blocks, slice, slice]] = []
         for window in self.windows:
             firsts = np.arange(window.start, window.stop - n + 1, n)
@@ -317,22 +319,24 @@ class Linear:
                 np.empty((count, states, size)),
                 np.empty((count, 3, size)),
             )
-            found.append(blocks)
+            result.append(blocks)
             for low in range(0, count * n, together):
                 high = min(low + together, count * n)
                 rows = slice(window.start + low, window.start + high)
                 parts.append((blocks, slice(low // n, high // n), rows))
         shared_out(lambda part: self._fill(*part), parts)
-        return found
+        return result
 
     def _fill(self, blocks: Blocks, into: slice, rows: slice) -> None:
         """Linearise in the steps `rows`, which make the blocks `into`."""
         n = self.block
-        found = self.derivatives(rows)
-        blocks.drive[into] = _kalman.over_blocks(found.Phi, found.Gamma, found.rates, n)
-        blocks.drive[into, :, :1] += _kalman.over_blocks(found.Phi, found.Phi, self._moved(rows), n)
-        blocks.measured_rad[into], blocks.measurement[into] = found.angles_rad[::n], found.C[::n]
-        over, parts = _kalman.block_response(found.Phi, found.Gamma, found.by_torque, n)
+        derivatives = self.derivatives(rows)
+        blocks.drive[into] = _kalman.over_blocks(derivatives.Phi, derivatives.Gamma, derivatives.rates, n)
+        blocks.drive[into, :, :1] += _kalman.over_blocks(
+            derivatives.Phi, derivatives.Phi, self._moved(rows), n
+        )
+        blocks.measured_rad[into], blocks.measurement[into] = derivatives.angles_rad[::n], derivatives.C[::n]
+        over, parts = _kalman.block_response(derivatives.Phi, derivatives.Gamma, derivatives.by_torque, n)
         blocks.transition[into], blocks.part_input[:, into] = over, parts.reshape(n, *over.shape[:2], 3)
 
     def _moved(self, rows: slice) -> Floats:
@@ -350,11 +354,13 @@ class Linear:
         )
         for low in range(0, n, _TOGETHER):
             rows = slice(low, min(low + _TOGETHER, n))
-            found = self.derivatives(rows)
-            kept.Phi[rows], kept.Gamma[rows] = found.Phi, found.Gamma
-            kept.by_torque[rows], kept.C[rows] = found.by_torque, found.C
-            kept.drive[rows] = found.Gamma @ found.rates[:, :, :1] + found.Phi @ self._moved(rows)
-            kept.angle_error_rad[rows] = found.angles_rad[:, :, :1]
+            derivatives = self.derivatives(rows)
+            kept.Phi[rows], kept.Gamma[rows] = derivatives.Phi, derivatives.Gamma
+            kept.by_torque[rows], kept.C[rows] = derivatives.by_torque, derivatives.C
+            kept.drive[rows] = derivatives.Gamma @ derivatives.rates[
+                :, :, :1
+            ] + derivatives.Phi @ self._moved(rows)
+            kept.angle_error_rad[rows] = derivatives.angles_rad[:, :, :1]
         return kept
 
     def release(self) -> None:
@@ -381,6 +387,6 @@ class Linear:
         """What changes of the `rates`, shape (n, states, s), move in each block of each window."""
         Phi, Gamma = self.steps.Phi, self.steps.Gamma
         return [
-            _kalman.over_blocks(Phi[one], Gamma[one], np.ascontiguousarray(rates[one]), self.block)
-            for one in self.windows
+            _kalman.over_blocks(Phi[window], Gamma[window], np.ascontiguousarray(rates[window]), self.block)
+            for window in self.windows
         ]

@@ -129,11 +129,11 @@ def sensitivity_figure(rig: Rig) -> Figure:
 def _whole_run(table: Table, record: Record, rig: Rig) -> Trace:
     """Predict a test from its beginning to its end in one run, with what the table found."""
     fit = table.fit
-    index = next(i for i, own in enumerate(fit.problem.records) if own.label == record.label)
+    index = next(i for i, record_ in enumerate(fit.problem.records) if record_.label == record.label)
     values = {
-        one.quantity: float(value)
-        for one, value in zip(fit.problem.free, fit.theta, strict=True)
-        if one.record in (None, index)
+        parameter.quantity: float(value)
+        for parameter, value in zip(fit.problem.free, fit.theta, strict=True)
+        if parameter.record in (None, index)
     }
     problem = Problem(fit.problem.model, rig, [record], free=[], window_s=_WHOLE_s, values=values)
     return trace(solve(problem))

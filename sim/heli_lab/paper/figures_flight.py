@@ -113,26 +113,26 @@ def performance_figure(flights: Sequence[Flown], path: str, number: int) -> Figu
         2, f"Tracking performance along the {path} (after Fig. {number})", "; take-off left out"
     )
     for letter, panel, axis in zip("ab", panels, (2, 0), strict=True):
-        for one, colour in zip(flights, _COLOURS, strict=False):
-            error = one.error_deg[:, axis]
-            aloft = one.flight.t_s > aloft_s(one)
+        for flight, colour in zip(flights, _COLOURS, strict=False):
+            error = flight.error_deg[:, axis]
+            aloft = flight.flight.t_s > aloft_s(flight)
             rms = float(np.sqrt(np.mean(error[aloft] ** 2))) if aloft.any() else float("nan")
-            label = f"{one.label}: {rms:.2f} deg rms"
-            panel.plot(one.flight.t_s[aloft], error[aloft], color=colour, lw=0.9, label=label)
+            label = f"{flight.label}: {rms:.2f} deg rms"
+            panel.plot(flight.flight.t_s[aloft], error[aloft], color=colour, lw=0.9, label=label)
         panel.axhline(0.0, color=GREY, lw=0.8)
         panel.set_title(f"({letter}) {AXES[axis]}", fontsize=9)
         _finish(panel, "error [deg]")
     return figure
 
 
-def aloft_s(one: Flown) -> float:
+def aloft_s(flight: Flown) -> float:
     """When the take-off is over [s]: the elevation has first reached what is desired within half a degree,
     and a second has passed.
     """
-    level = np.abs(one.error_deg[:, 0]) < _THERE_DEG
-    up = level & (one.desired_deg[:, 0] > _ALOFT_DEG)
+    level = np.abs(flight.error_deg[:, 0]) < _THERE_DEG
+    up = level & (flight.desired_deg[:, 0] > _ALOFT_DEG)
     first = np.flatnonzero(up)
-    return float(one.flight.t_s[first[0]]) + _SETTLE_S if first.size else 0.0
+    return float(flight.flight.t_s[first[0]]) + _SETTLE_S if first.size else 0.0
 
 
 _THERE_DEG: Final = 0.5
@@ -161,11 +161,15 @@ def _response(panel: Axes, flights: Sequence[Flown], axis: int, *, desired: bool
     if desired:
         first = flights[0]
         panel.plot(first.flight.t_s, first.desired_deg[:, axis], "--", c=MEASURED, lw=1.0, label="desired")
-    for one, colour in zip(flights, _COLOURS, strict=False):
-        label = one.label if one.outcome == "completed" else f"{one.label}: {one.outcome.split(';')[0]}"
-        angle_deg = np.rad2deg(one.flight.angles_rad[:, axis])
-        panel.plot(one.flight.t_s, angle_deg, color=colour, lw=0.9, label=label)
+    for flight, colour in zip(flights, _COLOURS, strict=False):
+        label = (
+            flight.label
+            if flight.outcome == "completed"
+            else f"{flight.label}: {flight.outcome.split(';')[0]}"
+        )
+        angle_deg = np.rad2deg(flight.flight.angles_rad[:, axis])
+        panel.plot(flight.flight.t_s, angle_deg, color=colour, lw=0.9, label=label)
         if axis == 1:
-            label = f"{one.label}, setpoint"
-            panel.plot(one.flight.t_s, one.desired_deg[:, 1], ":", color=colour, lw=0.7, label=label)
+            label = f"{flight.label}, setpoint"
+            panel.plot(flight.flight.t_s, flight.desired_deg[:, 1], ":", color=colour, lw=0.7, label=label)
     _finish(panel, f"{AXES[axis]} [deg]")

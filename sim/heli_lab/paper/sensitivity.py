@@ -112,4 +112,4 @@ def sensitivities(rig: Rig, test: BenchTest = ELEVATION_STEPS[0]) -> list[Sensit
         out.append(
             Sensitivity(name, equilibrium_deg(changed, test) - rest, float(np.sqrt(np.mean(moved**2))))
         )
-    return sorted(out, key=lambda one: -one.rms_deg)
+    return sorted(out, key=lambda row: -row.rms_deg)

@@ -140,24 +140,26 @@ class _Tilt:
     def closed(self, law: _Law, lag_s: float) -> Floats:
         """State matrix: the plant, integrals of travel and of pitch's error, thrust behind a lag."""
         kp, ki, kd = law.travel
-        one = np.eye(7)
+        unit_rows = np.eye(7)
         # x[:4] the plant, x[4] the integral of travel, x[5] of pitch's error, x[6] U- as thrust follows it.
-        setpoint = -(kp * one[1] + ki * one[4] + kd * one[3])
-        error = setpoint - one[0]
+        setpoint = -(kp * unit_rows[1] + ki * unit_rows[4] + kd * unit_rows[3])
+        error = setpoint - unit_rows[0]
         A = np.zeros((7, 7))
         A[:4, :4], A[:4, 6] = self.A, self.B
-        A[4], A[5] = one[1], error
-        asked = law.pitch[0] * error + law.pitch[1] * one[5] - law.pitch[2] * one[2]
+        A[4], A[5] = unit_rows[1], error
+        differential_V = law.pitch[0] * error + law.pitch[1] * unit_rows[5] - law.pitch[2] * unit_rows[2]
         share = 0.0
         if law.of_error:
             # The setpoint's own rate holds travel's acceleration, A[3], thrust included.
-            asked = asked - law.pitch[2] * (kp * one[3] + ki * one[1] + kd * A[3])
-            share = float(asked[6])
+            differential_V = differential_V - law.pitch[2] * (
+                kp * unit_rows[3] + ki * unit_rows[1] + kd * A[3]
+            )
+            share = float(differential_V[6])
         if lag_s > 0.0:
-            A[6] = (asked - one[6]) / lag_s
+            A[6] = (differential_V - unit_rows[6]) / lag_s
             return A
         # Without lag, U- = asked, in which U- itself may appear once more.
-        direct = (asked - share * one[6])[:6] / (1.0 - share)
+        direct = (differential_V - share * unit_rows[6])[:6] / (1.0 - share)
         return A[:6, :6] + np.outer(A[:6, 6], direct)
 
 

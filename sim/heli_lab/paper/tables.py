@@ -172,44 +172,50 @@ def free_axes_normalised(fit: Fit, locked: tuple[bool, bool, bool]) -> float:
     """
     free = [axis for axis, held in zip(AXES, locked, strict=True) if not held]
     checks = [check(fit, index) for index in range(len(fit.problem.records))]
-    return math.sqrt(float(np.mean([one.axis_normalised[axis] ** 2 for one in checks for axis in free])))
+    return math.sqrt(
+        float(np.mean([check_.axis_normalised[axis] ** 2 for check_ in checks for axis in free]))
+    )
 
 
 def _printed_rows(number: int, plan: _Plan, fit: Fit, by_masses: Mapping[str, float]) -> list[Row]:
     rows = []
-    for one in PRINTED:
-        if one.table != number:
+    for coefficient in PRINTED:
+        if coefficient.table != number:
             continue
-        value, half = (None, None) if one.name in plan.unidentified else _found(fit, one.name, one.per_si)
+        value, half = (
+            (None, None)
+            if coefficient.name in plan.unidentified
+            else _found(fit, coefficient.name, coefficient.per_si)
+        )
         rows.append(
             Row(
-                one.name,
-                one.unit,
-                one.value,
-                one.tolerance,
-                one.per_si * by_masses[one.name],
+                coefficient.name,
+                coefficient.unit,
+                coefficient.value,
+                coefficient.tolerance,
+                coefficient.per_si * by_masses[coefficient.name],
                 value,
                 half,
-                plan.unidentified.get(one.name, ""),
+                plan.unidentified.get(coefficient.name, ""),
             )
         )
     return rows
 
 
 def _extra_rows(number: int, fit: Fit, by_masses: Mapping[str, float]) -> list[Row]:
-    printed = {one.name: one for one in PRINTED}
+    printed = {coefficient.name: coefficient for coefficient in PRINTED}
     if number == 4:
-        one, other = printed["P_1"], printed["P_5"]
-        total = one.per_si * (by_masses["P_1"] + by_masses["P_5"])
-        spread = math.hypot(one.tolerance, other.tolerance)
-        found = _found(fit, "P_1", one.per_si)
-        return [Row("P_1 + P_5", one.unit, one.value + other.value, spread, total, *found)]
+        first, other = printed["P_1"], printed["P_5"]
+        total = first.per_si * (by_masses["P_1"] + by_masses["P_5"])
+        spread = math.hypot(first.tolerance, other.tolerance)
+        value = _found(fit, "P_1", first.per_si)
+        return [Row("P_1 + P_5", first.unit, first.value + other.value, spread, total, *value)]
     if number == 5:
         rows = [
             Row(
                 f"sin phi at {test.front_V:g}, {test.back_V:g} V",
                 "rad/s2",
-                _sine_factor({name: one.value for name, one in printed.items()}, test),
+                _sine_factor({name: coefficient.value for name, coefficient in printed.items()}, test),
                 None,
                 _sine_factor(by_masses, test),
                 *_found(fit, f"P_15[{test.name}]", 1.0),
@@ -217,12 +223,20 @@ def _extra_rows(number: int, fit: Fit, by_masses: Mapping[str, float]) -> list[R
             )
             for test in TRAVEL_STEPS
         ]
-        one = printed["P_11"]
+        first = printed["P_11"]
         note = "of Table 3; here the motors run"
-        gain = _found(fit, "P_11", one.per_si)
+        gain = _found(fit, "P_11", first.per_si)
         return [
             *rows,
-            Row("P_11", one.unit, one.value, one.tolerance, one.per_si * by_masses["P_11"], *gain, note),
+            Row(
+                "P_11",
+                first.unit,
+                first.value,
+                first.tolerance,
+                first.per_si * by_masses["P_11"],
+                *gain,
+                note,
+            ),
         ]
     return []
 

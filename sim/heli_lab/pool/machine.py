@@ -90,13 +90,13 @@ def read_machine(path: Path) -> Machine:
 
 def _machine(path: Path, content: Mapping[str, Any]) -> Machine:
     numbers, priors = {}, {}
-    for name, one in content["rig"]["numbers"].items():
-        prior = Estimate(float(one["prior"]["value"]), float(one["prior"]["std"]), str(one["unit"]))
+    for name, number in content["rig"]["numbers"].items():
+        prior = Estimate(float(number["prior"]["value"]), float(number["prior"]["std"]), str(number["unit"]))
         priors[name] = prior
-        alone = by_flights_alone(float(one["value"]), float(one["std"]), prior)
+        alone = by_flights_alone(float(number["value"]), float(number["std"]), prior)
         if alone is not None:
             numbers[name] = alone
-    causes = {str(one["effect"]): float(one["confidence"]) for one in content["causes"]}
+    causes = {str(cause["effect"]): float(cause["confidence"]) for cause in content["causes"]}
     rig = content["rig"]
     hidden = tuple(map(str, content["undetectable"]))
     return Machine(path.stem, str(rig["name"]), str(rig["model"]), numbers, priors, causes, hidden)

@@ -170,7 +170,7 @@ def margins(plant: LinearPlant, law: Law) -> dict[str, Margin]:
     grid = open_loops(plant, law, MARGIN_FREQUENCY_rad_s)
     at_180 = _crossings(plant, law, grid, _sine)
     at_1 = _crossings(plant, law, grid, _log_gain)
-    found = {}
+    result = {}
     for name, loop in grid.items():
         crossed = at_180[name][1].real
         gains = -1.0 / crossed[crossed < 0.0]
@@ -178,7 +178,7 @@ def margins(plant: LinearPlant, law: Law) -> dict[str, Margin]:
         phases_deg = np.mod(np.degrees(np.angle(responses)), 360.0) - 180.0
         # A phase margin is to the nearest side; what a delay costs is the way round to -180.
         lost_deg = np.mod(phases_deg, 360.0)
-        found[name] = Margin(
+        result[name] = Margin(
             gain_up=float(np.min(gains[gains > 1.0], initial=np.inf)),
             gain_down=float(np.max(gains[gains < 1.0], initial=0.0)),
             phase_deg=float(np.min(np.abs(phases_deg), initial=np.inf)),
@@ -186,7 +186,7 @@ def margins(plant: LinearPlant, law: Law) -> dict[str, Margin]:
             sensitivity=peak_sensitivity(loop),
             crossover_rad_s=float(np.max(crossings, initial=0.0)),
         )
-    return found
+    return result
 
 
 def _sine(loop: Complexes) -> Floats:

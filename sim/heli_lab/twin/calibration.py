@@ -69,7 +69,7 @@ def segment_maxima(course: Sequence[tuple[float, float]]) -> list[float]:
     if not len(times):
         return []
     number = ((times - times[0]) // SEGMENT_s).astype(int)
-    return [float(evidence[number == one].max()) for one in np.unique(number)]
+    return [float(evidence[number == segment].max()) for segment in np.unique(number)]
 
 
 def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], taught_s: float = math.inf) -> Tail:
@@ -92,14 +92,14 @@ def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], taught_s: float =
     TwinError
         There are too few.
     """
-    maxima = [one for course in flights for one in segment_maxima(course)]
+    maxima = [maximum for course in flights for maximum in segment_maxima(course)]
     if len(maxima) < 10:
         raise TwinError(
             f"{len(maxima)} segments of {SEGMENT_s:g} s of healthy flight are too few to tell what is normal",
             "give a longer flight",
         )
     level = float(np.quantile(maxima, _LEVEL))
-    over = np.array([one - level for one in maxima if one > level])
+    over = np.array([maximum - level for maximum in maxima if maximum > level])
     scale = max(float(over.mean()), _LEAST_SCALE_nats)
     hours = len(maxima) * SEGMENT_s / 3600.0
     wider = 1.0 + WINDOW_s / taught_s

@@ -52,7 +52,9 @@ class Followed:
     @property
     def most_nats(self) -> float:
         """Largest evidence of any change, before an alarm or ever."""
-        return max((one for _, one in self.evidence_nats if math.isfinite(one)), default=-math.inf)
+        return max(
+            (evidence for _, evidence in self.evidence_nats if math.isfinite(evidence)), default=-math.inf
+        )
 
     @property
     def alarms(self) -> tuple[TwinEvent, ...]:
@@ -110,13 +112,13 @@ def follow_file(
     """
     if path.suffix.lower() != ".mcap":
         flight = read_flight(path, allow_gaps=True)
-        found = follow_flight(chosen, flight, path.name, hours, start_s, stop_s)
-        return replace(found, flown_rig=str(flight.meta.get("rig") or ""))
+        followed = follow_flight(chosen, flight, path.name, hours, start_s, stop_s)
+        return replace(followed, flown_rig=str(flight.meta.get("rig") or ""))
     log = read_log(path)
     samples, zero_s = samples_of_log(log)
     count_rad = rad_per_count(log.parameters)
-    found = _follow(chosen, samples, count_rad, TICK_S, zero_s, path.name, hours, (start_s, stop_s))
-    return replace(found, flown_rig=log.metadata.get("session", {}).get("rig", ""))
+    followed = _follow(chosen, samples, count_rad, TICK_S, zero_s, path.name, hours, (start_s, stop_s))
+    return replace(followed, flown_rig=log.metadata.get("session", {}).get("rig", ""))
 
 
 def _follow(

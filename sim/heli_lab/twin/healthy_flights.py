@@ -105,14 +105,14 @@ def _renamed(gusts: Effect, name: str, std_Nm: float, memory_s: float) -> Effect
     """The same process with another name, size and memory."""
     old, new = gusts.prefix, name.replace(".", "_")
 
-    def quantity(one: Quantity) -> Quantity:
-        return replace(one, name=one.name.replace(old, new))
+    def quantity(original: Quantity) -> Quantity:
+        return replace(original, name=original.name.replace(old, new))
 
     return replace(
         gusts,
         name=name,
-        parameters=tuple(quantity(one) for one in gusts.parameters),
-        states=tuple(quantity(one) for one in gusts.states),
+        parameters=tuple(quantity(item) for item in gusts.parameters),
+        states=tuple(quantity(item) for item in gusts.states),
         values={f"{new}_Nm": std_Nm, f"{new}_s": memory_s},
         priors={},
         multimodal=(),
@@ -144,8 +144,10 @@ def fly_simulated(
     """
     rng = np.random.default_rng(seed)
     if torques:
-        own = {name: rig[name].value + _CALM * std * rng.normal() for name, std in TORQUE_STD_Nm.items()}
-        flown = rig.replace(**own)
+        constant_torques = {
+            name: rig[name].value + _CALM * std * rng.normal() for name, std in TORQUE_STD_Nm.items()
+        }
+        flown = rig.replace(**constant_torques)
     else:
         flown = rig
     calm = type(model)(tuple(effect for effect in model.effects if not effect.noise_inputs))

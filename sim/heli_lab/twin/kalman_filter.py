@@ -326,11 +326,11 @@ class KalmanFilter:
             total = float(row @ gain) + variance[axis]
             scale = total**-0.5
             value[axis] = (surprise[axis] - row @ change) * scale
-            told = (row @ moved).reshape(columns, onsets) + shown[axis][:, None] * amount
-            told *= scale
-            sensitivity[axis] = told
+            projection = (row @ moved).reshape(columns, onsets) + shown[axis][:, None] * amount
+            projection *= scale
+            sensitivity[axis] = projection
             change += gain * (scale * value[axis])
-            moved -= np.outer(gain * scale, told)
+            moved -= np.outer(gain * scale, projection)
             self.covariance -= np.outer(gain, gain) / total
         self.mean += change
         return Innovation(value, sensitivity)

@@ -49,11 +49,15 @@ def weather_of(model: Model, rig: Rig, records: Sequence[Record]) -> Weather:
     """
     shared = Unknowns(model, rig, records)
     values = dict(zip((q.name for q in model.parameters), model.parameter_values(rig), strict=True))
-    fixed = {one.quantity: float(values[one.quantity]) for one in shared.free if one.record is None}
+    fixed = {
+        parameter.quantity: float(values[parameter.quantity])
+        for parameter in shared.free
+        if parameter.record is None
+    }
     unknowns = Unknowns(model, rig, records, fixed)
     functions = ModelFunctions(model, unknowns.quantities)
-    found = estimate(unknowns, [follow(record) for record in records], functions, unknowns.start)
-    return found.weather
+    estimate_ = estimate(unknowns, [follow(record) for record in records], functions, unknowns.start)
+    return estimate_.weather
 
 
 def at_least_rounding(weather: Weather, model: Model, rig: Rig, count_rad: Floats) -> Weather:
@@ -163,9 +167,9 @@ def learn(
             break
         say(f"simulated flight {done + 1} of {flights}", 0.1 + 0.9 * done / flights)
         # Seeds of flights that somebody else simulates are small numbers.
-        own = 1_000_000 * seed + number
+        flight_seed = 1_000_000 * seed + number
         try:
-            flight = fly_simulated(flown, rig, random_plan(own), own)
+            flight = fly_simulated(flown, rig, random_plan(flight_seed), flight_seed)
         except FlightAborted:
             continue
         courses.append(evidence(twin, weather, flight))

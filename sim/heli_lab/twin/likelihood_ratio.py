@@ -90,7 +90,9 @@ class LikelihoodRatio:
 
     def __init__(self, changes: Sequence[Change], count_rad: Floats) -> None:
         self.changes = tuple(changes)
-        least = {f"zero_offset.{axis}": LEAST_COUNTS * one for axis, one in zip(AXES, count_rad, strict=True)}
+        least = {
+            f"zero_offset.{axis}": LEAST_COUNTS * count for axis, count in zip(AXES, count_rad, strict=True)
+        }
         self._least: Floats = np.array([[least.get(change.id, 0.0)] for change in changes])
         firsts = np.cumsum([0, *(len(change.numbers) for change in changes)])
         self._first: Integers = firsts[:-1].astype(np.int64)
@@ -140,12 +142,12 @@ class LikelihoodRatio:
 
     def take(self, innovation: Innovation) -> float:
         """Add an innovation; returns the evidence of the likeliest change at its likeliest onset, nats."""
-        one = innovation.sensitivity[:, self._first]
+        direction = innovation.sensitivity[:, self._first]
         two = innovation.sensitivity[:, self._second]
         value = innovation.value
-        self._s11 += np.einsum("aho,aho->ho", one, one)
-        self._b1 += np.einsum("aho,a->ho", one, value)
-        self._s12 += np.where(self._pairs, np.einsum("aho,aho->ho", one, two), 0.0)
+        self._s11 += np.einsum("aho,aho->ho", direction, direction)
+        self._b1 += np.einsum("aho,a->ho", direction, value)
+        self._s12 += np.where(self._pairs, np.einsum("aho,aho->ho", direction, two), 0.0)
         self._s22 += np.where(self._pairs, np.einsum("aho,aho->ho", two, two), 0.0)
         self._b2 += np.where(self._pairs, np.einsum("aho,a->ho", two, value), 0.0)
         size, std, gain, determinant = self._solved()
@@ -176,7 +178,7 @@ class LikelihoodRatio:
         onset_block : float
             Number of the block whose nearest onset is meant.
         """
-        row = [one.id for one in self.changes].index(change)
+        row = [change_.id for change_ in self.changes].index(change)
         away = np.abs(self._onset[row] - onset_block)
         nearest = int(np.argmin(away))
         return float(self._solved()[1][row, nearest]) if np.isfinite(away[nearest]) else None
@@ -187,7 +189,7 @@ class LikelihoodRatio:
         best = np.argmax(self.evidence, axis=1)
         used = max(1, int(np.isfinite(self._onset[0]).sum()))
         together = logsumexp(self.evidence, axis=1) - np.log(used)
-        found = [
+        candidates = [
             Candidate(
                 change,
                 int(self._onset[i, best[i]]) if np.isfinite(self._onset[i, best[i]]) else 0,
@@ -197,4 +199,4 @@ class LikelihoodRatio:
             )
             for i, change in enumerate(self.changes)
         ]
-        return sorted(found, key=lambda one: -one.log_evidence)
+        return sorted(candidates, key=lambda candidate: -candidate.log_evidence)

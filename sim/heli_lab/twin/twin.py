@@ -193,7 +193,7 @@ class Twin:
         kalman.predict(since_s, acting_V)
 
     def _begin(self, index: int) -> KalmanFilter:
-        times, angles, volts = (np.array(one) for one in zip(*self._history, strict=True))
+        times, angles, volts = (np.array(values) for values in zip(*self._history, strict=True))
         state = start_state(self.model, times, angles, volts, self.step_s)
         self._kalman = KalmanFilter(
             self.model, self.calibration.weather, self._count_rad, self.step_s, self._block, state

@@ -61,9 +61,9 @@ def pool(
         written.append(out)
     if json is not None:
         content = {
-            "machines": [one.label for one in make.machines],
-            "numbers": {name: asdict(one) for name, one in make.numbers.items()},
-            "causes": {name: asdict(one) for name, one in make.causes.items()},
+            "machines": [machine.label for machine in make.machines],
+            "numbers": {name: asdict(number) for name, number in make.numbers.items()},
+            "causes": {name: asdict(cause) for name, cause in make.causes.items()},
         }
         write_json(json, content)
         written.append(json)
@@ -71,14 +71,14 @@ def pool(
 
 
 def _lines(make: Make) -> list[str]:
-    units = {name: one.unit for machine in make.machines for name, one in machine.numbers.items()}
+    units = {name: quantity.unit for machine in make.machines for name, quantity in machine.numbers.items()}
     lines = [f"{len(make.machines)} machines of {make.machines[0].rig}, model {make.machines[0].model}"]
     if not make.causes:
         lines.append("  no cause on any of them")
-    for name, one in make.causes.items():
-        low, high = one.interval
+    for name, cause in make.causes.items():
+        low, high = cause.interval
         lines.append(
-            f"  {name}: on {one.found} of {one.seen} machines that would show it; "
+            f"  {name}: on {cause.found} of {cause.seen} machines that would show it; "
             f"of all {100 * low:.0f} to {100 * high:.0f} %"
         )
     lines.append(f"  {'number':32}{'mean':>10}{'std error':>11}{'from machine to machine':>25}  unit")

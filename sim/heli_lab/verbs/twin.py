@@ -89,7 +89,7 @@ def twin(
     check_result_places(learn, json, figure=figure)
     chosen = open_rig(rig)
     others = healthy or []
-    found: list[Followed] = []
+    followed: list[Followed] = []
     with WorkBar() as bar:
         bar.show("reading", 0.0)
         read = [read_flight(path, allow_gaps=True) for path in others]
@@ -103,21 +103,23 @@ def twin(
             chosen = replace(chosen, calibration=replace(chosen.calibration, weather=weather))
         for path in flights or ():
             bar.show(f"beside {path.name}", 0.9)
-            found.append(follow_file(chosen, path, hours, start_s, stop_s))
+            followed.append(follow_file(chosen, path, hours, start_s, stop_s))
     written = [learn] if learn is not None else []
-    for one in found:
-        say(*(f"{one.label}: {text}" for text in one.sentences()))
-        if one.flown_rig not in ("", chosen.rig.name, Path(chosen.name).stem):
-            say(f"{one.label} is a flight of {one.flown_rig}, the twin one of {chosen.rig.name}: see --rig")
+    for flight in followed:
+        say(*(f"{flight.label}: {text}" for text in flight.sentences()))
+        if flight.flown_rig not in ("", chosen.rig.name, Path(chosen.name).stem):
+            say(
+                f"{flight.label} is a flight of {flight.flown_rig}, the twin one of {chosen.rig.name}: see --rig"
+            )
     if others and is_calm(chosen.calibration.weather):
         say("the healthy flights are calmer than a quiet room: any draught will be an alarm; give others too")
     threshold_nats = chosen.calibration.threshold_nats(hours)
     say(f"alarm from {threshold_nats:.1f} nats on, {_rate(hours)}; {_source(chosen)}")
     if json is not None:
-        write_json(json, _numbers(chosen, found, hours))
+        write_json(json, _numbers(chosen, followed, hours))
         written.append(json)
-    if figure is not None and found:
-        draw_evidence(found, figure)
+    if figure is not None and followed:
+        draw_evidence(followed, figure)
         written.append(figure)
     say_files(written)
 
@@ -130,7 +132,7 @@ def _source(chosen: TwinRig) -> str:
     return f"weather and alarm from {chosen.calibration.source}" if chosen.calibration.source else "as given"
 
 
-def _numbers(chosen: TwinRig, found: list[Followed], hours: float) -> dict[str, Any]:
+def _numbers(chosen: TwinRig, flights: list[Followed], hours: float) -> dict[str, Any]:
     weather = chosen.calibration.weather
     return {
         "rig": chosen.name,
@@ -144,9 +146,9 @@ def _numbers(chosen: TwinRig, found: list[Followed], hours: float) -> dict[str, 
         },
         "flights": [
             {
-                "flight": one.label,
-                "free_s": one.free_s,
-                "most_nats": one.most_nats,
+                "flight": flight.label,
+                "free_s": flight.free_s,
+                "most_nats": flight.most_nats,
                 "events": [
                     {
                         "kind": event.kind,
@@ -164,10 +166,10 @@ def _numbers(chosen: TwinRig, found: list[Followed], hours: float) -> dict[str, 
                             for candidate in event.ranking
                         ],
                     }
-                    for event in one.events
+                    for event in flight.events
                 ],
             }
-            for one in found
+            for flight in flights
         ],
     }
 

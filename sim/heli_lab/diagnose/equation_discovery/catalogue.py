@@ -59,7 +59,7 @@ class Catalogue:
         margin = near.log_likelihood - penalty + self.held_out(near)
         enough = margin - max(AMBIGUOUS, SPLINE_MARGIN * (margin - self.base.log_likelihood))
         screening = Screening(replace(self.base.estimate, weather=near.estimate.weather))
-        left = [
+        remaining = [
             kind
             for kind in self.kinds.values()
             if kind.id not in self.base.ids and not kind.baseline and not kind.noise_inputs
@@ -73,19 +73,19 @@ class Catalogue:
 
         # A score is taken where an axis creeps, and does not see one that sticks.
         dry = {f"coulomb_friction.{axis}" for axis in _axes(law)}
-        for kind in left:
+        for kind in remaining:
             if kind.id in dry and does(usual(kind), kind.typical)[0]:
                 return kind.id
         kept = 0
-        for one in screening.effects(left)[: 2 * SHORTLIST]:
-            price = self.price(one.candidate)
-            if kept >= SHORTLIST or EXPECTED_REFIT_GAIN * one.log_likelihood_gain <= price + MIN_MARGIN:
+        for scored in screening.effects(remaining)[: 2 * SHORTLIST]:
+            price = self.price(scored.candidate)
+            if kept >= SHORTLIST or EXPECTED_REFIT_GAIN * scored.log_likelihood_gain <= price + MIN_MARGIN:
                 break
-            instead, value = does(one.candidate, one.candidate.start_values(one.coefficients))
+            instead, value = does(scored.candidate, scored.candidate.start_values(scored.coefficients))
             if instead:
-                return one.candidate.id
+                return scored.candidate.id
             gain = value + price - self.base.log_likelihood
-            kept += gain >= LAW_KEPT_SHARE * one.log_likelihood_gain
+            kept += gain >= LAW_KEPT_SHARE * scored.log_likelihood_gain
         return None
 
     def refit(self, listed: Candidate, start: Mapping[str, float], near: Hypothesis) -> Hypothesis:
@@ -97,10 +97,10 @@ class Catalogue:
         """Log-likelihood of a model `made` with an effect, less its price; that the effect's numbers are
         unusual counts for nothing, as a law's may have any size.
         """
-        own = [
+        parameters = [
             (made.values[name], prior) for name, prior in listed.effect.priors.items() if name in made.values
         ]
-        unusual = sum(0.5 * ((value - prior.mean) / prior.std) ** 2 for value, prior in own)
+        unusual = sum(0.5 * ((value - prior.mean) / prior.std) ** 2 for value, prior in parameters)
         return made.log_likelihood + unusual - self.price(listed)
 
     def held_out(self, made: Hypothesis) -> float:
@@ -122,8 +122,8 @@ class Catalogue:
         start = {name: made.values[name] for name in listed.effect.priors if name in made.values}
         both = self.comparison.refit([*self.base.candidates, listed, law], start, near)
         of_law, of_effect = (
-            both.log_likelihood - one.log_likelihood + self.held_out(both) - self.held_out(one)
-            for one in (made, near)
+            both.log_likelihood - hypothesis.log_likelihood + self.held_out(both) - self.held_out(hypothesis)
+            for hypothesis in (made, near)
         )
         return of_law - penalty > max(AMBIGUOUS, of_effect - self.price(listed))
 
@@ -134,12 +134,12 @@ class Catalogue:
     def without_superfluous(self, with_law: Hypothesis) -> tuple[Hypothesis, tuple[str, ...]]:
         """The model `with_law`, without causes that the likelihood does not miss beside it; their ids."""
         final, gone = with_law, list[str]()
-        for one in self.base.candidates:
-            rest = [other for other in final.candidates[:-1] if other.id != one.id]
+        for candidate in self.base.candidates:
+            rest = [other for other in final.candidates[:-1] if other.id != candidate.id]
             less = self.comparison.refit([*rest, final.candidates[-1]], None, final)
-            if final.log_likelihood - less.log_likelihood - self.price(one) <= MIN_MARGIN:
+            if final.log_likelihood - less.log_likelihood - self.price(candidate) <= MIN_MARGIN:
                 final = less
-                gone.append(one.id)
+                gone.append(candidate.id)
         return final, tuple(gone)
 
 

@@ -71,12 +71,12 @@ class _Discoverer:
         """What a group pays: BIC for its numbers, and for the size of the search."""
         free = len(group.terms) + sum(
             1
-            for i, j, own, name, _, _ in law.inner()
+            for i, j, inner_name, name, _, _ in law.inner()
             if name not in held
             and law.terms[i] in group.terms
-            and not (own == "width" and law.terms[i].term.factors[j].form == "sign")
+            and not (inner_name == "width" and law.terms[i].term.factors[j].form == "sign")
         )
-        rest = sum(LAW_NEAR_REST for one in group.terms if _on_own_rate(one.channel, one.term.key))
+        rest = sum(LAW_NEAR_REST for term in group.terms if _on_own_rate(term.channel, term.term.key))
         return 0.5 * free * math.log(self.comparison.rows) + math.log(self.tried[group.size]) + rest
 
     def asked(
@@ -97,9 +97,9 @@ class _Discoverer:
         candidate = Candidate(text, effect, linear)
         return Asked([*self.base.candidates, candidate], values, near)
 
-    def refit(self, asked: Asked) -> Hypothesis:
+    def refit(self, spec: Asked) -> Hypothesis:
         """Estimate the model with a law."""
-        return self.comparison.refit(asked.candidates, asked.start, asked.near)
+        return self.comparison.refit(spec.candidates, spec.start, spec.near)
 
     def round(self, known: _Tried | None, weather: Weather) -> _Tried | None:
         """One more group of terms beside those known; None where none is worth what it pays."""
@@ -112,25 +112,25 @@ class _Discoverer:
         rivals = dict[str, float]()
         kept = 0
         scored: dict[str, ScoredGroup] = {}
-        for one in (
+        for scored_group in (
             *self.slow(near, weather, courses, every),
             *self.finalists(score(screening, courses, every)),
         ):
-            scored.setdefault(one.group.key, one)
+            scored.setdefault(scored_group.group.key, scored_group)
         likely = [
-            (one, law, self.begun(one, law, known, courses))
-            for one in scored.values()
-            if (law := self.law_of(one, known)) is not None
+            (scored_group, law, self.begun(scored_group, law, known, courses))
+            for scored_group in scored.values()
+            if (law := self.law_of(scored_group, known)) is not None
         ]
-        with self.comparison.ahead(asked for *_, asked in likely[:LAW_FINALISTS]):
-            for one, law, asked in likely:
+        with self.comparison.ahead(spec for *_, spec in likely[:LAW_FINALISTS]):
+            for scored_group, law, spec in likely:
                 if kept >= LAW_FINALISTS:
                     break
-                self.say(f"trying {one.group.key}")
-                made = self.tried_one(one, law, asked, known)
+                self.say(f"trying {scored_group.group.key}")
+                made = self.tried_one(scored_group, law, spec, known)
                 gain = made.hypothesis.log_likelihood - near.log_likelihood
-                kept += gain >= LAW_KEPT_SHARE * one.log_likelihood_gain
-                rivals[one.group.key] = gain - (made.penalty - (known.penalty if known else 0.0))
+                kept += gain >= LAW_KEPT_SHARE * scored_group.log_likelihood_gain
+                rivals[scored_group.group.key] = gain - (made.penalty - (known.penalty if known else 0.0))
                 if best is None or made.margin > best.margin:
                     best = made
         before = near.log_likelihood - (known.penalty if known else 0.0)
@@ -150,56 +150,58 @@ class _Discoverer:
         if not drifts.any():
             return []
         still = replace(weather, drift_Nm=np.where(drifts, _NO_DRIFT_Nm, weather.drift_Nm), curvature=None)
-        acting = [one for one in every if not one.terms[0].channel.startswith("measurement")]
+        acting = [group for group in every if not group.terms[0].channel.startswith("measurement")]
         scored = score(Screening(replace(near.estimate, weather=still)), courses, acting)
         return self.finalists(scored)[:LAW_ALIKE]
 
     def finalists(self, scored: Sequence[ScoredGroup]) -> list[ScoredGroup]:
         """The best by what they promise less what they pay, twice as many as are wanted."""
 
-        def worth(one: ScoredGroup) -> float:
-            return one.log_likelihood_gain - self.penalty(one.group, Law(one.group.terms), frozenset())
+        def worth(scored_group: ScoredGroup) -> float:
+            return scored_group.log_likelihood_gain - self.penalty(
+                scored_group.group, Law(scored_group.group.terms), frozenset()
+            )
 
         chosen: list[ScoredGroup] = []
-        for one in sorted(scored, key=worth, reverse=True):
-            gain = one.log_likelihood_gain
-            paid = gain - worth(one)
+        for scored_group in sorted(scored, key=worth, reverse=True):
+            gain = scored_group.log_likelihood_gain
+            paid = gain - worth(scored_group)
             if EXPECTED_REFIT_GAIN * gain <= paid + MIN_MARGIN or len(chosen) >= 2 * LAW_FINALISTS:
                 continue
-            like = [other for other in chosen if _place(other.group) == _place(one.group)]
+            like = [other for other in chosen if _place(other.group) == _place(scored_group.group)]
             if len(like) < LAW_ALIKE:
-                chosen.append(one)
+                chosen.append(scored_group)
         return chosen
 
     @staticmethod
-    def law_of(one: ScoredGroup, known: _Tried | None) -> Law | None:
+    def law_of(scored_group: ScoredGroup, known: _Tried | None) -> Law | None:
         """The law with one more group of terms; None where it has one twice."""
-        terms = (*(known.law.terms if known else ()), *one.group.terms)
+        terms = (*(known.law.terms if known else ()), *scored_group.group.terms)
         return Law(terms) if len(set(terms)) == len(terms) else None
 
-    def begun(self, one: ScoredGroup, law: Law, known: _Tried | None, courses: Courses) -> Asked:
+    def begun(self, scored_group: ScoredGroup, law: Law, known: _Tried | None, courses: Courses) -> Asked:
         """The refit of a law, from what the score says of its last group of terms."""
         start = _values(known) if known else {}
-        first = len(law.terms) - len(one.group.terms)
-        for i, value in enumerate(one.coefficients):
+        first = len(law.terms) - len(scored_group.group.terms)
+        for i, value in enumerate(scored_group.coefficients):
             start[law.coefficient(first + i)] = float(value)
         held = known.held if known else frozenset()
         # From the weather that the known terms leave: beside them that of the base stands for them once more.
         near = known.hypothesis if known else self.base
         return self.asked(law, self.stds(law, courses), start, near, held)
 
-    def tried_one(self, one: ScoredGroup, law: Law, asked: Asked, known: _Tried | None) -> _Tried:
+    def tried_one(self, scored_group: ScoredGroup, law: Law, spec: Asked, known: _Tried | None) -> _Tried:
         held = known.held if known else frozenset()
-        penalty = self.penalty(one.group, law, held) + (known.penalty if known else 0.0)
-        return _Tried(law, self.refit(asked), penalty, one.group, held)
+        penalty = self.penalty(scored_group.group, law, held) + (known.penalty if known else 0.0)
+        return _Tried(law, self.refit(spec), penalty, scored_group.group, held)
 
     def stds(self, law: Law, courses: Courses) -> dict[str, float]:
         """Prior standard deviations of a law's coefficients."""
-        found = {}
-        for name, one in zip(law.coefficients, law.terms, strict=True):
-            values = np.concatenate([courses.values(i, one) for i in range(len(courses.linears))])
-            found[name] = coefficient_std(one, max(float(np.sqrt(np.mean(values**2))), 1e-9))
-        return found
+        errors = {}
+        for name, term in zip(law.coefficients, law.terms, strict=True):
+            values = np.concatenate([courses.values(i, term) for i in range(len(courses.linears))])
+            errors[name] = coefficient_std(term, max(float(np.sqrt(np.mean(values**2))), 1e-9))
+        return errors
 
     def tidied(self, best: _Tried, known: _Tried | None, courses: Courses) -> _Tried:
         """Without coefficients that are not told from nothing, and with whole multiplicities."""
@@ -222,21 +224,21 @@ class _Discoverer:
     def without(self, of: _Tried, number: int, courses: Courses) -> _Tried:
         """The law without one of its terms, its other numbers renamed to their new places."""
         gone = of.law.terms[number]
-        law = Law(tuple(one for i, one in enumerate(of.law.terms) if i != number))
+        law = Law(tuple(term for i, term in enumerate(of.law.terms) if i != number))
         values, held = _values(of), set[str]()
         renamed = dict[str, float]()
         for i in range(len(law.terms)):
             old = i + (i >= number)
             renamed[law.coefficient(i)] = values[of.law.coefficient(old)]
             for j in range(len(law.terms[i].term.factors)):
-                for own, name in of.law.numbers_of(old, j).items():
-                    new = law.numbers_of(i, j)[own]
+                for inner_name, name in of.law.numbers_of(old, j).items():
+                    new = law.numbers_of(i, j)[inner_name]
                     renamed[new] = values[name]
                     held |= {new} if name in of.held else set()
         group = of.group
         penalty = of.penalty - 0.5 * math.log(self.comparison.rows)
         if gone in group.terms:
-            group = Group(tuple(one for one in group.terms if one != gone), group.size)
+            group = Group(tuple(term for term in group.terms if term != gone), group.size)
         hypothesis = self.refit(self.asked(law, self.stds(law, courses), renamed, self.base, frozenset(held)))
         return _Tried(law, hypothesis, penalty, group, frozenset(held))
 
@@ -244,10 +246,10 @@ class _Discoverer:
         """Multiplicities at whole numbers where these are as likely; sine and cosine share theirs."""
         numbers = _numbers(of.hypothesis)
         waves = dict[tuple[str, str, float], list[str]]()
-        for i, j, own, name, begun, _ in of.law.inner():
-            if own == "k" and name not in of.held:
-                one = of.law.terms[i]
-                waves.setdefault((one.channel, one.term.factors[j].quantity, begun), []).append(name)
+        for i, j, inner_name, name, begun, _ in of.law.inner():
+            if inner_name == "k" and name not in of.held:
+                term = of.law.terms[i]
+                waves.setdefault((term.channel, term.term.factors[j].quantity, begun), []).append(name)
         fixed = dict[str, float]()
         for names in waves.values():
             values, stds = np.array([numbers[name] for name in names]).T
@@ -311,18 +313,18 @@ def discover(
     without = comparison.held_out_estimate(base) if comparison.held_out else None
     before = 0.0
     while comparison.fits < refits and (known is None or len(known.law.terms) < LAW_TERMS):
-        found = work.round(known, weather if known is None else known.hypothesis.estimate.weather)
-        if found is None or (known is not None and len(found.law.terms) <= len(known.law.terms)):
+        result = work.round(known, weather if known is None else known.hypothesis.estimate.weather)
+        if result is None or (known is not None and len(result.law.terms) <= len(known.law.terms)):
             break
         held_out = None
         if without is not None:
-            beside = comparison.held_out_estimate(found.hypothesis)
+            beside = comparison.held_out_estimate(result.hypothesis)
             held_out = beside.log_likelihood - without.log_likelihood
             # Each term has to stand on the flights that had no part in its choice.
             if held_out - before < LAW_CONFIRMED:
                 break
             before = held_out
-        known, confirmed = found, (found, held_out, dict(work.rivals))
+        known, confirmed = result, (result, held_out, dict(work.rivals))
     if confirmed is None:
         return None
     law, held_out, others = confirmed
@@ -334,7 +336,7 @@ def discover(
     if listed.as_good(law.law, law.hypothesis, law.penalty) is not None:
         return None
     hypothesis, superfluous = listed.without_superfluous(law.hypothesis)
-    rivals = sorted((Rival(*one) for one in others.items()), key=lambda one: one.log_likelihood_ratio)
+    rivals = sorted((Rival(*item) for item in others.items()), key=lambda item: item.log_likelihood_ratio)
     return Discovery(
         law.law,
         base,
@@ -361,7 +363,7 @@ def _place(group: Group) -> tuple[str, frozenset[str]]:
     channel = group.terms[0].channel
     if channel.startswith("measurement"):
         return "measurement", frozenset()
-    return channel, frozenset(q for one in group.terms for q in one.term.quantities)
+    return channel, frozenset(q for term in group.terms for q in term.term.quantities)
 
 
 def _numbers(hypothesis: Hypothesis) -> dict[str, tuple[float, float]]:

@@ -82,10 +82,10 @@ class Discovery:
         """Numbers of the law by name without prefix: value, standard error (0 where fixed) and unit."""
         estimate = self.hypothesis.estimate
         std = dict(zip(estimate.unknowns.names, np.sqrt(np.diag(estimate.covariance)), strict=True))
-        found = self.hypothesis.values
+        estimates = self.hypothesis.values
         return {
             q.name.removeprefix(f"{self.effect.prefix}_"): (
-                float(found.get(q.name, self.effect.values[q.name])),
+                float(estimates.get(q.name, self.effect.values[q.name])),
                 float(std.get(q.name, 0.0)),
                 q.unit,
             )
@@ -94,12 +94,15 @@ class Discovery:
 
     def with_numbers(self, number: int) -> LawTerm:
         """Term `number` of the law with the inner numbers that the refit found."""
-        one, values = self.law.terms[number], self.values
+        term, values = self.law.terms[number], self.values
         factors = tuple(
             replace(
                 factor,
-                numbers=tuple((own, values[name][0]) for own, name in self.law.numbers_of(number, j).items()),
+                numbers=tuple(
+                    (inner_name, values[name][0])
+                    for inner_name, name in self.law.numbers_of(number, j).items()
+                ),
             )
-            for j, factor in enumerate(one.term.factors)
+            for j, factor in enumerate(term.term.factors)
         )
-        return LawTerm(one.channel, Term(factors))
+        return LawTerm(term.channel, Term(factors))

@@ -74,12 +74,12 @@ class Law:
     @property
     def channels(self) -> tuple[str, ...]:
         """Where it acts."""
-        return tuple(dict.fromkeys(one.channel for one in self.terms))
+        return tuple(dict.fromkeys(term.channel for term in self.terms))
 
     @property
     def key(self) -> str:
         """The law as text, with its inner numbers, without its coefficients."""
-        return "; ".join(one.key for one in self.terms)
+        return "; ".join(term.key for term in self.terms)
 
     def coefficient(self, number: int) -> str:
         """Name of the coefficient of term `number`, from 0, without the effect's prefix."""
@@ -94,8 +94,8 @@ class Law:
 
     def inner(self) -> Iterator[tuple[int, int, str, str, float, Unit]]:
         """Numbers of factors: term, factor, the number's own name, its name in the law, value and unit."""
-        for i, one in enumerate(self.terms):
-            for j, factor in enumerate(one.term.factors):
+        for i, term in enumerate(self.terms):
+            for j, factor in enumerate(term.term.factors):
                 for name, value in factor.numbers:
                     unit = factor.number_unit(name)
                     spelled = "" if str(unit) == "1" else "_" + str(unit).replace("/", "_per_")
@@ -104,7 +104,7 @@ class Law:
 
     def numbers_of(self, i: int, j: int) -> dict[str, str]:
         """Names in the law of the numbers of factor `j` of term `i`, by their own names."""
-        return {own: name for a, b, own, name, _, _ in self.inner() if (a, b) == (i, j)}
+        return {inner_name: name for a, b, inner_name, name, _, _ in self.inner() if (a, b) == (i, j)}
 
 
 def _place(i: int, j: int) -> str:
@@ -137,13 +137,13 @@ class LawEffect(Effect):
 
     def _values(self, at: Operands, kind: str) -> Iterator[tuple[str, ca.SX]]:
         """Each term of a kind of channel with its coefficient: its channel and its value."""
-        for i, one in enumerate(self.law.terms):
-            if not one.channel.startswith(kind):
+        for i, term in enumerate(self.law.terms):
+            if not term.channel.startswith(kind):
                 continue
             value = self.own(at, self.law.coefficient(i))
-            for j, factor in enumerate(one.term.factors):
+            for j, factor in enumerate(term.term.factors):
                 value = value * self._factor(at, i, j, factor)
-            yield one.channel, value
+            yield term.channel, value
 
     def _factor(self, at: Operands, i: int, j: int, factor: Factor) -> ca.SX:
         x = QUANTITIES[factor.quantity].value(at)
@@ -151,7 +151,7 @@ class LawEffect(Effect):
             late = self._memory(at, i, j, factor)
             x = late if factor.memory == "lag" else late - x
         names = self.law.numbers_of(i, j)
-        numbers = {own: self.own(at, name) for own, name in names.items()}
+        numbers = {inner_name: self.own(at, name) for inner_name, name in names.items()}
         value: ca.SX = factor.value(ca, x, numbers)
         return value
 
@@ -185,14 +185,14 @@ class LawEffect(Effect):
         """Add to what encoders show [rad], shape (3, 1); see `Effect.measured_rad`."""
         for channel, value in self._values(at, "measurement"):
             axis = channel.partition(".")[2]
-            angles_rad = angles_rad + ca.vertcat(*(value if axis == one else ca.SX(0) for one in AXES))
+            angles_rad = angles_rad + ca.vertcat(*(value if axis == other else ca.SX(0) for other in AXES))
         return angles_rad
 
     def state_rates(self, at: Operands) -> ca.SX:
         """First-order lags of what has a memory; see `Effect.state_rates`."""
         rates = []
-        for i, one in enumerate(self.law.terms):
-            for j, factor in enumerate(one.term.factors):
+        for i, term in enumerate(self.law.terms):
+            for j, factor in enumerate(term.term.factors):
                 if factor.memory:
                     late = self._memory(at, i, j, factor)
                     lag_s = self.own(at, self.law.numbers_of(i, j)["s"])
@@ -218,23 +218,23 @@ def law_effect(
     """
     prefix = name.replace(".", "_")
     values, priors, parameters = dict[str, float](), dict[str, Prior](), []
-    for what, one in zip(law.coefficients, law.terms, strict=True):
+    for what, term in zip(law.coefficients, law.terms, strict=True):
         full = f"{prefix}_{what}"
-        parameters.append(Quantity(full, str(one.coefficient_unit), f"coefficient of {one.term.key}"))
+        parameters.append(Quantity(full, str(term.coefficient_unit), f"coefficient of {term.term.key}"))
         values[full], priors[full] = 0.0, Prior(0.0, stds[what])
-    for i, j, own, what, value, unit in law.inner():
+    for i, j, inner_name, what, value, unit in law.inner():
         full = f"{prefix}_{what}"
         factor = law.terms[i].term.factors[j]
-        parameters.append(Quantity(full, str(unit), f"{own} of {factor.form} of {factor.quantity}"))
+        parameters.append(Quantity(full, str(unit), f"{inner_name} of {factor.form} of {factor.quantity}"))
         values[full] = value
-        if what not in (held or {}) and not (factor.form == "sign" and own == "width"):
-            priors[full] = inner_prior(factor, own, value)
+        if what not in (held or {}) and not (factor.form == "sign" and inner_name == "width"):
+            priors[full] = inner_prior(factor, inner_name, value)
     states = [
         Quantity(
             f"{prefix}_{memory_name(i, j)}{rotor}", str(QUANTITIES[factor.quantity].unit), "a lagged copy"
         )
-        for i, one in enumerate(law.terms)
-        for j, factor in enumerate(one.term.factors)
+        for i, term in enumerate(law.terms)
+        for j, factor in enumerate(term.term.factors)
         if factor.memory
         for rotor in (("_front", "_back") if factor.each else ("",))
     ]
@@ -249,17 +249,17 @@ def law_effect(
     )
 
 
-def inner_prior(factor: Factor, own: str, value: float) -> Prior:
-    """Prior of the number `own` of a `factor` about the `value` of the grid that it was found at: as wide as
-    the grid.
+def inner_prior(factor: Factor, inner_name: str, value: float) -> Prior:
+    """Return the prior of the number `inner_name` of a `factor`: centred on the grid's `value`, as wide as the
+    grid.
     """
-    if own == "s":
+    if inner_name == "s":
         return Prior(value, value, _LEAST_s, _MOST_s)
-    if own == "k":
+    if inner_name == "k":
         return Prior(value, 0.3 * value, 0.3 * value, 3.0 * value)
-    if own == "slack":
+    if inner_name == "slack":
         return Prior(value, 0.5 * value, 0.3 * value, 2.0 * value)
     width = dict(factor.numbers)["width"]
-    if own == "place":
+    if inner_name == "place":
         return Prior(value, width, value - 4.0 * width, value + 4.0 * width)
     return Prior(value, 0.5 * value, 0.2 * value, 5.0 * value)

@@ -45,7 +45,7 @@ def latex(law: Law, numbers: Mapping[str, float] | None = None) -> str:
         texts = {name: _latex_number(value) for name, value in numbers.items()}
     else:
         texts = {name: _latex_name(name) for name in _names(law)}
-    parts = [f"{_CHANNEL_LATEX[one]} = {_sum(law, one, 'latex', texts)}" for one in law.channels]
+    parts = [f"{_CHANNEL_LATEX[channel]} = {_sum(law, channel, 'latex', texts)}" for channel in law.channels]
     return r",\quad ".join(parts)
 
 
@@ -53,12 +53,14 @@ def _sum(law: Law, channel: str, notation: str, texts: Mapping[str, str] | None)
     texts = texts or {name: name for name in _names(law)}
     times = {"sympy": "*", "latex": r"\,"}[notation]
     parts = []
-    for i, one in enumerate(law.terms):
-        if one.channel != channel:
+    for i, term in enumerate(law.terms):
+        if term.channel != channel:
             continue
         factors = [
-            factor.written(notation, {own: texts[name] for own, name in law.numbers_of(i, j).items()})
-            for j, factor in enumerate(one.term.factors)
+            factor.written(
+                notation, {inner_name: texts[name] for inner_name, name in law.numbers_of(i, j).items()}
+            )
+            for j, factor in enumerate(term.term.factors)
         ]
         parts.append(times.join((texts[law.coefficient(i)], *factors)))
     return " + ".join(parts).replace("+ -", "- ")
@@ -89,7 +91,9 @@ def _latex_name(name: str) -> str:
 
 def sentence(law: Law, numbers: Mapping[str, float]) -> str:
     """Say what a `law` adds to each channel, with the values that `numbers` has by name."""
-    return " and ".join(f"{one} = {expression(law, one, numbers)} {CHANNELS[one][0]}" for one in law.channels)
+    return " and ".join(
+        f"{channel} = {expression(law, channel, numbers)} {CHANNELS[channel][0]}" for channel in law.channels
+    )
 
 
 def effect_file(effect: LawEffect, numbers: Mapping[str, tuple[float, float, str]], head: str) -> str:
@@ -106,7 +110,7 @@ def effect_file(effect: LawEffect, numbers: Mapping[str, tuple[float, float, str
     """
     law = effect.law
     values = {name: value for name, (value, _, _) in numbers.items()}
-    said = sentence(law, values)
+    equation = sentence(law, values)
     body = [*_methods(law)]
     states = "".join(
         f'        Quantity("{state.name.removeprefix(effect.prefix + "_")}", "{state.unit}", '
@@ -125,7 +129,7 @@ def effect_file(effect: LawEffect, numbers: Mapping[str, tuple[float, float, str
     docstring = "\n".join(line.replace("\\", "").replace('"""', "'") for line in head.splitlines())
     return f'''"""{docstring}
 
-{said}
+{equation}
 """
 
 import casadi as ca
@@ -136,7 +140,7 @@ from typing_extensions import override
 
 
 class ProposedLaw(Effect):
-    """{said}"""
+    """{equation}"""
 {"".join(body)}
 
 PROPOSED_LAW = EffectKind(
@@ -162,7 +166,7 @@ def _sentence(law: Law) -> str:
 
 
 def _parameter(name: str, value: float, std: float, unit: str, prior: Prior | None, size: bool) -> str:
-    said = f"{value:.4g} +- {std:.2g} {unit}" if std else "set"
+    source = f"{value:.4g} +- {std:.2g} {unit}" if std else "set"
     known = ""
     if prior is not None:
         bounds = "" if size else f", {prior.low:.6g}, {prior.high:.6g}"
@@ -170,7 +174,7 @@ def _parameter(name: str, value: float, std: float, unit: str, prior: Prior | No
     return f'''        Parameter(
             "{name}",
             "{unit}",
-            "found: {said}",
+            "found: {source}",
             typical={value:.8g},{known}
             size={size},
         ),
@@ -178,16 +182,16 @@ def _parameter(name: str, value: float, std: float, unit: str, prior: Prior | No
 
 
 def _methods(law: Law) -> Iterator[str]:
-    kinds = {one.partition(".")[0] for one in law.channels}
+    kinds = {channel.partition(".")[0] for channel in law.channels}
     if "torque" in kinds:
         lines = [_plus(law, f"torque.{axis}") if f"torque.{axis}" in law.channels else "0" for axis in AXES]
         yield _method("torque_Nm", "", law, "torque", f"ca.vertcat({', '.join(lines)})")
     for kind, name, before in (("thrust", "thrust_N", "thrust_N"), ("voltage", "voltage_V", "volts_V")):
         if kind in kinds:
             parts = [
-                f"ca.DM({list(rotor_signs(one))}) * ({_plus(law, one)})"
-                for one in law.channels
-                if one.startswith(kind)
+                f"ca.DM({list(rotor_signs(channel))}) * ({_plus(law, channel)})"
+                for channel in law.channels
+                if channel.startswith(kind)
             ]
             yield _method(name, before, law, kind, " + ".join((before, *parts)))
     if "measurement" in kinds:
@@ -200,8 +204,8 @@ def _methods(law: Law) -> Iterator[str]:
     rates = [
         f"({QUANTITIES[factor.quantity].python} - {_memory(i, j, factor)})"
         f' / self.own(at, "{law.numbers_of(i, j)["s"]}")'
-        for i, one in enumerate(law.terms)
-        for j, factor in enumerate(one.term.factors)
+        for i, term in enumerate(law.terms)
+        for j, factor in enumerate(term.term.factors)
         if factor.memory
     ]
     if rates:
@@ -211,21 +215,21 @@ def _methods(law: Law) -> Iterator[str]:
 
 def _method(name: str, argument: str, law: Law, kind: str, value: str) -> str:
     lines = []
-    for i, one in enumerate(law.terms):
-        if one.channel.startswith(kind):
-            lines.append(f"        term_{i + 1} = {_python(law, i, one)}\n")
+    for i, term in enumerate(law.terms):
+        if term.channel.startswith(kind):
+            lines.append(f"        term_{i + 1} = {_python(law, i, term)}\n")
     given = f", {argument}" if argument else ""
     return f"\n    @override\n    def {name}(self, at{given}):\n{''.join(lines)}        return {value}\n"
 
 
 def _plus(law: Law, channel: str) -> str:
-    return " + ".join(f"term_{i + 1}" for i, one in enumerate(law.terms) if one.channel == channel)
+    return " + ".join(f"term_{i + 1}" for i, term in enumerate(law.terms) if term.channel == channel)
 
 
-def _python(law: Law, i: int, one: LawTerm) -> str:
+def _python(law: Law, i: int, term: LawTerm) -> str:
     parts = [f'self.own(at, "{law.coefficient(i)}")']
-    for j, factor in enumerate(one.term.factors):
-        texts = {own: f'self.own(at, "{name}")' for own, name in law.numbers_of(i, j).items()}
+    for j, factor in enumerate(term.term.factors):
+        texts = {inner_name: f'self.own(at, "{name}")' for inner_name, name in law.numbers_of(i, j).items()}
         x = None
         if factor.memory:
             x = _memory(i, j, factor)

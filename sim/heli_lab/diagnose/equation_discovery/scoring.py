@@ -60,8 +60,8 @@ class Courses:
 
     def __init__(self, screening: Screening) -> None:
         self.linears = screening.filtered.linears
-        self._middle = [_quantities(one, one.trajectory) for one in self.linears]
-        self._nodes = [_quantities(one, one.nodes) for one in self.linears]
+        self._middle = [_quantities(linear, linear.trajectory) for linear in self.linears]
+        self._nodes = [_quantities(linear, linear.nodes) for linear in self.linears]
         self._factors: dict[tuple[int, Factor, bool], Floats] = {}
         self._influences: dict[tuple[int, str], Floats] = {}
         self._extended: dict[str, ExtendedModel] = {}
@@ -69,8 +69,11 @@ class Courses:
     @property
     def spans(self) -> dict[str, tuple[float, float]]:
         """Lowest and highest value of each quantity."""
-        every = {name: np.concatenate([one[name] for one in self._middle]) for name in self._middle[0]}
-        return {name: (float(one.min()), float(one.max())) for name, one in every.items()}
+        every = {
+            name: np.concatenate([quantities[name] for quantities in self._middle])
+            for name in self._middle[0]
+        }
+        return {name: (float(values.min()), float(values.max())) for name, values in every.items()}
 
     def quantity(self, index: int, name: str) -> Floats:
         """The quantity `name` in the middle of each step of the flight `index`, (n,), or (n, 2) where each
@@ -78,11 +81,11 @@ class Courses:
         """
         return self._middle[index][name]
 
-    def values(self, index: int, one: LawTerm) -> Floats:
+    def values(self, index: int, term: LawTerm) -> Floats:
         """A term along the flight `index`, shape (n, 1), or (n, 2) where it is each rotor's own."""
-        nodes = one.channel.startswith("measurement")
+        nodes = term.channel.startswith("measurement")
         value = np.ones((len(self._middle[index]["time"]), 1))
-        for factor in one.term.factors:
+        for factor in term.term.factors:
             value = value * self._factor(index, factor, nodes)
         return value
 
@@ -108,21 +111,21 @@ class Courses:
             late[window] = lfilter([1.0 - keep], [1.0, -keep], part, axis=0, zi=keep * part[:1])[0]
         return late if factor.memory == "lag" else late - x
 
-    def signal(self, index: int, one: LawTerm, value: Floats) -> Floats:
+    def signal(self, index: int, term: LawTerm, value: Floats) -> Floats:
         """What one unit of the coefficient of a term changes on the flight `index`, by its `value` as
         `values` gives it: of rates, (n, states, 1), or where it acts on an encoder of the measured angles,
         (n, 3, 1).
         """
-        if one.channel.startswith(("torque", "measurement")):
-            influence = self._influence(index, one.channel)
+        if term.channel.startswith(("torque", "measurement")):
+            influence = self._influence(index, term.channel)
             return influence * value[:, None, :]
-        kind = one.channel.partition(".")[0]
+        kind = term.channel.partition(".")[0]
         total = np.zeros((len(value), self.linears[index].states))
-        for rotor, sign in enumerate(rotor_signs(one.channel)):
+        for rotor, sign in enumerate(rotor_signs(term.channel)):
             if sign:
-                own = value[:, min(rotor, value.shape[1] - 1)]
+                rotor_value = value[:, min(rotor, value.shape[1] - 1)]
                 influence = self._influence(index, f"{kind}.{('front', 'back')[rotor]}")
-                total += sign * influence[:, :, 0] * own[:, None]
+                total += sign * influence[:, :, 0] * rotor_value[:, None]
         return total[:, :, None]
 
     def _influence(self, index: int, channel: str) -> Floats:
@@ -148,8 +151,8 @@ def score(screening: Screening, courses: Courses, groups: Sequence[Group]) -> li
         for channel, some in itertools.groupby(groups, lambda group: group.terms[0].channel)
         for batch in _batches(list(some), screening.batch)
     ]
-    scored = shared_out(lambda one: _scored(screening, courses, *one), batches, screening.threads)
-    return sorted((one for some in scored for one in some), key=lambda one: -one.log_likelihood_gain)
+    scored = shared_out(lambda arguments: _scored(screening, courses, *arguments), batches, screening.threads)
+    return sorted((group for some in scored for group in some), key=lambda group: -group.log_likelihood_gain)
 
 
 def _scored(
@@ -159,37 +162,39 @@ def _scored(
     flights = range(len(courses.linears))
     kept, stds, values = [], [], []
     for group in batch:
-        own = [[courses.values(i, one) for i in flights] for one in group.terms]
-        together = [np.concatenate(one) for one in own]
-        if any(float(np.ptp(one)) <= _STEADY * float(np.abs(one).max()) for one in together):
+        by_term = [[courses.values(i, term) for i in flights] for term in group.terms]
+        together = [np.concatenate(by_flight) for by_flight in by_term]
+        if any(
+            float(np.ptp(term_value)) <= _STEADY * float(np.abs(term_value).max()) for term_value in together
+        ):
             continue
         kept.append(group)
-        values += own
+        values += by_term
         stds.append(
             np.array(
                 [
-                    coefficient_std(one, float(np.sqrt(np.mean(value**2))))
-                    for one, value in zip(group.terms, together, strict=True)
+                    coefficient_std(term, float(np.sqrt(np.mean(value**2))))
+                    for term, value in zip(group.terms, together, strict=True)
                 ]
             )
         )
     if not kept:
         return []
-    terms = [one for group in kept for one in group.terms]
+    terms = [term for group in kept for term in group.terms]
     only = _regressors(screening, courses, channel, terms, values)
     parts = screening.projected(only, [len(group.terms) for group in kept])
-    found = []
+    scores = []
     for group, std, (information, gradient) in zip(kept, stds, parts, strict=True):
         gain, coefficients = _solved(information, gradient, std)
-        found.append(ScoredGroup(group, gain, coefficients, tuple(map(float, std))))
-    return found
+        scores.append(ScoredGroup(group, gain, coefficients, tuple(map(float, std))))
+    return scores
 
 
 def _batches(groups: Sequence[Group], most: int) -> Iterator[list[Group]]:
     """Groups in their order, as many at once as have `most` terms."""
     batch: list[Group] = []
     for group in groups:
-        if batch and sum(len(one.terms) for one in batch) + len(group.terms) > most:
+        if batch and sum(len(member.terms) for member in batch) + len(group.terms) > most:
             yield batch
             batch = []
         batch.append(group)
@@ -208,12 +213,12 @@ def _regressors(
     weather = screening.estimate.weather
     kind, _, where = channel.partition(".")
     if kind == "torque":
-        torques = [np.concatenate([one[i] for one in values], axis=1) for i in flights]
+        torques = [np.concatenate([by_flight[i] for by_flight in values], axis=1) for i in flights]
         return screening.filtered.torque_regressors(weather, AXES.index(where), torques)
     signals: list[tuple[Floats, Floats | None]] = []
     for i in flights:
         columns = np.concatenate(
-            [courses.signal(i, one, value[i]) for one, value in zip(terms, values, strict=True)], axis=2
+            [courses.signal(i, term, value[i]) for term, value in zip(terms, values, strict=True)], axis=2
         )
         if kind == "measurement":
             none = np.zeros((len(columns), courses.linears[i].states, columns.shape[2]))
@@ -231,10 +236,10 @@ def _solved(information: Floats, gradient: Floats, std: Floats) -> tuple[float, 
     return gain, coefficients
 
 
-def coefficient_std(one: LawTerm, rms: float) -> float:
+def coefficient_std(term: LawTerm, rms: float) -> float:
     """Prior standard deviation of the coefficient of a term of root mean square `rms` along the flights."""
-    kind = one.channel.partition(".")[0]
-    return _LARGEST.get(one.channel, _LARGEST.get(kind, 1.0)) / rms
+    kind = term.channel.partition(".")[0]
+    return _LARGEST.get(term.channel, _LARGEST.get(kind, 1.0)) / rms
 
 
 def _quantities(linear: Linear, trajectory: Trajectory) -> dict[str, Floats]:
@@ -244,8 +249,8 @@ def _quantities(linear: Linear, trajectory: Trajectory) -> dict[str, Floats]:
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
     at = model.driven(x, u, p, t)
     wanted = [ca.densify(ca.SX(quantity.value(at))) for quantity in QUANTITIES.values()]
-    found = AlongCourse(ca.Function("quantities", [x, u, t, p], wanted))(trajectory)
+    values = AlongCourse(ca.Function("quantities", [x, u, t, p], wanted))(trajectory)
     return {
-        name: one[:, :, 0] if quantity.each else one[:, 0, 0]
-        for (name, quantity), one in zip(QUANTITIES.items(), found, strict=True)
+        name: value[:, :, 0] if quantity.each else value[:, 0, 0]
+        for (name, quantity), value in zip(QUANTITIES.items(), values, strict=True)
     }
