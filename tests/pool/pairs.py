@@ -21,7 +21,7 @@ from typing import Any, Final
 
 import numpy as np
 from heli_lab.diagnose.free_run import FreeRun, free_runs
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.prediction import predict
 from heli_lab.identify import Record, prepare
 from heli_lab.pool import pool
@@ -30,10 +30,10 @@ from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, effect_numbers, effects_of, parse_effects
 from heli_sim.rig import Rig, load_rig
 
+from tests.blind.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
+from tests.blind.disturbed_case import DisturbedCase
 from tests.blind.hidden import RotorLag
 from tests.blind.tracking import CONTROLLERS
-from tests.blind.weather import MEMORIES_s, STRENGTHS_Nm, Weather
-from tests.blind.weather_case import WeatherCase
 
 LIVELY_s, GENTLE_s, OTHER_s = 40.0, 15.0, 30.0
 """Lengths of the lively machine's flight, of the gentle one's, and of those that neither fit saw."""
@@ -52,7 +52,7 @@ _NORMAL: Final = {
 
 
 @dataclass(frozen=True)
-class MachineCase(WeatherCase):
+class MachineCase(DisturbedCase):
     """A machine of a make.
 
     Parameters
@@ -102,7 +102,7 @@ def machines(number: int) -> tuple[MachineCase, MachineCase]:
                 100,
                 bool(which),
                 CONTROLLERS[int(rng.integers(3))],
-                Weather(STRENGTHS_Nm[int(rng.integers(3))], MEMORIES_s[int(rng.integers(3))]),
+                DisturbanceModel(STRENGTHS_Nm[int(rng.integers(3))], MEMORIES_s[int(rng.integers(3))]),
                 8000 + number,
             )
         )
@@ -138,7 +138,7 @@ def compared(number: int) -> dict[str, Any]:
     lively, gentle = machines(number)
     record = _record(lively, 0, LIVELY_s, nominal)
     model = MultibodyModel(parse_effects([f"{_LAG}=0.06"]))
-    found = Comparison(model, nominal, [record], []).refit([])
+    found = ModelComparison(model, nominal, [record], []).refit([])
     machine = _machine("lively", found)
     prior = pool([machine]).prior(nominal, "make")
     drawn = as_drawn(number)
@@ -148,14 +148,14 @@ def compared(number: int) -> dict[str, Any]:
         "gentle": _record(gentle, 1, OTHER_s, nominal),
     }
     # Along the same courses, whatever the prior.
-    judges = {name: Comparison(model, nominal, [train], [other]) for name, other in others.items()}
+    judges = {name: ModelComparison(model, nominal, [train], [other]) for name, other in others.items()}
     answer: dict[str, Any] = {name: {} for name in others}
     for what, rig, own in (
         ("by_file", nominal, model),
         ("by_make", prior, MultibodyModel(effects_of(prior))),
         ("as_drawn", drawn, MultibodyModel(effects_of(drawn))),
     ):
-        hypothesis = Comparison(own, rig, [train], []).refit([])
+        hypothesis = ModelComparison(own, rig, [train], []).refit([])
         fit = predict((), hypothesis.estimate, [train], ()).fit
         for name, other in others.items():
             (run,) = free_runs(fit, [other])
@@ -168,7 +168,7 @@ def compared(number: int) -> dict[str, Any]:
     return answer
 
 
-def _record(case: WeatherCase, flight: int, seconds: float, nominal: Rig) -> Record:
+def _record(case: DisturbedCase, flight: int, seconds: float, nominal: Rig) -> Record:
     return prepare(case.flown(flight, seconds)[0], nominal, f"{case.name} {flight}")
 
 
@@ -177,7 +177,7 @@ def _machine(label: str, found: Hypothesis) -> Machine:
     estimate = found.estimate
     std = np.sqrt(np.diag(estimate.covariance))
     priors, numbers = {}, {}
-    for i, one in enumerate(estimate.unknowns.free):
+    for i, one in enumerate(estimate.parameter_vector.free):
         if one.record is None:
             priors[one.name] = Estimate(one.prior.mean, one.prior.std, one.unit)
             alone = by_flights_alone(float(estimate.theta[i]), float(std[i]), priors[one.name])

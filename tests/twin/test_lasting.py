@@ -54,7 +54,7 @@ def said(
     monkeypatch.setattr(LikelihoodRatio, "take", lambda *_: next(told, 0.0))
     monkeypatch.setattr(LikelihoodRatio, "ranking", lambda _: [first, first])
     model: Any = SimpleNamespace(rig=load_rig("makki2024"), delay_s=0.0, least_V=-math.inf, changes=CHANGES)
-    twin = Twin(model, Calibration(USUAL.weather, Tail(THRESHOLD_nats, 1e-9, 1.0, 20)), COUNT_rad, 1e-3)
+    twin = Twin(model, Calibration(USUAL.disturbances, Tail(THRESHOLD_nats, 1e-9, 1.0, 20)), COUNT_rad, 1e-3)
     flying = np.ones(4000 + 40 * len(evidence), bool)
     count = len(flying)
     landing = np.zeros(count, bool)

@@ -9,12 +9,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from heli_lab.campaign.cage import Limits
 from heli_lab.campaign.case import Answer, Case, Cell
 from heli_lab.campaign.cluster import usable, workers_of
 from heli_lab.campaign.code import code_digest
 from heli_lab.campaign.store import Store, row_of
-from heli_lab.campaign.worker import Order, Refused, attend, release
+from heli_lab.campaign.worker import CodeMismatch, Job, release, run_job
+from heli_lab.campaign.worker_process import Limits
 from heli_lab.errors import CampaignError
 
 if TYPE_CHECKING:
@@ -179,7 +179,7 @@ def _done(
     works = campaign.works if compared else ()
     expected_code = code if compared else code_digest()
     orders = {
-        key: Order(case, key, expected_code, works, campaign.limits, str(store.cases.resolve()), store.token)
+        key: Job(case, key, expected_code, works, campaign.limits, str(store.cases.resolve()), store.token)
         for key, case in remaining.items()
     }
     with workers_of(scheduler, min(processes, len(remaining))) as client:
@@ -195,14 +195,14 @@ def _done(
                 client.run(release, on_error="return")
 
 
-def _attended(client: Client, orders: dict[str, Order], bad: set[str]) -> Iterator[tuple[Answer | None, str]]:
+def _attended(client: Client, orders: dict[str, Job], bad: set[str]) -> Iterator[tuple[Answer | None, str]]:
     from distributed import as_completed
 
-    def submit(order: Order) -> Future[Any]:
+    def submit(order: Job) -> Future[Any]:
         # Should no other be left, a worker that cannot do it says so; what no worker may do is stuck.
         good = [worker for worker in client.scheduler_info()["workers"] if worker not in bad] if bad else None
         # A key of its own: another campaign's task of the case's key may be of other limits.
-        return client.submit(attend, order, pure=False, workers=good or None, allow_other_workers=bool(good))
+        return client.submit(run_job, order, pure=False, workers=good or None, allow_other_workers=bool(good))
 
     tasks = {submit(order): order for order in orders.values()}
     lost: Counter[str] = Counter()
@@ -232,12 +232,12 @@ def _attended(client: Client, orders: dict[str, Order], bad: set[str]) -> Iterat
         completed.add(task)
 
 
-def _came(future: Future[Any], order: Order, lost: Counter[str]) -> Answer | Refused | None:
+def _came(future: Future[Any], order: Job, lost: Counter[str]) -> Answer | CodeMismatch | None:
     """What came of a task; None where its worker was lost and another is to try."""
     from distributed import KilledWorker
 
     try:
-        came: Answer | Refused = future.result()
+        came: Answer | CodeMismatch = future.result()
     except KilledWorker:
         lost[order.key] += 1
         if lost[order.key] < _LOST_WORKERS:

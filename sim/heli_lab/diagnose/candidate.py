@@ -24,10 +24,10 @@ from heli_lab.diagnose.spline_term import (
 )
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import (
-    OWN_SUBSTEPS,
-    AlongCourse,
-    Linear,
-    OwnStates,
+    EFFECT_SUBSTEPS,
+    AlongTrajectory,
+    EffectStates,
+    LinearisedFlight,
     Trajectory,
     known_directions,
 )
@@ -87,7 +87,7 @@ class Candidate:
         return values
 
 
-def usual(kind: EffectKind) -> Candidate:
+def typical_candidate(kind: EffectKind) -> Candidate:
     """An effect of its typical size, for a refit to start from."""
     return Candidate(kind.id, kind.make(kind.typical), kind.size)
 
@@ -110,24 +110,24 @@ class ChangeFunctions:
         return self._made[name]
 
     @cached_property
-    def rates(self) -> AlongCourse:
+    def rates(self) -> AlongTrajectory:
         """Rates of the model itself."""
         model = self.model
         x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
         t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
-        return AlongCourse(ca.Function("rates", [x, u, t, p], [ca.densify(model.dynamics(x, u, p, t))]))
+        return AlongTrajectory(ca.Function("rates", [x, u, t, p], [ca.densify(model.dynamics(x, u, p, t))]))
 
 
 class Regressors:
     """Makes the regressors of candidates along a course, by `functions` of its model."""
 
-    def __init__(self, linear: Linear, functions: ChangeFunctions) -> None:
+    def __init__(self, linear: LinearisedFlight, functions: ChangeFunctions) -> None:
         self.linear = linear
         self.model = linear.model
         self._functions = functions
         self._channels: dict[str, tuple[Floats, Floats]] = {}
         self._quantities: dict[str, dict[str, Floats]] = {}
-        self._directions: Floats = linear.course.directions[linear.course.rows]
+        self._directions: Floats = linear.reference.directions[linear.reference.rows]
 
     def release(self) -> None:
         """Give back what is kept of channels and quantities; it is made again when asked for."""
@@ -190,7 +190,7 @@ class Regressors:
 
     def _delayed(self, candidate: Candidate) -> Floats:
         """What delayed voltages change: the model itself is the same."""
-        trajectory, record = self.linear.trajectory, self.linear.course.record
+        trajectory, record = self.linear.trajectory, self.linear.reference.record
         delay_s = candidate.effect.values[candidate.effect.delay]
         middle_s = record.t_s - record.t_s[0] + 0.5 * record.step_s
         kernel = np.ones(max(1, round(trajectory.step_s / record.step_s)))
@@ -210,7 +210,7 @@ class ExtendedModel:
     """
 
     def __init__(self, model: Model, effect: Effect, linear: Sequence[str]) -> None:
-        effect = effect.along_measured()
+        effect = effect.with_measured_angles()
         self.model, self.linear_parameters = model, linear
         self.more = type(model)((*model.effects, effect))
         self.effect = effect
@@ -241,10 +241,10 @@ class ExtendedModel:
             ]
         self.state_count = len(state_names)
         inputs = [ca.vertcat(x, z), u, t, p]
-        self.change = AlongCourse(ca.Function("change", inputs, [ca.densify(o) for o in outputs]))
+        self.change = AlongTrajectory(ca.Function("change", inputs, [ca.densify(o) for o in outputs]))
         if state_names:
             inputs = [z, t, x, u, p]
-            self.own = OwnStates(
+            self.own = EffectStates(
                 ca.Function("rates", inputs, [ca.densify(ca.vertcat(*(rates[i] for i in extra)))]),
                 ca.Function("resets", inputs, [ca.densify(ca.vertcat(*(after[i] for i in extra)))]),
             )
@@ -279,8 +279,8 @@ class ExtendedModel:
             trajectory.t_s,
             parameters,
             trajectory.step_s,
-            OWN_SUBSTEPS,
-            OWN_SUBSTEPS // 2 - 1,
+            EFFECT_SUBSTEPS,
+            EFFECT_SUBSTEPS // 2 - 1,
         )
 
 
@@ -295,13 +295,13 @@ def effect_candidates(kind: EffectKind, seconds: float) -> list[Candidate]:
     return candidates
 
 
-def spline_candidates(linears: Sequence[Linear], number: int = 0) -> list[Candidate]:
+def spline_candidates(linearised_flights: Sequence[LinearisedFlight], number: int = 0) -> list[Candidate]:
     """Spline terms of every channel on every quantity, over the range that the flights cover; `number`
     distinguishes those of one model.
     """
-    model = linears[0].model
+    model = linearised_flights[0].model
     together: dict[str, list[Floats]] = {}
-    for linear in linears:
+    for linear in linearised_flights:
         for name, values in quantity_values(model, linear.trajectory).items():
             together.setdefault(name, []).append(values)
     candidates = []

@@ -27,5 +27,5 @@ def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectK
 
 def unidentifiable_parameters(estimate: Estimate) -> tuple[str, ...]:
     """Find the parameters of the rig whose posterior is as wide as their prior, by name."""
-    unknowns = estimate.unknowns
-    return tuple(uninformed_parameters(unknowns.names, estimate.covariance, unknowns.std))
+    parameter_vector = estimate.parameter_vector
+    return tuple(uninformed_parameters(parameter_vector.names, estimate.covariance, parameter_vector.std))

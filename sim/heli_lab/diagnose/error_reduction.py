@@ -38,7 +38,7 @@ class ErrorReduction:
 
 
 @dataclass(frozen=True)
-class Judgement:
+class HeldOutComparison:
     """Baseline and extended model on the same flights.
 
     Parameters
@@ -54,11 +54,11 @@ class Judgement:
     horizons: Mapping[str, Mapping[str, ErrorReduction]]
 
 
-def judgement(before: Sequence[FreeRun], after: Sequence[FreeRun], seed: int = 0) -> Judgement:
+def judgement(before: Sequence[FreeRun], after: Sequence[FreeRun], seed: int = 0) -> HeldOutComparison:
     """Compare two models' free runs `before` and `after` an extension over the same flights; `seed` is the
     bootstrap's.
     """
-    return Judgement(
+    return HeldOutComparison(
         tuple(before),
         tuple(after),
         {

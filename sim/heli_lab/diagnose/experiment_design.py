@@ -15,7 +15,7 @@ from heli_sim.errors import SimError
 from heli_sim.model.effects import EffectKind
 
 from heli_lab.diagnose.detectability import undetectable_effects
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.screening import Screening
 from heli_lab.diagnose.simulated_experiment import expected_log_likelihood_ratio, simulate_experiment
 
@@ -162,7 +162,7 @@ class Pair:
 
 def discriminating_experiment(
     pair: Pair,
-    comparison: Comparison,
+    comparison: ModelComparison,
     kinds: Mapping[str, EffectKind],
     enough: float,
 ) -> ExperimentDesign:
@@ -220,9 +220,11 @@ def informative_experiment(
     record = simulate_experiment(baseline.estimate, flight.plan)
     if record is None:
         return flight
-    unknowns = baseline.estimate.unknowns
+    parameter_vector = baseline.estimate.parameter_vector
     try:
-        new = Comparison(unknowns.model, unknowns.rig, [record], ()).refit([], baseline.values)
+        new = ModelComparison(parameter_vector.model, parameter_vector.rig, [record], ()).refit(
+            [], baseline.values
+        )
         still = undetectable_effects(Screening(new.estimate).effects(wanted), kinds)
     except SimError:
         return flight

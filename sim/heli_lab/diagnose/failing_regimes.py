@@ -147,7 +147,7 @@ def failing_regimes(before: Estimate, after: Estimate, axis: str, first: str = "
         One of the two quantities, where it is known what matters.
     """
     # What is missing passes for weather before: it is tested against the weather that remains in the end.
-    screening = Screening(replace(before, weather=after.weather))
+    screening = Screening(replace(before, disturbances=after.disturbances))
     values = _values(screening)
     if first not in _PLANES:
         lines = {name: _gain(screening, axis, [_cell(values[name]), None]) for name in _MOTION}
@@ -176,7 +176,9 @@ def false_discoveries(p: Floats, rate: float = FALSE_DISCOVERY_RATE) -> Booleans
 
 
 def _values(screening: Screening) -> dict[str, Floats]:
-    every = [quantity_values(linear.model, linear.trajectory) for linear in screening.filtered.linears]
+    every = [
+        quantity_values(linear.model, linear.trajectory) for linear in screening.filtered.linearised_flights
+    ]
     return {name: np.concatenate([values[name] for values in every]) for name in _PLANES}
 
 
@@ -208,15 +210,15 @@ def _scores(screening: Screening, axis: str, place: npt.NDArray[np.int64], count
     """Score of a torque in each of `count` cells in standard deviations, by the cell that each step is in;
     nan where there were too few steps.
     """
-    step_s = screening.filtered.linears[0].trajectory.step_s
+    step_s = screening.filtered.linearised_flights[0].trajectory.step_s
     visited = np.nonzero(np.bincount(place, minlength=count) * step_s >= _VISITED_s)[0]
     z = np.full(count, np.nan)
-    lengths = np.cumsum([linear.rows for linear in screening.filtered.linears])[:-1]
+    lengths = np.cumsum([linear.rows for linear in screening.filtered.linearised_flights])[:-1]
     for low in range(0, len(visited), screening.batch):
         some = visited[low : low + screening.batch]
         inside = np.asarray(place[:, None] == some[None, :], float)
         only = screening.filtered.torque_regressors(
-            screening.estimate.weather, AXES.index(axis), np.split(inside, lengths)
+            screening.estimate.disturbances, AXES.index(axis), np.split(inside, lengths)
         )
         parts = screening.projected(only, [1] * len(some))
         z[some] = [gradient[0] / np.sqrt(max(information[0, 0], 1e-12)) for information, gradient in parts]
@@ -235,9 +237,9 @@ def _regimes(
     # Of standard normal numbers; scipy.special takes longer to import than a diagnosis has for all of this.
     chances = [math.erfc(abs(score) / math.sqrt(2.0)) for score in z[tested]]
     fails[tested] = false_discoveries(np.array(chances))
-    smoothed = screening.filtered.smoothed_torques(estimate.weather, np.zeros(len(estimate.theta)))
+    smoothed = screening.filtered.smoothed_torques(estimate.disturbances, np.zeros(len(estimate.theta)))
     moments = []
-    for linear, (_, torque_Nm, _) in zip(screening.filtered.linears, smoothed, strict=True):
+    for linear, (_, torque_Nm, _) in zip(screening.filtered.linearised_flights, smoothed, strict=True):
         rows = np.concatenate([blocks.rows for blocks in linear.blocks])
         at = quantity_values(linear.model, linear.trajectory)
         axis_torque_Nm = torque_Nm[:, AXES.index(axis)]

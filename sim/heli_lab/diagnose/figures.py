@@ -265,9 +265,9 @@ def _broken(drawn: Trace, axis: int) -> tuple[Floats, Floats]:
 
 def _torque(estimate: Estimate) -> tuple[Floats, Floats]:
     """Times and torques by chance about the three axes of the first flight fitted."""
-    t_s, torque_Nm, _ = estimate.filtered().smoothed_torques(estimate.weather, np.zeros(len(estimate.theta)))[
-        0
-    ]
+    t_s, torque_Nm, _ = estimate.filtered().smoothed_torques(
+        estimate.disturbances, np.zeros(len(estimate.theta))
+    )[0]
     return t_s, torque_Nm
 
 

@@ -80,7 +80,7 @@ def unexplained(result: Diagnosis) -> dict[str, Any] | None:
     """Axis, correlates and share of what no effect explains; None when nothing is."""
     if result.verdict.label != "unexplained":
         return None
-    if not result.verdict.off_list:
+    if not result.verdict.unlisted:
         # A quantity may stand there as a curve and as a straight line.
         named = list(dict.fromkeys(dependence.what for dependence in result.residual_analysis.dependences))
         channel = named[0].split(" on ")[0].rpartition(".")[2]
@@ -91,7 +91,7 @@ def unexplained(result: Diagnosis) -> dict[str, Any] | None:
             "share_of_variance": round(result.residual_analysis.share_foretold, 4),
             "log_likelihood_gain": result.residual_analysis.dependences[0].log_likelihood_gain,
         }
-    strongest = result.verdict.off_list[0]
+    strongest = result.verdict.unlisted[0]
     _, channel, on = strongest.candidate.id.split(":")
     first = next(r for r in result.search.rounds if r.taken == strongest.candidate.id)
     others = [name for name in correlates(first.splines) if name != f"{channel} on {on}"]
@@ -103,19 +103,19 @@ def unexplained(result: Diagnosis) -> dict[str, Any] | None:
         "correlates_with": [f"{channel} on {on}", *others],
         "share_of_variance": round(max(0.0, 1.0 - result.spline_gains[axis].ratio ** 2), 4),
         "log_likelihood_gain": strongest.train,
-        "splines": [cause.candidate.id.removeprefix("spline:") for cause in result.verdict.off_list],
+        "splines": [cause.candidate.id.removeprefix("spline:") for cause in result.verdict.unlisted],
         "gain_with_splines": gains(result.spline_gains),
     }
 
 
-def weather(analysis: ResidualAnalysis) -> dict[str, dict[str, float]]:
+def disturbances(analysis: ResidualAnalysis) -> dict[str, dict[str, float]]:
     """Torques by chance about each axis: size and memory of gusts, size of the drift, evidence."""
-    weather = analysis.weather
+    disturbances = analysis.disturbances
     return {
         axis: {
-            "gust_Nm": float(weather.gust_Nm[i]),
-            "memory_s": float(weather.memory_s[i]),
-            "drift_Nm": float(weather.drift_Nm[i]),
+            "fast_std_Nm": float(disturbances.fast_std_Nm[i]),
+            "correlation_time_s": float(disturbances.correlation_time_s[i]),
+            "slow_std_Nm": float(disturbances.slow_std_Nm[i]),
             "log_likelihood_ratio": float(analysis.gains[i]),
         }
         for i, axis in enumerate(AXES)

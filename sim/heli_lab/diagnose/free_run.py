@@ -66,7 +66,7 @@ class FreeRun:
     ----------
     label : str
         The flight.
-    calibrated_s, judged_s : float
+    calibrated_s, evaluated_s : float
         Free flight in each part.
     constants : Mapping[str, (float, float)]
         The flight's own constants: value and standard error, in the rig file's units; empty where nothing was
@@ -81,7 +81,7 @@ class FreeRun:
 
     label: str
     calibrated_s: float
-    judged_s: float
+    evaluated_s: float
     constants: Mapping[str, tuple[float, float]]
     priors: Mapping[str, Prior]
     errors: Mapping[str, WindowErrors]
@@ -121,7 +121,7 @@ def free_run(
     calibrated: dict[str, tuple[float, float]] = {}
     if first.segments:
         fit = solve(
-            _problem(model, rig, known, first, priors, threads), robust=False, scatter=False, near=True
+            _problem(model, rig, known, first, priors, threads), robust=False, scatter=False, warm_start=True
         )
         calibrated = {name: (value, fit.std[name]) for name, value in fit.values.items()}
         known |= fit.values
@@ -130,7 +130,7 @@ def free_run(
     problem = _problem(model, rig, known, rest, held, threads)
     windows = [rows for _, rows in problem.windows(0)]
     fits = {
-        key: solve(problem.with_split_windows(parts), robust=False, scatter=False, near=True)
+        key: solve(problem.with_split_windows(parts), robust=False, scatter=False, warm_start=True)
         for key, parts in HORIZONS.items()
     }
     return FreeRun(

@@ -133,20 +133,22 @@ def predict(
 
 def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bool) -> Fit:
     """Fit zeros, constant torques and initial states of `records`, everything else as estimated. With
-    `own_calibration` these are the records of the estimate, and the result has its free parameters and covariance.
+    `own_calibration` these are the records of the estimate, and the result has its parameters and covariance.
     """
-    unknowns = estimate.unknowns
+    parameter_vector = estimate.parameter_vector
     local = {
-        parameter.quantity: parameter.prior for parameter in unknowns.free if parameter.record is not None
+        parameter.quantity: parameter.prior
+        for parameter in parameter_vector.free
+        if parameter.record is not None
     }
     shared = {
         parameter.quantity: float(value)
-        for parameter, value in zip(unknowns.free, estimate.theta, strict=True)
+        for parameter, value in zip(parameter_vector.free, estimate.theta, strict=True)
         if parameter.record is None
     }
     problem = Problem(
-        unknowns.model,
-        unknowns.rig,
+        parameter_vector.model,
+        parameter_vector.rig,
         records,
         free=tuple(local),
         per_flight=tuple(local),
@@ -155,7 +157,7 @@ def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bo
         priors=local,
         values=shared,
     )
-    fit = solve(problem, robust=False, scatter=False, near=True)
+    fit = solve(problem, robust=False, scatter=False, warm_start=True)
     if not own_calibration:
         return fit
     values = {
@@ -165,21 +167,23 @@ def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bo
     theta = np.array(
         [
             v if parameter.record is None else values[parameter.quantity, parameter.record]
-            for parameter, v in zip(unknowns.free, estimate.theta, strict=True)
+            for parameter, v in zip(parameter_vector.free, estimate.theta, strict=True)
         ]
     )
-    low, high = unknowns.bounds
+    low, high = parameter_vector.bounds
     at_bound = tuple(
         name
-        for name, v, a, b in zip(unknowns.names, estimate.theta, low, high, strict=True)
+        for name, v, a, b in zip(parameter_vector.names, estimate.theta, low, high, strict=True)
         if v <= a or v >= b
     )
     return replace(
         fit,
-        problem=problem.with_free(unknowns.free),
+        problem=problem.with_free(parameter_vector.free),
         theta=theta,
         covariance=estimate.covariance,
-        information=np.asarray(np.linalg.inv(estimate.covariance) - np.diag(unknowns.std**-2.0), float),
+        information=np.asarray(
+            np.linalg.inv(estimate.covariance) - np.diag(parameter_vector.std**-2.0), float
+        ),
         at_bound=at_bound,
     )
 

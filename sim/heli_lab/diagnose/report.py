@@ -9,11 +9,11 @@ from typing import Any, Final
 import numpy as np
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose import figures, law_figures
+from heli_lab.diagnose import equation_figures, figures
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
-from heli_lab.diagnose.missing_law import MissingLaw, missing_laws
+from heli_lab.diagnose.missing_term import MissingTerm, missing_terms
 from heli_lab.diagnose.result import Diagnosis
-from heli_lab.diagnose.result_figures import figure_of_gain, figure_of_laws, figure_of_prediction
+from heli_lab.diagnose.result_figures import figure_of_gain, figure_of_missing_terms, figure_of_prediction
 from heli_lab.diagnose.serialize import to_json
 from heli_lab.diagnose.summary import summary, title, weather_of
 from heli_lab.diagnose.words import SHOWN, curve_in_words, readable_id
@@ -46,14 +46,14 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
     folder = folder_with(numbers, folder)
     before, after = diagnosis.judgement.before[0].fit, diagnosis.judgement.after[0].fit
     size = figures.figure_of_size(diagnosis)
-    laws = missing_laws(diagnosis)
+    equations = missing_terms(diagnosis)
     curves = diagnosis.curves
     extended = before is not after
 
     def kept(name: str, figure: Any) -> Picture | None:
         return None if figure is None else drawing.add(figure, folder / f"{name}.png")
 
-    if diagnosis.proposed_law is not None:
+    if diagnosis.proposed_term is not None:
         write_effect_file(diagnosis, folder)
     return write_page(
         folder,
@@ -63,9 +63,9 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         extended=extended,
         sentence=numbers["sentence"],
         cautions=[_sentence(caution) for caution in numbers["cautions"]],
-        cause=_cause(laws, kept),
+        cause=_cause(equations, kept),
         judged="a flight that no fit saw" if diagnosis.after.held_out_fit else "the flight that was fitted",
-        prediction=kept("prediction", figure_of_prediction(before, after, _axis(diagnosis, laws))),
+        prediction=kept("prediction", figure_of_prediction(before, after, _axis(diagnosis, equations))),
         gain={
             "address": kept("gain", figure_of_gain(diagnosis.judgement.horizons, extended)),
             "rows": _gain(numbers["gain"]["axis"]),
@@ -73,9 +73,9 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         causes=[_found(cause, kept) for cause in numbers["causes"]],
         unknown=_unknown(numbers["unexplained"]),
         curves=kept("curves", figures.figure_of_curves(curves)) if curves else None,
-        weather=_weather(diagnosis, numbers),
-        law=_law(diagnosis, kept),
-        regimes=kept("regimes", law_figures.figure_of_failing_regimes(diagnosis.failing)),
+        disturbances=_weather(diagnosis, numbers),
+        equation=_law(diagnosis, kept),
+        regimes=kept("regimes", equation_figures.figure_of_failing_regimes(diagnosis.failing)),
         torque=kept("torque", figures.figure_of_torque(diagnosis)),
         ranking={
             "address": kept("ranking", figures.figure_of_ranking(diagnosis.search.rounds)),
@@ -97,12 +97,12 @@ def write_effect_file(diagnosis: Diagnosis, folder: str | Path) -> Path:
     """Write the proposed law, which there must be, as ``proposed.py`` into a `folder`, made if it is missing;
     return the file.
     """
-    assert diagnosis.proposed_law is not None
+    assert diagnosis.proposed_term is not None
     labels = ", ".join(record.label for record in diagnosis.after.fit.problem.records)
     head = f"A law that heli-host diagnose proposes from {labels}: what no effect of the list explains."
     path = Path(folder) / "proposed.py"
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(diagnosis.proposed_law.effect_file(head), encoding="utf-8")
+    path.write_text(diagnosis.proposed_term.effect_file(head), encoding="utf-8")
     return path
 
 
@@ -122,7 +122,7 @@ def write_insufficient_excitation(result: InsufficientExcitation, folder: str | 
     )
 
 
-def _axis(diagnosis: Diagnosis, laws: Sequence[MissingLaw]) -> str:
+def _axis(diagnosis: Diagnosis, equations: Sequence[MissingTerm]) -> str:
     """The axis whose angle is drawn: where the eye sees the gain, or where something is missing."""
     seen = trace(diagnosis.judgement.before[0].fit)
     ranges_deg = dict(zip(AXES, np.rad2deg(np.ptp(seen.measured_rad, axis=0)), strict=True))
@@ -133,32 +133,34 @@ def _axis(diagnosis: Diagnosis, laws: Sequence[MissingLaw]) -> str:
         after_deg = reduction.after_deg if diagnosis.extended.candidates else 0.0
         return float((reduction.before_deg - after_deg) / max(ranges_deg[axis], 1e-9))
 
-    return laws[0].axis if laws and not diagnosis.extended.candidates else max(AXES, key=shows)
+    return equations[0].axis if equations and not diagnosis.extended.candidates else max(AXES, key=shows)
 
 
-def _cause(laws: Sequence[MissingLaw], kept: _Kept) -> dict[str, Any] | None:
-    if not laws:
+def _cause(equations: Sequence[MissingTerm], kept: _Kept) -> dict[str, Any] | None:
+    if not equations:
         return None
     return {
-        "address": kept("cause", figure_of_laws(laws)),
-        "meaning": "; ".join(f"missing {law.what} about {law.axis} against {law.on}" for law in laws),
+        "address": kept("cause", figure_of_missing_terms(equations)),
+        "meaning": "; ".join(
+            f"missing {equation.what} about {equation.axis} against {equation.on}" for equation in equations
+        ),
         "caption": " ".join(
             [
-                *(_caption(law) for law in laws),
-                _DOTS if any(law.what == "torque" for law in laws) else _POINTS,
+                *(_caption(equation) for equation in equations),
+                _DOTS if any(equation.what == "torque" for equation in equations) else _POINTS,
             ]
         ),
     }
 
 
-def _caption(law: MissingLaw) -> str:
-    name = readable_id(law.id)
-    return f"{name}: the law accounts for {100 * max(law.share, 0.0):.0f} % of the variance."
+def _caption(equation: MissingTerm) -> str:
+    name = readable_id(equation.id)
+    return f"{name}: the law accounts for {100 * max(equation.share, 0.0):.0f} % of the variance."
 
 
 def _law(diagnosis: Diagnosis, kept: _Kept) -> dict[str, Any] | None:
     """The law that is proposed, with its figure."""
-    proposed = diagnosis.proposed_law
+    proposed = diagnosis.proposed_term
     if proposed is None:
         return None
     numbers, discovery = proposed.to_json(), proposed.discovery
@@ -171,7 +173,7 @@ def _law(diagnosis: Diagnosis, kept: _Kept) -> dict[str, Any] | None:
         "sentence": proposed.sentence,
         "evidence": f"Confidence {proposed.confidence:.2f}: log-likelihood ratio {discovery.train:.0f} nats "
         f"on the flights fitted, {confirmed}, the best of {discovery.tried} terms.",
-        "address": kept("law", law_figures.figure_of_law(proposed)),
+        "address": kept("law", equation_figures.figure_of_equation(proposed)),
         "rows": [
             # A plain number in an expression is no share of anything.
             [name, f"{number['value']:g}", ""]
@@ -214,7 +216,8 @@ def _calibration(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 for name, number in flight["after"].items()
             ],
             "note": f"{flight['flight']}: zeros and constant torques from its first "
-            f"{flight['calibrated_s']:.1f} s of free flight; the {flight['judged_s']:.1f} s after them are judged.",
+            f"{flight['calibrated_s']:.1f} s of free flight; "
+            f"the next {flight['evaluated_s']:.1f} s are evaluated.",
         }
         for flight in flights
         if flight["after"]
@@ -305,12 +308,12 @@ def _weather(diagnosis: Diagnosis, numbers: dict[str, Any]) -> dict[str, Any]:
         "rows": [
             [
                 axis,
-                f"{1e3 * values['gust_Nm']:.2g}",
-                f"{values['memory_s']:.2g}",
-                f"{1e3 * values['drift_Nm']:.2g}",
+                f"{1e3 * values['fast_std_Nm']:.2g}",
+                f"{values['correlation_time_s']:.2g}",
+                f"{1e3 * values['slow_std_Nm']:.2g}",
                 f"{values['log_likelihood_ratio']:.0f}",
             ]
-            for axis, values in numbers["weather"].items()
+            for axis, values in numbers["disturbances"].items()
         ],
     }
 

@@ -21,7 +21,7 @@ from heli_lab.diagnose.screening import Scored, Screening, coefficient_std, scor
 from heli_lab.diagnose.spline_term import quantity_values
 from heli_lab.diagnose.thresholds import CORRELATE_MIN, CORRELATE_SHARE
 from heli_lab.identify.functions import Floats
-from heli_lab.innovations import BLOCK_s, Linear, Weather
+from heli_lab.innovations import BLOCK_s, DisturbanceModel, LinearisedFlight
 
 _MAX_CORRELATES: Final = 4
 """Length of a list for people."""
@@ -93,7 +93,7 @@ class ResidualAnalysis:
 
     Parameters
     ----------
-    weather : Weather
+    disturbances : DisturbanceModel
         Torques by chance about each axis.
     gains : ndarray (3,)
         Log-likelihood ratio of each axis' weather over none about that axis, nats.
@@ -109,7 +109,7 @@ class ResidualAnalysis:
         What foretells the innovations significantly, strongest first; empty where they are white.
     """
 
-    weather: Weather
+    disturbances: DisturbanceModel
     gains: Floats
     autocorrelation: Floats
     lags_s: tuple[float, ...]
@@ -144,7 +144,7 @@ def residual_analysis(screenings: Sequence[Screening]) -> ResidualAnalysis:
     for screening in screenings:
         screening.release()
     return ResidualAnalysis(
-        first.estimate.weather,
+        first.estimate.disturbances,
         gains,
         autocorrelation,
         tuple(lag * BLOCK_s for lag in _WHITE_LAGS),
@@ -163,24 +163,24 @@ def penalty(coefficients: int) -> float:
 
 def weather_gains(screening: Screening) -> Floats:
     """Log-likelihood ratio of each axis' weather over none about that axis, nats, shape (3,)."""
-    weather, filtered = screening.estimate.weather, screening.filtered
+    disturbances, filtered = screening.estimate.disturbances, screening.filtered
     less = [
-        Weather(
-            np.where(gone, _NO_TORQUE_Nm, weather.gust_Nm),
-            weather.memory_s,
-            np.where(gone, _NO_TORQUE_Nm, weather.drift_Nm),
-            weather.quantisation,
+        DisturbanceModel(
+            np.where(gone, _NO_TORQUE_Nm, disturbances.fast_std_Nm),
+            disturbances.correlation_time_s,
+            np.where(gone, _NO_TORQUE_Nm, disturbances.slow_std_Nm),
+            disturbances.quantisation,
         )
         for gone in np.eye(3, dtype=bool)
     ]
-    error = filtered.moved(np.zeros(filtered.size))
-    values = filtered.log_likelihoods([weather, *less], error).sum(axis=1)
+    error = filtered.perturbed_residual(np.zeros(filtered.size))
+    values = filtered.log_likelihoods([disturbances, *less], error).sum(axis=1)
     result: Floats = values[0] - values[1:]
     return result
 
 
 def _autocorrelation(screening: Screening) -> tuple[Floats, float]:
-    innovations = screening.filtered.innovations_by_flight(screening.estimate.weather)
+    innovations = screening.filtered.innovations_by_flight(screening.estimate.disturbances)
     value = np.concatenate([flight[:, 0] for flight in innovations.flights]).reshape(-1, 3)
     variance = np.maximum((value**2).mean(axis=0), 1e-12)
     correlations = [
@@ -194,10 +194,12 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
 
     The functions have the same coefficients in all flights, with everything else refitted in each.
     """
-    linears = [linear for each_screening in screenings for linear in each_screening.filtered.linears]
+    linearised_flights = [
+        linear for each_screening in screenings for linear in each_screening.filtered.linearised_flights
+    ]
     candidates = [
         candidate
-        for candidate in spline_candidates(linears, _TEST_SPLINES)
+        for candidate in spline_candidates(linearised_flights, _TEST_SPLINES)
         if not candidate.id.startswith("spline:measurement")
     ]
     names = [
@@ -206,7 +208,7 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
     ]
     priors = [coefficient_std(candidate) for candidate in candidates]
     parts = [each_screening.spline_information(candidates) for each_screening in screenings]
-    functions = _functions(linears)
+    functions = _functions(linearised_flights)
     for what, curves in functions.items():
         for axis, name in enumerate(AXES):
             size = curves[0].shape[1]
@@ -214,14 +216,15 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
             priors.append(np.full(size, _TORQUE_STD_Nm[axis]))
     first = 0
     for number, screening in enumerate(screenings):
-        flight_linears = screening.filtered.linears
+        flight_linears = screening.filtered.linearised_flights
         flights = range(first, first + len(flight_linears))
         for group in _groups(functions, screening.batch):
             sizes = [curves[0].shape[1] for curves in group]
             torques_Nm = [np.hstack([curves[place] for curves in group]) for place in flights]
             by_axis = [
                 screening.projected(
-                    screening.filtered.torque_regressors(screening.estimate.weather, axis, torques_Nm), sizes
+                    screening.filtered.torque_regressors(screening.estimate.disturbances, axis, torques_Nm),
+                    sizes,
                 )
                 for axis in range(len(AXES))
             ]
@@ -266,9 +269,9 @@ def correlates(splines: Sequence[Scored]) -> list[str]:
     ]
 
 
-def _functions(linears: Sequence[Linear]) -> dict[str, list[Floats]]:
+def _functions(linearised_flights: Sequence[LinearisedFlight]) -> dict[str, list[Floats]]:
     """Quantities, products of two, past thrusts, and rates near rest: (n, s) for each flight."""
-    quantities = [quantity_values(linear.model, linear.trajectory) for linear in linears]
+    quantities = [quantity_values(linear.model, linear.trajectory) for linear in linearised_flights]
     centre, scale = {}, {}
     for name in _PRODUCTS:
         together = np.concatenate([values[name] for values in quantities])
@@ -277,7 +280,7 @@ def _functions(linears: Sequence[Linear]) -> dict[str, list[Floats]]:
     functions = {name: [at[name][:, None] for at in every] for name in _PRODUCTS}
     for first, other in itertools.combinations(_PRODUCTS, 2):
         functions[f"{first} times {other}"] = [(at[first] * at[other])[:, None] for at in every]
-    step_s = linears[0].trajectory.step_s
+    step_s = linearised_flights[0].trajectory.step_s
     for name in _THRUSTS:
         functions[f"past {name}"] = [_past(at[name], step_s) for at in every]
     for name in _RATES:

@@ -10,7 +10,7 @@ from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.error_reduction import ErrorReduction
 from heli_lab.diagnose.figures import AFTER, BEFORE, MEASURED
-from heli_lab.diagnose.missing_law import MissingLaw
+from heli_lab.diagnose.missing_term import MissingTerm
 from heli_lab.identify import Fit, Trace, trace
 from heli_lab.identify.functions import Floats
 
@@ -27,50 +27,65 @@ _EXCERPT_s: Final = 40.0
 _MOST_DOTS: Final = 4000
 
 
-def figure_of_laws(laws: Sequence[MissingLaw]) -> Figure:
+def figure_of_missing_terms(equations: Sequence[MissingTerm]) -> Figure:
     """Draw what is missing against what it goes with, a row a cause: without the cause on the left with the
     law that was found, with it on the right.
     """
     from matplotlib.figure import Figure
 
-    rows = len(laws)
+    rows = len(equations)
     figure = Figure(figsize=(11, 4.1 * rows))
     panels = figure.subplots(rows, 2, sharey="row", squeeze=False)
     high = 4.1 * rows
     figure.subplots_adjust(0.085, 0.62 / high, 0.985, 1.0 - 0.42 / high, wspace=0.05, hspace=0.42)
-    for law, (left_panel, right) in zip(laws, panels, strict=True):
-        noun = f"torque about {law.axis}" if law.what == "torque" else f"angle of the {law.axis} encoder"
-        _dots(left_panel, law.place, law.missing, law)
-        _dots(right, law.place, law.left, law)
+    for equation, (left_panel, right) in zip(equations, panels, strict=True):
+        noun = (
+            f"torque about {equation.axis}"
+            if equation.what == "torque"
+            else f"angle of the {equation.axis} encoder"
+        )
+        _dots(left_panel, equation.place, equation.missing, equation)
+        _dots(right, equation.place, equation.left, equation)
         place, value = (
-            _binned(law.place, law.law, 4 * _BINS) if law.what == "torque" else (law.place, law.law)
+            _binned(equation.place, equation.equation, 4 * _BINS)
+            if equation.what == "torque"
+            else (equation.place, equation.equation)
         )
         left_panel.plot(place, value, color=AFTER, lw=2.2, label="the law found")
         left_panel.set_title(f"before: {noun} that the model lacks", fontsize=10.5, color=BEFORE, loc="left")
         right.set_title(
             "after: what is left with the law in the model", fontsize=10.5, color=AFTER, loc="left"
         )
-        left_panel.set_ylabel(f"{noun} [{law.unit}]", fontsize=10)
+        left_panel.set_ylabel(f"{noun} [{equation.unit}]", fontsize=10)
         for panel in (left_panel, right):
             panel.axhline(0.0, color="#9aa0a6", lw=0.8, zorder=0)
-            panel.set_xlabel(f"{law.on} [{law.on_unit}]", fontsize=10)
+            panel.set_xlabel(f"{equation.on} [{equation.on_unit}]", fontsize=10)
             panel.grid(alpha=0.25)
-        wide = 2.0 * law.std if law.what == "angle" else np.zeros(1)
-        shown = np.concatenate((law.missing - wide, law.missing + wide, law.left, law.law))
+        wide = 2.0 * equation.std if equation.what == "angle" else np.zeros(1)
+        shown = np.concatenate(
+            (equation.missing - wide, equation.missing + wide, equation.left, equation.equation)
+        )
         low, top = np.quantile(shown, [_TAIL, 1.0 - _TAIL])
         room = 0.12 * (top - low)
         left_panel.set_ylim(min(low, value.min()) - room, max(top, value.max()) + room)
-        ends = np.quantile(law.place, [_TAIL, 1.0 - _TAIL])
+        ends = np.quantile(equation.place, [_TAIL, 1.0 - _TAIL])
         for panel in (left_panel, right):
             panel.set_xlim(*(ends + np.array([-0.03, 0.03]) * np.ptp(ends)))
         left_panel.legend(loc="best", fontsize=9, framealpha=0.85)
     return figure
 
 
-def _dots(panel: Axes, place: Floats, value: Floats, law: MissingLaw) -> None:
-    if law.what == "angle":
+def _dots(panel: Axes, place: Floats, value: Floats, equation: MissingTerm) -> None:
+    if equation.what == "angle":
         panel.errorbar(
-            place, value, 2.0 * law.std, fmt="o", ms=4, lw=1, color=MEASURED, label="as the flights show it"
+            place,
+            value,
+            2.0 * equation.std,
+            fmt="o",
+            ms=4,
+            lw=1,
+            color=MEASURED,
+            label="as the flights show it",
         )
         return
     keep = slice(None, None, max(1, len(place) // _MOST_DOTS))

@@ -17,8 +17,9 @@ from heli_sim.rig import Rig
 
 from heli_lab.diagnose.absent_terms import AbsentTerm, absent_terms
 from heli_lab.diagnose.detectability import undetectable_effects, unidentifiable_parameters
-from heli_lab.diagnose.equation_discovery import ProposedLaw, propose_law
+from heli_lab.diagnose.equation_discovery import ProposedTerm, propose_term
 from heli_lab.diagnose.error_reduction import ErrorReduction, judgement
+from heli_lab.diagnose.estimate_cache import EstimateCache, fingerprint
 from heli_lab.diagnose.experiment_design import (
     ExperimentDesign,
     Pair,
@@ -27,8 +28,7 @@ from heli_lab.diagnose.experiment_design import (
     informative_experiment,
 )
 from heli_lab.diagnose.free_run import calibration_s, free_runs
-from heli_lab.diagnose.kept_estimates import KeptEstimates, digest_of
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.prediction import Prediction, predict
 from heli_lab.diagnose.residual_analysis import ResidualAnalysis, residual_analysis
 from heli_lab.diagnose.result import Diagnosis
@@ -86,7 +86,7 @@ def diagnose(
         Free flight of each validation flight that its zeros and torques are estimated from before the rest is
         judged, at most a third of it; `CALIBRATE_s` where not given.
     threads : int, optional
-        Threads that candidates, windows and weathers are shared out to; `usual_threads` where not given. The
+        Threads for candidates, windows and disturbances; `default_thread_count` where not given. The
         result does not depend on it.
     resume : Path, optional
         File that keeps what was worked out; a search that ended early goes on from it, and ends as one that
@@ -116,8 +116,8 @@ def diagnose(
         _refuse_twins(train, held_out)
         for record in held_out:
             calibration_s(record, calibrate_s)
-        kept = KeptEstimates(resume, digest_of(model, rig, [*train, *held_out])) if resume else None
-        comparison = Comparison(model, rig, train, held_out, seed=seed, kept=kept)
+        kept = EstimateCache(resume, fingerprint(model, rig, [*train, *held_out])) if resume else None
+        comparison = ModelComparison(model, rig, train, held_out, seed=seed, kept=kept)
         known = {effect.name for effect in model.effects}
         tried = {id_: kind for id_, kind in every.items() if _candidate(kind, model, known)}
         reached = _searched(comparison, tried, every, every.values(), tell, refits)
@@ -134,16 +134,16 @@ def diagnose(
         runs_before = free_runs(before.fit, held_out, calibrate_s)
         runs_after = runs_before if after is before else free_runs(after.fit, held_out, calibrate_s)
         spline_gains: Mapping[str, ErrorReduction] = {}
-        if verdict.off_list:
+        if verdict.unlisted:
             final = predict(search_result.final.candidates, search_result.final.estimate, train, held_out)
             spline_gains = judgement(runs_before, free_runs(final.fit, held_out, calibrate_s), seed).horizons[
                 "2"
             ]
-        proposed: ProposedLaw | None = None
+        proposed: ProposedTerm | None = None
         if verdict.label == "unexplained" and comparison.fits < refits:
             tell("looking for the law of what is missing", 0.92)
-            curve = search_result.final if verdict.off_list else None
-            proposed = propose_law(
+            curve = search_result.final if verdict.unlisted else None
+            proposed = propose_term(
                 comparison, reached.extended, curve, tried, runs_before, calibrate_s, seed, refits, tell
             )
         return Diagnosis(
@@ -182,7 +182,7 @@ class _Reached:
 
 
 def _searched(
-    comparison: Comparison,
+    comparison: ModelComparison,
     tried: Mapping[str, EffectKind],
     every: Mapping[str, EffectKind],
     removable: Iterable[EffectKind],
@@ -216,7 +216,7 @@ def _candidate(kind: EffectKind, model: Model, known: set[str]) -> bool:
 
 
 def _next(
-    comparison: Comparison,
+    comparison: ModelComparison,
     verdict: Verdict,
     search_result: Search,
     extended: Hypothesis,
@@ -228,12 +228,12 @@ def _next(
     if pair is not None:
         return discriminating_experiment(pair, comparison, kinds, AMBIGUOUS)
     if verdict.label == "unexplained":
-        on = {cause.candidate.id.rpartition(":")[2] for cause in verdict.off_list}
+        on = {cause.candidate.id.rpartition(":")[2] for cause in verdict.unlisted}
         parts = {part for part in ("travel", "elevation", "time") if any(part in name for name in on)}
         parts |= {"motors"} if any("thrust" in name for name in on) or not on else set()
         curves = [
             spline_curve_of(effect, search_result.final.estimate)
-            for effect in (cause.candidate.effect for cause in verdict.off_list)
+            for effect in (cause.candidate.effect for cause in verdict.unlisted)
             if isinstance(effect, SplineTerm)
         ]
         covered = " and ".join(
@@ -257,7 +257,7 @@ def _next(
 
 
 def _pair(
-    comparison: Comparison, verdict: Verdict, search_result: Search, extended: Hypothesis
+    comparison: ModelComparison, verdict: Verdict, search_result: Search, extended: Hypothesis
 ) -> Pair | None:
     """The least certain cause and its closest alternative, both fitted in the place of the same effect."""
     unclear = [cause for cause in verdict.causes if ambiguous_with(cause)]
@@ -286,7 +286,7 @@ def _pair(
     )
 
 
-def _extended(comparison: Comparison, search_result: Search) -> Hypothesis:
+def _extended(comparison: ModelComparison, search_result: Search) -> Hypothesis:
     """The final model without spline terms, which no simulator flies."""
     named = [candidate for candidate in search_result.final.candidates if not candidate.is_spline]
     if len(named) == len(search_result.final.candidates):

@@ -21,8 +21,8 @@ from heli_lab.diagnose.candidate import (
 from heli_lab.diagnose.spline_term import KNOTS, SplineTerm
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import Estimate
-from heli_lab.innovations.bordered import solve_bordered
-from heli_lab.threads import shared_out, usual_threads
+from heli_lab.innovations.arrowhead import solve_arrowhead
+from heli_lab.threads import default_thread_count, parallel_map
 
 _BATCH_NUMBERS: Final = 1_250_000
 """Numbers of the regressors that a thread filters at once, 10 MB: 32 regressors of a flight of a minute. The
@@ -78,34 +78,34 @@ class Screening:
     Parameters
     ----------
     threads : int, optional
-        Threads that share out the candidates; `usual_threads` where not given. The scores do not depend on
+        Threads that score candidates; `default_thread_count` where not given. The scores do not depend on
         it.
     """
 
     def __init__(self, estimate: Estimate, threads: int | None = None) -> None:
         self.estimate = estimate
         self.filtered = filtered = estimate.filtered()
-        weather = estimate.weather
-        functions = ChangeFunctions(filtered.linears[0].model)
-        self.regressors = tuple(Regressors(linear, functions) for linear in filtered.linears)
-        self.seconds = max(float(model.trajectory.t_s[-1]) for model in filtered.linears)
-        rows = max(model.rows for model in filtered.linears)
-        threads = usual_threads() if threads is None else threads
-        batch = _BATCH_NUMBERS // (rows * filtered.linears[0].states)
+        disturbances = estimate.disturbances
+        functions = ChangeFunctions(filtered.linearised_flights[0].model)
+        self.regressors = tuple(Regressors(linear, functions) for linear in filtered.linearised_flights)
+        self.seconds = max(float(model.trajectory.t_s[-1]) for model in filtered.linearised_flights)
+        rows = max(model.rows for model in filtered.linearised_flights)
+        threads = default_thread_count() if threads is None else threads
+        batch = _BATCH_NUMBERS // (rows * filtered.linearised_flights[0].states)
         self.batch = max(KNOTS, batch)
         """Regressors that are filtered together, one flight after the other."""
         # Of a long flight one such batch needs more memory than that already.
         self.threads = threads if batch >= KNOTS else 1
-        self._innovations = innovations = filtered.innovations_by_flight(weather)
-        unknowns = estimate.unknowns
+        self._innovations = innovations = filtered.innovations_by_flight(disturbances)
+        parameter_vector = estimate.parameter_vector
         self.measurements = sum(len(flight) for flight in innovations.flights)
-        self._bordered = innovations.information() + np.diag(unknowns.std**-2.0), innovations.own
-        offset = unknowns.std**-2.0 * (estimate.theta - unknowns.mean)
+        self._bordered = innovations.information() + np.diag(parameter_vector.std**-2.0), innovations.own
+        offset = parameter_vector.std**-2.0 * (estimate.theta - parameter_vector.mean)
         self._error = innovations.left(self._solved(innovations.score() - offset))
 
     def release(self) -> None:
         """Give back what scoring keeps: 0.2 GB of ten minutes; it is made again when asked for."""
-        for linear, maker in zip(self.filtered.linears, self.regressors, strict=True):
+        for linear, maker in zip(self.filtered.linearised_flights, self.regressors, strict=True):
             linear.release()
             maker.release()
 
@@ -115,7 +115,7 @@ class Screening:
         flat = [candidate for _, candidates in places.values() for candidate in candidates]
         scores = iter(self.score(flat))
         scored = [(kind, some, [next(scores) for _ in some]) for kind, some in places.values()]
-        scored_ = shared_out(lambda arguments: self._best(*arguments), scored, self.threads)
+        scored_ = parallel_map(lambda arguments: self._best(*arguments), scored, self.threads)
         return sorted(
             (scored_effect for scored_effect in scored_ if scored_effect is not None),
             key=lambda scored_effect: -scored_effect.log_likelihood_gain,
@@ -123,7 +123,7 @@ class Screening:
 
     def splines(self, number: int = 0) -> list[Scored]:
         """Score every spline term, the highest score first; `number` distinguishes those of one model."""
-        candidates = spline_candidates(self.filtered.linears, number)
+        candidates = spline_candidates(self.filtered.linearised_flights, number)
         self._prepare(candidates)
         scored_ = [
             Scored(candidate, *score, 1)
@@ -142,7 +142,7 @@ class Screening:
                 width = 0
             groups[-1].append(candidate)
             width += size
-        return [score for scores in shared_out(self._score_group, groups, self.threads) for score in scores]
+        return [score for scores in parallel_map(self._score_group, groups, self.threads) for score in scores]
 
     def score_signals(
         self, signals: Iterable[tuple[Floats, Floats | None]], sizes: Sequence[int], priors: Sequence[Floats]
@@ -176,7 +176,7 @@ class Screening:
         sizes : sequence of int
             Regressors of each candidate.
         """
-        return self.projected(self.filtered.regressors(self.estimate.weather, signals), sizes)
+        return self.projected(self.filtered.regressors(self.estimate.disturbances, signals), sizes)
 
     def projected(self, regressors: Iterable[Floats], sizes: Sequence[int]) -> list[tuple[Floats, Floats]]:
         """The same of what `regressors` take off each flight's innovations, shape (m, s) for each in
@@ -205,7 +205,7 @@ class Screening:
 
     def _solved(self, right: Floats) -> Floats:
         """Moves of the free parameters that the `right` side of their normal equations asks for."""
-        return solve_bordered(self._bordered[0], right, self._bordered[1])
+        return solve_arrowhead(self._bordered[0], right, self._bordered[1])
 
     def spline_information(self, candidates: Sequence[Candidate]) -> list[tuple[Floats, Floats]]:
         """The same of spline terms."""
@@ -214,7 +214,7 @@ class Screening:
         groups = [candidates[low : low + every] for low in range(0, len(candidates), every)]
         return [
             information
-            for group_information in shared_out(self._spline_group, groups, self.threads)
+            for group_information in parallel_map(self._spline_group, groups, self.threads)
             for information in group_information
         ]
 
@@ -224,7 +224,7 @@ class Screening:
         for candidate in candidates:
             if isinstance(candidate.effect, SplineTerm):
                 first.setdefault(candidate.effect.channel, candidate.effect)
-        shared_out(
+        parallel_map(
             lambda term: [maker.influence(term) for maker in self.regressors],
             list(first.values()),
             self.threads,
@@ -298,7 +298,7 @@ class Screening:
             for _ in range(_BISECTIONS):
                 step *= 0.5
                 candidate = best.candidate
-                near = [
+                warm_start = [
                     Candidate(
                         candidate.id,
                         kind.make({**candidate.effect.values, name: value}),
@@ -308,8 +308,8 @@ class Screening:
                     for value in (candidate.grid[name] - step, candidate.grid[name] + step)
                     if prior.low <= value <= prior.high
                 ]
-                best = replace(best, tried=best.tried + len(near))
-                for other, (gain, coefficients, std) in zip(near, self.score(near), strict=True):
+                best = replace(best, tried=best.tried + len(warm_start))
+                for other, (gain, coefficients, std) in zip(warm_start, self.score(warm_start), strict=True):
                     if gain > best.log_likelihood_gain and _possible(other, coefficients):
                         best = Scored(other, gain, coefficients, std, best.tried)
         return best
@@ -318,7 +318,7 @@ class Screening:
     def _smoothed(self) -> tuple[Floats, Floats]:
         """Times in the first flight, (m,), and torques there that weather stands for, (m, 3)."""
         t_s, torque_Nm, _ = self.filtered.smoothed_torques(
-            self.estimate.weather, np.zeros(len(self.estimate.theta))
+            self.estimate.disturbances, np.zeros(len(self.estimate.theta))
         )[0]
         return t_s, torque_Nm
 
@@ -351,7 +351,9 @@ class Screening:
         frequency_Hz = np.fft.rfftfreq(4 * len(value), step_s)
         power = np.abs(np.fft.rfft((value - value.mean()) * np.hanning(len(value)), 4 * len(value)))
         # White noise through the weather's memory falls with frequency: a peak is measured against that.
-        power *= np.hypot(1.0, 2 * np.pi * frequency_Hz * self.estimate.weather.memory_s[index])
+        power *= np.hypot(
+            1.0, 2 * np.pi * frequency_Hz * self.estimate.disturbances.correlation_time_s[index]
+        )
         power[(frequency_Hz < _MIN_Hz) | (frequency_Hz > _MAX_Hz)] = 0.0
         top = [i for i in range(1, len(power) - 1) if power[i] >= power[i - 1] and power[i] > power[i + 1]]
         top.sort(key=lambda i: -power[i])

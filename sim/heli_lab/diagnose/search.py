@@ -20,12 +20,12 @@ from heli_sim.model.effects.kind import EffectKind
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose import thresholds
-from heli_lab.diagnose.absent_terms import closely_stated_terms
-from heli_lab.diagnose.candidate import Candidate, usual
-from heli_lab.diagnose.model_comparison import Asked, Comparison, Hypothesis
+from heli_lab.diagnose.absent_terms import tightly_specified_terms
+from heli_lab.diagnose.candidate import Candidate, typical_candidate
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison, RefitSpec
 from heli_lab.diagnose.screening import Scored, Screening
 from heli_lab.diagnose.search_record import Alternative, Cause, Refit, Round, Search
-from heli_lab.threads import shared_out
+from heli_lab.threads import parallel_map
 
 _SEARCH_SHARE: Final = 0.9
 """Share of a diagnosis at which its search has ended."""
@@ -33,7 +33,7 @@ _SEARCH_SHARE: Final = 0.9
 
 @dataclass
 class _Searcher:
-    comparison: Comparison
+    comparison: ModelComparison
     kinds: Mapping[str, EffectKind]
     say: Callable[[str, float], None]
     refits_left: Callable[[], bool]
@@ -79,8 +79,8 @@ class _Searcher:
     def _ahead(self, base: Hypothesis, shortlist: Sequence[Scored]) -> Iterator[None]:
         """Work ahead on the first attempt with each of a `shortlist`."""
         first = [(scored, self._on_grid(scored)[0][0]) for scored in shortlist]
-        with self.comparison.ahead(
-            Asked([*base.candidates, candidate], candidate.start_values(scored.coefficients), base)
+        with self.comparison.prefetch(
+            RefitSpec([*base.candidates, candidate], candidate.start_values(scored.coefficients), base)
             for scored, candidate in first
         ):
             yield
@@ -95,7 +95,7 @@ class _Searcher:
             return [[candidate]]
         (name,) = fixed
         values = kind.grid_values(1.0)[name]
-        near = int(np.argmin(np.abs(np.array(values) - candidate.grid[name])))
+        warm_start = int(np.argmin(np.abs(np.array(values) - candidate.grid[name])))
         return [
             [
                 Candidate(
@@ -106,7 +106,7 @@ class _Searcher:
                 )
                 for v in some
             ]
-            for some in ((values[near],), values[near + 1 :], values[:near][::-1])
+            for some in ((values[warm_start],), values[warm_start + 1 :], values[:warm_start][::-1])
         ]
 
     def _accepted(self, refit: Refit) -> bool:
@@ -123,8 +123,8 @@ class _Searcher:
         """Whether the size of one of its candidates, without which it is worse by its margin, is told from
         nothing: by its standard error, or where that tells of one side alone, by the likelihood.
         """
-        plain = refit.margin > thresholds.PLAIN_NATS
-        return plain or candidate.is_spline or told_from_nothing(refit.hypothesis, candidate, self.kinds)
+        plain = refit.margin > thresholds.WALD_OVERRIDE_NATS
+        return plain or candidate.is_spline or is_significant(refit.hypothesis, candidate, self.kinds)
 
     def forward(self, hypothesis: Hypothesis) -> tuple[Hypothesis, Screening, bool]:
         """Add causes until none is accepted."""
@@ -142,7 +142,7 @@ class _Searcher:
             full = len(hypothesis.candidates) >= thresholds.MAX_CAUSES or not self.refits_left()
             refits: list[Refit] = []
             accepted: Refit | None = None
-            absent = [] if full else closely_stated_terms(self.comparison, self.removable, screening)
+            absent = [] if full else tightly_specified_terms(self.comparison, self.removable, screening)
             screening.release()
             if not full:
                 refits, accepted = self.choice(hypothesis, screening, screened, splines, absent)
@@ -241,13 +241,13 @@ class _Searcher:
         """Dry friction of its usual size of axes that rest for long: a score is taken where an axis creeps,
         and does not see one that is held.
         """
-        courses = [linear.course for linear in screening.filtered.linears]
-        resting = np.concatenate([course.at_rest[course.rows] for course in courses]).mean(axis=0)
+        references = [linear.reference for linear in screening.filtered.linearised_flights]
+        resting = np.concatenate([reference.at_rest[reference.rows] for reference in references]).mean(axis=0)
         scored_ = []
         for axis, share in zip(AXES, resting, strict=True):
             id_ = f"coulomb_friction.{axis}"
             if share > thresholds.HELD_SHARE and id_ in self.kinds and id_ not in {*base.ids, *known}:
-                candidate = usual(self.kinds[id_])
+                candidate = typical_candidate(self.kinds[id_])
                 none = np.zeros(len(candidate.linear_parameters))
                 scored_.append(Scored(candidate, 0.0, none, none, 1))
         return scored_
@@ -265,7 +265,7 @@ class _Searcher:
                 refit = self.comparison.refit([*rest, wider], wider.start_values(np.zeros(0)), final)
                 gain = refit.log_likelihood - final.log_likelihood
                 if gain - self.penalty(wider) + self.penalty(candidate) > thresholds.MIN_MARGIN and all(
-                    told_from_nothing(refit, wider, self.kinds, name) for name in kind.size
+                    is_significant(refit, wider, self.kinds, name) for name in kind.size
                 ):
                     return self.exchange(refit)
         return final
@@ -315,7 +315,7 @@ class _Searcher:
             rests = {cause.id: [other for other in every if other is not cause] for cause in every}
             without: dict[str, Hypothesis] = {}
             less = final
-            with self.comparison.ahead(Asked(rest, {}, final) for rest in rests.values() if rest):
+            with self.comparison.prefetch(RefitSpec(rest, {}, final) for rest in rests.values() if rest):
                 for number, candidate in enumerate(every):
                     share = 0.75 + 0.1 * number / len(every)
                     self.say(f"checking whether {candidate.id} is needed", share)
@@ -333,7 +333,7 @@ class _Searcher:
     def _held_out(self, final: Hypothesis, without: Mapping[str, Hypothesis]) -> dict[str, float]:
         if not self.comparison.held_out or not without:
             return {}
-        every = shared_out(self.comparison.held_out_estimate, [final, *without.values()])
+        every = parallel_map(self.comparison.held_out_estimate, [final, *without.values()])
         whole, *less = (estimate.log_likelihood for estimate in every)
         return {id_: whole - log_likelihood for id_, log_likelihood in zip(without, less, strict=True)}
 
@@ -366,8 +366,8 @@ class _Searcher:
             and (not rest or beside_the_rest(refit))
         ]
         ratios: dict[str, float] = {}
-        specs = [Asked([*rest, refit_.candidate], refit_.hypothesis.values, less) for refit_ in likely]
-        with self.comparison.ahead(specs[: thresholds.ALTERNATIVES] if rest else ()):
+        specs = [RefitSpec([*rest, refit_.candidate], refit_.hypothesis.values, less) for refit_ in likely]
+        with self.comparison.prefetch(specs[: thresholds.ALTERNATIVES] if rest else ()):
             for refit in likely:
                 if len(ratios) >= thresholds.ALTERNATIVES or (rest and not self.refits_left()):
                     break
@@ -392,15 +392,15 @@ class _Searcher:
         return Search(self.baseline, final, tuple(causes), tuple(self.rounds), screening, complete)
 
 
-def told_from_nothing(
+def is_significant(
     hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str, EffectKind], name: str | None = None
 ) -> bool:
     """Whether the size of an effect, or its parameter `name`, is told from nothing by two standard errors."""
     kind = kinds.get(candidate.id)
     if kind is None:
         return True
-    unknowns, estimate = hypothesis.estimate.unknowns, hypothesis.estimate
-    std = dict(zip(unknowns.names, np.sqrt(np.diag(estimate.covariance)), strict=True))
+    parameter_vector, estimate = hypothesis.estimate.parameter_vector, hypothesis.estimate
+    std = dict(zip(parameter_vector.names, np.sqrt(np.diag(estimate.covariance)), strict=True))
     values = hypothesis.values
     sizes = [size for size in ([name] if name else kind.size) if size in values]
     neutral = kind.neutral
@@ -419,7 +419,7 @@ def _acts_on(kind: EffectKind, channel: str) -> bool:
 
 
 def search(
-    comparison: Comparison,
+    comparison: ModelComparison,
     kinds: Mapping[str, EffectKind],
     *,
     removable: Sequence[EffectKind] = (),

@@ -7,7 +7,7 @@ from typing import Any
 
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose.findings import causes, gains, unexplained, weather
+from heli_lab.diagnose.findings import causes, disturbances, gains, unexplained
 from heli_lab.diagnose.free_run import HORIZONS, FreeRun
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.residual_analysis import ResidualAnalysis
@@ -29,15 +29,15 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
         "causes": causes(result),
         "rig": rig_numbers(result),
         "residual": _residual(result),
-        "weather": weather(result.residual_analysis),
+        "disturbances": disturbances(result.residual_analysis),
         "gain": _gain(result),
         "unexplained": unexplained(result),
-        "proposed_law": result.proposed_law.to_json() if result.proposed_law else None,
-        "where_the_model_fails": result.failing.to_json(),
+        "proposed_term": result.proposed_term.to_json() if result.proposed_term else None,
+        "failing_regions": result.failing.to_json(),
         "next_flight": {"why": experiment.why, "plan": experiment.plan} if experiment else None,
         "undetectable": list(result.undetectable),
         "unidentifiable": list(result.unidentifiable),
-        "pulled": [
+        "prior_conflicts": [
             {
                 "parameter": pull.name,
                 "value": pull.value,
@@ -47,7 +47,7 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
                 "unit": pull.unit,
                 "without_prior": asdict(pull.freed) if pull.freed else None,
             }
-            for pull in result.pulled
+            for pull in result.prior_conflicts
         ],
         "cautions": result.cautions,
         "flights": _flights(result),
@@ -74,13 +74,13 @@ def _of_insufficient_excitation(result: InsufficientExcitation) -> dict[str, Any
             "calibration": [],
         },
         "unexplained": None,
-        "proposed_law": None,
-        "where_the_model_fails": None,
+        "proposed_term": None,
+        "failing_regions": None,
         "next_flight": {"why": result.next_flight.why, "plan": result.next_flight.plan},
         "why": result.why,
         "undetectable": list(result.undetectable),
         "unidentifiable": list(result.unidentifiable),
-        "pulled": [],
+        "prior_conflicts": [],
         "cautions": [],
         "flights": [],
         "ranking": [],
@@ -93,8 +93,8 @@ def rig_numbers(result: Diagnosis) -> dict[str, Any]:
     estimate = result.extended.estimate
     std = estimate.covariance.diagonal() ** 0.5
     return {
-        "name": estimate.unknowns.rig.name,
-        "model": estimate.unknowns.model.name,
+        "name": estimate.parameter_vector.rig.name,
+        "model": estimate.parameter_vector.model.name,
         "numbers": {
             parameter.name: {
                 "value": float(value),
@@ -102,7 +102,9 @@ def rig_numbers(result: Diagnosis) -> dict[str, Any]:
                 "prior": {"value": parameter.prior.mean, "std": parameter.prior.std},
                 "unit": parameter.unit,
             }
-            for parameter, value, error in zip(estimate.unknowns.free, estimate.theta, std, strict=True)
+            for parameter, value, error in zip(
+                estimate.parameter_vector.free, estimate.theta, std, strict=True
+            )
             if parameter.record is None
         },
     }
@@ -146,7 +148,7 @@ def _innovations(analysis: ResidualAnalysis) -> dict[str, Any]:
         "lags_s": list(analysis.lags_s),
         "autocorrelation": {axis: analysis.autocorrelation[:, i].tolist() for i, axis in enumerate(AXES)},
         "bound": analysis.bound,
-        "foretold_by": [dependence.what for dependence in analysis.dependences],
+        "predicted_by": [dependence.what for dependence in analysis.dependences],
     }
 
 
@@ -200,7 +202,7 @@ def _gain(result: Diagnosis) -> dict[str, Any]:
             {
                 "flight": after.label,
                 "calibrated_s": after.calibrated_s,
-                "judged_s": after.judged_s,
+                "evaluated_s": after.evaluated_s,
                 "before": _constants(before),
                 "after": _constants(after),
             }

@@ -40,17 +40,17 @@ def _found(result: Diagnosis) -> str:
     label = result.label
     causes = findings.causes(result)
     where = "flights that no fit saw" if result.after.held_out_fit else "the flights that were fitted"
-    weather = f" What remains is weather: {weather_of(result)}." if label != "unexplained" else ""
+    disturbances = f" What remains is weather: {weather_of(result)}." if label != "unexplained" else ""
     if label == "explained":
         return (
             "Nothing is missing that these flights could show: what the refitted baseline leaves on "
-            f"{where} cannot be foretold.{weather}"
+            f"{where} cannot be foretold.{disturbances}"
         )
     if label in ("cause_found", "ambiguous"):
         text = "; ".join(cause["sentence"] for cause in causes)
         others = sorted({other for cause in causes for other in cause["ambiguous_with"]})
         unclear = f" These flights do not tell it from {', '.join(others)}." if others else ""
-        return f"{text[:1].upper()}{text[1:]}.{unclear}{weather}"
+        return f"{text[:1].upper()}{text[1:]}.{unclear}{disturbances}"
     missing = findings.unexplained(result) or {}
     text = (
         "Something is missing that no effect of the catalogue explains: "
@@ -66,8 +66,9 @@ def _found(result: Diagnosis) -> str:
 def weather_of(result: Diagnosis) -> str:
     """The torques by chance about each axis in words."""
     parts = [
-        f"gusts of {1e3 * values['gust_Nm']:.2g} mN m about {axis} that last {values['memory_s']:.1g} s"
-        for axis, values in findings.weather(result.residual_analysis).items()
+        f"gusts of {1e3 * values['fast_std_Nm']:.2g} mN m about {axis} "
+        f"that last {values['correlation_time_s']:.1g} s"
+        for axis, values in findings.disturbances(result.residual_analysis).items()
         if values["log_likelihood_ratio"] > _WEATHER_MIN
     ]
     return ", ".join(parts) or "none that shows"
@@ -100,8 +101,8 @@ def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
             lines.append(
                 f"  with it {axis} is off by {reduction.after_deg:.3g} deg, ratio {reduction.ratio:.2f}"
             )
-    if result.proposed_law is not None:
-        lines += result.proposed_law.lines()
+    if result.proposed_term is not None:
+        lines += result.proposed_term.lines()
     elif result.label == "unexplained":
         lines.append("no law of a few terms explains it so that another flight confirms it")
     if result.next_flight is not None:

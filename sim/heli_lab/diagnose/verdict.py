@@ -26,7 +26,7 @@ class Verdict:
         ``explained``, ``cause_found``, ``ambiguous`` or ``unexplained``.
     causes : tuple of Cause
         Effects of the catalogue, strongest first.
-    off_list : tuple of Cause
+    unlisted : tuple of Cause
         Spline terms, in the place of causes that are not in the catalogue.
     gust : bool
         Whether chance pushes about one axis alone: a random torque, not the weather of every rig.
@@ -34,7 +34,7 @@ class Verdict:
 
     label: str
     causes: tuple[Cause, ...]
-    off_list: tuple[Cause, ...]
+    unlisted: tuple[Cause, ...]
     gust: bool
 
 
@@ -62,11 +62,11 @@ def judge(
         Whether the fit estimated a term of the baseline as zero, which is a cause as well.
     """
     causes = tuple(cause for cause in search.causes if not cause.candidate.is_spline)
-    off_list = tuple(cause for cause in search.causes if cause.candidate.is_spline)
+    unlisted = tuple(cause for cause in search.causes if cause.candidate.is_spline)
     shows = max(after.train.normalised, after.held_out.normalised) > thresholds.AT_NOISE_FLOOR
-    gust = shows and not off_list and not remaining.dependences and gust_alone(remaining, kinds)
-    if shows and (off_list or remaining.dependences):
-        return Verdict("unexplained", causes, off_list, False)
+    gust = shows and not unlisted and not remaining.dependences and gust_alone(remaining, kinds)
+    if shows and (unlisted or remaining.dependences):
+        return Verdict("unexplained", causes, unlisted, False)
     if causes:
         unclear = any(ambiguous_with(cause) for cause in causes)
         return Verdict("ambiguous" if unclear else "cause_found", causes, (), gust)
@@ -81,8 +81,8 @@ def gust_alone(remaining: ResidualAnalysis, kinds: Mapping[str, EffectKind]) -> 
     return bool(
         order[-1] > thresholds.GUST_MIN
         and order[-2] < thresholds.GUST_BESIDE
-        and remaining.weather.gust_Nm[axis] > least_Nm
-        and remaining.weather.memory_s[axis] > thresholds.GUST_LEAST_s
+        and remaining.disturbances.fast_std_Nm[axis] > least_Nm
+        and remaining.disturbances.correlation_time_s[axis] > thresholds.GUST_LEAST_s
     )
 
 

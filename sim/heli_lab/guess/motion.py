@@ -9,18 +9,18 @@ import numpy as np
 
 from heli_lab.guess import thresholds
 from heli_lab.guess.reference import Reference
-from heli_lab.guess.roles import Explained, Roles, explain, free_rows
+from heli_lab.guess.roles import ColumnAssignment, RegressionFit, explain, free_rows
 from heli_lab.guess.scales import AXES
 from heli_lab.guess.signals import Floats, Signals, filtered_signal, late
 
 
 def answers(
     signals: Signals,
-    roles: Roles,
+    roles: ColumnAssignment,
     reference: Reference,
     rad: Mapping[str, float] | None = None,
     bias: float = 0.0,
-) -> dict[str, Explained]:
+) -> dict[str, RegressionFit]:
     """Explain each axis by its cause at the lag at which that does best.
 
     Parameters
@@ -45,7 +45,7 @@ def answers(
     return {axis: _best(signals, columns[axis], axis, low[axis], reference) for axis in AXES}
 
 
-def voltages(signals: Signals, roles: Roles) -> tuple[Floats, Floats]:
+def voltages(signals: Signals, roles: ColumnAssignment) -> tuple[Floats, Floats]:
     """Both voltages, with their polarity."""
     return (
         roles.polarity[0] * signals.raw[roles.voltages[0]],
@@ -53,7 +53,7 @@ def voltages(signals: Signals, roles: Roles) -> tuple[Floats, Floats]:
     )
 
 
-def _best(signals: Signals, column: str, axis: str, cause: Floats, reference: Reference) -> Explained:
+def _best(signals: Signals, column: str, axis: str, cause: Floats, reference: Reference) -> RegressionFit:
     signal = signals.filtered[column]
     rows = free_rows(signals, column) if axis == "elevation" else signals.inner
     rest = signal.value * 0.0 if axis == "travel" else signal.value - signal.value.mean()
@@ -63,7 +63,7 @@ def _best(signals: Signals, column: str, axis: str, cause: Floats, reference: Re
         explained = explain(
             signal.acceleration, (rest, signal.rate), late(cause, float(lag_s)), stiffness, rows
         )
-        tried.append(Explained(explained.nats, explained.gain, float(lag_s)))
+        tried.append(RegressionFit(explained.nats, explained.gain, float(lag_s)))
     return max(tried, key=lambda each: each.nats)
 
 

@@ -10,12 +10,12 @@ from heli_host.tables import Table, profile_text
 from heli_sim.rig import Rig, load_rig, rig_names
 
 from heli_lab.guess import thresholds
-from heli_lab.guess.result import Doubt, Guess
+from heli_lab.guess.result import Ambiguity, Guess
 from heli_lab.guess.run import flown, proposed
 
 
 @dataclass(frozen=True)
-class Fitting:
+class RigMatch:
     """Files, guessed by the rig that fits them.
 
     Parameters
@@ -35,7 +35,7 @@ def guess_by_rigs(
     rig: Rig | None = None,
     rate_Hz: float | None = None,
     progress: Callable[[float], None] = lambda share: None,
-) -> Fitting:
+) -> RigMatch:
     """Guess files of one make by the rig given, and say where a shipped one fits them better. Where none is
     given, guess by the shipped one that fits best, and say which, or between which it is unsure.
 
@@ -79,14 +79,14 @@ def guess_by_rigs(
     differing = [name for name in others if _differs(by_rig[name], by_rig[chosen])]
     second = max(differing or others, key=lambda name: nats[name], default=None)
     if second is None:
-        return Fitting(known[chosen], tuple(guesses))
+        return RigMatch(known[chosen], tuple(guesses))
     ahead = nats[chosen] - nats[second]
     sentence = f"rig: held against {chosen}; {second}'s numbers fit by {abs(ahead):.0f} nats {_than(ahead)}"
     guesses = [replace(guess, evidence=(sentence, *guess.evidence)) for guess in guesses]
     # A rig that was given is believed until another one is clearly nearer; a choice of ours must be sure.
     enough = -thresholds.SURE_NATS if rig is not None else thresholds.SURE_NATS
     if differing and ahead < enough:
-        doubt = Doubt(
+        doubt = Ambiguity(
             "the rig",
             chosen,
             second,
@@ -94,7 +94,7 @@ def guess_by_rigs(
             f"give --rig {second} if it is that",
         )
         guesses = [replace(guess, doubts=(doubt, *guess.doubts)) for guess in guesses]
-    return Fitting(known[chosen], tuple(guesses))
+    return RigMatch(known[chosen], tuple(guesses))
 
 
 def _than(ahead: float) -> str:

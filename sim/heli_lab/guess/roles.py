@@ -25,7 +25,7 @@ _RATE_SCALES: Final = (
 
 
 @dataclass(frozen=True)
-class Explained:
+class RegressionFit:
     """An axis' acceleration, explained by a cause.
 
     Parameters
@@ -44,7 +44,7 @@ class Explained:
 
 
 @dataclass(frozen=True)
-class Roles:
+class ColumnAssignment:
     """Columns by role.
 
     Parameters
@@ -77,7 +77,7 @@ class Roles:
         """All five columns."""
         return (self.elevation, self.pitch, self.travel, *self.voltages)
 
-    def same_as(self, other: Roles) -> bool:
+    def same_as(self, other: ColumnAssignment) -> bool:
         """Whether another assignment means the same, motors in either order."""
         pair = set if not self.summed else tuple
         return (self.columns[:3], self.summed, pair(self.voltages)) == (
@@ -93,7 +93,7 @@ def explain(
     cause: Floats,
     stiffness: tuple[float, float],
     rows: NDArray[np.bool_],
-) -> Explained:
+) -> RegressionFit:
     """Explain an axis by a cause, beside its own stiffness and damping.
 
     Parameters
@@ -111,7 +111,7 @@ def explain(
     """
     y = acceleration[rows][::_EVERY] - stiffness[0] * own_terms[0][rows][::_EVERY]
     if len(y) < 20:
-        return Explained(0.0, 0.0)
+        return RegressionFit(0.0, 0.0)
     columns = np.column_stack(
         [own_terms[0][rows][::_EVERY], own_terms[1][rows][::_EVERY], np.ones(len(y)), cause[rows][::_EVERY]]
     )
@@ -135,7 +135,9 @@ def explain(
         noise = max(rests[1], 1e-12 * float(y.var()) + 1e-300)
     seconds = len(y) * _EVERY * thresholds.STEP_S
     independent = seconds * thresholds.INDEPENDENT_Hz
-    return Explained(0.5 * independent * float(np.log(max(rests[0], 1e-300) / max(rests[1], 1e-300))), gain)
+    return RegressionFit(
+        0.5 * independent * float(np.log(max(rests[0], 1e-300) / max(rests[1], 1e-300))), gain
+    )
 
 
 def free_rows(signals: Signals, name: str) -> NDArray[np.bool_]:
@@ -215,7 +217,7 @@ def polarity_of(values: Floats) -> float:
 
 def assignments(
     signals: Signals, reference: Reference, encoders: Collection[str] = frozenset()
-) -> list[Roles]:
+) -> list[ColumnAssignment]:
     """All assignments of columns to roles, the likeliest first.
 
     Parameters
@@ -311,7 +313,7 @@ def _best(
     summed: bool,
     polarity: Floats,
     stated: dict[str, Floats],
-) -> list[Roles]:
+) -> list[ColumnAssignment]:
     """The three likeliest choices of angles for a pair of voltages."""
     physics = lifted[:, None, None] + pitched[None, :, None] + turned[None, :, :]
     words = (
@@ -337,7 +339,7 @@ def _best(
         if np.isfinite(total[a, b, c]):
             signs = (float(polarity[i]), 1.0 if summed else float(polarity[j]))
             ranked.append(
-                Roles(
+                ColumnAssignment(
                     columns[a],
                     columns[b],
                     columns[c],

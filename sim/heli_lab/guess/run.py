@@ -18,8 +18,8 @@ from heli_lab.guess.doubts import Signs, lags, role_doubts, scale_doubts, sign_d
 from heli_lab.guess.flown import fly_choices
 from heli_lab.guess.motion import answers, rest_of, voltages
 from heli_lab.guess.reference import Reference, reference_of
-from heli_lab.guess.result import Doubt, Guess
-from heli_lab.guess.roles import Explained, Roles, assignments, free_rows
+from heli_lab.guess.result import Ambiguity, Guess
+from heli_lab.guess.roles import ColumnAssignment, RegressionFit, assignments, free_rows
 from heli_lab.guess.scales import AXES, Motion, Scale, is_encoder, rad_of, scales, step_of
 from heli_lab.guess.signals import Floats, Signals, signals_of
 from heli_lab.guess.times import Clock, clock_of, longest_run, times_in_s
@@ -74,7 +74,9 @@ def proposed(table: Table, rig: Rig, rate_Hz: float | None = None) -> tuple[Gues
     doubts, evidence = role_doubts(ranked)
     if not clock.sure:
         doubts.append(
-            Doubt("the time", f"{clock.column} in {clock.unit}", clock.other or "something else", _NO_RATE)
+            Ambiguity(
+                "the time", f"{clock.column} in {clock.unit}", clock.other or "something else", _NO_RATE
+            )
         )
     possible = scales(motion, reference)
     scale = possible[0]
@@ -100,8 +102,8 @@ def proposed(table: Table, rig: Rig, rate_Hz: float | None = None) -> tuple[Gues
 
 
 def _fitting(
-    table: Table, signals: Signals, ranked: Sequence[Roles], reference: Reference
-) -> tuple[list[Roles], Motion]:
+    table: Table, signals: Signals, ranked: Sequence[ColumnAssignment], reference: Reference
+) -> tuple[list[ColumnAssignment], Motion]:
     """Of assignments that move alike, those first whose columns accelerate as a rig can in some unit.
 
     Returns
@@ -120,7 +122,7 @@ def _fitting(
     return [roles_ for roles_, _ in fits], fits[0][1]
 
 
-def _clipped(table: Table, profile: Profile, reference: Reference) -> tuple[Profile, list[Doubt]]:
+def _clipped(table: Table, profile: Profile, reference: Reference) -> tuple[Profile, list[Ambiguity]]:
     """Limit the voltages where a few are beyond the supply, as commands are before a clip."""
     limit = reference.supply_V
     sizes_V = [np.abs(flight.voltages_V) for flight in flights_of(table, profile)]
@@ -128,7 +130,7 @@ def _clipped(table: Table, profile: Profile, reference: Reference) -> tuple[Prof
     beyond = max(float(np.mean(size_V > limit)) for size_V in sizes_V)
     if largest < thresholds.CLIP_SHARE * limit or beyond > thresholds.MOST_CLIPPED:
         return profile, []
-    doubt = Doubt(
+    doubt = Ambiguity(
         "the voltages' limit",
         f"clipped to {limit:g} V, the rig file's supply",
         f"as logged, up to {largest:.1f} V",
@@ -146,13 +148,15 @@ def flown(guessed: Guess, table: Table, rig: Rig) -> Guess:
     doubts = list(guessed.doubts)
     if not choices:
         doubts.append(
-            Doubt("the signs", "as proposed", "any others", "too little of it is in the air to fly the model")
+            Ambiguity(
+                "the signs", "as proposed", "any others", "too little of it is in the air to fly the model"
+            )
         )
     else:
         second = min(choices[1:], key=lambda choice: choice.ratio)
         if second.ratio < thresholds.FLOWN_RATIO:
             doubts.append(
-                Doubt(
+                Ambiguity(
                     "the signs",
                     "as proposed",
                     f"{second.name} the other way",
@@ -167,7 +171,9 @@ def flown(guessed: Guess, table: Table, rig: Rig) -> Guess:
     return replace(guessed, doubts=tuple(doubts), choices=choices)
 
 
-def _motion(table: Table, signals: Signals, roles: Roles, first: dict[str, Explained]) -> Motion:
+def _motion(
+    table: Table, signals: Signals, roles: ColumnAssignment, first: dict[str, RegressionFit]
+) -> Motion:
     first_V, second_V = voltages(signals, roles)
     rows = free_rows(signals, roles.elevation)
     level = (
@@ -202,7 +208,7 @@ def _unit(table: Table, column: str, known: frozenset[str]) -> str:
     return unit if unit in known else ""
 
 
-def _signs(explained: dict[str, Explained], roles: Roles) -> Signs:
+def _signs(explained: dict[str, RegressionFit], roles: ColumnAssignment) -> Signs:
     """The fewest changes after which everything agrees."""
     elevation = 1.0 if explained["elevation"].gain >= 0.0 else -1.0
     answers_difference = explained["pitch"].gain >= 0.0
@@ -214,7 +220,7 @@ def _signs(explained: dict[str, Explained], roles: Roles) -> Signs:
     return Signs(elevation, -1.0, 1.0, False)
 
 
-def _answer_sentence(axis: str, explained: Explained) -> str:
+def _answer_sentence(axis: str, explained: RegressionFit) -> str:
     cause = {"elevation": "the sum of the voltages", "pitch": "their difference", "travel": "pitch"}[axis]
     way = "with" if explained.gain >= 0.0 else "against"
     return f"{axis} goes {way} {cause}: {explained.nats:.0f} nats"
@@ -224,7 +230,7 @@ def _profile(
     table: Table,
     clock: Clock,
     rate_Hz: float | None,
-    roles: Roles,
+    roles: ColumnAssignment,
     scale: Scale,
     signs: Signs,
     reference: Reference,

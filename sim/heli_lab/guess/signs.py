@@ -16,7 +16,7 @@ from heli_lab.guess import thresholds
 from heli_lab.guess.flown import fly_choices
 from heli_lab.guess.motion import answers, rest_of
 from heli_lab.guess.reference import Reference, reference_of
-from heli_lab.guess.roles import Explained, Roles
+from heli_lab.guess.roles import ColumnAssignment, RegressionFit
 from heli_lab.guess.scales import AXES
 from heli_lab.guess.signals import signals_of
 
@@ -75,7 +75,7 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
     signals = signals_of(table, flight.t_s, list(_COLUMNS))
     if any(np.ptp(signals.raw[name]) == 0.0 for name in _COLUMNS):
         return ()
-    roles = Roles(
+    roles = ColumnAssignment(
         "elevation_rad", "pitch_rad", "travel_rad", ("front_V", "back_V"), False, (1.0, 1.0), 0.0, 0.0
     )
     # Sines of an angle in degrees would say nothing.
@@ -105,7 +105,7 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
     return tuple(suspects)
 
 
-def _in_degrees(explained: dict[str, Explained], reference: Reference) -> WrongSign | None:
+def _in_degrees(explained: dict[str, RegressionFit], reference: Reference) -> WrongSign | None:
     times = [abs(explained[axis].gain / reference.gain[axis]) for axis in ("elevation", "pitch")]
     sure = all(explained[axis].nats > thresholds.SURE_NATS for axis in ("elevation", "pitch"))
     if not sure or not all(_DEGREES[0] < ratio < _DEGREES[1] for ratio in times):
@@ -117,7 +117,7 @@ def _in_degrees(explained: dict[str, Explained], reference: Reference) -> WrongS
     )
 
 
-def _suspects(explained: dict[str, Explained]) -> list[WrongSign]:
+def _suspects(explained: dict[str, RegressionFit]) -> list[WrongSign]:
     """What the fewest changes would make agree."""
     against = {
         axis: explained[axis].gain < 0.0 and explained[axis].nats > thresholds.SURE_NATS for axis in AXES

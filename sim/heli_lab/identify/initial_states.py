@@ -17,7 +17,7 @@ _MECHANICAL: Final = 6
 """Three angles and their rates; the states of effects follow."""
 
 
-def first_states(problem: Problem, theta: Floats) -> list[Floats]:
+def initial_state_guess(problem: Problem, theta: Floats) -> list[Floats]:
     """Initial states of all windows with free parameters `theta`, shape (f,), as the angles around their
     beginnings suggest: shape (w, states) for each record, see `states_at`.
     """
@@ -73,8 +73,8 @@ def alternative_states(problem: Problem, index: int, theta: Floats, states: Floa
     grid = problem.grid(index, False, theta)
     parameters = problem.parameters(theta, index)
     ends = problem.kernel.end(grid.inputs, states, parameters)
-    before, near = states.copy(), states.copy()
-    near[:, :_MECHANICAL] = _parabolas(record, np.array([first for first, _ in windows]), SHORT_FIT_S)
+    before, warm_start = states.copy(), states.copy()
+    warm_start[:, :_MECHANICAL] = _parabolas(record, np.array([first for first, _ in windows]), SHORT_FIT_S)
     for number, (first, _) in enumerate(windows):
         if number and sum(windows[number - 1]) == first and np.isfinite(ends[number - 1]).all():
             before[number] = ends[number - 1]
@@ -87,7 +87,7 @@ def alternative_states(problem: Problem, index: int, theta: Floats, states: Floa
             for name, offset in offsets.items():
                 other[:, places[name]] += offset
             shifted.append(other)
-    return [before, near, *shifted]
+    return [before, warm_start, *shifted]
 
 
 def _beginnings(problem: Problem, index: int, theta: Floats) -> Integers:

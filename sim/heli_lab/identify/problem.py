@@ -70,7 +70,7 @@ class Problem:
         Prior standard deviation of an effect's state at the beginning of a window about what a free run over
         the flight before it gives, in the state's unit; else that of `thresholds.STATE_STD`.
     threads : int, optional
-        Threads of the predictions; `usual_threads` where not given. The result does not depend on it.
+        Threads of the predictions; `default_thread_count` where not given. The result does not depend on it.
 
     Raises
     ------

@@ -12,7 +12,7 @@ import numpy as np
 
 from heli_lab.errors import TwinError
 from heli_lab.identify.functions import Floats
-from heli_lab.innovations import Weather
+from heli_lab.innovations import DisturbanceModel
 from heli_lab.twin.likelihood_ratio import WINDOW_s
 
 SEGMENT_s: Final = 5.0
@@ -25,7 +25,7 @@ _LEAST_SCALE_nats: Final = 1.0
 _AXES: Final = 3
 
 
-QUIET: Final = replace(Weather.start(), quantisation=np.ones(3))
+QUIET: Final = replace(DisturbanceModel.start(), quantisation=np.ones(3))
 """Weather of a rig of which no flight is given: gusts of a quiet room, encoders that round."""
 
 
@@ -112,7 +112,7 @@ class Calibration:
 
     Parameters
     ----------
-    weather : Weather
+    disturbances : DisturbanceModel
         Torques by chance that the rig meets.
     tail : Tail
         Of the evidence in healthy flights.
@@ -120,7 +120,7 @@ class Calibration:
         Where they come from.
     """
 
-    weather: Weather
+    disturbances: DisturbanceModel
     tail: Tail
     source: str = ""
 
@@ -131,7 +131,7 @@ class Calibration:
 
 def calibration_text(calibration: Calibration, rig: str) -> str:
     """Write a calibration as the text of a twin's file, TOML; `rig` is the name or the path of its rig."""
-    weather, tail = calibration.weather, calibration.tail
+    disturbances, tail = calibration.disturbances, calibration.tail
 
     def listed(values: Floats) -> str:
         return "[" + ", ".join(f"{value:.6g}" for value in values) + "]"
@@ -141,11 +141,11 @@ def calibration_text(calibration: Calibration, rig: str) -> str:
         "# Written by heli-host twin; order of the axes: elevation, pitch, travel.\n"
         f"rig = {_quoted(rig)}\n"
         f"source = {_quoted(calibration.source)}\n\n"
-        "[weather]\n"
-        f"gust_Nm = {listed(weather.gust_Nm)}\n"
-        f"memory_s = {listed(weather.memory_s)}\n"
-        f"drift_Nm = {listed(weather.drift_Nm)}\n"
-        f"quantisation = {listed(weather.quantisation)}\n\n"
+        "[disturbances]\n"
+        f"fast_std_Nm = {listed(disturbances.fast_std_Nm)}\n"
+        f"correlation_time_s = {listed(disturbances.correlation_time_s)}\n"
+        f"slow_std_Nm = {listed(disturbances.slow_std_Nm)}\n"
+        f"quantisation = {listed(disturbances.quantisation)}\n\n"
         "[tail]\n"
         f"level_nats = {tail.level_nats:.6g}\n"
         f"per_hour = {tail.per_hour:.6g}\n"
@@ -175,8 +175,8 @@ def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
         Something is missing, or no number.
     """
     numbers = {}
-    for key in ("gust_Nm", "memory_s", "drift_Nm", "quantisation"):
-        values = _table(data, "weather", name).get(key)
+    for key in ("fast_std_Nm", "correlation_time_s", "slow_std_Nm", "quantisation"):
+        values = _table(data, "disturbances", name).get(key)
         if not isinstance(values, list) or len(values) != _AXES or not all(map(_is_positive, values)):
             raise TwinError(f"{name}: weather.{key} is not three positive numbers", _AGAIN)
         numbers[key] = np.array(values, float)
@@ -189,7 +189,9 @@ def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
         if value is None or not _is_number(value):
             raise TwinError(f"{name}: tail.{key} is no number", _AGAIN)
         tail[key] = float(value)
-    return Calibration(Weather(**numbers), Tail(**tail, excesses=excesses), str(data.get("source", "")))
+    return Calibration(
+        DisturbanceModel(**numbers), Tail(**tail, excesses=excesses), str(data.get("source", ""))
+    )
 
 
 _AGAIN: Final = "write it again with heli-host twin --learn"

@@ -50,7 +50,7 @@ class Followed:
     flown_rig: str = ""
 
     @property
-    def most_nats(self) -> float:
+    def max_evidence_nats(self) -> float:
         """Largest evidence of any change, before an alarm or ever."""
         return max(
             (evidence for _, evidence in self.evidence_nats if math.isfinite(evidence)), default=-math.inf
@@ -66,7 +66,7 @@ class Followed:
         if not self.free_s:
             return ["no free flight to compare"]
         if not self.alarms:
-            return [f"the rig is the rig ({self.free_s:.0f} s compared, at most {self.most_nats:.1f} nats)"]
+            return [f"no change of the rig ({self.free_s:.0f} s, at most {self.max_evidence_nats:.1f} nats)"]
         return [event.text for event in self.alarms]
 
 
@@ -142,5 +142,5 @@ def _follow(
     twin = Twin(model, chosen.calibration, count_rad, sample_s, hours, zero_s=zero_s)
     twin.keeps = True
     events = twin.take(part) + twin.finish()
-    compared = len(twin.most_nats) * twin.block_s
-    return Followed(label, tuple(events), tuple(twin.most_nats), twin.threshold_nats, compared)
+    compared = len(twin.evidence_history) * twin.block_s
+    return Followed(label, tuple(events), tuple(twin.evidence_history), twin.threshold_nats, compared)

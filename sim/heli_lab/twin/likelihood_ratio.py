@@ -21,7 +21,7 @@ from heli_sim.model.parts import AXES
 from scipy.special import log_ndtr, logsumexp
 
 from heli_lab.identify.functions import Floats, Integers
-from heli_lab.innovations.linear import BLOCK_s
+from heli_lab.innovations.linearised_flight import BLOCK_s
 from heli_lab.twin.changes import Change
 
 RECENT: Final = 12
@@ -100,7 +100,7 @@ class LikelihoodRatio:
         self._second: Integers = np.where(pairs, self._first + 1, self._first)
         self._pairs = pairs[:, None]
         self._precision = np.array([[size**-2.0 for size in (*c.sizes, 1.0)[:2]] for c in changes]).T
-        self._one_way = np.array([change.one_way for change in changes])
+        self._one_way = np.array([change.non_negative for change in changes])
         columns = [change.grows for change in changes for _ in change.numbers]
         self.grows: npt.NDArray[np.bool_] = np.array(columns)
         shape = (len(self.changes), ONSETS)

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from heli_lab.identify.functions import Floats
-from heli_lab.innovations.linear import BLOCK_s
+from heli_lab.innovations.linearised_flight import BLOCK_s
 from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.free_flight import FreeFlight
 from heli_lab.twin.ghost import Ghost
@@ -92,7 +92,7 @@ class Twin:
         Whether it compares now.
     parted : bool
         Whether there was an alarm since the flight was free.
-    most_nats : list of (float, float)
+    evidence_history : list of (float, float)
         Times and evidence of every block, where `keeps` is set.
     """
 
@@ -112,7 +112,7 @@ class Twin:
         self.evidence_nats = -math.inf
         self.free = self.parted = False
         self.keeps = False
-        self.most_nats: list[tuple[float, float]] = []
+        self.evidence_history: list[tuple[float, float]] = []
         self._count_rad, self._zero_s = count_rad, zero_s
         self._stepper = Stepper(sample_s)
         self.step_s = self._stepper.step_s
@@ -196,7 +196,7 @@ class Twin:
         times, angles, volts = (np.array(values) for values in zip(*self._history, strict=True))
         state = start_state(self.model, times, angles, volts, self.step_s)
         self._kalman = KalmanFilter(
-            self.model, self.calibration.weather, self._count_rad, self.step_s, self._block, state
+            self.model, self.calibration.disturbances, self._count_rad, self.step_s, self._block, state
         )
         self._ratio = LikelihoodRatio(self.model.changes, self._count_rad)
         self._latest_nats.extend([-math.inf] * LASTS_BLOCKS)
@@ -222,7 +222,7 @@ class Twin:
             self._latest_nats.append(ratio.take(innovation))
             self.evidence_nats = min(self._latest_nats)
         if self.keeps:
-            self.most_nats.append((t_s, self.evidence_nats))
+            self.evidence_history.append((t_s, self.evidence_nats))
         if self._alarm_block is None:
             if self.evidence_nats > self.threshold_nats:
                 self._alarm_block, self.parted = block, True

@@ -107,7 +107,8 @@ def _print(summary: Summary, cases: int) -> None:
     for column in summary.columns:
         if len(column.values):
             say(
-                f"  {column.name:28s} median {column.median:.4g}, 5 to 95 % {column.low:.4g} to {column.high:.4g}"
+                f"  {column.name:28s} median {column.median:.4g}, "
+                f"5 to 95 % {column.low:.4g} to {column.high:.4g}"
             )
     for name, counts in summary.words.items():
         text = ", ".join(f"{value} {count}" for value, count in list(counts.items())[:6])

@@ -96,11 +96,11 @@ def diagnose(
     from heli_lab.errors import NotExcited
     from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_flights, refuse_wrong_signs
     from heli_lab.page.drawing import Drawing
-    from heli_lab.threads import one_heap, usual_threads
+    from heli_lab.threads import default_thread_count, limit_malloc_arenas
 
     # What libraries keep is no garbage: to look through it again and again took 8 % of a diagnosis.
     gc.freeze()
-    one_heap()
+    limit_malloc_arenas()
     others = validate or []
     data_on_stdout(json)
     check_result_places(out, json, resume, report=report)
@@ -108,7 +108,7 @@ def diagnose(
     kinds = catalogue(effects or ())
     result: Diagnosis | InsufficientExcitation
     written: list[Path | None] = []
-    beside = report is not None and usual_threads() > 1
+    beside = report is not None and default_thread_count() > 1
     with WorkBar() as bar, Drawing(beside) as drawing:
         bar.show("reading", 0.0)
         spans = parts(start_s or (), stop_s or (), len(flights), len(others))
@@ -151,7 +151,7 @@ def diagnose(
                 written.append(write_insufficient_excitation(result, report))
             else:
                 written.append(write_report(result, report, drawing))
-        if not isinstance(result, InsufficientExcitation) and result.proposed_law is not None:
+        if not isinstance(result, InsufficientExcitation) and result.proposed_term is not None:
             place = report or (out.parent if out is not None and with_law else None)
             if place is not None:
                 written.append(write_effect_file(result, place))

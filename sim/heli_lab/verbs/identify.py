@@ -59,13 +59,13 @@ def identify(
     from heli_lab.identify.report import verdict, write_report
     from heli_lab.identify.run import identify as find
     from heli_lab.page.drawing import Drawing
-    from heli_lab.threads import usual_threads
+    from heli_lab.threads import default_thread_count
 
     others = validate or []
     data_on_stdout(json)
     check_result_places(out, json, report=report)
     given = fit_inputs(flights, others, rig, model, effects or (), effect or ())
-    beside = report is not None and usual_threads() > 1
+    beside = report is not None and default_thread_count() > 1
     with WorkBar() as bar, Drawing(beside) as drawing:
         bar.show("reading", 0.0)
         spans = parts(start_s or (), stop_s or (), len(flights), len(others))

@@ -174,7 +174,8 @@ def _margin_lines(design: Design, margins_: Sequence[Mapping[str, Margin]]) -> l
             some = [margin[loop] for margin in margins]
             lines.append(
                 f"{loop if place == 0 else '':13}{label:13}{min(margin.gain_up for margin in some):>9.2f}"
-                f"{max(margin.gain_down for margin in some):>8.2f}{min(margin.phase_deg for margin in some):>5.0f} deg"
+                f"{max(margin.gain_down for margin in some):>8.2f}"
+                f"{min(margin.phase_deg for margin in some):>5.0f} deg"
                 f"{1e3 * min(margin.delay_s for margin in some):>7.0f} ms"
                 f"{max(margin.sensitivity for margin in some):>8.2f}"
             )

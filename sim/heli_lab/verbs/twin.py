@@ -99,8 +99,8 @@ def twin(
             write_calibration(learn, calibration, chosen.name)
             chosen = replace(chosen, calibration=calibration)
         elif others:
-            weather = weather_of_flights(chosen.model, chosen.rig, read, labels)
-            chosen = replace(chosen, calibration=replace(chosen.calibration, weather=weather))
+            disturbances = weather_of_flights(chosen.model, chosen.rig, read, labels)
+            chosen = replace(chosen, calibration=replace(chosen.calibration, disturbances=disturbances))
         for path in flights or ():
             bar.show(f"beside {path.name}", 0.9)
             followed.append(follow_file(chosen, path, hours, start_s, stop_s))
@@ -109,9 +109,10 @@ def twin(
         say(*(f"{flight.label}: {text}" for text in flight.sentences()))
         if flight.flown_rig not in ("", chosen.rig.name, Path(chosen.name).stem):
             say(
-                f"{flight.label} is a flight of {flight.flown_rig}, the twin one of {chosen.rig.name}: see --rig"
+                f"{flight.label} is a flight of {flight.flown_rig}, "
+                f"the twin one of {chosen.rig.name}: see --rig"
             )
-    if others and is_calm(chosen.calibration.weather):
+    if others and is_calm(chosen.calibration.disturbances):
         say("the healthy flights are calmer than a quiet room: any draught will be an alarm; give others too")
     threshold_nats = chosen.calibration.threshold_nats(hours)
     say(f"alarm from {threshold_nats:.1f} nats on, {_rate(hours)}; {_source(chosen)}")
@@ -133,22 +134,22 @@ def _source(chosen: TwinRig) -> str:
 
 
 def _numbers(chosen: TwinRig, flights: list[Followed], hours: float) -> dict[str, Any]:
-    weather = chosen.calibration.weather
+    disturbances = chosen.calibration.disturbances
     return {
         "rig": chosen.name,
         "hours": hours,
         "threshold_nats": chosen.calibration.threshold_nats(hours),
-        "weather": {
-            "gust_Nm": weather.gust_Nm.tolist(),
-            "memory_s": weather.memory_s.tolist(),
-            "drift_Nm": weather.drift_Nm.tolist(),
-            "quantisation": weather.quantisation.tolist(),
+        "disturbances": {
+            "fast_std_Nm": disturbances.fast_std_Nm.tolist(),
+            "correlation_time_s": disturbances.correlation_time_s.tolist(),
+            "slow_std_Nm": disturbances.slow_std_Nm.tolist(),
+            "quantisation": disturbances.quantisation.tolist(),
         },
         "flights": [
             {
                 "flight": flight.label,
                 "free_s": flight.free_s,
-                "most_nats": flight.most_nats,
+                "max_evidence_nats": flight.max_evidence_nats,
                 "events": [
                     {
                         "kind": event.kind,

@@ -13,7 +13,7 @@ from typing import Final
 
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose.equation_discovery.law import CHANNELS, LawTerm
+from heli_lab.diagnose.equation_discovery.equation import CHANNELS, EquationTerm
 from heli_lab.diagnose.equation_discovery.terms import QUANTITIES, Factor, Term
 
 _MULTIPLICITIES: Final[Mapping[str, tuple[float, ...]]] = {
@@ -40,13 +40,13 @@ class Group:
 
     Parameters
     ----------
-    terms : tuple of LawTerm
+    terms : tuple of EquationTerm
         One, or sine and cosine of one angle: a wave of any phase.
     size : int
         Complexity: factors, and functions other than the quantity itself.
     """
 
-    terms: tuple[LawTerm, ...]
+    terms: tuple[EquationTerm, ...]
     size: int
 
     @property
@@ -97,7 +97,7 @@ def groups(spans: Mapping[str, tuple[float, float]]) -> list[Group]:
 
 def _group(channel: str, products: Sequence[tuple[Factor, ...]]) -> Group:
     size = sum(1 + (factor.form != "linear") + bool(factor.memory) for factor in products[0])
-    return Group(tuple(LawTerm(channel, Term(factors)) for factors in products), size)
+    return Group(tuple(EquationTerm(channel, Term(factors)) for factors in products), size)
 
 
 _Products = tuple[tuple[Factor, ...], ...]

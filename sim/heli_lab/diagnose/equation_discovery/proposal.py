@@ -14,13 +14,13 @@ from heli_sim.model.parts import AXES
 from heli_lab.diagnose.effect_contribution import accelerations
 from heli_lab.diagnose.equation_discovery.discover import discover
 from heli_lab.diagnose.equation_discovery.discovery import Discovery
-from heli_lab.diagnose.equation_discovery.law import CHANNELS, Law
+from heli_lab.diagnose.equation_discovery.equation import CHANNELS, Equation
 from heli_lab.diagnose.equation_discovery.notation import effect_file, expression, latex, sentence
 from heli_lab.diagnose.equation_discovery.scoring import Courses
 from heli_lab.diagnose.equation_discovery.terms import QUANTITIES
 from heli_lab.diagnose.error_reduction import ErrorReduction, judgement
 from heli_lab.diagnose.free_run import FreeRun, free_runs
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.prediction import Prediction, predict
 from heli_lab.diagnose.screening import Screening
 from heli_lab.diagnose.thresholds import (
@@ -36,7 +36,7 @@ _MATTERS: Final = 0.5
 
 
 @dataclass(frozen=True)
-class Matters:
+class SupportedRange:
     """Where in the flights a law matters.
 
     Parameters
@@ -60,7 +60,7 @@ class Matters:
 
 
 @dataclass(frozen=True)
-class LawCourse:
+class TermTrace:
     """A law along a flight, beside what the model without it lacks.
 
     Parameters
@@ -90,7 +90,7 @@ class LawCourse:
 
 
 @dataclass(frozen=True)
-class ProposedLaw:
+class ProposedTerm:
     """The law of what is on no list, proposed.
 
     Parameters
@@ -101,22 +101,22 @@ class ProposedLaw:
         Free runs of the model with it.
     gains : Mapping[str, ErrorReduction]
         Errors over 2 s of the baseline and with the law, by axis, on the flights held out.
-    matters : tuple of Matters
+    matters : tuple of SupportedRange
         Where it matters, for each channel.
-    course : LawCourse
+    reference : TermTrace
         The law along the first flight held out, or where none was the first one fitted.
     """
 
     discovery: Discovery
     prediction: Prediction
     gains: Mapping[str, ErrorReduction]
-    matters: tuple[Matters, ...]
-    course: LawCourse
+    matters: tuple[SupportedRange, ...]
+    reference: TermTrace
 
     @property
-    def law(self) -> Law:
+    def equation(self) -> Equation:
         """Its terms."""
-        return self.discovery.law
+        return self.discovery.equation
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -144,7 +144,7 @@ class ProposedLaw:
     @property
     def sentence(self) -> str:
         """What it adds to each channel, with its numbers."""
-        return sentence(self.law, self.numbers)
+        return sentence(self.equation, self.numbers)
 
     def lines(self) -> list[str]:
         """The law for a terminal, a line each."""
@@ -173,26 +173,26 @@ class ProposedLaw:
 
     def to_json(self) -> dict[str, Any]:
         """The law for other programs; docs/diagnosing.md describes the keys."""
-        discovery, law = self.discovery, self.law
-        symbols = {q for term in law.terms for q in term.term.quantities}
-        channel = law.channels[0]
+        discovery, equation = self.discovery, self.equation
+        symbols = {q for term in equation.terms for q in term.term.quantities}
+        channel = equation.channels[0]
         return {
             "effect": discovery.effect.name,
             "channel": channel,
             "unit": CHANNELS[channel][0],
-            "expression": expression(law, channel),
-            "expression_with_numbers": expression(law, channel, self.numbers),
+            "expression": expression(equation, channel),
+            "expression_with_numbers": expression(equation, channel, self.numbers),
             "further_channels": [
                 {
                     "channel": further,
                     "unit": CHANNELS[further][0],
-                    "expression": expression(law, further),
-                    "expression_with_numbers": expression(law, further, self.numbers),
+                    "expression": expression(equation, further),
+                    "expression_with_numbers": expression(equation, further, self.numbers),
                 }
-                for further in law.channels[1:]
+                for further in equation.channels[1:]
             ],
             "symbols": {name: str(QUANTITIES[name].unit) for name in sorted(symbols)},
-            "latex": latex(law),
+            "latex": latex(equation),
             "numbers": {
                 name: {"value": value, "std": std, "unit": unit}
                 for name, (value, std, unit) in discovery.values.items()
@@ -233,8 +233,8 @@ class ProposedLaw:
         }
 
 
-def propose_law(
-    comparison: Comparison,
+def propose_term(
+    comparison: ModelComparison,
     base: Hypothesis,
     curve: Hypothesis | None,
     kinds: Mapping[str, EffectKind],
@@ -243,12 +243,12 @@ def propose_law(
     seed: int,
     refits: float,
     say: Callable[[str, float], None],
-) -> ProposedLaw | None:
+) -> ProposedTerm | None:
     """Look for a law, and measure what it gains on the flights held out; None where there is none.
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ModelComparison
         The flights.
     base : Hypothesis
         The model with the causes that were named.
@@ -276,28 +276,30 @@ def propose_law(
     prediction = predict(discovery.hypothesis.candidates, estimate, comparison.train, comparison.held_out)
     runs = free_runs(prediction.fit, comparison.held_out, calibrate_s)
     gains = judgement(runs_before, runs, seed).horizons["2"]
-    return ProposedLaw(discovery, prediction, gains, where(discovery), course_of(discovery))
+    return ProposedTerm(discovery, prediction, gains, where(discovery), course_of(discovery))
 
 
-def course_of(discovery: Discovery) -> LawCourse:
+def course_of(discovery: Discovery) -> TermTrace:
     """Follow a law along a flight."""
     without, beside = discovery.elsewhere or (discovery.base.estimate, discovery.hypothesis.estimate)
-    label = beside.courses[0].record.label
+    label = beside.references[0].record.label
     law_s, change = accelerations(beside, discovery.effect.name)
-    courses = Courses(Screening(beside))
-    linear = courses.linears[0]
+    references = Courses(Screening(beside))
+    linear = references.linearised_flights[0]
     torque = linear.torque_for(change)
     axis = int(np.argmax(torque.std(axis=0)))
-    t_s, missing, std = without.filtered().smoothed_torques(without.weather, np.zeros(len(without.theta)))[0]
-    law = np.interp(t_s, law_s, torque[:, axis])
-    on = discovery.law.terms[0].term.quantities[-1]
-    value = courses.quantity(0, on)
+    t_s, missing, std = without.filtered().smoothed_torques(
+        without.disturbances, np.zeros(len(without.theta))
+    )[0]
+    equation = np.interp(t_s, law_s, torque[:, axis])
+    on = discovery.equation.terms[0].term.quantities[-1]
+    value = references.quantity(0, on)
     value = value if value.ndim == 1 else value.mean(axis=1)
-    return LawCourse(
+    return TermTrace(
         label,
         AXES[axis],
         t_s,
-        law - law.mean(),
+        equation - equation.mean(),
         missing[:, axis] - missing[:, axis].mean(),
         std[:, axis],
         on,
@@ -306,38 +308,38 @@ def course_of(discovery: Discovery) -> LawCourse:
     )
 
 
-def where(discovery: Discovery) -> tuple[Matters, ...]:
+def where(discovery: Discovery) -> tuple[SupportedRange, ...]:
     """Where in the flights fitted a law matters, channel by channel."""
-    courses = Courses(Screening(discovery.hypothesis.estimate))
-    flights = range(len(courses.linears))
+    references = Courses(Screening(discovery.hypothesis.estimate))
+    flights = range(len(references.linearised_flights))
     result = []
-    for channel in discovery.law.channels:
-        size = np.concatenate([np.abs(along(discovery, courses, i, channel)).max(axis=1) for i in flights])
+    for channel in discovery.equation.channels:
+        size = np.concatenate([np.abs(along(discovery, references, i, channel)).max(axis=1) for i in flights])
         largest = float(np.quantile(size, 0.99))
         there = size >= _MATTERS * largest
         names = dict.fromkeys(
-            q for term in discovery.law.terms if term.channel == channel for q in term.term.quantities
+            q for term in discovery.equation.terms if term.channel == channel for q in term.term.quantities
         )
         ranges = {}
         for name in names:
-            every = [courses.quantity(i, name) for i in flights]
+            every = [references.quantity(i, name) for i in flights]
             values = np.concatenate([value if value.ndim == 1 else value.mean(axis=1) for value in every])
             low, high = np.quantile(values[there], [0.05, 0.95])
             ranges[name] = (float(low), float(high))
         result.append(
-            Matters(channel, float(np.sqrt(np.mean(size**2))), largest, ranges, float(there.mean()))
+            SupportedRange(channel, float(np.sqrt(np.mean(size**2))), largest, ranges, float(there.mean()))
         )
     return tuple(result)
 
 
-def along(discovery: Discovery, courses: Courses, index: int, channel: str) -> Floats:
-    """What a law adds to a `channel` along the flight of number `index` of the `courses`, about its mean,
+def along(discovery: Discovery, references: Courses, index: int, channel: str) -> Floats:
+    """What a law adds to a `channel` along the flight of number `index` of the `references`, about its mean,
     (n, 1), or (n, 2) rotor by rotor.
     """
     total: Floats = np.zeros((1, 1))
     values = discovery.values
-    for i, law_term in enumerate(discovery.law.terms):
+    for i, law_term in enumerate(discovery.equation.terms):
         if law_term.channel == channel:
-            term = courses.values(index, discovery.with_numbers(i))
-            total = total + values[discovery.law.coefficient(i)][0] * term
+            term = references.values(index, discovery.with_numbers(i))
+            total = total + values[discovery.equation.coefficient(i)][0] * term
     return np.asarray(total - total.mean(axis=0), float)

@@ -42,7 +42,7 @@ _ANGLE_STD_rad: Final = 0.1
 
 
 @dataclass(frozen=True)
-class Course:
+class ReferenceTrajectory:
     """States of a flight at even times.
 
     Parameters
@@ -89,12 +89,12 @@ class Course:
             np.int64
         )
 
-    def followed(self, predicted: Floats, filtered: Floats) -> Course:
+    def refiltered(self, predicted: Floats, filtered: Floats) -> ReferenceTrajectory:
         """Keep everything but the states `predicted` and `filtered` by a better filter, shape (n, 6) each."""
         return replace(self, predicted=_held(predicted, self.at_rest), filtered=_held(filtered, self.at_rest))
 
 
-def follow(record: Record, step_s: float = STEP_s) -> Course:
+def kinematic_filter(record: Record, step_s: float = STEP_s) -> ReferenceTrajectory:
     """Follow the angles of a flight without a model, in steps of `step_s` at most, or of the log's own."""
     every = max(1, int(step_s / record.step_s + 1e-6))
     count = len(record.t_s) // every
@@ -118,7 +118,7 @@ def follow(record: Record, step_s: float = STEP_s) -> Course:
     )
     before, after = _kinematic(measured, variance, record.step_s * every)
     at_rest = _at_rest(record, nodes)
-    return Course(
+    return ReferenceTrajectory(
         record,
         every,
         measured,

@@ -17,7 +17,7 @@ from heli_lab.identify import thresholds
 from heli_lab.identify.fit import Budget, Progress
 from heli_lab.identify.functions import Floats, Integers
 from heli_lab.identify.grid import Grid
-from heli_lab.identify.initial_states import alternative_states, first_states
+from heli_lab.identify.initial_states import alternative_states, initial_state_guess
 from heli_lab.identify.problem import Evaluation, Problem
 from heli_lab.identify.residual_noise import floor_axes, long_run_variance, window_weights
 from heli_lab.identify.schur import bounded_solve, eliminate_states
@@ -46,7 +46,7 @@ class Point:
     cost: float = math.inf
 
 
-class Descent:
+class LevenbergMarquardt:
     """State of a fit: weights, damping, and the steps that change them. If `robust`, outlying windows lose
     weight; `on_progress` is told where the fit is.
     """
@@ -74,12 +74,12 @@ class Descent:
         seconds = time.perf_counter() - self.started_s
         return self.evaluations >= self.budget.evaluations or seconds >= self.budget.seconds
 
-    def first_states(self, theta: Floats) -> list[Floats]:
+    def initial_state_guess(self, theta: Floats) -> list[Floats]:
         """Initial states that the angles suggest with free parameters `theta`, shape (f,), as of
-        `initial_states.first_states`, worked out once for as long as these stay.
+        `initial_states.initial_state_guess`, worked out once for as long as these stay.
         """
         if self._first is None or not np.array_equal(self._first[0], theta):
-            self._first = theta.copy(), first_states(self.problem, theta)
+            self._first = theta.copy(), initial_state_guess(self.problem, theta)
         return [states.copy() for states in self._first[1]]
 
     def evaluate(self, theta: Floats, states: list[Floats]) -> Point:
@@ -143,7 +143,7 @@ class Descent:
         of a `point`.
         """
         if self.problem.state_count > 6:
-            self.reference = self.first_states(point.theta)
+            self.reference = self.initial_state_guess(point.theta)
 
     def _window_cost(self, point: Point, index: int) -> Floats:
         of_record = self.reference[index], self.variance[index], self.weights[index]

@@ -55,7 +55,7 @@ class Limits:
     threads: int = 1
 
 
-class Cage:
+class WorkerProcess:
     """Runs cases, one after the other, in a process of its own, made anew when a case has ended it."""
 
     def __init__(self, limits: Limits) -> None:
@@ -133,7 +133,7 @@ class Cage:
         threads = {name: text.format(threads=self.limits.threads) for name, text in _ONE_THREAD.items()}
         # Not by multiprocessing, which refuses children to the daemonic processes that workers are.
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "heli_lab.campaign.cage"],
+            [sys.executable, "-m", "heli_lab.campaign.worker_process"],
             env={**os.environ, **threads, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

@@ -26,7 +26,7 @@ _VAGUE: Final = 1e3
 """How many times wider a prior is that says next to nothing: a flight's own information is larger by far."""
 
 
-class Unknowns:
+class ParameterVector:
     """Free parameters of a `model` on a `rig` in some flights.
 
     Parameters
@@ -88,14 +88,14 @@ class Unknowns:
         for name, value in (fixed or {}).items():
             self._base[names.index(name)] = value
         self._place = np.array([names.index(parameter.quantity) for parameter in self.free], int)
-        self._know()
+        self._stack_priors()
 
-    def _know(self) -> None:
+    def _stack_priors(self) -> None:
         """Lay out the priors of what is free."""
         self.mean: Floats = np.array([parameter.prior.mean for parameter in self.free])
         self.std: Floats = np.array([parameter.prior.std for parameter in self.free])
 
-    def without_priors(self, names: Collection[str]) -> Unknowns:
+    def without_priors(self, names: Collection[str]) -> ParameterVector:
         """The same, with next to nothing known beforehand of the free parameters `names` but their bounds."""
         less = copy.copy(self)
         less.free = tuple(
@@ -104,7 +104,7 @@ class Unknowns:
             else parameter
             for parameter in self.free
         )
-        less._know()
+        less._stack_priors()
         return less
 
     @property

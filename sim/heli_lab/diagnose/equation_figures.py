@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from heli_lab.diagnose.equation_discovery import ProposedLaw
+from heli_lab.diagnose.equation_discovery import ProposedTerm
 from heli_lab.diagnose.equation_discovery.notation import latex
 from heli_lab.diagnose.failing_regimes import FailingRegimes, Regimes
 from heli_lab.diagnose.spline_term import QUANTITIES
@@ -21,40 +21,40 @@ _POINTS: Final = 4000
 _SHOWN: Final = {"rad": (180.0 / np.pi, "deg"), "rad/s": (180.0 / np.pi, "deg/s")}
 
 
-def figure_of_law(proposed: ProposedLaw) -> Figure:
+def figure_of_equation(proposed: ProposedTerm) -> Figure:
     """Draw a proposed law along a flight that had no part in its choice, where there is one: the torque that
     the model lacks without it, and the law's; one against the other; both against the law's first quantity.
     """
     from matplotlib.figure import Figure
 
-    seen = proposed.course
+    seen = proposed.reference
     figure = Figure(figsize=(11, 6.6))
     grid = figure.add_gridspec(2, 2, left=0.08, right=0.98, bottom=0.08, top=0.88, hspace=0.32, wspace=0.22)
     over, against, curve = (figure.add_subplot(cell) for cell in (grid[0, :], grid[1, 0], grid[1, 1]))
-    missing, law = 1e3 * seen.missing_Nm, 1e3 * seen.law_Nm
+    missing, equation = 1e3 * seen.missing_Nm, 1e3 * seen.law_Nm
     std = 1e3 * seen.std_Nm
     over.fill_between(seen.t_s, missing - 2 * std, missing + 2 * std, color=_MISSING, alpha=0.25, lw=0)
     over.plot(seen.t_s, missing, color=_MISSING, lw=0.9, label="missing without the law, and twice its error")
-    over.plot(seen.t_s, law, color=_LAW, lw=1.3, label="the law")
+    over.plot(seen.t_s, equation, color=_LAW, lw=1.3, label="the law")
     over.set_xlabel(f"time in {seen.label} [s]")
     over.set_ylabel(f"torque about {seen.axis} [mN m]")
     over.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=2, fontsize=8, frameon=False)
-    keep = slice(None, None, max(1, len(law) // _POINTS))
-    against.plot(law[keep], missing[keep], ".", color=_MISSING, ms=2.5, alpha=0.6)
-    span = np.array([min(law.min(), missing.min()), max(law.max(), missing.max())])
+    keep = slice(None, None, max(1, len(equation) // _POINTS))
+    against.plot(equation[keep], missing[keep], ".", color=_MISSING, ms=2.5, alpha=0.6)
+    span = np.array([min(equation.min(), missing.min()), max(equation.max(), missing.max())])
     against.plot(span, span, color=_LAW, lw=1.2)
-    correlation = np.corrcoef(law, missing)[0, 1] if law.std() > 0 else 0.0
+    correlation = np.corrcoef(equation, missing)[0, 1] if equation.std() > 0 else 0.0
     against.set_xlabel(f"the law [mN m]; correlation {correlation:.2f}")
     against.set_ylabel("missing without it [mN m]")
     factor, unit = _SHOWN.get(seen.unit, (1.0, seen.unit))
     curve.plot(factor * seen.value[keep], missing[keep], ".", color=_MISSING, ms=2.5, alpha=0.6)
-    curve.plot(factor * seen.value[keep], law[keep], ".", color=_LAW, ms=2.0)
+    curve.plot(factor * seen.value[keep], equation[keep], ".", color=_LAW, ms=2.0)
     curve.set_xlabel(f"{seen.on.replace('_', ' ')} [{unit}]")
     curve.set_ylabel("torque [mN m]")
     for panel in (over, against, curve):
         panel.grid(alpha=0.25)
     where = "a flight that no fit saw" if proposed.discovery.held_out is not None else "the flight fitted"
-    figure.suptitle(f"${latex(proposed.law, proposed.numbers)}$   on {where}", fontsize=11)
+    figure.suptitle(f"${latex(proposed.equation, proposed.numbers)}$   on {where}", fontsize=11)
     return figure
 
 

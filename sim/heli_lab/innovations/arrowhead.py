@@ -14,7 +14,7 @@ import numpy as np
 from heli_lab.identify.functions import Floats, Integers
 
 
-def own_columns(columns: Sequence[Integers], size: int) -> Integers:
+def per_flight_columns(columns: Sequence[Integers], size: int) -> Integers:
     """Find the unknowns that each flight has of its own, shape (flights, k); k is 0 for one flight alone.
 
     Parameters
@@ -32,7 +32,7 @@ def own_columns(columns: Sequence[Integers], size: int) -> Integers:
     return np.array([column[used[column] == 1] for column in columns], np.int64)
 
 
-def solve_bordered(matrix: Floats, right: Floats, per_flight: Integers) -> Floats:
+def solve_arrowhead(matrix: Floats, right: Floats, per_flight: Integers) -> Floats:
     """Solve a positive definite system, shape (f,) or (f, s) as its right-hand side.
 
     Parameters
@@ -42,7 +42,7 @@ def solve_bordered(matrix: Floats, right: Floats, per_flight: Integers) -> Float
     right : ndarray (f,) or (f, s)
         Right-hand side.
     per_flight : ndarray (flights, k)
-        As `own_columns` finds them.
+        As `per_flight_columns` finds them.
     """
     columns = right[:, None] if right.ndim == 1 else right
     shared, gain, complement, blocks = _eliminated(matrix, per_flight)
@@ -54,9 +54,9 @@ def solve_bordered(matrix: Floats, right: Floats, per_flight: Integers) -> Float
     return solution[:, 0] if right.ndim == 1 else solution
 
 
-def inverse_bordered(matrix: Floats, per_flight: Integers) -> Floats:
+def invert_arrowhead(matrix: Floats, per_flight: Integers) -> Floats:
     """Invert a positive definite `matrix`, shape (f, f), zero between unknowns of different flights;
-    `per_flight` as `own_columns` finds them.
+    `per_flight` as `per_flight_columns` finds them.
     """
     shared, gain, complement, blocks = _eliminated(matrix, per_flight)
     inverse = np.empty(matrix.shape)
