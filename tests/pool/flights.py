@@ -13,7 +13,7 @@ from heli_host.flight import Flight
 from heli_lab.identify import Record, prepare
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import ModelFunctions, ParameterVector, estimate, kinematic_filter
-from heli_lab.pool.machine import Estimate, by_flights_alone
+from heli_lab.pool.machine import NumberEstimate, by_flights_alone
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import Rig, load_rig
@@ -40,12 +40,12 @@ class Pooled:
     ----------
     off : dict of float
         By name, estimate minus truth in standard errors.
-    alone : dict of Estimate
+    alone : dict of NumberEstimate
         By name, what the flights alone say, where they say more than the rig's file.
     """
 
     off: dict[str, float]
-    alone: dict[str, Estimate]
+    alone: dict[str, NumberEstimate]
 
 
 def true_rig(rig: int) -> tuple[Rig, float]:
@@ -85,7 +85,7 @@ def pooled(rig: int, count: int) -> Pooled:
     shared = [(i, one) for i, one in enumerate(parameter_vector.free) if one.record is None]
     alone = {
         one.name: by_flights_alone(
-            float(theta[i]), float(std[i]), Estimate(one.prior.mean, one.prior.std, one.unit)
+            float(theta[i]), float(std[i]), NumberEstimate(one.prior.mean, one.prior.std, one.unit)
         )
         for i, one in shared
     }

@@ -25,7 +25,7 @@ from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.prediction import predict
 from heli_lab.identify import Record, prepare
 from heli_lab.pool import pool
-from heli_lab.pool.machine import Estimate, Machine, by_flights_alone
+from heli_lab.pool.machine import Machine, NumberEstimate, by_flights_alone
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, effect_numbers, effects_of, parse_effects
 from heli_sim.rig import Rig, load_rig
@@ -57,25 +57,25 @@ class MachineCase(DisturbedCase):
 
     Parameters
     ----------
-    make : int
+    population : int
         Seed of the make.
     """
 
-    make: int
+    population: int
 
     def rig(self) -> Rig:
         """Draw the make from what the file says, and the machine from the make."""
-        make, own = self.make_rig(), np.random.default_rng([self.seed, 1])
+        population, own = self.make_rig(), np.random.default_rng([self.seed, 1])
         off = {
             name: float(np.exp(std * _AMONG_MACHINES * own.standard_normal()))
             for name, std in _NORMAL.items()
         }
-        return make.replace(**{name: make[name].value * one for name, one in off.items()})
+        return population.replace(**{name: population[name].value * one for name, one in off.items()})
 
     def make_rig(self) -> Rig:
         """Draw the make from what the file says."""
-        rig, make = load_rig(self.rig_name), np.random.default_rng([self.make, 9])
-        off = {name: float(np.exp(std * make.standard_normal())) for name, std in _NORMAL.items()}
+        rig, population = load_rig(self.rig_name), np.random.default_rng([self.population, 9])
+        off = {name: float(np.exp(std * population.standard_normal())) for name, std in _NORMAL.items()}
         return rig.replace(**{name: rig[name].value * one for name, one in off.items()})
 
 
@@ -111,11 +111,11 @@ def machines(number: int) -> tuple[MachineCase, MachineCase]:
 
 def as_drawn(number: int) -> Rig:
     """The make of a pair as it was drawn: its numbers, and as tolerances twice the spread of its machines."""
-    make, lag_s = machines(number)[0].make_rig(), _drawn(number)[1]
-    numbers = dict(make.numbers)
+    population, lag_s = machines(number)[0].make_rig(), _drawn(number)[1]
+    numbers = dict(population.numbers)
     for name, std in _NORMAL.items():
-        value = make[name].value
-        numbers[name] = replace(make[name], tolerance=2.0 * _AMONG_MACHINES * std * value)
+        value = population[name].value
+        numbers[name] = replace(population[name], tolerance=2.0 * _AMONG_MACHINES * std * value)
     (name,) = catalogue()[_LAG].size
     lag = effect_numbers(
         catalogue()[_LAG], {name: lag_s}, {name: 2.0 * _LAG_AMONG_MACHINES * lag_s}, "as it was drawn"
@@ -179,7 +179,7 @@ def _machine(label: str, found: Hypothesis) -> Machine:
     priors, numbers = {}, {}
     for i, one in enumerate(estimate.parameter_vector.free):
         if one.record is None:
-            priors[one.name] = Estimate(one.prior.mean, one.prior.std, one.unit)
+            priors[one.name] = NumberEstimate(one.prior.mean, one.prior.std, one.unit)
             alone = by_flights_alone(float(estimate.theta[i]), float(std[i]), priors[one.name])
             if alone is not None:
                 numbers[one.name] = alone

@@ -28,7 +28,7 @@ def write_summary(campaign: Campaign, summary: Summary, folder: Path) -> Path:
     drawn = [column for column in summary.columns if len(np.unique(column.values)) > 1][:_MOST_DRAWN]
     picture = ""
     if drawn:
-        picture = str(Drawing().add(figure_of(drawn, campaign.worst), folder / "distributions.png"))
+        picture = str(Drawing().add(figure_of_drawn(drawn, campaign.worst), folder / "distributions.png"))
     return write_page(
         folder,
         _TEMPLATE,
@@ -46,7 +46,7 @@ def write_summary(campaign: Campaign, summary: Summary, folder: Path) -> Path:
     )
 
 
-def figure_of(columns: Sequence[Column], worst: str) -> Figure:
+def figure_of_drawn(columns: Sequence[Column], worst: str) -> Figure:
     """Draw histograms of some `columns`, that by which the `worst` cases are found in another colour."""
     rows = math.ceil(len(columns) / _IN_A_ROW)
     figure = Figure(figsize=(3.3 * _IN_A_ROW, 2.4 * rows), layout="constrained")

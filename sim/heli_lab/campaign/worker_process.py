@@ -153,7 +153,7 @@ def _pass_on(pipe: IO[bytes], lines: queue.SimpleQueue[bytes]) -> None:
     lines.put(b"")
 
 
-def serve(orders: IO[bytes], answers: IO[bytes]) -> None:
+def serve_jobs(orders: IO[bytes], answers: IO[bytes]) -> None:
     """Do what `orders` say, one JSON a line, and write an answer a line to `answers`, until nobody
     gives orders.
     """
@@ -252,4 +252,4 @@ def _private(descriptor: int, mode: str) -> IO[bytes]:
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for whoever gives the orders
     with _private(0, "rb") as given, _private(1, "wb") as told:
-        serve(given, told)
+        serve_jobs(given, told)

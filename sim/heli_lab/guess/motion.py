@@ -91,7 +91,7 @@ def rest_of(signals: Signals, column: str, deg: float) -> Rest:
     elevation = deg * signals.raw[column]
     # A counter without a sign, or of a turn, is a whole turn off where it begins below 0.
     elevation = elevation - 360.0 * np.round(np.median(elevation) / 360.0)
-    rows = round(thresholds.REST_S / thresholds.STEP_S)
+    rows = round(thresholds.REST_S / thresholds.SAMPLE_STEP_s)
     begin = elevation[:rows]
     usual = float(np.median(elevation))
     start = float(np.median(begin))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from heli_lab.guess.result import Guess
 from heli_lab.guess.signals import Floats, filtered_signal, late
-from heli_lab.guess.thresholds import EDGE_S, STEP_S
+from heli_lab.guess.thresholds import EDGE_S, SAMPLE_STEP_s
 
 _LAG_S = 0.1
 """Voltages are drawn this late: what rotors usually take."""
@@ -23,12 +23,12 @@ def draw(guess: Guess, flight: Flight, path: Path) -> Path:
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    t_s = np.arange(flight.t_s[0], flight.t_s[-1], STEP_S)
+    t_s = np.arange(flight.t_s[0], flight.t_s[-1], SAMPLE_STEP_s)
     angles = [filtered_signal(np.interp(t_s, flight.t_s, values)) for values in flight.angles_rad.T]
     front, back = (
         filtered_signal(np.interp(t_s, flight.t_s, values)).value for values in flight.voltages_V.T
     )
-    edge = round(EDGE_S / STEP_S)
+    edge = round(EDGE_S / SAMPLE_STEP_s)
     # On the table the voltages move nothing.
     up = _up(np.interp(t_s, flight.t_s, flight.elevation_rad))
     rows = slice(edge, -edge, 5)

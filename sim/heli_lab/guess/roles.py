@@ -133,7 +133,7 @@ def explain(
             rests.append((power - float(solution @ moment[:count])) / len(y))
             gain = float(solution[-1] / spread[count - 1])
         noise = max(rests[1], 1e-12 * float(y.var()) + 1e-300)
-    seconds = len(y) * _EVERY * thresholds.STEP_S
+    seconds = len(y) * _EVERY * thresholds.SAMPLE_STEP_s
     independent = seconds * thresholds.INDEPENDENT_Hz
     return RegressionFit(
         0.5 * independent * float(np.log(max(rests[0], 1e-300) / max(rests[1], 1e-300))), gain
@@ -145,7 +145,7 @@ def free_rows(signals: Signals, name: str) -> NDArray[np.bool_]:
     begins at rest; all inner ones where it does not.
     """
     raw = signals.raw[name]
-    rest = round(thresholds.REST_S / thresholds.STEP_S)
+    rest = round(thresholds.REST_S / thresholds.SAMPLE_STEP_s)
     start, usual = float(raw[0]), float(np.median(raw))
     span = float(np.ptp(raw))
     if span == 0.0 or np.ptp(raw[:rest]) > 0.01 * span or abs(usual - start) < 0.2 * span:

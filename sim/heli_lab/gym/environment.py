@@ -18,7 +18,7 @@ from heli_lab.gym.simulator import BoardInLockstep, PlantAlone, Simulator
 Action = npt.NDArray[np.float32]
 Observation = npt.NDArray[np.float32]
 
-STEP_S: Final = 0.02
+ACTION_STEP_s: Final = 0.02
 EPISODE_S: Final = 10.0
 AUTHORITY_V: Final = 2.0
 """Voltage either side of hover that an action may ask for: room for the lift that arms need whose
@@ -120,7 +120,7 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
         return self._observation(seen.angles_rad, np.zeros(2)), {"rig": drawn.rig, "effects": drawn.effects}
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Hold two voltages for `STEP_S`.
+        """Hold two voltages for `ACTION_STEP_s`.
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
             raise LearningError("the episode has ended", "call reset")
         clipped_action = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
         volts_V = np.maximum(self.hover_V + AUTHORITY_V * clipped_action, 0.0)
-        seen = self._simulator.step(volts_V, round(STEP_S * 1e3))
+        seen = self._simulator.step(volts_V, round(ACTION_STEP_s * 1e3))
         observation = self._observation(seen.angles_rad, clipped_action)
         self._before = seen.angles_rad
         if not seen.flying:
@@ -165,7 +165,7 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
     def _observation(
         self, angles_rad: npt.NDArray[np.float64], action: npt.NDArray[np.float64]
     ) -> Observation:
-        rates = (angles_rad - self._before) / STEP_S
+        rates = (angles_rad - self._before) / ACTION_STEP_s
         seen = np.concatenate((angles_rad - self._setpoint, rates, action))
         return np.clip(seen, -_SIGHT, _SIGHT).astype(np.float32)
 

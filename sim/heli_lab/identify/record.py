@@ -216,7 +216,7 @@ def encoder_counts(angles_rad: Floats, rig: Rig) -> tuple[Floats, list[str]]:
 def _refuse_dead_columns(flight: Flight, label: str, count_rad: Floats) -> None:
     rows = len(flight)
     moved = np.ptp(flight.angles_rad, axis=0) / count_rad
-    if np.all(moved < thresholds.LEAST_COUNTS):
+    if np.all(moved < thresholds.MIN_MOTION_COUNTS):
         most = int(np.argmax(moved))
         raise NotExcited(
             f"{label}: the rig never moves: {AXES[most]}_rad varies by {moved[most]:.0f} counts "

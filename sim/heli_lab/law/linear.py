@@ -15,11 +15,11 @@ from heli_lab.law.law import Law
 from heli_lab.tune.plants import LinearPlant
 
 Floats = npt.NDArray[np.float64]
-FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 300.0, 4000)
+BODE_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 300.0, 4000)
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearisedLaw:
     """What a law is near hover.
 
     Parameters
@@ -40,7 +40,7 @@ class Linear:
         return bool((self.poles.real < 1e-3).all())
 
 
-def linearised(law: Law, plant: LinearPlant) -> Linear:
+def linearised(law: Law, plant: LinearPlant) -> LinearisedLaw:
     """Linearise a law at level hover, and close the loop around a linear rig, both at the law's rate.
 
     Parameters
@@ -75,7 +75,7 @@ def linearised(law: Law, plant: LinearPlant) -> Linear:
     closed = control.feedback(loop, control.ss([], [], [], np.eye(2), law.dt_s), sign=1)
     poles = np.log(np.maximum(np.abs(closed.poles()), 1e-12)) + 1j * np.angle(closed.poles())
     margins = [_margins(loop, motor) for motor in (0, 1)]
-    return Linear(poles / law.dt_s, (margins[0][0], margins[1][0]), (margins[0][1], margins[1][1]))
+    return LinearisedLaw(poles / law.dt_s, (margins[0][0], margins[1][0]), (margins[0][1], margins[1][1]))
 
 
 def _margins(loop: control.StateSpace, motor: int) -> tuple[float, float]:
@@ -84,7 +84,7 @@ def _margins(loop: control.StateSpace, motor: int) -> tuple[float, float]:
     A, B, C, D = (np.asarray(matrix) for matrix in (loop.A, loop.B, loop.C, loop.D))
     around = A + B[:, [other]] @ C[[other]] / (1.0 - D[other, other])
     alone = control.ss(around, B[:, [motor]], -C[[motor]], -D[motor, motor], loop.dt)
-    response = np.asarray(control.frequency_response(alone, FREQUENCY_rad_s, squeeze=True).complex)
+    response = np.asarray(control.frequency_response(alone, BODE_FREQUENCY_rad_s, squeeze=True).complex)
     phase_deg = np.degrees(np.angle(-response))  # from -180 degrees
     turns = (
         (np.diff(np.sign(response.imag)) != 0) & (response.real[:-1] < 0.0) & (np.abs(response[:-1]) < 1.0)

@@ -12,7 +12,7 @@ from heli_host.flight import Flight
 from heli_sim.model.parts import AXES
 
 from heli_lab.errors import IdentifyError
-from heli_lab.paper.figures_bench import GREY, MEASURED, MODEL, PRINTED
+from heli_lab.paper.figures_bench import GREY_COLOUR, MEASURED_COLOUR, MODEL_COLOUR, PRINTED_COLOUR
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
-_COLOURS: Final = (PRINTED, MODEL)
+_COLOURS: Final = (PRINTED_COLOUR, MODEL_COLOUR)
 _WIDTH, _HEIGHT, _SMALL = 7.0, 2.7, 8
 # A path that the host streams is on board a little later; and the last tick before a landing is no flight.
 _END_S: Final = 0.1
@@ -54,7 +54,7 @@ class Flown:
         return result
 
 
-def flown(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> Flown:
+def flown_by(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> Flown:
     """Cut the closed-loop part, from take-off to the end of the plan, out of a log.
 
     Parameters
@@ -119,7 +119,7 @@ def performance_figure(flights: Sequence[Flown], path: str, number: int) -> Figu
             rms = float(np.sqrt(np.mean(error[aloft] ** 2))) if aloft.any() else float("nan")
             label = f"{flight.label}: {rms:.2f} deg rms"
             panel.plot(flight.flight.t_s[aloft], error[aloft], color=colour, lw=0.9, label=label)
-        panel.axhline(0.0, color=GREY, lw=0.8)
+        panel.axhline(0.0, color=GREY_COLOUR, lw=0.8)
         panel.set_title(f"({letter}) {AXES[axis]}", fontsize=9)
         _finish(panel, "error [deg]")
     return figure
@@ -160,7 +160,9 @@ def _finish(panel: Axes, label: str) -> None:
 def _response(panel: Axes, flights: Sequence[Flown], axis: int, *, desired: bool) -> None:
     if desired:
         first = flights[0]
-        panel.plot(first.flight.t_s, first.desired_deg[:, axis], "--", c=MEASURED, lw=1.0, label="desired")
+        panel.plot(
+            first.flight.t_s, first.desired_deg[:, axis], "--", c=MEASURED_COLOUR, lw=1.0, label="desired"
+        )
     for flight, colour in zip(flights, _COLOURS, strict=False):
         label = (
             flight.label

@@ -76,7 +76,7 @@ _PLANS: Final[Mapping[int, _Plan]] = {
 
 
 @dataclass(frozen=True)
-class Row:
+class TableRow:
     """A coefficient, or a sum of some, in the unit of its table.
 
     Parameters
@@ -89,7 +89,7 @@ class Row:
         As printed; None for what the table does not hold.
     analytic : float
         From the rig's masses, lengths and friction, by the formulas below (30).
-    found, half : float or None
+    estimate, half : float or None
         From the bench tests, with half its 95 % interval; None where they cannot identify it.
     note : str
         Why not, or where it comes from.
@@ -100,7 +100,7 @@ class Row:
     printed: float | None
     tolerance: float | None
     analytic: float
-    found: float | None
+    estimate: float | None
     half: float | None
     note: str = ""
 
@@ -113,7 +113,7 @@ class Table:
     ----------
     number : int
         3, 4 or 5.
-    rows : tuple of Row
+    rows : tuple of TableRow
         Its coefficients, then what is identified instead of those that are not.
     normalised : float
         Root mean square error of (30) over windows of four seconds, free axes only, in standard deviations of
@@ -121,7 +121,7 @@ class Table:
     """
 
     number: int
-    rows: tuple[Row, ...]
+    rows: tuple[TableRow, ...]
     normalised: float
     fit: Fit
 
@@ -177,7 +177,7 @@ def free_axes_normalised(fit: Fit, locked: tuple[bool, bool, bool]) -> float:
     )
 
 
-def _printed_rows(number: int, plan: _Plan, fit: Fit, by_masses: Mapping[str, float]) -> list[Row]:
+def _printed_rows(number: int, plan: _Plan, fit: Fit, by_masses: Mapping[str, float]) -> list[TableRow]:
     rows = []
     for coefficient in PRINTED:
         if coefficient.table != number:
@@ -188,7 +188,7 @@ def _printed_rows(number: int, plan: _Plan, fit: Fit, by_masses: Mapping[str, fl
             else _found(fit, coefficient.name, coefficient.per_si)
         )
         rows.append(
-            Row(
+            TableRow(
                 coefficient.name,
                 coefficient.unit,
                 coefficient.value,
@@ -202,17 +202,17 @@ def _printed_rows(number: int, plan: _Plan, fit: Fit, by_masses: Mapping[str, fl
     return rows
 
 
-def _extra_rows(number: int, fit: Fit, by_masses: Mapping[str, float]) -> list[Row]:
+def _extra_rows(number: int, fit: Fit, by_masses: Mapping[str, float]) -> list[TableRow]:
     printed = {coefficient.name: coefficient for coefficient in PRINTED}
     if number == 4:
         first, other = printed["P_1"], printed["P_5"]
         total = first.per_si * (by_masses["P_1"] + by_masses["P_5"])
         spread = math.hypot(first.tolerance, other.tolerance)
         value = _found(fit, "P_1", first.per_si)
-        return [Row("P_1 + P_5", first.unit, first.value + other.value, spread, total, *value)]
+        return [TableRow("P_1 + P_5", first.unit, first.value + other.value, spread, total, *value)]
     if number == 5:
         rows = [
-            Row(
+            TableRow(
                 f"sin phi at {test.front_V:g}, {test.back_V:g} V",
                 "rad/s2",
                 _sine_factor({name: coefficient.value for name, coefficient in printed.items()}, test),
@@ -228,7 +228,7 @@ def _extra_rows(number: int, fit: Fit, by_masses: Mapping[str, float]) -> list[R
         gain = _found(fit, "P_11", first.per_si)
         return [
             *rows,
-            Row(
+            TableRow(
                 "P_11",
                 first.unit,
                 first.value,

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from heli_lab.paper.compare import Distance
     from heli_lab.paper.rig_table import RigTable
-    from heli_lab.paper.table6 import Verdict
+    from heli_lab.paper.table6 import LoopVerdict
     from heli_lab.paper.tables import Table
 
 
@@ -29,7 +29,7 @@ def table_lines(line: Line, by_rig: RigTable, tables: Sequence[Table]) -> list[s
         f"  {'':19} {'printed':>8} {'rig file':>18} {'bench tests':>23}",
     ]
     for row in by_rig.rows:
-        estimate = _interval(row.found, row.half) if row.found is not None else "-"
+        estimate = _interval(row.estimate, row.half) if row.estimate is not None else "-"
         printed = "-" if row.printed is None else f"{row.printed:g}"
         was = f"{row.value:.4g} +- {row.tolerance:g}" if row.tolerance else f"{row.value:.4f}"
         out.append(f"  {row.name:19} {printed:>8} {was:>18} {estimate:>23} {row.unit:9} {row.note}".rstrip())
@@ -44,7 +44,9 @@ def table_lines(line: Line, by_rig: RigTable, tables: Sequence[Table]) -> list[s
         for row_ in table.rows:
             tolerance = "" if row_.tolerance is None else f" +- {row_.tolerance:.3g}"
             printed = "-" if row_.printed is None else f"{row_.printed:.5g}{tolerance}"
-            estimate = "-" if row_.found is None or row_.half is None else _interval(row_.found, row_.half)
+            estimate = (
+                "-" if row_.estimate is None or row_.half is None else _interval(row_.estimate, row_.half)
+            )
             numbers = f"{printed:>18} {row_.analytic:>10.4g} {estimate:>23}"
             out.append(f"  {row_.name:22} {numbers} {row_.unit:14} {row_.note}".rstrip())
         out.append(
@@ -66,7 +68,7 @@ def model_lines(distances: Sequence[Distance]) -> list[str]:
     return out
 
 
-def gain_lines(verdicts: dict[str, list[Verdict]]) -> list[str]:
+def gain_lines(verdicts: dict[str, list[LoopVerdict]]) -> list[str]:
     """Format the readings of Table 6 for a terminal."""
     reading = {"degrees": "pitch in deg", "u3": "u3 in V"}
     out = ["Table 6 on the linearised rig: are pitch and travel stable, and up to which lag (399 ms: any)?"]

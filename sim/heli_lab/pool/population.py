@@ -11,7 +11,7 @@ from heli_sim.model.effects import catalogue, effect_numbers
 from heli_sim.rig import Number, Rig
 
 from heli_lab.errors import PoolError
-from heli_lab.pool.machine import SURE, Estimate, Machine
+from heli_lab.pool.machine import SURE, Machine, NumberEstimate
 from heli_lab.pool.random_effects import RandomEffects, Share, der_simonian_laird, share
 
 SPREAD: Final = 0.5
@@ -25,7 +25,7 @@ COMMON: Final = 0.5
 
 
 @dataclass(frozen=True)
-class Make:
+class RigPopulation:
     """Machines of one make, pooled.
 
     Parameters
@@ -43,7 +43,7 @@ class Make:
     numbers: Mapping[str, RandomEffects]
     causes: Mapping[str, Share]
 
-    def expected(self, name: str, prior: Estimate, spread: float) -> tuple[float, float]:
+    def expected(self, name: str, prior: NumberEstimate, spread: float) -> tuple[float, float]:
         """Tell what to expect of the number `name` of another machine, of which a file says `prior`: mean and
         standard deviation. `spread` is the standard deviation from machine to machine that is believed before
         any was measured.
@@ -77,7 +77,7 @@ class Make:
         for quantity, was in base.numbers.items():
             if quantity not in self.numbers or was.tolerance == 0.0:
                 continue
-            before = Estimate(was.value, 0.5 * was.tolerance, was.unit)
+            before = NumberEstimate(was.value, 0.5 * was.tolerance, was.unit)
             value, std = self.expected(quantity, before, SPREAD * before.std)
             text = f"{source}; before: {was.value:g} +- {was.tolerance:g}"
             numbers[quantity] = replace(was, value=value, tolerance=2.0 * std, source=text)
@@ -103,7 +103,7 @@ class Make:
         return Rig(name, text, numbers, effects, base.model or self.machines[0].model)
 
 
-def pool(machines: Sequence[Machine]) -> Make:
+def pool(machines: Sequence[Machine]) -> RigPopulation:
     """Pool the diagnoses of several machines.
 
     Raises
@@ -143,4 +143,4 @@ def pool(machines: Sequence[Machine]) -> Make:
         if seen:
             causes[id_] = share(len(named), len(seen))
     ordered = dict(sorted(causes.items(), key=lambda item: -item[1].share))
-    return Make(tuple(machines), numbers, ordered)
+    return RigPopulation(tuple(machines), numbers, ordered)

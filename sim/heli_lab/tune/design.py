@@ -24,14 +24,14 @@ from heli_sim.rig import Rig
 from heli_sim.rig.inertia import inertias_kg_m2
 
 from heli_lab.tune import loops
-from heli_lab.tune.loops import Law, Pid
+from heli_lab.tune.loops import CascadeGains, Pid
 from heli_lab.tune.plants import Known, LinearPlant, Spread, spread_plants
 from heli_lab.tune.shaping import shaped_step
-from heli_lab.tune.simulate import Sampled, STEP_s, sampled
+from heli_lab.tune.simulate import Sampled, SIMULATION_STEP_s, sampled
 
 Floats = npt.NDArray[np.float64]
 
-STEP_DEG: Final = 15.0
+TRAVEL_STEP_DEG: Final = 15.0
 PITCH_SETPOINT_MAX_DEG: Final = 30.0
 MOTOR_MAX_V: Final = 10.0
 ELEVATION_SLEW_DEG_S: Final = 15.0
@@ -60,7 +60,7 @@ class Design:
 
     Parameters
     ----------
-    law : Law
+    law : CascadeGains
         Gains in the law's own units.
     plants : sequence of LinearPlant
         The rig first, then the corners of its spread.
@@ -70,7 +70,7 @@ class Design:
         The board's parameters, by their declared names and in their declared units.
     """
 
-    law: Law
+    law: CascadeGains
     plants: Sequence[LinearPlant]
     sensitivity: float
     parameters: Mapping[str, float]
@@ -112,7 +112,7 @@ def find_gains(
     elevation, elevation_path = _design_elevation(rig, plants, sensitivity)
     say("pitch and travel: step")
     pitch, travel, pitch_hold, tilt_path = _design_tilt(rig, plants, spread, sensitivity)
-    law = Law(elevation, pitch, travel, pitch_hold)
+    law = CascadeGains(elevation, pitch, travel, pitch_hold)
     parameters = _of_rig(rig) | elevation_path | tilt_path | _of_law(law)
     return Design(law, plants, sensitivity, parameters)
 
@@ -153,7 +153,7 @@ def _of_rig(rig: Rig) -> dict[str, float]:
     }
 
 
-def _of_law(law: Law) -> dict[str, float]:
+def _of_law(law: CascadeGains) -> dict[str, float]:
     in_degrees = {"elevation": law.elevation, "pitch": law.pitch}
     values: dict[str, float] = {}
     for axis, pid in in_degrees.items():
@@ -176,7 +176,7 @@ def _design_elevation(
     spare_V = min(nominal.hover_V, _lift_max_V(rig) - nominal.hover_V)
     acceleration_deg_s2 = min(_MOST_ELEVATION_DEG_S2, float(np.degrees(_COLLECTIVE_SHARE * spare_V * gain)))
     rise_deg = -rig["elevation_min"].value
-    path = shaped_step(rise_deg, ELEVATION_SLEW_DEG_S, acceleration_deg_s2, 8.0, STEP_s)
+    path = shaped_step(rise_deg, ELEVATION_SLEW_DEG_S, acceleration_deg_s2, 8.0, SIMULATION_STEP_s)
     forward_V = slope_V_rad * path[:, 0] + acceleration_ff * path[:, 2]
     # The other plants hover at other voltages than the one that is fed forward.
     missing_deg_s2 = np.degrees(
@@ -205,7 +205,7 @@ def _design_elevation(
             peak, sensitivity
         )
 
-    unit = Law(Pid(1.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0))
+    unit = CascadeGains(Pid(1.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0))
     bare = np.array([loops.open_loops(plant, unit)["elevation"] for plant in plants])
     crossover = _first_guess_rad_s(plants)
     start = np.array([0.5 * crossover**2, 0.1 * crossover**3, crossover]) / gain
@@ -229,12 +229,12 @@ def _design_tilt(
     acceleration_deg_s2 = min(
         _MOST_TRAVEL_DEG_S2, _PITCH_SHARE * PITCH_SETPOINT_MAX_DEG * nominal.travel_gain
     )
-    path = shaped_step(STEP_DEG, TRAVEL_SLEW_DEG_S, acceleration_deg_s2, 10.0, STEP_s)
-    after = round(2.0 * np.sqrt(STEP_DEG / acceleration_deg_s2) / STEP_s)
+    path = shaped_step(TRAVEL_STEP_DEG, TRAVEL_SLEW_DEG_S, acceleration_deg_s2, 10.0, SIMULATION_STEP_s)
+    after = round(2.0 * np.sqrt(TRAVEL_STEP_DEG / acceleration_deg_s2) / SIMULATION_STEP_s)
     loads_deg_s2 = _constant_loads_deg_s2(rig, spread)
     unloaded = np.zeros((len(path), len(loads_deg_s2)))
     differential_max_V = _differential_max_V(rig, nominal.hover_V)
-    unit = Law(Pid(0.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0))
+    unit = CascadeGains(Pid(0.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0))
     bare = [loops.open_loops(plant, unit) for plant in plants]
     to_pitch = np.array([response["pitch"] for response in bare])
     to_travel = np.array([response["differential"] - response["pitch"] for response in bare])
@@ -264,7 +264,7 @@ def _design_tilt(
         step = step + _LATE_WEIGHT * np.mean(error[after:] ** 2, axis=0)
         step = step + _OVERSHOOT_WEIGHT * np.maximum(error[after:].max(axis=0), 0.0) ** 2
         corners = Sampled(points.transition[nominal_count:], points.inputs[nominal_count:, :, 2:])
-        trimmed = round(_HOVER_s / STEP_s)
+        trimmed = round(_HOVER_s / SIMULATION_STEP_s)
         remaining = corners.step_response(trimmed + len(path) // 2)[:, 1, :, trimmed:]
         for number, (_, weight) in enumerate(loads_deg_s2.values()):
             step[nominal_count:] += weight * np.mean(remaining[:, number] ** 2, axis=1)

@@ -22,7 +22,7 @@ _REACH: Final = 2.2
 _SMALL: Final = 8
 
 
-def figure_of(design: Design, flights: Sequence[tuple[str, Flight]]) -> Figure:
+def figure_of_design(design: Design, flights: Sequence[tuple[str, Flight]]) -> Figure:
     """Draw a `design` with the plants that it was found on, as Nyquist plots on the right; on the left angles
     and voltages over time of `flights`, each with a label.
     """

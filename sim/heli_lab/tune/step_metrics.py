@@ -8,16 +8,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 from heli_host.flight import Flight
 from heli_host.flight.response import Answer, answer_of, rms
 
-Floats = npt.NDArray[np.float64]
+from heli_lab.tune.design import TRAVEL_STEP_DEG
 
-STEP_DEG: Final = 15.0
+Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,7 @@ def step_metrics(
     rise, there = _between(t_s, phases.take_off_s, phases.step_s), _between(t_s, phases.step_s, phases.back_s)
     back, sine = _between(t_s, phases.back_s, phases.sine_s), _between(t_s, phases.sine_s, phases.end_s)
     error_deg = angles_deg[sine] - path_deg(t_s[sine])
-    steps = ((there, phases.step_s, 0.0, STEP_DEG), (back, phases.back_s, STEP_DEG, 0.0))
+    steps = ((there, phases.step_s, 0.0, TRAVEL_STEP_DEG), (back, phases.back_s, TRAVEL_STEP_DEG, 0.0))
     answers = [answer_of(t_s[rows] - at_s, travel[rows], *ends) for rows, at_s, *ends in steps]
     start_deg = float(elevation[rise][0]) if rise.any() else 0.0
     take_off = answer_of(t_s[rise] - phases.take_off_s, elevation[rise], start_deg, 0.0)

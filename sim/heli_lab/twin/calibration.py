@@ -178,7 +178,7 @@ def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
     for key in ("fast_std_Nm", "correlation_time_s", "slow_std_Nm", "quantisation"):
         values = _table(data, "disturbances", name).get(key)
         if not isinstance(values, list) or len(values) != _AXES or not all(map(_is_positive, values)):
-            raise TwinError(f"{name}: weather.{key} is not three positive numbers", _AGAIN)
+            raise TwinError(f"{name}: disturbances.{key} is not three positive numbers", _AGAIN)
         numbers[key] = np.array(values, float)
     excesses = _table(data, "tail", name).get("excesses")
     if not isinstance(excesses, int) or isinstance(excesses, bool) or excesses < 1:

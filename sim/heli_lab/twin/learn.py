@@ -43,7 +43,7 @@ NEVER: Final = Tail(np.inf, 0.0, 0.0, 1)
 Say = Callable[[str, float], None]
 
 
-def weather_of(model: Model, rig: Rig, records: Sequence[Record]) -> DisturbanceModel:
+def learn_disturbances(model: Model, rig: Rig, records: Sequence[Record]) -> DisturbanceModel:
     """Estimate the weather of healthy flights; the rig's numbers stay, zeros and constant torques are each
     flight's own.
     """
@@ -105,7 +105,7 @@ def is_calm(disturbances: DisturbanceModel) -> bool:
     return bool(np.any(disturbances.fast_std_Nm < _CALM * QUIET.fast_std_Nm))
 
 
-def weather_of_flights(
+def learn_disturbances_of_flights(
     model: Model, rig: Rig, healthy: Sequence[Flight], labels: Sequence[str]
 ) -> DisturbanceModel:
     """Prepare healthy flights, called `labels`, and estimate their weather, `at_least_rounding`.
@@ -118,7 +118,7 @@ def weather_of_flights(
     calm = TwinModel(model, rig).model
     records = [prepare(flight, rig, label) for flight, label in zip(healthy, labels, strict=True)]
     count_rad = np.min([count_rad_of(flight, rig) for flight in healthy], axis=0)
-    return at_least_rounding(weather_of(calm, rig, records), calm, rig, count_rad)
+    return at_least_rounding(learn_disturbances(calm, rig, records), calm, rig, count_rad)
 
 
 def learn(
@@ -160,7 +160,7 @@ def learn(
     disturbances = QUIET
     if healthy:
         say("weather of the healthy flights", 0.0)
-        disturbances = weather_of_flights(model, rig, healthy, labels)
+        disturbances = learn_disturbances_of_flights(model, rig, healthy, labels)
     references = []
     for flight, label in zip(healthy, labels, strict=True):
         say(f"evidence in {label}", 0.1)

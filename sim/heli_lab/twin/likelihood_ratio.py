@@ -33,13 +33,13 @@ for as much more time. Shorter: a size has no time to become known."""
 ONSETS: Final = RECENT + KEPT
 WINDOW_s: Final = (KEPT + 1) * RECENT * BLOCK_s
 """How far back the window reaches, s."""
-LEAST_COUNTS: Final = 2.0
+MIN_ZERO_SHIFT_COUNTS: Final = 2.0
 """Jump of an encoder's zero from which on it is believed, counts. Smaller: an angle that dwells at the
 border of a count looks like a jump by one. Larger: lost edges stay unseen."""
 
 
 @dataclass(frozen=True)
-class Candidate:
+class ChangeCandidate:
     """A change at its likeliest onset.
 
     Parameters
@@ -91,7 +91,8 @@ class LikelihoodRatio:
     def __init__(self, changes: Sequence[Change], count_rad: Floats) -> None:
         self.changes = tuple(changes)
         least = {
-            f"zero_offset.{axis}": LEAST_COUNTS * count for axis, count in zip(AXES, count_rad, strict=True)
+            f"zero_offset.{axis}": MIN_ZERO_SHIFT_COUNTS * count
+            for axis, count in zip(AXES, count_rad, strict=True)
         }
         self._least: Floats = np.array([[least.get(change.id, 0.0)] for change in changes])
         firsts = np.cumsum([0, *(len(change.numbers) for change in changes)])
@@ -183,14 +184,14 @@ class LikelihoodRatio:
         nearest = int(np.argmin(away))
         return float(self._solved()[1][row, nearest]) if np.isfinite(away[nearest]) else None
 
-    def ranking(self) -> list[Candidate]:
+    def ranking(self) -> list[ChangeCandidate]:
         """Changes, the likeliest first; each onset is as probable as another."""
         size, std, _, _ = self._solved()
         best = np.argmax(self.evidence, axis=1)
         used = max(1, int(np.isfinite(self._onset[0]).sum()))
         together = logsumexp(self.evidence, axis=1) - np.log(used)
         candidates = [
-            Candidate(
+            ChangeCandidate(
                 change,
                 int(self._onset[i, best[i]]) if np.isfinite(self._onset[i, best[i]]) else 0,
                 float(size[i, best[i]]),

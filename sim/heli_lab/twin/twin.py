@@ -16,7 +16,7 @@ from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.free_flight import FreeFlight
 from heli_lab.twin.ghost import Ghost
 from heli_lab.twin.kalman_filter import ZEROS, KalmanFilter, TwinModel, start_state
-from heli_lab.twin.likelihood_ratio import RECENT, Candidate, LikelihoodRatio
+from heli_lab.twin.likelihood_ratio import RECENT, ChangeCandidate, LikelihoodRatio
 from heli_lab.twin.samples import Samples, Step, Stepper
 
 NAMED_AFTER_s: Final = 3.0
@@ -48,7 +48,7 @@ class TwinEvent:
         When, on the clock of the samples less its zero.
     text : str
         For a person.
-    ranking : tuple of Candidate
+    ranking : tuple of ChangeCandidate
         With ``parted`` and ``named``: what may have changed, the likeliest first.
     onset_s : float
         When the likeliest began; nan for the other kinds.
@@ -57,7 +57,7 @@ class TwinEvent:
     kind: str
     t_s: float
     text: str
-    ranking: tuple[Candidate, ...] = ()
+    ranking: tuple[ChangeCandidate, ...] = ()
     onset_s: float = math.nan
 
 
@@ -257,7 +257,7 @@ class Twin:
         return TwinEvent(kind, t_s, words, ranking, onset_s)
 
 
-def said(ranking: Sequence[Candidate], onset_s: float) -> str:
+def said(ranking: Sequence[ChangeCandidate], onset_s: float) -> str:
     """Say what changed by a `ranking`, since when (`onset_s`, s), and how surely."""
     first, second = ranking[:2]
     odds = math.exp(min(first.log_evidence - second.log_evidence, 50.0))

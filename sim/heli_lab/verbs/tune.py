@@ -102,7 +102,7 @@ def tune(
             model=MODELS[name],
             known=known,
         )
-        parameters = rounded(design.parameters)
+        parameters = rounded_parameters(design.parameters)
         for parameter, value in parameters.items():
             checked(parameter, value)
         trials: list[tuple[str, Model]] = [(_label(known), equations)]
@@ -130,16 +130,16 @@ def tune(
     write_numbers(json, _numbers(loaded, name, design, of_plants, known, parameters, tried))
     written.append(json)
     if figure is not None:
-        from heli_lab.tune.figures import figure_of
+        from heli_lab.tune.figures import figure_of_design
 
-        figure_of(design, [(trial.label, trial.flight) for trial in tried]).savefig(figure, dpi=120)
+        figure_of_design(design, [(trial.label, trial.flight) for trial in tried]).savefig(figure, dpi=120)
         written.append(figure)
     say_files(written)
     if out is not None:
         say(f"fly them: heli-host params restore {out}, or heli-host fly hover --params {out}")
 
 
-def rounded(parameters: Mapping[str, float]) -> dict[str, float]:
+def rounded_parameters(parameters: Mapping[str, float]) -> dict[str, float]:
     """Round `parameters` to the four digits that are worth writing."""
     return {name: float(f"{value:.{_DIGITS}g}") for name, value in parameters.items()}
 

@@ -79,7 +79,7 @@ def twin(
     from heli_lab.twin.figure import draw_evidence
     from heli_lab.twin.files import open_rig
     from heli_lab.twin.follow import follow_file
-    from heli_lab.twin.learn import is_calm, weather_of_flights
+    from heli_lab.twin.learn import is_calm, learn_disturbances_of_flights
     from heli_lab.twin.learn import learn as learn_calibration
 
     if not flights and learn is None:
@@ -99,7 +99,7 @@ def twin(
             write_calibration(learn, calibration, chosen.name)
             chosen = replace(chosen, calibration=calibration)
         elif others:
-            disturbances = weather_of_flights(chosen.model, chosen.rig, read, labels)
+            disturbances = learn_disturbances_of_flights(chosen.model, chosen.rig, read, labels)
             chosen = replace(chosen, calibration=replace(chosen.calibration, disturbances=disturbances))
         for path in flights or ():
             bar.show(f"beside {path.name}", 0.9)
