@@ -72,10 +72,10 @@ def fit_inputs(
     from heli_lab.identify.result import short_names
 
     chosen = load_rig(rig)
-    asked = parse_effects(effects, effect_files)
-    names = {one.name for one in asked}
-    stated = tuple(one for one in effects_of(chosen, effect_files) if one.name not in names)
-    equations = model_named(model or chosen.model or DEFAULT_MODEL, stated + asked)
+    given_effects = parse_effects(effects, effect_files)
+    names = {effect.name for effect in given_effects}
+    stated = tuple(effect for effect in effects_of(chosen, effect_files) if effect.name not in names)
+    equations = model_named(model or chosen.model or DEFAULT_MODEL, stated + given_effects)
     return FitInputs(chosen, equations, short_names([*flights, *validate]))
 
 
@@ -140,11 +140,11 @@ def refuse_wrong_signs(flights: Sequence[Flight], labels: Sequence[str], rig: Ri
         except IdentifyError:
             # What is not sound has no signs; the fit says what is wrong with it.
             continue
-        found = wrong_signs(flight, rig)
-        if found:
+        wrong = wrong_signs(flight, rig)
+        if wrong:
             raise WrongSigns(
-                f"{label}: {'; '.join(one.what for one in found)}",
-                f"{'; '.join(one.remedy for one in found)} (or fit it --as-is)",
+                f"{label}: {'; '.join(sign.what for sign in wrong)}",
+                f"{'; '.join(sign.remedy for sign in wrong)} (or fit it --as-is)",
             )
 
 

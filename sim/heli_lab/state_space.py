@@ -57,9 +57,9 @@ def linearise(
     >>> plant = heli_lab.linearise("makki2024")
     >>> pitch = plant["pitch_rad", "front_V"]
     """
-    found = rig if isinstance(rig, Rig) else load_rig(rig)
-    asked = parse_effects(tuple(effects))
-    names = {effect.name for effect in asked}
-    stated = tuple(effect for effect in effects_of(found) if effect.name not in names)
-    chosen = model_named(model or found.model or MultibodyModel.name, stated + asked)
-    return linearise_model(chosen, found, trim(chosen, found, float(np.deg2rad(elevation_deg))))
+    loaded = rig if isinstance(rig, Rig) else load_rig(rig)
+    given_effects = parse_effects(tuple(effects))
+    names = {effect.name for effect in given_effects}
+    stated = tuple(effect for effect in effects_of(loaded) if effect.name not in names)
+    chosen = model_named(model or loaded.model or MultibodyModel.name, stated + given_effects)
+    return linearise_model(chosen, loaded, trim(chosen, loaded, float(np.deg2rad(elevation_deg))))

@@ -33,7 +33,7 @@ class _Here(threading.local):
 _here = _Here()
 
 
-def usual_threads() -> int:
+def default_thread_count() -> int:
     """Threads of a work that was not told how many: two, or one where ``OMP_NUM_THREADS`` is 1, which is how
     one says that other processes have the other cores.
     """
@@ -44,7 +44,7 @@ def usual_threads() -> int:
     return 1 if os.environ.get("OMP_NUM_THREADS") == "1" else 2
 
 
-def one_heap() -> None:
+def limit_malloc_arenas() -> None:
     """Have all threads take memory from one heap, where the C library is glibc. By its default each thread
     has its own, and what one gives back no other gets: of ten minutes at 1 kHz a diagnosis held 0.58 GB, and
     0.49 with one heap; of one minute 0.27 and 0.19. It is for a program to choose, before it has threads.
@@ -69,7 +69,7 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, initializer=lambda: setattr(_here, "shared", True))
 
 
-def shared_out(work: Callable[[_Item], _T], items: Sequence[_Item], threads: int | None = None) -> list[_T]:
+def parallel_map(work: Callable[[_Item], _T], items: Sequence[_Item], threads: int | None = None) -> list[_T]:
     """Do `work` on each of some items, by several threads, and return what it made of each in their order.
     A share of a work is not shared out again.
 
@@ -80,15 +80,15 @@ def shared_out(work: Callable[[_Item], _T], items: Sequence[_Item], threads: int
     items : sequence
         What to work on.
     threads : int, optional
-        Threads, 1 or more; `usual_threads` where not given.
+        Threads, 1 or more; `default_thread_count` where not given.
     """
-    threads = usual_threads() if threads is None else threads
+    threads = default_thread_count() if threads is None else threads
     if threads == 1 or len(items) < 2 or _here.alone:
         return [work(item) for item in items]
     return list(_pool(threads).map(work, items))
 
 
-class Ahead:
+class Prefetcher:
     """Works that will be asked for one after the other, done by a thread beside from the last one on: it and
     whoever asks meet in the middle. They must not depend on each other. While one of the two has nothing to
     do, the other shares out its work.
@@ -103,10 +103,10 @@ class Ahead:
         """Begin these `works`, by key, and end what was not asked for with the block. Where there is no
         second thread nothing is done ahead.
         """
-        if usual_threads() < 2 or len(works) < 2 or _here.other_works is not None:
+        if default_thread_count() < 2 or len(works) < 2 or _here.other_works is not None:
             yield
             return
-        threads = usual_threads()
+        threads = default_thread_count()
         self._waiting = {
             key: _beside().submit(self._beside_whoever_asks, work, threads)
             for key, work in reversed(list(works.items()))

@@ -21,12 +21,12 @@ from heli_lab.campaign.run import State
 
 from tests.blind.cases import Case, every_case
 from tests.blind.choice import add_choice, chosen, is_wanted
+from tests.blind.disturbed_cases import disturbed_cases
 from tests.blind.goals import further, goals
 from tests.blind.judge import Row
 from tests.blind.reliability import draw, reliability
 from tests.blind.run import REFITS, WORK, code_of_rows, seen
 from tests.blind.summary import confusion, text
-from tests.blind.weather_cases import weather_cases
 from tests.running.alone import one_thread_each
 
 _PROCESSES = 2
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _mixed() -> list[Case]:
     """Clean cases and windy ones in turn, so that the first of them are a fair sample of all."""
-    both = zip_longest(every_case(), weather_cases())
+    both = zip_longest(every_case(), disturbed_cases())
     return [case for pair in both for case in pair if case is not None]
 
 

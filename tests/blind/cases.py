@@ -13,7 +13,7 @@ from heli_sim.rig import Rig, load_rig
 from tests.blind.flights import flown, plan
 from tests.blind.hidden import LISTED, MORE_LISTED, OTHER_FORMS, Maker
 from tests.blind.mujoco_rig import Hidden
-from tests.blind.off_list import MORE_OFF_LIST, OFF_LIST
+from tests.blind.unlisted import MORE_OFF_LIST, OFF_LIST
 
 TRAIN_S, VALIDATE_S = 60.0, 40.0
 _NOTHING = 12
@@ -44,7 +44,7 @@ class Case:
         Name, for files and tables.
     effects : tuple of (str, float)
         Listed effects and sizes; a size is as the effect's maker takes it.
-    off_list : tuple of (str, float)
+    unlisted : tuple of (str, float)
         Effects that are on no list.
     seed : int
         Of rig, flight and effect.
@@ -54,14 +54,14 @@ class Case:
 
     name: str
     effects: tuple[tuple[str, float], ...]
-    off_list: tuple[tuple[str, float], ...]
+    unlisted: tuple[tuple[str, float], ...]
     seed: int
     makers: tuple[Maker, ...] = field(repr=False)
 
     @property
     def kind(self) -> str:
         """What sort of case this is: nothing, one, several or off_list."""
-        if self.off_list:
+        if self.unlisted:
             return "off_list"
         return ("nothing", "one", "several")[min(2, len(self.effects))]
 
@@ -89,7 +89,7 @@ class Case:
         """
         made: list[Hidden] = []
         for number, ((_, size), maker) in enumerate(
-            zip((*self.effects, *self.off_list), self.makers, strict=True)
+            zip((*self.effects, *self.unlisted), self.makers, strict=True)
         ):
             # 2 for what is listed, 3 for what is not; the second number starts again there.
             place = [2, number] if number < len(self.effects) else [3, number - len(self.effects)]

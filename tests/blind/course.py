@@ -10,7 +10,7 @@ from tests.blind.mujoco_rig import Floats, Hidden, Moment
 
 
 @dataclass(frozen=True)
-class Course:
+class ReferenceTrajectory:
     """A course as it was flown, at every half millisecond.
 
     Parameters
@@ -35,7 +35,7 @@ class Course:
     time_s: Floats
     flight_s: Floats
 
-    def moved(self, state: int, by: float) -> Course:
+    def moved(self, state: int, by: float) -> ReferenceTrajectory:
         """The same course with one state off by so much: elevation, pitch, travel or their rates."""
         which, axis = ("angles_rad", "rates_rad_s")[state // 3], state % 3
         column = getattr(self, which).copy()
@@ -68,8 +68,8 @@ class Watching(Hidden):
             (*at.angles_rad, *at.rates_rad_s, *at.volts_V, *at.up, *at.climb_m_s, at.time_s, at.flight_s)
         )
 
-    def course(self) -> Course:
+    def course(self) -> ReferenceTrajectory:
         """What was seen."""
         rows = np.array(self._rows)
         angles, rates, volts, up, climb = np.split(rows[:, :13], [3, 6, 8, 11], axis=1)
-        return Course(angles, rates, volts, up, climb, rows[:, 13], rows[:, 14])
+        return ReferenceTrajectory(angles, rates, volts, up, climb, rows[:, 13], rows[:, 14])

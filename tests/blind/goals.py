@@ -116,7 +116,7 @@ def _split(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
     """Clean cases and those in weather."""
     found: tuple[list[Row], list[Row]] = ([], [])
     for row in rows:
-        found[bool(row.weather)].append(row)
+        found[bool(row.disturbances)].append(row)
     return found
 
 

@@ -67,7 +67,7 @@ class Row:
         Time that the diagnosis took, by the clock and of the processor.
     failure : str
         Error that ended the diagnosis; empty when there was none.
-    weather : Mapping[str, Any]
+    disturbances : Mapping[str, Any]
         Rig, rate, controller and weather; empty on clean flights.
     """
 
@@ -85,7 +85,7 @@ class Row:
     seconds: float
     cpu_seconds: float = 0.0
     failure: str = ""
-    weather: Mapping[str, Any] = field(default_factory=dict)
+    disturbances: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def read(cls, kept: Mapping[str, Any]) -> Row:
@@ -100,7 +100,7 @@ class Row:
     @property
     def visible(self) -> tuple[str, ...]:
         """What is hidden and large enough to be named, laws outside the catalogue included in weather."""
-        least = SEEN if self.weather else VISIBLE
+        least = SEEN if self.disturbances else VISIBLE
         z = self.significance
         return tuple(name for name in self.hidden if name in z and _at_least(z[name], least))
 
@@ -114,7 +114,7 @@ class Row:
     @property
     def fair(self) -> bool:
         """Whether there is something to be found, or nothing to be said."""
-        if self.weather:
+        if self.disturbances:
             return self.faintest >= SEEN
         if self.kind == "off_list":
             return max(self.errors["baseline"], self.errors["baseline_train"]) >= VISIBLE_OFF_LIST
@@ -123,7 +123,7 @@ class Row:
     @property
     def apart(self) -> bool:
         """Whether it is counted apart: in weather, where only a very good test would see it."""
-        return bool(self.weather) and APART <= self.faintest < SEEN
+        return bool(self.disturbances) and APART <= self.faintest < SEEN
 
     @property
     def found(self) -> tuple[str, ...]:
@@ -144,7 +144,7 @@ class Row:
             return self.verdict == "explained" and not self.false_names
         if self.kind == "off_list":
             return self.verdict == "unexplained" or (self.first_right and self.named[0] in self._since)
-        if self.weather:
+        if self.disturbances:
             return set(self.found) == set(self.hidden)
         return self.first_right
 
@@ -159,7 +159,7 @@ class Row:
         return tuple(
             (name, any(self._means(i, one) for one in self.hidden), sure)
             for i, (name, sure) in enumerate(zip(self.named, self.confidence, strict=True))
-            if not (self.weather and name.startswith(CHANCE))
+            if not (self.disturbances and name.startswith(CHANCE))
         )
 
     @property
@@ -204,7 +204,7 @@ def judged(
     failure: str = "",
     *,
     cpu_seconds: float = 0.0,
-    weather: Mapping[str, Any] | None = None,
+    disturbances: Mapping[str, Any] | None = None,
 ) -> Row:
     """Judge a diagnosis.
 
@@ -222,7 +222,7 @@ def judged(
         Time that it took.
     failure : str
         Error that ended it.
-    weather : Mapping[str, Any], optional
+    disturbances : Mapping[str, Any], optional
         What the rig and its weather are, for tables.
 
     Returns
@@ -253,7 +253,7 @@ def judged(
         case.name,
         case.kind,
         case.seed,
-        (*(one.id for one in hidden), *(f"off-{name}" for name, _ in case.off_list)),
+        (*(one.id for one in hidden), *(f"off-{name}" for name, _ in case.unlisted)),
         told.significance if isinstance(told, Told) else told,
         result["verdict"],
         tuple(cause["effect"] for cause in result["causes"]),
@@ -264,7 +264,7 @@ def judged(
         seconds,
         cpu_seconds,
         failure,
-        weather or {},
+        disturbances or {},
     )
 
 

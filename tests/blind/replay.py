@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from heli_sim.rig import Rig
 
-from tests.blind.course import Course
+from tests.blind.course import ReferenceTrajectory
 from tests.blind.mujoco_rig import STEP_S, Floats, Hidden, MujocoPlant
 
 GRID_S = 0.02
@@ -23,7 +23,7 @@ FINE = 4
 """Parts of a step in which MuJoCo is asked: dry friction turns over within one."""
 
 
-def steps(course: Course) -> int:
+def steps(course: ReferenceTrajectory) -> int:
     """Whole steps of the grid in a `course`."""
     return len(course.time_s) // _HALVES
 
@@ -66,7 +66,7 @@ class Rebuilt:
     def __post_init__(self) -> None:
         self._plant = MujocoPlant(self.rig, self.hidden)
 
-    def forces(self, course: Course) -> Forces:
+    def forces(self, course: ReferenceTrajectory) -> Forces:
         """Thrusts and torques along a `course`."""
         plant, parts = self._plant, steps(course) * FINE
         halves = _HALVES // FINE
@@ -87,12 +87,12 @@ class Rebuilt:
                     seen[k // _HALVES] = shown - start[:3]
         return Forces(thrust / halves, torque / halves, seen)
 
-    def accelerations(self, course: Course, forces: Forces, every: int = 1) -> Floats:
+    def accelerations(self, course: ReferenceTrajectory, forces: Forces, every: int = 1) -> Floats:
         """Accelerations where the course is, under given forces, rad/s2, (parts / every, 3).
 
         Parameters
         ----------
-        course : Course
+        course : ReferenceTrajectory
             Where the rig is put.
         forces : Forces
             What acts on it.

@@ -21,12 +21,12 @@ from heli_sim.model.effects import catalogue
 from heli_sim.rig import Rig, load_rig
 
 from tests.blind.cases import Case, every_case
+from tests.blind.disturbed_case import DisturbedCase
+from tests.blind.disturbed_cases import disturbed_cases
 from tests.blind.judge import Row, judged
 from tests.blind.oracle import Told, tell
 from tests.blind.truth import hidden_in
 from tests.blind.visibility import visibility
-from tests.blind.weather_case import WeatherCase
-from tests.blind.weather_cases import weather_cases
 from tests.running.clock import spent_s
 
 REFITS = 80
@@ -36,12 +36,15 @@ _HERE = Path(__file__).parent
 _SIM, _LAB = Path(heli_sim.__file__).parent, Path(heli_lab.__file__).parent
 _ENGINE = (
     _HERE.with_name("mujoco_rig.py"),
-    *(_HERE / name for name in ("mujoco_rig.py", "hidden.py", "off_list.py", "cases.py")),
+    *(_HERE / name for name in ("mujoco_rig.py", "hidden.py", "unlisted.py", "cases.py")),
 )
 _CLEAN = (*_ENGINE, _HERE / "flights.py")
 _WINDY = (
     *_ENGINE,
-    *(_HERE / name for name in ("measured_effects.py", "weather.py", "tracking.py", "weather_case.py")),
+    *(
+        _HERE / name
+        for name in ("measured_effects.py", "disturbances.py", "tracking.py", "disturbed_case.py")
+    ),
 )
 _ORACLE = (_HERE / "oracle.py", _HERE / "truth.py")
 _VISIBILITY = tuple(_HERE / name for name in ("course.py", "replay.py", "visibility.py"))
@@ -110,13 +113,13 @@ def run(case: Case, folder: Path, *, keep: bool = False, refits: int = REFITS) -
         answer["seconds"],
         answer["failure"],
         cpu_seconds=answer["cpu_seconds"],
-        weather=_conditions(case) if isinstance(case, WeatherCase) else {},
+        disturbances=_conditions(case) if isinstance(case, DisturbedCase) else {},
     )
 
 
 def answered(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """A case of a campaign: `run` by its name; the judgement is the detail, its sum the row."""
-    every = (*every_case(), *weather_cases())
+    every = (*every_case(), *disturbed_cases())
     case = next(one for one in every if one.name == settings["case"])
     row = run(case, Path(settings["folder"]), keep=settings["keep"], refits=settings["refits"])
     said = {"verdict": row.verdict, "right": row.right, "died": row.failure, "causes": ", ".join(row.named)}
@@ -142,7 +145,7 @@ def prepare(case: Case, folder: Path, *, keep: bool = False) -> Ready:
     """
     place = folder / case.name
     place.mkdir(parents=True, exist_ok=True)
-    made_by = _digest(repr(case), _WINDY if isinstance(case, WeatherCase) else _CLEAN)
+    made_by = _digest(repr(case), _WINDY if isinstance(case, DisturbedCase) else _CLEAN)
     mark = place / "made_by.txt"
     current = mark.exists() and mark.read_text() == made_by
     if not current and not (keep and any(place.iterdir())):
@@ -152,8 +155,8 @@ def prepare(case: Case, folder: Path, *, keep: bool = False) -> Ready:
         mark.write_text(made_by)
     paths = case.flights(folder)
     flights = read_flight(paths[0]), read_flight(paths[1])
-    rig = load_rig(case.rig_name if isinstance(case, WeatherCase) else _PAPER)
-    if isinstance(case, WeatherCase):
+    rig = load_rig(case.rig_name if isinstance(case, DisturbedCase) else _PAPER)
+    if isinstance(case, DisturbedCase):
         code = _digest(made_by, _VISIBILITY)
         plain = _kept(place / "visibility.json", code, keep, lambda: dict(visibility(case)))
         return Ready(flights, rig, plain)
@@ -181,7 +184,7 @@ def seen(case: Case, folder: Path, keep: bool) -> dict[str, float | None]:
 
 
 def found_in(
-    rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS, off_list: Collection[str] = ()
+    rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS, unlisted: Collection[str] = ()
 ) -> Diagnosis:
     """Ask the diagnosis, which gets the flights and the nominal rig and nothing else.
 
@@ -193,10 +196,10 @@ def found_in(
         The flight to fit and the one to hold out.
     refits : int
         Most refits of the search.
-    off_list : collection of str
+    unlisted : collection of str
         Effects that are taken off its list.
     """
-    kinds = {id_: kind for id_, kind in catalogue().items() if id_ not in off_list}
+    kinds = {id_: kind for id_, kind in catalogue().items() if id_ not in unlisted}
     return diagnose(
         MultibodyModel(), rig, flights[:1], flights[1:], kinds=kinds, labels=["a", "b"], refits=refits
     )
@@ -239,16 +242,16 @@ def asked(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> dic
     }
 
 
-def _conditions(case: WeatherCase) -> dict[str, Any]:
-    of = case.weather
+def _conditions(case: DisturbedCase) -> dict[str, Any]:
+    of = case.disturbances
     return {
         "rig": case.rig_name,
         "rate_Hz": case.rate_Hz,
         "gentle": case.gentle,
         "controller": case.controller,
         "gusts_Nm": list(of.gusts_Nm),
-        "memory_s": of.memory_s,
-        "drift_Nm": list(of.drift_Nm),
+        "correlation_time_s": of.correlation_time_s,
+        "slow_std_Nm": list(of.slow_std_Nm),
     }
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
+from tests.blind.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
+from tests.blind.disturbed_case import DisturbedCase
+from tests.blind.disturbed_cases import LAG, PAPER, SIZES
 from tests.blind.hidden import LISTED, MORE_LISTED, Maker
 from tests.blind.measured_effects import MEASURED_EFFECTS
 from tests.blind.tracking import CONTROLLERS
-from tests.blind.weather import MEMORIES_s, STRENGTHS_Nm, Weather
-from tests.blind.weather_case import WeatherCase
-from tests.blind.weather_cases import LAG, PAPER, SIZES
 
 TAKEN_OFF: Final[Mapping[str, tuple[str, ...]]] = {
     LAG: ("rotor_speed_lag", "rotor_lag_with_delay", "input_delay"),
@@ -36,14 +36,14 @@ _MAKERS: Final[Mapping[str, Maker]] = {
 }
 
 
-def taken_off_cases() -> list[WeatherCase]:
+def taken_off_cases() -> list[DisturbedCase]:
     """One of each effect."""
     cases = []
     for number, name in enumerate(TAKEN_OFF):
         beside = ((LAG, _LAG_s),) if number % 2 and name != LAG else ()
         effects = (*beside, (name, SIZES[name] * (1.0 if name == LAG else _LARGER)))
         cases.append(
-            WeatherCase(
+            DisturbedCase(
                 f"taken-off-{name}",
                 effects,
                 (),
@@ -53,7 +53,7 @@ def taken_off_cases() -> list[WeatherCase]:
                 100,
                 False,
                 CONTROLLERS[number % 3],
-                Weather(STRENGTHS_Nm[0], MEMORIES_s[number % 3]),
+                DisturbanceModel(STRENGTHS_Nm[0], MEMORIES_s[number % 3]),
             )
         )
     return cases

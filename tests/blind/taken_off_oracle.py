@@ -7,25 +7,25 @@ from typing import Any
 
 from heli_host.flight import Flight
 from heli_lab.campaign.works import DEFAULTS, fly
-from heli_lab.diagnose.model_comparison import Comparison
+from heli_lab.diagnose.model_comparison import ModelComparison
 from heli_lab.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 
-from tests.blind.law_oracle import listed, told_errors_deg
+from tests.blind.disturbed_case import DisturbedCase
+from tests.blind.equation_oracle import listed, told_errors_deg
 from tests.blind.run import REFITS, found_in
 from tests.blind.taken_off import TAKEN_OFF
-from tests.blind.weather_case import WeatherCase
 
 
 def judged_in_place(
-    case: WeatherCase, flights: tuple[Flight, Flight], folder: Path, refits: int = REFITS
+    case: DisturbedCase, flights: tuple[Flight, Flight], folder: Path, refits: int = REFITS
 ) -> dict[str, Any]:
     """Diagnose a case without its last effect on the list, and hold the law in its place against the effect.
 
     Parameters
     ----------
-    case : WeatherCase
+    case : DisturbedCase
         The case.
     flights : tuple of Flight
         The flight to fit and the one to hold out.
@@ -46,9 +46,9 @@ def judged_in_place(
     rig = load_rig(case.rig_name)
     name = case.effects[-1][0]
     found = found_in(rig, flights, refits, (name, *TAKEN_OFF[name]))
-    proposed = found.proposed_law
+    proposed = found.proposed_term
     records = [prepare(flight, rig, label) for flight, label in zip(flights, "ab", strict=True)]
-    comparison = Comparison(MultibodyModel(), rig, records[:1], records[1:])
+    comparison = ModelComparison(MultibodyModel(), rig, records[:1], records[1:])
     rest = listed(one for one, _ in case.effects[:-1])
     without, told = (told_errors_deg(comparison, [*rest, *more]) for more in ([], listed([name])))
     axis = max(told, key=lambda one: without[one] / told[one])

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from tests.blind.choice import chosen
-from tests.blind.law_run import Row, add_rows, judged_rows
+from tests.blind.equation_run import Row, add_rows, judged_rows
 
 SHARE = 0.8
 

@@ -7,12 +7,12 @@ import pytest
 from heli_sim.model.effects import catalogue
 
 from tests.blind.cases import TRAIN_S, VALIDATE_S, every_case
+from tests.blind.disturbed_cases import disturbed_cases
 from tests.blind.flights import plan
 from tests.blind.hidden import LISTED, MORE_LISTED, OTHER_FORMS, RandomTorque
 from tests.blind.measured_effects import MEASURED_EFFECTS
 from tests.blind.mujoco_rig import Moment, MujocoPlant
 from tests.blind.truth import PARTS, hidden_in
-from tests.blind.weather_cases import weather_cases
 
 NOT_HIDDEN = {
     "zero_offset.travel": "every place of travel is as good as any other",
@@ -28,7 +28,7 @@ def test_every_effect_of_the_catalogue_is_hidden_in_two_sizes_or_in_weather_or_g
     assert set(catalogue()) <= {*hidden, *MEASURED_EFFECTS, *PARTS, *NOT_HIDDEN}
     names = [name for case in every_case() for name, _ in case.effects]
     assert all(names.count(name) >= (1 if name.startswith("removed.") else 2) for name in hidden)
-    in_weather = {name for case in weather_cases() for name, _ in case.effects}
+    in_weather = {name for case in disturbed_cases() for name, _ in case.effects}
     assert {*MEASURED_EFFECTS, *(part for parts in PARTS.values() for part in parts)} <= in_weather
 
 

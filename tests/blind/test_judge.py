@@ -9,17 +9,17 @@ from typing import Any
 import pytest
 
 from tests.blind.cases import every_case
+from tests.blind.disturbed_cases import disturbed_cases
 from tests.blind.goals import further, goals
 from tests.blind.judge import Row, judged
 from tests.blind.oracle import Told
 from tests.blind.summary import confusion, text
 from tests.blind.truth import hidden_in
-from tests.blind.weather_cases import weather_cases
 
 LAG = next(case for case in every_case() if case.name == "rotor_lag-small")
 TRUE_S = LAG.truth()["rotor_lag"]["size"]
-TWO = next(case for case in weather_cases() if case.name == "w-lag+coulomb_friction.pitch")
-DELAYED = next(case for case in weather_cases() if case.name == "w-lag+input_delay")
+TWO = next(case for case in disturbed_cases() if case.name == "w-lag+coulomb_friction.pitch")
+DELAYED = next(case for case in disturbed_cases() if case.name == "w-lag+input_delay")
 AIR = {"rig": "makki2024"}
 
 
@@ -42,7 +42,7 @@ def row(verdict: str, *causes: dict[str, Any], significance: float = 50.0, held_
 
 def windy(verdict: str, *causes: dict[str, Any], least: float = 40.0, case: Any = TWO) -> Row:
     seen = {name: least for name, _ in case.effects} | {"rotor_lag": 200.0}
-    return judged(case, hidden_in(case, 0.0), seen, answer(verdict, *causes), 3.0, weather=AIR)
+    return judged(case, hidden_in(case, 0.0), seen, answer(verdict, *causes), 3.0, disturbances=AIR)
 
 
 def nothing(verdict: str, *causes: dict[str, Any]) -> Row:

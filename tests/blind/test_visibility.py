@@ -8,27 +8,27 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tests.blind.course import Course
+from tests.blind.course import ReferenceTrajectory
+from tests.blind.disturbed_case import COURSE, DisturbedCase
+from tests.blind.disturbed_cases import disturbed_cases
 from tests.blind.mujoco_rig import Floats
 from tests.blind.replay import FINE, Forces, Rebuilt, inertia_kg_m2, pushes, steps
 from tests.blind.visibility import Line, Pushes, imitators, visibility
-from tests.blind.weather_case import COURSE, WeatherCase
-from tests.blind.weather_cases import weather_cases
 from tests.running.long import samples
 
-CASES = {case.name: case for case in weather_cases()}
+CASES = {case.name: case for case in disturbed_cases()}
 LAW = "w-off-pitch_by_elevation"
 DURATION_s = 10.0
 
 
 @cache
-def flown(name: str) -> tuple[WeatherCase, Course]:
+def flown(name: str) -> tuple[DisturbedCase, ReferenceTrajectory]:
     return CASES[name], CASES[name].flown(0, DURATION_s)[1]
 
 
-def chance(case: WeatherCase, course: Course) -> Pushes:
+def chance(case: DisturbedCase, course: ReferenceTrajectory) -> Pushes:
     """The gusts as they blew, and errors of as many counts as the encoders have, each by itself."""
-    alone = replace(case, effects=(), off_list=(), makers=())
+    alone = replace(case, effects=(), unlisted=(), makers=())
     rig = case.rig().replace(torque_elevation=0.0, torque_pitch=0.0, torque_travel=0.0)
     torque = Rebuilt(rig, alone.hidden(0)).forces(course).torque_Nm
     count_rad = 2.0 * np.pi / 4096.0 / np.array([1.0, 1.0, rig["encoder_travel_ratio"].value])
@@ -46,7 +46,7 @@ def test_the_weather_itself_leaves_white_innovations_of_unit_variance(on_course:
     )
     case = CASES[name]
     course = case.flown(0, 2.0 * DURATION_s)[1]
-    white = Line(course, case.rig(), case.weather).innovations([chance(case, course)])[:, 0]
+    white = Line(course, case.rig(), case.disturbances).innovations([chance(case, course)])[:, 0]
     by_axis = white.reshape(-1, 3)[25:]
     # 975 innovations an axis: variances to 4.5 %, correlations to 0.032; four of those.
     np.testing.assert_allclose(by_axis.var(axis=0), 1.0, atol=0.18)
@@ -60,13 +60,13 @@ def test_twice_the_law_stands_out_twice_as_far_and_half_as_far_in_twice_the_weat
     case, course = flown(LAW)
     rig, forces = case.rig(), Rebuilt(case.rig(), case.hidden(0)).forces(course)
     torque: Floats = np.zeros((steps(course), 3))
-    torque[:, 1] = case.off_list[0][1] * course.angles_rad[20::40, 0]
+    torque[:, 1] = case.unlisted[0][1] * course.angles_rad[20::40, 0]
     nothing = np.zeros_like(torque)
-    elevation, pitch, travel = case.weather.gusts_Nm
-    strong = replace(case.weather, gusts_Nm=(2.0 * elevation, 2.0 * pitch, 2.0 * travel))
+    elevation, pitch, travel = case.disturbances.gusts_Nm
+    strong = replace(case.disturbances, gusts_Nm=(2.0 * elevation, 2.0 * pitch, 2.0 * travel))
     seen = []
-    for size, weather in ((1.0, case.weather), (2.0, case.weather), (1.0, strong)):
-        line = Line(course, rig, weather)
+    for size, disturbances in ((1.0, case.disturbances), (2.0, case.disturbances), (1.0, strong)):
+        line = Line(course, rig, disturbances)
         white = line.innovations([Pushes(size * torque, nothing), *imitators(rig, course, forces, line)])
         seen.append(line.remaining(white, 0, 1))
     assert seen[1] == pytest.approx(2.0 * seen[0], rel=1e-6)
@@ -78,7 +78,7 @@ def test_twice_the_law_stands_out_twice_as_far_and_half_as_far_in_twice_the_weat
 def test_what_another_number_of_the_rig_can_be_does_not_stand_out() -> None:
     case, course = flown(LAW)
     rig, forces = case.rig(), Rebuilt(case.rig(), case.hidden(0)).forces(course)
-    line = Line(course, rig, case.weather)
+    line = Line(course, rig, case.disturbances)
     others = imitators(rig, course, forces, line)
     # Thrust a tenth stronger, which the rig's file allows.
     stronger = Forces(1.1 * forces.thrust_N, forces.torque_Nm, forces.seen_rad)

@@ -20,11 +20,11 @@ import numpy as np
 from heli_sim.rig import Rig
 
 from tests.blind.cases import TRAIN_S
-from tests.blind.course import Course
+from tests.blind.course import ReferenceTrajectory
+from tests.blind.disturbances import DisturbanceModel
+from tests.blind.disturbed_case import DisturbedCase
 from tests.blind.mujoco_rig import Floats
 from tests.blind.replay import FINE, GRID_S, Forces, Rebuilt, inertia_kg_m2, pushes, steps
-from tests.blind.weather import Weather
-from tests.blind.weather_case import WeatherCase
 
 _SMALL = 1e-4
 _START_RAD, _START_RAD_S = 0.02, 0.2
@@ -50,12 +50,12 @@ class Pushes:
     seen_rad: Floats
 
 
-def visibility(case: WeatherCase, duration_s: float = TRAIN_S) -> dict[str, float]:
+def visibility(case: DisturbedCase, duration_s: float = TRAIN_S) -> dict[str, float]:
     """Standard deviations by which each cause stands out of the weather of the flight to learn from.
 
     Parameters
     ----------
-    case : WeatherCase
+    case : DisturbedCase
         The case.
     duration_s : float
         How long that flight is.
@@ -65,12 +65,12 @@ def visibility(case: WeatherCase, duration_s: float = TRAIN_S) -> dict[str, floa
     dict of float
         By name, listed effects first; a law that is on no list begins with ``off-``.
     """
-    names = [*(name for name, _ in case.effects), *(f"off-{name}" for name, _ in case.off_list)]
+    names = [*(name for name, _ in case.effects), *(f"off-{name}" for name, _ in case.unlisted)]
     if not names:
         return {}
     course = case.flown(0, duration_s)[1]
     rig = case.rig()
-    line = Line(course, rig, case.weather)
+    line = Line(course, rig, case.disturbances)
     acting = Rebuilt(rig, case.hidden(0))
     forces = acting.forces(course)
     acceleration = acting.accelerations(course, forces)
@@ -86,14 +86,14 @@ def visibility(case: WeatherCase, duration_s: float = TRAIN_S) -> dict[str, floa
     return {name: line.remaining(white, i, len(causes)) for i, name in enumerate(names)}
 
 
-def imitators(rig: Rig, course: Course, forces: Forces, line: Line) -> list[Pushes]:
+def imitators(rig: Rig, course: ReferenceTrajectory, forces: Forces, line: Line) -> list[Pushes]:
     """What each number of the rig does along a course when it is one standard deviation of its prior off.
 
     Parameters
     ----------
     rig : Rig
         The true rig; a tolerance is two standard deviations.
-    course : Course
+    course : ReferenceTrajectory
         Where it flew.
     forces : Forces
         What acted.
@@ -133,14 +133,14 @@ def imitators(rig: Rig, course: Course, forces: Forces, line: Line) -> list[Push
 class Line:
     """A rig linearised about a course, in its weather: the Kalman filter that whitens."""
 
-    def __init__(self, course: Course, rig: Rig, weather: Weather) -> None:
+    def __init__(self, course: ReferenceTrajectory, rig: Rig, disturbances: DisturbanceModel) -> None:
         halves = len(course.time_s) // steps(course)
         middle = slice(halves // 2, steps(course) * halves, halves)
         self._inertia = inertia_kg_m2(rig, course.angles_rad[middle])
         self._push = np.linalg.inv(self._inertia)
         forces = Rebuilt(rig, ()).forces(course)
         self._by_state = _jacobians(rig, course, forces)
-        self._weather = weather
+        self._weather = disturbances
         count_rad = 2.0 * np.pi / rig["encoder_counts"].value
         ratios = np.array([1.0, 1.0, rig["encoder_travel_ratio"].value])
         self._noise = np.diag((count_rad / ratios) ** 2 / 12.0)
@@ -158,8 +158,8 @@ class Line:
         torques = np.stack([one.torque_Nm for one in pushes], axis=2)
         seen = np.stack([one.seen_rad for one in pushes], axis=2)
         h, see = GRID_S, np.eye(3, 12)
-        gusts = np.array(self._weather.gusts_Nm), math.exp(-h / self._weather.memory_s)
-        drift = np.array(self._weather.drift_Nm), math.exp(-h / self._weather.drift_s)
+        gusts = np.array(self._weather.gusts_Nm), math.exp(-h / self._weather.correlation_time_s)
+        drift = np.array(self._weather.slow_std_Nm), math.exp(-h / self._weather.drift_s)
         kicks = np.zeros((12, 12))
         for start, (size, keep) in ((6, gusts), (9, drift)):
             kicks[start : start + 3, start : start + 3] = np.diag(size**2 * (1.0 - keep**2))
@@ -215,7 +215,7 @@ class Line:
         return step, np.vstack([pushed, np.zeros((6, 3))])
 
 
-def _jacobians(rig: Rig, course: Course, forces: Forces) -> Floats:
+def _jacobians(rig: Rig, course: ReferenceTrajectory, forces: Forces) -> Floats:
     """Derivatives of the accelerations to angles and rates at each step, (n, 3, 6)."""
     plain = Rebuilt(rig, ())
     base = plain.accelerations(course, forces, FINE)

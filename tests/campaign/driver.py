@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from heli_lab.campaign import Campaign, Case, Store, run_campaign
-from heli_lab.campaign.cage import Limits
+from heli_lab.campaign.worker_process import Limits
 
 CODE = "the code of a test"
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 from heli_lab.campaign import Answer, Case
-from heli_lab.campaign.cage import Cage, Limits
+from heli_lab.campaign.worker_process import Limits, WorkerProcess
 
 from tests.campaign.killer import PATIENCE_s, kill_all, start
 
@@ -19,12 +19,12 @@ FINE = Case("fine", "tests.campaign.works:count", {"number": 3})
 
 
 @pytest.fixture(scope="module")
-def cage() -> Iterator[Cage]:
-    with Cage(LIMITS) as one:
+def cage() -> Iterator[WorkerProcess]:
+    with WorkerProcess(LIMITS) as one:
         yield one
 
 
-def done(cage: Cage, how: str) -> Answer:
+def done(cage: WorkerProcess, how: str) -> Answer:
     return cage.run(Case(how, "tests.campaign.works:bad", {"how": how}), "key")
 
 
@@ -40,7 +40,7 @@ def done(cage: Cage, how: str) -> Answer:
     ],
 )
 def test_what_a_case_does_wrong_is_said_in_a_line_and_the_next_is_done(
-    cage: Cage, how: str, said: str
+    cage: WorkerProcess, how: str, said: str
 ) -> None:
     answer = done(cage, how)
     assert (answer.failure, answer.row, answer.name) == (said, {}, how)
@@ -49,16 +49,16 @@ def test_what_a_case_does_wrong_is_said_in_a_line_and_the_next_is_done(
 
 
 def test_a_case_that_waits_for_ever_is_ended_by_the_clock() -> None:
-    with Cage(Limits(cpu_s=60.0, wait_s=0.5)) as cage:
+    with WorkerProcess(Limits(cpu_s=60.0, wait_s=0.5)) as cage:
         assert done(cage, "hangs").failure == "no answer after 0.5 s: it hung"
 
 
-def test_work_that_does_not_exist_is_the_failure_of_its_case(cage: Cage) -> None:
+def test_work_that_does_not_exist_is_the_failure_of_its_case(cage: WorkerProcess) -> None:
     assert "no_such" in cage.run(Case("a", "tests.no_such:work"), "key").failure
     assert "no_such" in cage.run(Case("a", "tests.campaign.works:no_such"), "key").failure
 
 
-def test_good_cases_share_a_process(cage: Cage) -> None:
+def test_good_cases_share_a_process(cage: WorkerProcess) -> None:
     pids = {cage.run(FINE, "key").detail["pid"] for _ in range(3)}
     assert len(pids) == 1
     assert pids != {os.getpid()}
@@ -68,9 +68,9 @@ def test_a_process_does_not_outlive_whoever_gives_it_orders() -> None:
     program = """
 import sys, time
 from heli_lab.campaign import Case
-from heli_lab.campaign.cage import Cage, Limits
+from heli_lab.campaign.worker_process import Limits, WorkerProcess
 case = Case("fine", "tests.campaign.works:count", {"number": 3})
-cage = Cage(Limits())
+cage = WorkerProcess(Limits())
 print(cage.run(case, "key").detail["pid"], flush=True)
 cage.run(Case("long", "tests.campaign.works:count", {"number": 3, "nap_s": 3600}), "key")
 """

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 from heli_lab.campaign import Campaign, Case, Store, cluster, run_campaign
-from heli_lab.campaign.cage import Limits
 from heli_lab.campaign.code import code_digest
 from heli_lab.campaign.run import State
-from heli_lab.campaign.worker import Order, Refused, attend, other_code
+from heli_lab.campaign.worker import CodeMismatch, Job, other_code, run_job
+from heli_lab.campaign.worker_process import Limits
 from heli_lab.errors import CampaignError
 
 from tests.campaign.killer import Cluster, free_port
@@ -60,11 +60,11 @@ def test_a_worker_of_other_code_is_named_and_the_others_do_its_cases(
 
 def test_a_worker_of_other_code_refuses_also_what_it_gets_later(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    order = Order(
+    order = Job(
         Case("a", WORKS[0], {"number": 1}), "k", "other", WORKS, Limits(), str(store.cases), store.token
     )
-    refused = attend(order)
-    assert isinstance(refused, Refused)
+    refused = run_job(order)
+    assert isinstance(refused, CodeMismatch)
     assert "the campaign's has other" in refused.why
     assert not list(store.cases.iterdir())
 

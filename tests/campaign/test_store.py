@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 from heli_lab.campaign import Answer, Campaign, Case, Store, run_campaign
-from heli_lab.campaign.cage import Limits
 from heli_lab.campaign.store import row_of
+from heli_lab.campaign.worker_process import Limits
 from heli_lab.errors import CampaignError
 
 CASES = tuple(Case(f"case {n}", "tests.campaign.works:count", {"number": n}) for n in range(4))

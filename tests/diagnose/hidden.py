@@ -26,7 +26,7 @@ MADE_BY = (Path(__file__), Path(made.__file__))
 
 
 @dataclass(frozen=True)
-class OffList(Effect):
+class Unlisted(Effect):
     """Pitch is pushed as elevation rises: an effect that no catalogue has."""
 
     def torque_Nm(self, at: Operands) -> ca.SX:
@@ -36,18 +36,18 @@ class OffList(Effect):
 
 @cache
 def flights(
-    *effects: str, off_list: bool = False, seconds: tuple[float, float] = SHORT_S
+    *effects: str, unlisted: bool = False, seconds: tuple[float, float] = SHORT_S
 ) -> tuple[Flight, Flight]:
     """A flight to fit and one to judge on."""
-    name = f"hidden {effects} {off_list} {seconds}"
-    return KEPT(name, lambda: _flown(effects, off_list, seconds), made_by=MADE_BY, rooms=FLOWN)
+    name = f"hidden {effects} {unlisted} {seconds}"
+    return KEPT(name, lambda: _flown(effects, unlisted, seconds), made_by=MADE_BY, rooms=FLOWN)
 
 
-def _flown(effects: tuple[str, ...], off_list: bool, seconds: tuple[float, float]) -> tuple[Flight, Flight]:
+def _flown(effects: tuple[str, ...], unlisted: bool, seconds: tuple[float, float]) -> tuple[Flight, Flight]:
     rig = load_rig("makki2024").replace(thrust_gain=0.62, friction_travel=0.05)
     hidden: tuple[Effect, ...] = parse_effects(effects)
-    if off_list:
-        hidden = (*hidden, OffList("off_list"))
+    if unlisted:
+        hidden = (*hidden, Unlisted("off_list"))
     model = MultibodyModel(hidden)
     fit = thinned(flown(rig, 11, seconds[0], model), 2)
     held_out = thinned(flown(rig, 12, seconds[1], model), 2)

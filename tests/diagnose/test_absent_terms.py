@@ -6,8 +6,8 @@ from functools import cache
 
 import pytest
 from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
-from heli_lab.diagnose.absent_terms import absence_probability, absent_terms, closely_stated_terms
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.absent_terms import absence_probability, absent_terms, tightly_specified_terms
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.prediction import Prediction, predict
 from heli_lab.diagnose.screening import Screening
 from heli_lab.identify import prepare
@@ -24,12 +24,12 @@ KINDS = catalogue()
 
 
 @cache
-def tried(effect: str) -> tuple[Comparison, Hypothesis]:
+def tried(effect: str) -> tuple[ModelComparison, Hypothesis]:
     """Refit the baseline to flights of a rig that lacks a term."""
     rig = load_rig("makki2024")
     # Whether a pendulum is there at all shows in 34 s, and not in half of them.
     fit, held_out = flights(effect, seconds=WHOLE_S)
-    comparison = Comparison(
+    comparison = ModelComparison(
         MultibodyModel(), rig, [prepare(fit, rig, "fit")], [prepare(held_out, rig, "held out")]
     )
     return comparison, comparison.refit([])
@@ -64,7 +64,7 @@ def test_friction_that_is_not_there_is_named_by_the_fit_itself(axis: str) -> Non
 
 def test_pendulum_that_the_rig_states_closely_scores_as_absent() -> None:
     comparison, baseline = tried("removed.pendulum.elevation=1")
-    found = closely_stated_terms(comparison, KINDS.values(), Screening(baseline.estimate))
+    found = tightly_specified_terms(comparison, KINDS.values(), Screening(baseline.estimate))
     best, start, score = max(found, key=lambda one: one[2])
     assert best.id == "removed.pendulum.elevation"
     assert score > 15.0

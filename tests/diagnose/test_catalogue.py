@@ -7,11 +7,11 @@ from typing import cast
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.candidate import Candidate, usual
+from heli_lab.diagnose.candidate import Candidate, typical_candidate
 from heli_lab.diagnose.equation_discovery.catalogue import Catalogue
-from heli_lab.diagnose.equation_discovery.law import Law, LawTerm, law_effect
+from heli_lab.diagnose.equation_discovery.equation import Equation, EquationTerm, equation_effect
 from heli_lab.diagnose.equation_discovery.terms import Factor, Term
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.screening import Screening
 from heli_lab.diagnose.search import _Searcher
 from heli_lab.diagnose.search_record import Refit
@@ -28,34 +28,38 @@ KINDS = catalogue()
 PENALTY = 10.0
 
 
-def as_good(hidden: str, law: Law, *ids: str, off_list: bool = False) -> list[str | None]:
-    """What does as well as a `law` in a flight with `hidden` effects, by lists of each of these ids alone."""
+def equivalent_effect(hidden: str, equation: Equation, *ids: str, unlisted: bool = False) -> list[str | None]:
+    """What does as well as an `equation` in a flight with `hidden` effects, each id listed alone."""
     rig = load_rig("makki2024")
-    flight = flights(hidden, off_list=off_list)[0]
-    comparison = Comparison(MultibodyModel(), rig, [prepare(flight, rig, "fit")], [])
+    flight = flights(hidden, unlisted=unlisted)[0]
+    comparison = ModelComparison(MultibodyModel(), rig, [prepare(flight, rig, "fit")], [])
     base = comparison.refit([])
-    effect = law_effect(law, dict.fromkeys(law.coefficients, 0.1))
-    near = comparison.refit(
+    effect = equation_effect(equation, dict.fromkeys(equation.coefficients, 0.1))
+    warm_start = comparison.refit(
         [Candidate(effect.name, effect, tuple(effect.priors))], {**effect.values, **base.values}, base
     )
-    assert near.log_likelihood > base.log_likelihood + 50.0 + PENALTY
+    assert warm_start.log_likelihood > base.log_likelihood + 50.0 + PENALTY
     return [
-        Catalogue(comparison, base, {one: KINDS[one]}, lambda _: None).as_good(law, near, PENALTY)
+        Catalogue(comparison, base, {one: KINDS[one]}, lambda _: None).equivalent_effect(
+            equation, warm_start, PENALTY
+        )
         for one in ids
     ]
 
 
 @pytest.mark.slow
 def test_a_law_that_an_effect_of_the_list_explains_as_well_is_none() -> None:
-    law = Law((LawTerm("torque.travel", Term((Factor("linear", "travel"),))),))
-    found = as_good("cable_spring.travel=0.1", law, "coulomb_friction.pitch", "cable_spring.travel")
+    equation = Equation((EquationTerm("torque.travel", Term((Factor("linear", "travel"),))),))
+    found = equivalent_effect(
+        "cable_spring.travel=0.1", equation, "coulomb_friction.pitch", "cable_spring.travel"
+    )
     assert found == [None, "cable_spring.travel"]
 
 
 @pytest.mark.slow
 def test_a_law_goes_while_an_effect_of_the_list_that_matters_more_is_missing_beside_it() -> None:
-    law = Law((LawTerm("torque.pitch", Term((Factor("linear", "elevation"),))),))
-    found = as_good("cable_spring.travel=0.3", law, "cable_spring.travel", off_list=True)
+    equation = Equation((EquationTerm("torque.pitch", Term((Factor("linear", "elevation"),))),))
+    found = equivalent_effect("cable_spring.travel=0.3", equation, "cable_spring.travel", unlisted=True)
     assert found == ["cable_spring.travel"]
 
 
@@ -75,19 +79,21 @@ def test_a_law_stays_that_is_worth_more_beside_an_effect_than_the_effect_beside_
         return cast(Hypothesis, SimpleNamespace(log_likelihood=nats, values={}, candidates=("law",)))
 
     comparison = SimpleNamespace(
-        rows=1500, held_out=(), refit=lambda candidates, start, near: made(both_nats)
+        rows=1500, held_out=(), refit=lambda candidates, start, warm_start: made(both_nats)
     )
     base = cast(Hypothesis, SimpleNamespace(candidates=(), log_likelihood=0.0))
-    listed = Catalogue(cast(Comparison, comparison), base, KINDS, lambda _: None)
-    effect = usual(KINDS["input_delay"])
+    listed = Catalogue(cast(ModelComparison, comparison), base, KINDS, lambda _: None)
+    effect = typical_candidate(KINDS["input_delay"])
     assert listed.encompasses(made(law_nats), made(effect_nats), effect, PENALTY) is stays
 
 
 def dry_friction(resting: list[float], *, there: tuple[str, ...] = ()) -> list[str]:
     """Ids of the frictions that are tried where the axes rest for these shares of the time."""
     at_rest = np.arange(100)[:, None] < 100 * np.array(resting)
-    course = SimpleNamespace(at_rest=at_rest, rows=np.arange(100))
-    screening = SimpleNamespace(filtered=SimpleNamespace(linears=[SimpleNamespace(course=course)]))
+    reference = SimpleNamespace(at_rest=at_rest, rows=np.arange(100))
+    screening = SimpleNamespace(
+        filtered=SimpleNamespace(linearised_flights=[SimpleNamespace(reference=reference)])
+    )
     searcher = cast(_Searcher, SimpleNamespace(kinds=KINDS))
     base = cast(Hypothesis, SimpleNamespace(ids=there))
     found = _Searcher._dry_friction(searcher, base, cast(Screening, screening), ())
@@ -107,10 +113,12 @@ def test_a_size_that_the_likelihood_tells_from_nothing_is_told_whatever_its_stan
     kind = KINDS["coulomb_friction.elevation"]
     size = kind.size[0]
     estimate = SimpleNamespace(
-        unknowns=SimpleNamespace(names=[size]), covariance=np.array([[0.05**2]]), theta=np.array([0.03])
+        parameter_vector=SimpleNamespace(names=[size]),
+        covariance=np.array([[0.05**2]]),
+        theta=np.array([0.03]),
     )
     hypothesis = cast(Hypothesis, SimpleNamespace(estimate=estimate, values={size: 0.03}))
-    candidate = usual(kind)
+    candidate = typical_candidate(kind)
     searcher = cast(_Searcher, SimpleNamespace(kinds=KINDS))
     assert _Searcher._told(searcher, Refit(hypothesis, 1300.0, 11.0, 0.0), candidate)
     assert not _Searcher._told(searcher, Refit(hypothesis, 30.0, 11.0, 0.0), candidate)

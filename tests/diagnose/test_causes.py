@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
 from heli_lab.diagnose.error_reduction import judgement
-from heli_lab.diagnose.missing_law import missing_laws
+from heli_lab.diagnose.missing_term import missing_terms
 from heli_lab.diagnose.report import write_report
 from heli_lab.diagnose.summary import title
 from heli_sim.model import MultibodyModel
@@ -28,11 +28,11 @@ pytestmark = pytest.mark.diagnosis
 
 
 @cache
-def diagnosed(*effects: str, off_list: bool = False) -> Diagnosis:
+def diagnosed(*effects: str, unlisted: bool = False) -> Diagnosis:
     """Diagnose a flight with something hidden in it; once for all files of this room."""
-    fit, held_out = flights(*effects, off_list=off_list)
+    fit, held_out = flights(*effects, unlisted=unlisted)
     return KEPT(
-        f"diagnosed {effects} {off_list} {SHORT_S}",
+        f"diagnosed {effects} {unlisted} {SHORT_S}",
         lambda: diagnose(
             MultibodyModel(), load_rig("makki2024"), [fit], [held_out], labels=["fit", "held out"]
         ),
@@ -41,7 +41,7 @@ def diagnosed(*effects: str, off_list: bool = False) -> Diagnosis:
 
 
 def test_answer_has_the_keys_and_units_that_were_promised_whatever_the_verdict() -> None:
-    for found in (diagnosed(), diagnosed("rotor_lag=0.06"), diagnosed(off_list=True)):
+    for found in (diagnosed(), diagnosed("rotor_lag=0.06"), diagnosed(unlisted=True)):
         conforms(to_json(found))
 
 
@@ -126,7 +126,7 @@ def test_hidden_effect_is_named_measured_and_halves_the_error(effect: str, name:
 
 
 def test_effect_that_no_catalogue_has_is_unexplained_and_said_to_go_with_elevation() -> None:
-    numbers = to_json(diagnosed(off_list=True))
+    numbers = to_json(diagnosed(unlisted=True))
     assert numbers["verdict"] == "unexplained"
     assert numbers["causes"] == []
     assert numbers["unexplained"]["axis"] == "pitch"
@@ -136,7 +136,7 @@ def test_effect_that_no_catalogue_has_is_unexplained_and_said_to_go_with_elevati
 
 
 def test_curve_in_the_place_of_an_unknown_cause_is_the_cause_and_in_no_rig(tmp_path: Path) -> None:
-    found = diagnosed(off_list=True)
+    found = diagnosed(unlisted=True)
     (curve,) = found.curves
     # 0.05 N m a radian was hidden, in mN m against degrees, and a constant belongs to the trim.
     slope = np.polyfit(curve.place, curve.value, 1)[0]
@@ -162,13 +162,13 @@ def test_curve_in_the_place_of_an_unknown_cause_is_the_cause_and_in_no_rig(tmp_p
 def test_what_is_missing_follows_what_was_hidden_though_the_law_had_no_part_in_it(
     hidden: str, on: str, slope_mNm_per_deg: float
 ) -> None:
-    found = diagnosed(hidden) if hidden else diagnosed(off_list=True)
-    (law,) = missing_laws(found)
-    assert (law.what, law.unit, law.on, law.on_unit) == ("torque", "mN m", on, "deg")
+    found = diagnosed(hidden) if hidden else diagnosed(unlisted=True)
+    (equation,) = missing_terms(found)
+    assert (equation.what, equation.unit, equation.on, equation.on_unit) == ("torque", "mN m", on, "deg")
     hidden_slope = slope_mNm_per_deg * np.pi / 180.0
-    assert np.polyfit(law.place, law.missing, 1)[0] == pytest.approx(hidden_slope, rel=0.1)
-    assert abs(np.polyfit(law.place, law.left, 1)[0]) < 0.1 * abs(hidden_slope)
-    assert law.share > 0.8
+    assert np.polyfit(equation.place, equation.missing, 1)[0] == pytest.approx(hidden_slope, rel=0.1)
+    assert abs(np.polyfit(equation.place, equation.left, 1)[0]) < 0.1 * abs(hidden_slope)
+    assert equation.share > 0.8
 
 
 def test_what_is_perhaps_there_beside_something_unknown_is_never_said_as_a_fact() -> None:
@@ -176,11 +176,11 @@ def test_what_is_perhaps_there_beside_something_unknown_is_never_said_as_a_fact(
     unsure = replace(
         found,
         verdict=replace(
-            found.verdict, label="unexplained", off_list=diagnosed(off_list=True).verdict.off_list
+            found.verdict, label="unexplained", unlisted=diagnosed(unlisted=True).verdict.unlisted
         ),
     )
     unsure = replace(
-        unsure, search=diagnosed(off_list=True).search, spline_gains=diagnosed(off_list=True).spline_gains
+        unsure, search=diagnosed(unlisted=True).search, spline_gains=diagnosed(unlisted=True).spline_gains
     )
     fact, perhaps = summary(unsure).split(" Beside it, perhaps: ")
     assert fact.startswith("Something is missing that no effect of the catalogue explains")
@@ -191,19 +191,21 @@ def test_what_is_perhaps_there_beside_something_unknown_is_never_said_as_a_fact(
 
 def test_number_that_flights_pull_far_from_the_rig_file_is_said() -> None:
     found = diagnosed()
-    assert found.pulled == ()
+    assert found.prior_conflicts == ()
     fit = found.after.fit
     place = [one.name for one in fit.problem.free].index("offset_pitch")
     one = fit.problem.free[place]
     theta = fit.theta.copy()
     theta[place] = one.prior.mean + 4.1 * one.prior.std
-    pulled = replace(found, after=replace(found.after, fit=replace(fit, theta=theta)))
-    (said,) = pulled.pulled
+    prior_conflicts = replace(found, after=replace(found.after, fit=replace(fit, theta=theta)))
+    (said,) = prior_conflicts.prior_conflicts
     assert said.deviations == pytest.approx(4.1)
-    (written,) = to_json(pulled)["pulled"]
+    (written,) = to_json(prior_conflicts)["prior_conflicts"]
     assert written["parameter"] == "offset_pitch"
     assert written["without_prior"]["std"] > 0.0
-    assert any("offset_pitch" in line and "4.1 standard deviations" in line for line in pulled.cautions)
+    assert any(
+        "offset_pitch" in line and "4.1 standard deviations" in line for line in prior_conflicts.cautions
+    )
 
 
 def test_extended_rig_is_read_back_with_the_cause_and_its_size(tmp_path: Path) -> None:

@@ -93,9 +93,9 @@ def test_horizons_are_judged_on_the_same_samples_after_the_beginning() -> None:
     run, record = predicted(RIGHT), that_day()
     rows = [run.errors[key].rows for key in HORIZONS]
     assert all(np.array_equal(rows[0], other) for other in rows)
-    assert rows[0].sum() * record.step_s == pytest.approx(run.judged_s, abs=0.1)
+    assert rows[0].sum() * record.step_s == pytest.approx(run.evaluated_s, abs=0.1)
     assert run.calibrated_s == pytest.approx(8.0, abs=0.01)
-    assert run.calibrated_s + run.judged_s == pytest.approx(record.used_s)
+    assert run.calibrated_s + run.evaluated_s == pytest.approx(record.used_s)
     begin = record.t_s[record.segments[0][0]]
     assert run.fit.problem.records[0].t_s[run.fit.problem.grid(0, True, run.fit.theta).rows[0]] == (
         pytest.approx(begin + 8.0, abs=0.01)
@@ -173,11 +173,13 @@ def test_flight_in_pieces_is_calibrated_on_its_first_seconds_of_free_flight() ->
 
 
 def test_gain_that_all_windows_share_is_sure_and_one_that_a_single_window_makes_is_not() -> None:
-    rows, usual = np.full(12, 1000.0), np.ones((12, 3))
-    shared = error_reduction([WindowErrors(usual, rows)], [WindowErrors(0.25 * usual, rows)])["pitch"]
+    rows, typical_candidate = np.full(12, 1000.0), np.ones((12, 3))
+    shared = error_reduction(
+        [WindowErrors(typical_candidate, rows)], [WindowErrors(0.25 * typical_candidate, rows)]
+    )["pitch"]
     assert shared.interval95 == pytest.approx((shared.ratio, shared.ratio))
-    gusty = usual.copy()
+    gusty = typical_candidate.copy()
     gusty[0] = 100.0
-    single = error_reduction([WindowErrors(gusty, rows)], [WindowErrors(usual, rows)])["pitch"]
+    single = error_reduction([WindowErrors(gusty, rows)], [WindowErrors(typical_candidate, rows)])["pitch"]
     assert single.ratio < shared.ratio
     assert single.interval95[1] == pytest.approx(1.0)

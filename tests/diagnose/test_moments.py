@@ -7,8 +7,8 @@ from typing import cast
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.candidate import Candidate, usual
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.candidate import Candidate, typical_candidate
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.screening import Scored, Screening
 from heli_lab.diagnose.search import _Searcher
 from heli_lab.diagnose.search_record import Refit, Round
@@ -30,9 +30,9 @@ MOMENT_s = 13.7
 def test_a_step_that_passes_for_weather_is_scored_where_the_missing_torque_jumps() -> None:
     rig = load_rig("makki2024")
     record = prepare(flights(f"counterweight_shift=0.009@{MOMENT_s}")[0], rig, "fit")
-    base = Comparison(MultibodyModel(), rig, [record], []).refit([])
-    slow = base.estimate.weather
-    assert slow.drift_Nm[0] > 0.01 or slow.gust_Nm[0] > 0.01
+    base = ModelComparison(MultibodyModel(), rig, [record], []).refit([])
+    slow = base.estimate.disturbances
+    assert slow.slow_std_Nm[0] > 0.01 or slow.fast_std_Nm[0] > 0.01
     (found,) = Screening(base.estimate).effects([KINDS["counterweight_shift"]])
     assert found.candidate.grid["counterweight_shift_at_s"] == pytest.approx(MOMENT_s, abs=0.3)
     assert found.log_likelihood_gain > 30.0
@@ -52,13 +52,13 @@ def hypothesis(candidates: list[Candidate]) -> Hypothesis:
 
 def test_what_a_spline_displaced_comes_back_where_the_flights_held_out_speak_against_it() -> None:
     first, second, third = (
-        usual(KINDS[id_]) for id_ in ("rotor_lag", "encoder_eccentricity.travel", "axis_tilt")
+        typical_candidate(KINDS[id_]) for id_ in ("rotor_lag", "encoder_eccentricity.travel", "axis_tilt")
     )
     made = spline_term("measurement.travel", "travel", -1.0, 0.25, 1)
     spline = Candidate("spline:measurement.travel:travel", made, tuple(made.priors))
     asked: list[list[str]] = []
 
-    def refit(candidates: list[Candidate], start: dict[str, float], near: Hypothesis) -> Hypothesis:
+    def refit(candidates: list[Candidate], start: dict[str, float], warm_start: Hypothesis) -> Hypothesis:
         asked.append([one.id for one in candidates])
         assert start.keys() >= {second.id}
         return hypothesis(candidates)
@@ -95,7 +95,7 @@ def test_a_number_that_only_a_grid_searches_is_tried_on_both_sides_of_the_best_s
     gain = {1.0: 182.0, 2.0: 125.0}
     asked: list[float] = []
 
-    def refit(candidates: list[Candidate], start: dict[str, float], near: Hypothesis) -> Hypothesis:
+    def refit(candidates: list[Candidate], start: dict[str, float], warm_start: Hypothesis) -> Hypothesis:
         asked.append(candidates[-1].effect.values[order])
         found = hypothesis(candidates)
         found.log_likelihood = gain[asked[-1]]  # type: ignore[misc]
@@ -108,7 +108,7 @@ def test_a_number_that_only_a_grid_searches_is_tried_on_both_sides_of_the_best_s
             kinds=KINDS, comparison=SimpleNamespace(refit=refit), penalty=lambda candidate, tried: 10.0
         ),
     )
-    searcher._on_grid = lambda one: _Searcher._on_grid(searcher, one)  # type: ignore[method-assign]
+    searcher._on_grid = lambda scored: _Searcher._on_grid(searcher, scored)  # type: ignore[method-assign]
     base = hypothesis([])
     base.log_likelihood = 0.0  # type: ignore[misc]
     found = _Searcher.attempt(searcher, base, [], Scored(second, 48.0, np.full(2, 0.01), np.ones(2), 2))

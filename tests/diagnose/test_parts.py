@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from heli_host.fly.plan import Plan
 from heli_lab.diagnose.experiment_design import compose_experiment, segment_for
-from heli_lab.diagnose.result import stds
+from heli_lab.diagnose.result import reported_std
 from heli_lab.diagnose.spline_term import KNOTS, bspline_basis, channel_quantity_pairs, knot_span
 from heli_lab.identify import Fit
 from heli_sim.model.effects import catalogue
@@ -53,7 +53,7 @@ def stds_of(id_: str, **numbers: tuple[str, float, float]) -> dict[str, float]:
         std={name: std for name, (_, _, std) in numbers.items()},
         values={name: value for name, (_, value, _) in numbers.items()},
     )
-    return stds(cast(Fit, fit), catalogue()[id_])
+    return reported_std(cast(Fit, fit), catalogue()[id_])
 
 
 def test_no_standard_error_is_finer_than_steps_samples_and_counts_resolve() -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from heli_lab.diagnose.model_comparison import Comparison
+from heli_lab.diagnose.model_comparison import ModelComparison
 from heli_lab.diagnose.prediction import predict
-from heli_lab.diagnose.prior_pull import prior_pulls, tried_without
+from heli_lab.diagnose.prior_conflict import prior_conflicts, tried_without
 from heli_lab.identify import prepare
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig, load_rig
@@ -30,9 +30,9 @@ def sure_of(value: float) -> Rig:
 def test_a_number_that_a_closely_stated_wrong_one_holds_back_is_right_without_its_prior() -> None:
     fit, _ = flights()
     rig = sure_of(2.0 * FRICTION)
-    comparison = Comparison(MultibodyModel(), rig, [prepare(fit, rig, "fit")], [])
+    comparison = ModelComparison(MultibodyModel(), rig, [prepare(fit, rig, "fit")], [])
     estimate = comparison.refit([]).estimate
-    pulls = prior_pulls(predict((), estimate, comparison.train, ()).fit)
+    pulls = prior_conflicts(predict((), estimate, comparison.train, ()).fit)
     (found,) = [one for one in tried_without(pulls, estimate) if one.name == "friction_travel"]
     assert found.freed is not None
     assert abs(found.freed.value - FRICTION) < 3.0 * found.freed.std < 0.01
@@ -44,6 +44,6 @@ def test_a_number_that_a_closely_stated_wrong_one_holds_back_is_right_without_it
 def test_nothing_pulled_is_nothing_tried() -> None:
     fit, _ = flights()
     rig = load_rig("makki2024")
-    comparison = Comparison(MultibodyModel(), rig, [prepare(fit, rig, "fit")], [])
+    comparison = ModelComparison(MultibodyModel(), rig, [prepare(fit, rig, "fit")], [])
     estimate = comparison.refit([]).estimate
-    assert tried_without(prior_pulls(predict((), estimate, comparison.train, ()).fit), estimate) == ()
+    assert tried_without(prior_conflicts(predict((), estimate, comparison.train, ()).fit), estimate) == ()

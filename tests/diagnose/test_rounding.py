@@ -7,7 +7,7 @@ import pytest
 from heli_lab.diagnose import Diagnosis, diagnose, to_json
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import _kalman
-from heli_lab.innovations.evaluate import AlongCourse, Trajectory
+from heli_lab.innovations.evaluate import AlongTrajectory, Trajectory
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig
@@ -31,7 +31,7 @@ def test_verdict_and_log_likelihoods_survive_a_kernel_that_rounds_differently(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     plain = diagnosed()
-    rng, along, filtered = np.random.default_rng(5), AlongCourse.__call__, _kalman.filter
+    rng, along, filtered = np.random.default_rng(5), AlongTrajectory.__call__, _kalman.filter
     rounded = 0
 
     def otherwise(values: Floats) -> Floats:
@@ -39,13 +39,13 @@ def test_verdict_and_log_likelihoods_survive_a_kernel_that_rounds_differently(
         rounded += 1
         return values * (1.0 + ROUNDING * rng.uniform(-1.0, 1.0, values.shape))
 
-    def rounds_differently(self: AlongCourse, trajectory: Trajectory) -> list[Floats]:
+    def rounds_differently(self: AlongTrajectory, trajectory: Trajectory) -> list[Floats]:
         return [otherwise(one) for one in along(self, trajectory)]
 
     def filters_differently(*system: Floats) -> tuple[Floats, ...]:
         return tuple(otherwise(np.asarray(one)) for one in filtered(*system))
 
-    monkeypatch.setattr(AlongCourse, "__call__", rounds_differently)
+    monkeypatch.setattr(AlongTrajectory, "__call__", rounds_differently)
     monkeypatch.setattr(_kalman, "filter", filters_differently)
     other = diagnosed()
     assert rounded > 100

@@ -33,8 +33,8 @@ def diagnosed(*effects: str) -> Diagnosis:
 
 def assert_gusts_told(numbers: dict[str, Any]) -> None:
     for axis, size in (("elevation", 0.012), ("pitch", 0.004), ("travel", 0.008)):
-        assert numbers["weather"][axis]["gust_Nm"] == pytest.approx(size, rel=0.4)
-        assert numbers["weather"][axis]["log_likelihood_ratio"] > 100.0
+        assert numbers["disturbances"][axis]["fast_std_Nm"] == pytest.approx(size, rel=0.4)
+        assert numbers["disturbances"][axis]["log_likelihood_ratio"] > 100.0
 
 
 def test_weather_alone_is_explained_and_told_by_its_size() -> None:
@@ -64,12 +64,12 @@ def test_gust_about_one_axis_is_a_random_torque_of_its_size() -> None:
     assert cause["effect"] == "random_torque.travel"
     sigma = cause["parameters"]["random_torque_travel_Nm"]
     assert abs(sigma["value"] - 0.03) < 3.0 * sigma["std"]
-    assert numbers["residual"]["innovations"]["foretold_by"] == []
+    assert numbers["residual"]["innovations"]["predicted_by"] == []
 
 
 def test_torques_without_memory_are_no_gust() -> None:
     remaining = diagnosed(_GUST).residual_analysis
     assert gust_alone(remaining, catalogue())
     # What friction that catches leaves: nothing that blows is over before the next measurement.
-    short = replace(remaining.weather, memory_s=np.full(3, 0.03))
-    assert not gust_alone(replace(remaining, weather=short), catalogue())
+    short = replace(remaining.disturbances, correlation_time_s=np.full(3, 0.03))
+    assert not gust_alone(replace(remaining, disturbances=short), catalogue())

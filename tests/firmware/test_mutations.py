@@ -20,12 +20,12 @@ from tests.firmware.built import ROOT
 from tests.firmware.desk import Board
 from tests.firmware.mutations import MUTATIONS, Mutation
 from tests.firmware.subtle_mutations import SUBTLE
-from tests.running.long import shared_out
+from tests.running.long import parallel_map
 
 pytestmark = pytest.mark.emulated
 
 ALL = (*MUTATIONS, *SUBTLE)
-SHARE = shared_out(ALL, every=4, kind=lambda mutation: mutation.file)
+SHARE = parallel_map(ALL, every=4, kind=lambda mutation: mutation.file)
 
 due = pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
 pytest.importorskip("elftools", reason="pyelftools is missing: make setup")

@@ -11,13 +11,13 @@ from heli_host.declaration import State
 from tests.firmware.built import built_elf
 from tests.fly.fault_flights import Case, Outcome, flown
 from tests.fly.fault_table import CASES, ELSEWHERE, HEAD, row
-from tests.running.long import LONG, shared_out
+from tests.running.long import LONG, parallel_map
 
 pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not built")
 
 DOCUMENT = Path("docs/flying.md")
 TESTS = Path(__file__).parent
-NATIVE = shared_out([case for case in CASES if not case.due_only], every=3)
+NATIVE = parallel_map([case for case in CASES if not case.due_only], every=3)
 # Flown on the emulated Due in `make test`: what only it has, and one of each kind of the others.
 KINDS = ("the travel encoder's plug falls off in flight", "the board loses its power", "SIGTERM")
 EMULATED = [case for case in CASES if case.due_only or LONG or case.what in KINDS]

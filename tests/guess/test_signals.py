@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from heli_lab.guess.signals import filtered_signal
-from heli_lab.guess.thresholds import STEP_S, CUTOFF_Hz
+from heli_lab.guess.thresholds import CUTOFF_Hz, SAMPLE_STEP_s
 
 pytestmark = pytest.mark.medium
 
@@ -15,9 +15,9 @@ def test_the_low_pass_is_the_butterworth_filter_of_scipy_both_ways(rows: int) ->
     from scipy.signal import butter, sosfiltfilt
 
     wandering = np.cumsum(np.random.default_rng(rows).normal(size=rows)) + 100.0
-    sections = butter(4, CUTOFF_Hz, fs=1.0 / STEP_S, output="sos")
+    sections = butter(4, CUTOFF_Hz, fs=1.0 / SAMPLE_STEP_s, output="sos")
     low = sosfiltfilt(sections, wandering)
     found = filtered_signal(wandering)
     np.testing.assert_allclose(found.value, low, atol=1e-10)
-    acceleration = np.gradient(np.gradient(low, STEP_S), STEP_S)
+    acceleration = np.gradient(np.gradient(low, SAMPLE_STEP_s), SAMPLE_STEP_s)
     np.testing.assert_allclose(found.acceleration, acceleration, atol=1e-8 * np.abs(acceleration).max())

@@ -17,7 +17,7 @@ from heli_lab.identify.run import identify
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 
-from tests.running.long import shared_out
+from tests.running.long import parallel_map
 
 pytestmark = pytest.mark.slow
 
@@ -40,7 +40,7 @@ BEYOND = {
     ("rendellc_P4p2_noint_pf5", "rendellc_P2p1"),
     ("rendellc_P2p1", "rendellc_P4p2_noint_pf5"),
 }
-PAIRS = shared_out(list(REACHED), every=len(REACHED), kind=BEYOND.__contains__)
+PAIRS = parallel_map(list(REACHED), every=len(REACHED), kind=BEYOND.__contains__)
 """In `make test` one pair within what is reported, and one beyond."""
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from heli_host.flight import Flight
 from heli_lab.identify import Budget, Problem, check, prepare, solve, validate
-from heli_lab.identify.descent import Descent
 from heli_lab.identify.functions import Floats
-from heli_lab.identify.initial_states import alternative_states, first_states
+from heli_lab.identify.initial_states import alternative_states, initial_state_guess
+from heli_lab.identify.levenberg_marquardt import LevenbergMarquardt
 from heli_lab.identify.window_states import refine_states, restart_states, window_cost
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
@@ -52,7 +52,7 @@ def test_hard_dry_friction_of_the_light_axis_is_found_from_a_start_without_any()
 def test_a_window_in_a_wrong_state_returns_and_leaves_the_others_alone() -> None:
     problem = posed(DRY_Nm)
     theta = problem.start
-    (states,) = first_states(problem, theta)
+    (states,) = initial_state_guess(problem, theta)
     ones: Floats = np.ones(3)
 
     def costs(at: Floats) -> Floats:
@@ -84,7 +84,7 @@ def test_a_lost_window_starts_again_from_elsewhere_as_well_from_either_side_of_a
         state_std={"backlash_travel_shaft_rad": 0.02},
     )
     theta, ones, first = problem.start, np.ones(3), np.array([0])
-    (seen,) = first_states(problem, theta)
+    (seen,) = initial_state_guess(problem, theta)
     every = np.arange(len(seen))
     weights = np.ones(len(seen))
     there, evaluation = refine_states(
@@ -119,7 +119,7 @@ def test_a_frequency_waits_until_its_torque_is_found() -> None:
 def test_a_better_state_from_before_is_taken() -> None:
     problem = posed(DRY_Nm)
     theta = problem.start
-    (states,) = first_states(problem, theta)
+    (states,) = initial_state_guess(problem, theta)
     lost = states.copy()
     lost[2, 3:] = np.nan
     evaluation = problem.evaluation(0, theta, lost)
@@ -142,11 +142,11 @@ def test_first_states_follow_the_parameters_and_are_worked_out_once_for_each() -
     lag = catalogue()["rotor_lag"].make({"rotor_lag_s": 0.05})
     record = prepare(dry_flight(7), RIG, "flight 7")
     problem = Problem(MultibodyModel((lag,)), RIG, [record], free=["rotor_lag_s"], step_s=0.004)
-    descent = Descent(problem, Budget(), False, None)
+    descent = LevenbergMarquardt(problem, Budget(), False, None)
     slow, fast = np.array([0.2]), np.array([0.02])
     for theta in (slow, fast, fast, slow):
-        (states,) = descent.first_states(theta)
-        assert np.array_equal(states, first_states(problem, theta)[0])
+        (states,) = descent.initial_state_guess(theta)
+        assert np.array_equal(states, initial_state_guess(problem, theta)[0])
         # Whoever optimises them does not change what is remembered.
         states += 1.0
-    assert not np.allclose(first_states(problem, slow)[0], first_states(problem, fast)[0])
+    assert not np.allclose(initial_state_guess(problem, slow)[0], initial_state_guess(problem, fast)[0])

@@ -23,8 +23,8 @@ MADE_BY = (Path(__file__), Path(made.__file__))
 
 
 def _flown(share: float = 1.0, *further: str) -> Flight:
-    weather = parse_effects([f"random_torque.{axis}={share * size}" for axis, size in GUST_Nm.items()])
-    return thinned(flown(TRUE_RIG, 21, SECONDS, MultibodyModel((*weather, *parse_effects(further)))), 2)
+    disturbances = parse_effects([f"random_torque.{axis}={share * size}" for axis, size in GUST_Nm.items()])
+    return thinned(flown(TRUE_RIG, 21, SECONDS, MultibodyModel((*disturbances, *parse_effects(further)))), 2)
 
 
 @cache

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from heli_lab.identify.functions import Floats, Integers
-from heli_lab.innovations.bordered import inverse_bordered, own_columns, solve_bordered
+from heli_lab.innovations.arrowhead import invert_arrowhead, per_flight_columns, solve_arrowhead
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -34,16 +34,16 @@ def test_solution_and_inverse_are_those_of_the_whole_matrix(
 ) -> None:
     assume(shared + own > 0)
     matrix, columns = system(flights, shared, own, seed)
-    places = own_columns(columns, len(matrix))
+    places = per_flight_columns(columns, len(matrix))
     right = np.random.default_rng(seed).standard_normal((len(matrix), 3))
-    assert solve_bordered(matrix, right, places) == pytest.approx(np.linalg.solve(matrix, right), abs=1e-9)
-    assert solve_bordered(matrix, right[:, 0], places) == pytest.approx(
+    assert solve_arrowhead(matrix, right, places) == pytest.approx(np.linalg.solve(matrix, right), abs=1e-9)
+    assert solve_arrowhead(matrix, right[:, 0], places) == pytest.approx(
         np.linalg.solve(matrix, right[:, 0]), abs=1e-9
     )
-    assert inverse_bordered(matrix, places) == pytest.approx(np.linalg.inv(matrix), abs=1e-9)
+    assert invert_arrowhead(matrix, places) == pytest.approx(np.linalg.inv(matrix), abs=1e-9)
 
 
 def test_what_a_flight_alone_depends_on_is_its_own() -> None:
     columns = [np.array([0, 1, 2]), np.array([0, 3, 4])]
-    assert own_columns(columns, 5).tolist() == [[1, 2], [3, 4]]
-    assert own_columns(columns[:1], 3).shape == (1, 0)
+    assert per_flight_columns(columns, 5).tolist() == [[1, 2], [3, 4]]
+    assert per_flight_columns(columns[:1], 3).shape == (1, 0)

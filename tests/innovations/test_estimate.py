@@ -6,8 +6,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_lab.diagnose.candidate import Candidate, usual
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.candidate import Candidate, typical_candidate
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.screening import Screening
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
@@ -20,9 +20,9 @@ KINDS = catalogue()
 
 
 @cache
-def comparison() -> Comparison:
+def comparison() -> ModelComparison:
     """The flight alone."""
-    return Comparison(MultibodyModel(), RIG, [windy()], [])
+    return ModelComparison(MultibodyModel(), RIG, [windy()], [])
 
 
 @cache
@@ -33,21 +33,23 @@ def baseline() -> Hypothesis:
 
 def test_parameters_are_the_rigs_within_their_standard_errors() -> None:
     found = baseline()
-    std = dict(zip(found.estimate.unknowns.names, np.sqrt(np.diag(found.estimate.covariance)), strict=True))
+    std = dict(
+        zip(found.estimate.parameter_vector.names, np.sqrt(np.diag(found.estimate.covariance)), strict=True)
+    )
     for name in ("thrust_gain", "dead_zone", "friction_elevation", "friction_pitch", "friction_travel"):
         assert abs(found.values[name] - TRUE_RIG[name].value) < 3.5 * std[name], name
 
 
 def test_weather_is_what_blew() -> None:
-    weather = baseline().estimate.weather
-    assert weather.gust_Nm == pytest.approx(list(GUST_Nm.values()), rel=0.35)
+    disturbances = baseline().estimate.disturbances
+    assert disturbances.fast_std_Nm == pytest.approx(list(GUST_Nm.values()), rel=0.35)
     # A memory of half a second is told to about a factor of two by half a minute.
-    assert np.all((weather.memory_s > 0.2) & (weather.memory_s < 1.2))
+    assert np.all((disturbances.correlation_time_s > 0.2) & (disturbances.correlation_time_s < 1.2))
 
 
 def test_innovations_of_the_right_model_are_white() -> None:
     estimate = baseline().estimate
-    innovations, _ = estimate.filtered().innovations(estimate.weather)
+    innovations, _ = estimate.filtered().innovations(estimate.disturbances)
     value = innovations[:, 0].reshape(-1, 3)
     assert value.std(axis=0) == pytest.approx([1.0, 1.0, 1.0], abs=0.05)
     for lag in (1, 2, 5, 12):
@@ -65,7 +67,7 @@ def test_nothing_of_the_catalogue_scores_where_nothing_is_missing() -> None:
 
 def test_scale_of_an_encoder_is_no_cause_of_its_own_innovations() -> None:
     # About a smoothed course, which knows what is to come, every flight wants its encoders stretched.
-    linear = baseline().estimate.filtered().linears[0]
+    linear = baseline().estimate.filtered().linearised_flights[0]
     angles = np.zeros((linear.rows, 3, 3))
     angles[:, range(3), range(3)] = linear.nodes.state[:, :3]
     scores = Screening(baseline().estimate).score_signals(
@@ -82,9 +84,9 @@ def test_weather_found_is_likelier_than_its_neighbours() -> None:
         from dataclasses import replace
 
         at = replace(
-            estimate.weather,
-            gust_Nm=estimate.weather.gust_Nm * gust,
-            memory_s=estimate.weather.memory_s * memory,
+            estimate.disturbances,
+            fast_std_Nm=estimate.disturbances.fast_std_Nm * gust,
+            correlation_time_s=estimate.disturbances.correlation_time_s * memory,
         )
         innovations, log_variances = estimate.filtered().innovations(at)
         return float(-0.5 * (innovations[:, 0] @ innovations[:, 0] + log_variances.sum()))
@@ -96,7 +98,7 @@ def test_weather_found_is_likelier_than_its_neighbours() -> None:
 @pytest.mark.parametrize("id_", ["coulomb_friction.elevation", "thrust_asymmetry", "rotor_lag"])
 def test_larger_model_is_never_less_likely_than_the_one_that_it_contains(id_: str) -> None:
     kind = KINDS[id_]
-    more = comparison().refit([usual(kind)], None, baseline())
+    more = comparison().refit([typical_candidate(kind)], None, baseline())
     # What it cannot avoid is the prior of its size, which at nothing is up to 1.4 standard deviations off.
     assert more.log_likelihood > baseline().log_likelihood - 1.2
 
@@ -111,12 +113,12 @@ def test_larger_model_is_never_less_likely_than_the_one_that_it_contains(id_: st
     ],
 )
 def test_what_acts_while_an_axis_turns_back_has_its_size(id_: str, parameter: str, size: float) -> None:
-    among = Comparison(MultibodyModel(), RIG, [flown_with(f"{id_}={size}")], [])
+    among = ModelComparison(MultibodyModel(), RIG, [flown_with(f"{id_}={size}")], [])
     nothing, kind = among.refit([]), KINDS[id_]
     best = Screening(nothing.estimate).effects([one for one in KINDS.values() if one.acts_on == kind.acts_on])
     assert best[0].candidate.id == id_
     candidate = Candidate(id_, kind.make({**kind.typical, **kind.neutral}), kind.size)
     found = among.refit([candidate], None, nothing)
-    place = found.estimate.unknowns.names.index(parameter)
+    place = found.estimate.parameter_vector.names.index(parameter)
     assert np.sqrt(found.estimate.covariance[place, place]) < 0.1 * size
     assert found.values[parameter] == pytest.approx(size, rel=0.1)

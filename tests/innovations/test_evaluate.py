@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from heli_lab.innovations import AlongCourse, OwnStates, Trajectory, _straight_line
+from heli_lab.innovations import AlongTrajectory, EffectStates, Trajectory, _straight_line
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from hypothesis import given, seed, settings
@@ -68,7 +68,7 @@ BINARY: dict[str, Callable[[ca.SX, ca.SX], ca.SX]] = {
 }
 
 
-def course(states: int, parameters: int, number: int = 1) -> Trajectory:
+def reference(states: int, parameters: int, number: int = 1) -> Trajectory:
     """A course of random numbers."""
     random = np.random.default_rng(number)
     return Trajectory(
@@ -91,7 +91,7 @@ def by_casadi(function: ca.Function, along: Trajectory) -> list[np.ndarray]:
 
 
 def same(function: ca.Function, along: Trajectory) -> None:
-    for found, expected in zip(AlongCourse(function)(along), by_casadi(function, along), strict=True):
+    for found, expected in zip(AlongTrajectory(function)(along), by_casadi(function, along), strict=True):
         assert found.shape == expected.shape
         assert np.allclose(found, expected, rtol=1e-12, atol=1e-300)
 
@@ -104,7 +104,7 @@ def test_each_operation_of_rows_and_of_shared_numbers(name: str) -> None:
         found = [UNARY[name](one) for one in values]
     else:
         found = [BINARY[name](one, other) for one in values for other in (x[1], p[1])]
-    same(ca.Function("f", [x, u, t, p], [ca.vertcat(*found)]), course(2, 3))
+    same(ca.Function("f", [x, u, t, p], [ca.vertcat(*found)]), reference(2, 3))
 
 
 def test_no_operation_of_the_table_is_left_untried() -> None:
@@ -128,7 +128,7 @@ def test_random_programs(recipe: list[tuple[int, int, int]]) -> None:
         # What grows without bound would end in infinity, where nothing can be compared.
         values.append(ca.tanh(calls[which % len(calls)](values[a % len(values)], values[b % len(values)])))
     wanted = [ca.vertcat(*values[-6:]), ca.horzcat(*values[:4])]
-    same(ca.Function("f", [x, u, t, p], wanted), course(2, 3, len(recipe)))
+    same(ca.Function("f", [x, u, t, p], wanted), reference(2, 3, len(recipe)))
 
 
 def test_what_an_expression_holds_twice_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -145,7 +145,7 @@ def test_what_an_expression_holds_twice_is_computed_once(monkeypatch: pytest.Mon
         return program(operations, *rest)
 
     monkeypatch.setattr(_straight_line, "TableProgram", counted)
-    same(function, course(2, 3))
+    same(function, reference(2, 3))
     assert made[0].count(_straight_line.OPERATIONS.index("SIN")) == 1
 
 
@@ -155,8 +155,8 @@ def test_a_models_derivatives() -> None:
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
     rates = model.dynamics(x, u, p, t)
     function = ca.Function("f", [x, u, t, p], [ca.densify(rates), ca.densify(ca.jacobian(rates, p))])
-    along = course(len(model.states), len(model.parameters))
-    for found, expected in zip(AlongCourse(function)(along), by_casadi(function, along), strict=True):
+    along = reference(len(model.states), len(model.parameters))
+    for found, expected in zip(AlongTrajectory(function)(along), by_casadi(function, along), strict=True):
         scale = np.abs(expected).max()
         assert np.allclose(found, expected, rtol=1e-9, atol=1e-12 * scale)
 
@@ -169,9 +169,9 @@ def test_own_states_follow_the_rule_of_runge_and_kutta(seen: int | None) -> None
     reset = ca.vertcat(z[0], ca.fmin(ca.fmax(z[1], -0.02), 0.02 + 0.01 * ca.cos(t)))
     inputs = [z, t, y, u, p]
     rates, resets = ca.Function("f", inputs, [rate]), ca.Function("r", inputs, [reset])
-    along = course(2, 3)
+    along = reference(2, 3)
     substeps = 4
-    found = OwnStates(rates, resets).integrate(
+    found = EffectStates(rates, resets).integrate(
         [along.state, along.volts_V], along.t_s, along.parameters, along.step_s, substeps, seen
     )
     h, state = along.step_s / substeps, np.zeros(2)

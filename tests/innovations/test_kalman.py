@@ -183,9 +183,11 @@ def test_midpoint_rule_is_that_of_dense_algebra() -> None:
 
 
 @pytest.mark.parametrize("states", [4, 6, 8, 12, 13])
-@pytest.mark.parametrize("weathers", [1, 4, 6])
-def test_several_weathers_at_once_are_as_likely_as_each_by_itself(states: int, weathers: int) -> None:
-    random = np.random.default_rng(100 * states + weathers)
+@pytest.mark.parametrize("disturbance_models", [1, 4, 6])
+def test_several_weathers_at_once_are_as_likely_as_each_by_itself(
+    states: int, disturbance_models: int
+) -> None:
+    random = np.random.default_rng(100 * states + disturbance_models)
     steps, torques = 41, 6
     transition = 0.9 * np.eye(states) + random.normal(0.0, 0.05, (steps, states, states))
     part_input = random.normal(0.0, 0.5, (4, steps, states, 3))
@@ -195,12 +197,12 @@ def test_several_weathers_at_once_are_as_likely_as_each_by_itself(states: int, w
     initial = random.uniform(0.1, 2.0, states)
     drive = random.normal(0.0, 0.3, (steps, states, 1))
     measured = random.normal(0.0, 1.0, (steps, 3, 1))
-    memory = random.uniform(0.3, 0.99, (weathers, torques))
-    power = random.uniform(0.1, 2.0, (weathers, torques))
-    scale = random.uniform(0.3, 2.0, (weathers, 3))
+    memory = random.uniform(0.3, 0.99, (disturbance_models, torques))
+    power = random.uniform(0.1, 2.0, (disturbance_models, torques))
+    scale = random.uniform(0.3, 2.0, (disturbance_models, 3))
     fixed = transition, part_input, measurement
     found = _kalman.log_likelihoods(*fixed, variance, memory, power, scale, initial, drive, measured)
-    for number in range(weathers):
+    for number in range(disturbance_models):
         innovations, log_variances = _kalman.filter(
             *fixed, variance * scale[number], memory[number], power[number], initial, drive, measured
         )

@@ -7,7 +7,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from heli_lab.innovations import Course, Derivatives, Linear, ModelFunctions, Unknowns, follow
+from heli_lab.innovations import (
+    Derivatives,
+    LinearisedFlight,
+    ModelFunctions,
+    ParameterVector,
+    ReferenceTrajectory,
+    kinematic_filter,
+)
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 
@@ -17,22 +24,22 @@ pytestmark = pytest.mark.slow
 
 
 @cache
-def parts(effect: str = "") -> tuple[Course, ModelFunctions, Unknowns]:
+def parts(effect: str = "") -> tuple[ReferenceTrajectory, ModelFunctions, ParameterVector]:
     """Course, equations and unknowns of a model with an effect."""
     model = MultibodyModel(parse_effects([effect] if effect else []))
-    unknowns = Unknowns(model, RIG, [windy()])
-    return follow(windy()), ModelFunctions(model, unknowns.quantities), unknowns
+    parameter_vector = ParameterVector(model, RIG, [windy()])
+    return kinematic_filter(windy()), ModelFunctions(model, parameter_vector.quantities), parameter_vector
 
 
-def changed(effect: str, name: str, by: float) -> Linear:
+def changed(effect: str, name: str, by: float) -> LinearisedFlight:
     """The model along the course with one parameter off its start."""
-    course, functions, unknowns = parts(effect)
-    theta = unknowns.start
-    theta[unknowns.names.index(name)] += by
-    return Linear(course, functions, unknowns.parameters(theta, 0))
+    reference, functions, parameter_vector = parts(effect)
+    theta = parameter_vector.start
+    theta[parameter_vector.names.index(name)] += by
+    return LinearisedFlight(reference, functions, parameter_vector.parameters(theta, 0))
 
 
-def every(linear: Linear) -> Derivatives:
+def every(linear: LinearisedFlight) -> Derivatives:
     """The model linearised in all steps at once."""
     return linear.derivatives(slice(0, linear.rows))
 
@@ -83,10 +90,10 @@ def test_course_moves_by_the_model_where_the_model_is_right() -> None:
 def test_followed_states_do_not_look_ahead() -> None:
     record = windy()
     cut = len(record.t_s) // 2
-    whole = follow(record)
+    whole = kinematic_filter(record)
     from dataclasses import replace
 
-    half = follow(
+    half = kinematic_filter(
         replace(
             record,
             t_s=record.t_s[:cut],
@@ -105,14 +112,14 @@ def test_axis_is_at_rest_where_its_count_stays_the_same_for_long() -> None:
     turned = np.arange(rows) * 3.0 * record.step_s / 0.3  # three counts in the time of a rest: never at rest
     stays = np.where((np.arange(rows) * record.step_s) % 2.0 < 1.5, 0.0, turned)
     angles = np.stack((turned, stays, np.zeros(rows)), axis=1)
-    course = follow(replace(record, angles_rad=np.floor(angles) * record.count_rad))
-    assert not course.at_rest[:, 0].any()
-    assert 0.6 < course.at_rest[:, 1].mean() < 0.75
-    assert course.at_rest[40:-40, 2].all()
-    for states in (course.predicted, course.filtered):
-        assert not states[:, 3:][course.at_rest].any()
+    reference = kinematic_filter(replace(record, angles_rad=np.floor(angles) * record.count_rad))
+    assert not reference.at_rest[:, 0].any()
+    assert 0.6 < reference.at_rest[:, 1].mean() < 0.75
+    assert reference.at_rest[40:-40, 2].all()
+    for states in (reference.predicted, reference.filtered):
+        assert not states[:, 3:][reference.at_rest].any()
         assert states[:, 3].any()
-    again = course.followed(course.predicted + 0.1, course.filtered + 0.1)
+    again = reference.refiltered(reference.predicted + 0.1, reference.filtered + 0.1)
     assert not again.predicted[:, 3:][again.at_rest].any()
 
 
@@ -125,12 +132,12 @@ def test_directions_say_where_in_a_play_an_axis_is(play_counts: float) -> None:
     for k in range(1, len(axis)):
         shaft[k] = np.clip(shaft[k - 1], axis[k] - half, axis[k] + half)
     angles = np.stack((np.round(shaft), np.zeros(len(axis)), np.zeros(len(axis))), axis=1)
-    course = follow(replace(record, angles_rad=angles * record.count_rad))
-    rows = np.arange(len(course.directions)) * course.every
+    reference = kinematic_filter(replace(record, angles_rad=angles * record.count_rad))
+    rows = np.arange(len(reference.directions)) * reference.every
     place = ((axis - shaft) / half)[rows]
     # Straight from one side to the other, the places would be off by a quarter.
-    assert np.sqrt(np.mean((course.directions[:, 0] - place)[20:] ** 2)) < 0.15
-    assert not course.directions[:, 1:].any()
+    assert np.sqrt(np.mean((reference.directions[:, 0] - place)[20:] ** 2)) < 0.15
+    assert not reference.directions[:, 1:].any()
 
 
 def test_an_axis_that_friction_holds_needs_no_torque_and_the_others_theirs() -> None:

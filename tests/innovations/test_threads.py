@@ -13,9 +13,9 @@ import pytest
 from heli_lab.diagnose.candidate import spline_candidates
 from heli_lab.diagnose.equation_discovery.grammar import groups
 from heli_lab.diagnose.equation_discovery.scoring import Courses, score
-from heli_lab.diagnose.model_comparison import Comparison
+from heli_lab.diagnose.model_comparison import ModelComparison
 from heli_lab.diagnose.screening import Screening
-from heli_lab.threads import Ahead, shared_out, using_threads, usual_threads
+from heli_lab.threads import Prefetcher, default_thread_count, parallel_map, using_threads
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue
 
@@ -29,31 +29,31 @@ def test_results_come_in_the_order_of_the_items() -> None:
         time.sleep(0.05 if number == 0 else 0.0)
         return number, threading.current_thread().name
 
-    found = shared_out(slow_at_first, range(6), 2)
+    found = parallel_map(slow_at_first, range(6), 2)
     assert [number for number, _ in found] == list(range(6))
     assert len({name for _, name in found}) == 2
 
 
 def test_a_share_is_not_shared_out_again() -> None:
     def nested(_: int) -> set[str]:
-        return set(shared_out(lambda _: threading.current_thread().name, range(4), 2))
+        return set(parallel_map(lambda _: threading.current_thread().name, range(4), 2))
 
     # With the workers of one pool waiting for each other it would never end.
-    assert all(len(names) == 1 for names in shared_out(nested, range(4), 2))
+    assert all(len(names) == 1 for names in parallel_map(nested, range(4), 2))
 
 
 def test_what_a_thread_raises_is_raised_here() -> None:
     with pytest.raises(ZeroDivisionError):
-        shared_out(lambda number: 1 / number, [1, 0, 2], 2)
+        parallel_map(lambda number: 1 / number, [1, 0, 2], 2)
 
 
 def test_a_block_uses_the_threads_that_it_was_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     with using_threads(3):
         with using_threads(None):
-            assert usual_threads() == 3
-        assert len({*shared_out(_name_after_a_while, range(3))}) > 1
-    assert usual_threads() == 1
+            assert default_thread_count() == 3
+        assert len({*parallel_map(_name_after_a_while, range(3))}) > 1
+    assert default_thread_count() == 1
 
 
 def test_of_two_who_work_the_one_that_goes_on_alone_shares_its_work_out() -> None:
@@ -61,27 +61,27 @@ def test_of_two_who_work_the_one_that_goes_on_alone_shares_its_work_out() -> Non
     beside: list[int] = []
 
     def held() -> None:
-        beside.append(usual_threads())
+        beside.append(default_thread_count())
         begun.set()
         assert may_end.wait(60)
         # Whoever asked waits by now, or will in a moment.
         deadline = time.monotonic() + 60
-        while usual_threads() == 1 and time.monotonic() < deadline:
+        while default_thread_count() == 1 and time.monotonic() < deadline:
             time.sleep(0.001)
-        beside.append(usual_threads())
-        beside.append(len({*shared_out(_name_after_a_while, range(4))}))
+        beside.append(default_thread_count())
+        beside.append(len({*parallel_map(_name_after_a_while, range(4))}))
 
-    ahead = Ahead()
+    ahead = Prefetcher()
     with using_threads(2), ahead.working({"never": lambda: None, "held": held}):
         assert begun.wait(60)
-        assert usual_threads() == 1
-        assert {*shared_out(_name_after_a_while, range(4), 2)} == {threading.current_thread().name}
+        assert default_thread_count() == 1
+        assert {*parallel_map(_name_after_a_while, range(4), 2)} == {threading.current_thread().name}
         may_end.set()
         ahead.wait_for("held")
         assert beside == [1, 2, 2]
         ahead.wait_for("never")
-        assert usual_threads() == 2
-        assert len({*shared_out(_name_after_a_while, range(4))}) == 2
+        assert default_thread_count() == 2
+        assert len({*parallel_map(_name_after_a_while, range(4))}) == 2
 
 
 def test_what_goes_wrong_ahead_is_raised_where_it_is_asked_for_and_nothing_stays_behind() -> None:
@@ -89,7 +89,7 @@ def test_what_goes_wrong_ahead_is_raised_where_it_is_asked_for_and_nothing_stays
         begun.set()
         raise ZeroDivisionError
 
-    ahead, done, begun = Ahead(), threading.Event(), threading.Event()
+    ahead, done, begun = Prefetcher(), threading.Event(), threading.Event()
     with using_threads(2):
         with ahead.working({"never": lambda: None, "done": done.set, "wrong": wrong}):
             assert done.wait(60)
@@ -98,7 +98,7 @@ def test_what_goes_wrong_ahead_is_raised_where_it_is_asked_for_and_nothing_stays
         begun.clear()
         with pytest.raises(ZeroDivisionError), ahead.working({"never": lambda: None, "wrong": wrong}):
             assert begun.wait(60)
-        assert usual_threads() == 2
+        assert default_thread_count() == 2
         assert not ahead.left
 
 
@@ -111,15 +111,22 @@ def _name_after_a_while(_: int) -> str:
 def test_estimates_and_scores_are_the_same_with_one_thread_and_with_two() -> None:
     def found(threads: int) -> list[np.ndarray]:
         with using_threads(threads):
-            estimate = Comparison(MultibodyModel(), RIG, [windy()], []).refit([]).estimate
+            estimate = ModelComparison(MultibodyModel(), RIG, [windy()], []).refit([]).estimate
             screening = Screening(estimate)
             gains = [one.log_likelihood_gain for one in screening.splines()]
             gains += [one.log_likelihood_gain for one in screening.effects(KINDS)]
-            courses = Courses(screening)
-            laws = score(screening, courses, groups(courses.spans)[:400])
-            gains += [one.log_likelihood_gain for one in laws]
-            information = screening.spline_information(spline_candidates(screening.filtered.linears))
-        return [estimate.theta, estimate.weather.point, np.array(gains), *(one for one, _ in information)]
+            references = Courses(screening)
+            equations = score(screening, references, groups(references.spans)[:400])
+            gains += [one.log_likelihood_gain for one in equations]
+            information = screening.spline_information(
+                spline_candidates(screening.filtered.linearised_flights)
+            )
+        return [
+            estimate.theta,
+            estimate.disturbances.point,
+            np.array(gains),
+            *(one for one, _ in information),
+        ]
 
     for one, two in zip(found(1), found(2), strict=True):
         assert np.array_equal(one, two)
@@ -127,23 +134,23 @@ def test_estimates_and_scores_are_the_same_with_one_thread_and_with_two() -> Non
 
 HEAPS = """
 import ctypes
-from heli_lab.threads import one_heap, shared_out
+from heli_lab.threads import limit_malloc_arenas, parallel_map
 {first}
 libc = ctypes.CDLL(None)
 libc.malloc.restype = ctypes.c_void_p
-shared_out(lambda _: [libc.malloc(50_000) for _ in range(100)], range(4), 2)
+parallel_map(lambda _: [libc.malloc(50_000) for _ in range(100)], range(4), 2)
 libc.malloc_info(0, ctypes.c_void_p.in_dll(libc, "stdout"))
 """
 
 
 @pytest.mark.medium
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="a heap for each thread is what glibc does")
-def test_threads_take_from_one_heap_where_a_program_says_so() -> None:
+def test_threads_take_from_limit_malloc_arenas_where_a_program_says_so() -> None:
     heaps = [
         subprocess.run(
             [sys.executable, "-c", HEAPS.format(first=first)], capture_output=True, text=True, check=True
         ).stdout.count("<heap nr=")
-        for first in ("", "one_heap()")
+        for first in ("", "limit_malloc_arenas()")
     ]
     assert heaps[0] > 1
     assert heaps[1] == 1

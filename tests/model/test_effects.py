@@ -22,7 +22,7 @@ from heli_sim.plant import Plant, step_function
 from heli_sim.rig import load_rig
 
 from tests.plant.toys import WIDE, rates_function
-from tests.running.long import shared_out
+from tests.running.long import parallel_map
 
 Vector = npt.NDArray[np.float64]
 
@@ -89,7 +89,7 @@ def test_an_effect_does_nothing_at_its_neutral_values(model: type[Model], kind: 
 
 
 @pytest.mark.medium
-@pytest.mark.parametrize("kind", shared_out(MULTIBODY, every=4))
+@pytest.mark.parametrize("kind", parallel_map(MULTIBODY, every=4))
 def test_an_effect_of_typical_size_shows_in_five_seconds(kind: EffectKind) -> None:
     effect = kind.make({**kind.typical, **{name: 1.0 for name in kind.neutral if name.endswith("at_s")}})
     differs_rad = np.abs(flown(MultibodyModel((effect,))) - flown_without()).max()
@@ -222,7 +222,7 @@ def friction_of(axis: str, c_Nm: float, *, measured: bool = False) -> ca.Functio
         ca.SX.sym("x", 6), ca.SX.zeros(2), ca.SX(model.parameter_values(load_rig("makki2024")))
     )
     rate, push_Nm = at.state[f"{axis}_rate_rad_s"], ca.SX.sym("push")
-    acting = effect.along_measured() if measured else effect
+    acting = effect.with_measured_angles() if measured else effect
     friction_Nm = acting.friction_Nm(at, push_Nm / inertia, inertia)[AXES.index(axis)]
     return ca.Function("friction", [rate, push_Nm], [friction_Nm])
 

@@ -25,7 +25,7 @@ Vector = npt.NDArray[np.float64]
 TICKS = samples(5000, 2500)
 RIG = load_rig("makki2024").replace(**WIDE)
 Control = Callable[[Any, Any, Vector], Vector]
-Course = Callable[[int, float], Vector]
+ReferenceTrajectory = Callable[[int, float], Vector]
 T_s = 0.1
 
 
@@ -51,7 +51,7 @@ def theirs(
     change: Callable[[Any], None] | None = None,
     control: Control | None = None,
     at_tick: int = 0,
-    course: Course | None = None,
+    course: ReferenceTrajectory | None = None,
 ) -> Vector:
     """Fly MuJoCo's rig with its description changed, with thrusts that depend on its motion, or with a course
     of the thrusts: at so many seconds after a tick.
@@ -81,7 +81,7 @@ def theirs(
     return angles
 
 
-def lagged(asked: Vector) -> Course:
+def lagged(asked: Vector) -> ReferenceTrajectory:
     """What follows each row of `asked`, from nothing, with a lag of T_s: exactly, also between the ticks."""
     left = np.exp(-1e-3 / T_s)
     reached = np.zeros((len(asked) + 1, 2))

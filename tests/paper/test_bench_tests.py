@@ -10,7 +10,7 @@ from heli_lab.identify.record import Record
 from heli_lab.paper.bench_tests import PITCH_RELEASES, BenchTest, check_rig, record_of
 from heli_lab.paper.experiments import read_thrust, run_bench_test
 from heli_lab.paper.rig_table import fit_rig
-from heli_lab.paper.tables import TESTS_OF_TABLE, Row, Table, fit_table
+from heli_lab.paper.tables import TESTS_OF_TABLE, Table, TableRow, fit_table
 from heli_sim.model import Model, MultibodyModel, Operands, PaperModel
 from heli_sim.model.effects import RotorLag
 from heli_sim.plant import Plant
@@ -40,22 +40,22 @@ def by_multibody() -> dict[int, Table]:
     return tables(MultibodyModel())
 
 
-def rows(table: Table) -> dict[str, Row]:
+def rows(table: Table) -> dict[str, TableRow]:
     return {row.name: row for row in table.rows}
 
 
 def test_on_a_rig_that_obeys_30_its_coefficients_are_found_within_three_standard_errors(
     by_paper: dict[int, Table],
 ) -> None:
-    told = [row for table in by_paper.values() for row in table.rows if row.found is not None]
+    told = [row for table in by_paper.values() for row in table.rows if row.estimate is not None]
     assert len(told) == 16
     for row in told:
-        assert row.found == pytest.approx(row.analytic, abs=1.5 * (row.half or 0.0)), row.name
+        assert row.estimate == pytest.approx(row.analytic, abs=1.5 * (row.half or 0.0)), row.name
     assert all(table.normalised <= 1.05 for table in by_paper.values())
 
 
 def test_what_the_papers_own_tests_cannot_tell_is_not_given_a_value(by_paper: dict[int, Table]) -> None:
-    untold = {row.name for table in by_paper.values() for row in table.rows if row.found is None}
+    untold = {row.name for table in by_paper.values() for row in table.rows if row.estimate is None}
     assert untold == {"P_11", "P_1", "P_5", "P_15", "P_17", "P_18"}
 
 
@@ -64,7 +64,7 @@ def test_the_short_arm_below_the_pitch_axis_makes_P_3_a_third_larger_than_16_has
 ) -> None:
     row = rows(by_multibody[4])["P_3"]
     assert row.analytic == pytest.approx(-73.0, abs=0.05)
-    assert row.found == pytest.approx(-96.3, abs=0.3)
+    assert row.estimate == pytest.approx(-96.3, abs=0.3)
 
 
 def test_30_cannot_predict_a_multibody_rig_whose_pitch_and_travel_move_together(
@@ -81,7 +81,7 @@ def test_the_multibody_model_explains_every_bench_test_down_to_the_encoder() -> 
         RIG, {number: records(plant, number) for number in TESTS_OF_TABLE}, read_thrust(plant).line()
     )
     assert all(value <= 1.05 for value in found.normalised.values())
-    told = {row.name: row for row in found.rows if row.found is not None}
+    told = {row.name: row for row in found.rows if row.estimate is not None}
     assert set(told) >= {
         "thrust_gain",
         "dead_zone",
@@ -91,7 +91,7 @@ def test_the_multibody_model_explains_every_bench_test_down_to_the_encoder() -> 
         "friction_pitch",
     }
     for name, row in told.items():
-        assert row.found == pytest.approx(RIG[name].value, abs=1.5 * (row.half or 0.0)), name
+        assert row.estimate == pytest.approx(RIG[name].value, abs=1.5 * (row.half or 0.0)), name
 
 
 def test_the_thrust_stand_finds_the_line_through_the_drivers_dead_band_and_a_lag() -> None:

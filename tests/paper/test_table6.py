@@ -11,8 +11,8 @@ import pytest
 from heli_host.cli import app
 from heli_host.published_gains import paper_gains
 from heli_lab.paper.experiments import fly_plan
-from heli_lab.paper.table6 import Verdict, verdicts
-from heli_lab.tune import is_stable, law_of, linear_plant
+from heli_lab.paper.table6 import LoopVerdict, verdicts
+from heli_lab.tune import cascade_gains_of, is_stable, linear_plant
 from heli_sim.model import MultibodyModel, PaperModel
 from heli_sim.plant import Plant
 from heli_sim.rig import load_rig
@@ -23,24 +23,24 @@ pytestmark = pytest.mark.slow
 RIG = load_rig("makki2024")
 
 
-def of(rows: list[Verdict]) -> dict[tuple[str, str, str], Verdict]:
+def of(rows: list[LoopVerdict]) -> dict[tuple[str, str, str], LoopVerdict]:
     return {(row.gains, row.reading, row.derivative): row for row in rows}
 
 
 @pytest.fixture(scope="module")
-def on_30() -> dict[tuple[str, str, str], Verdict]:
+def on_30() -> dict[tuple[str, str, str], LoopVerdict]:
     return of(verdicts(PaperModel(), RIG))
 
 
 @pytest.fixture(scope="module")
-def on_multibody() -> dict[tuple[str, str, str], Verdict]:
+def on_multibody() -> dict[tuple[str, str, str], LoopVerdict]:
     return of(verdicts(MultibodyModel(), RIG))
 
 
 @pytest.mark.parametrize("derivative", ["error", "measurement"])
 def test_printed_as_a_pitch_setpoint_in_degrees_travel_swings_up_on_either_model(
-    on_30: dict[tuple[str, str, str], Verdict],
-    on_multibody: dict[tuple[str, str, str], Verdict],
+    on_30: dict[tuple[str, str, str], LoopVerdict],
+    on_multibody: dict[tuple[str, str, str], LoopVerdict],
     derivative: str,
 ) -> None:
     for found in (on_30, on_multibody):
@@ -51,7 +51,7 @@ def test_printed_as_a_pitch_setpoint_in_degrees_travel_swings_up_on_either_model
 
 
 def test_printed_as_u3_on_30_is_stable_by_a_hair_and_only_with_the_exact_derivative_of_the_error(
-    on_30: dict[tuple[str, str, str], Verdict],
+    on_30: dict[tuple[str, str, str], LoopVerdict],
 ) -> None:
     exact, usual = on_30["printed", "u3", "error"], on_30["printed", "u3", "measurement"]
     assert -0.035 < exact.growth_1_per_s < -0.025
@@ -60,7 +60,7 @@ def test_printed_as_u3_on_30_is_stable_by_a_hair_and_only_with_the_exact_derivat
 
 
 def test_printed_as_u3_is_stable_on_a_multibody_rig_because_the_body_hangs_below_the_pitch_axis(
-    on_multibody: dict[tuple[str, str, str], Verdict],
+    on_multibody: dict[tuple[str, str, str], LoopVerdict],
 ) -> None:
     assert on_multibody["printed", "u3", "measurement"].growth_1_per_s < 0.0
     no_pendulum = of(verdicts(MultibodyModel(), RIG.replace(L_phi=1e-4, L_theta=1e-4)))
@@ -68,7 +68,7 @@ def test_printed_as_u3_is_stable_on_a_multibody_rig_because_the_body_hangs_below
 
 
 def test_corrected_a_step_of_15_degrees_overshoots_to_20_and_printed_as_u3_it_takes_two_minutes(
-    on_30: dict[tuple[str, str, str], Verdict],
+    on_30: dict[tuple[str, str, str], LoopVerdict],
 ) -> None:
     corrected, printed = on_30["corrected", "degrees", "measurement"], on_30["printed", "u3", "error"]
     assert corrected.peak_deg == pytest.approx(20.4, abs=0.1)
@@ -85,12 +85,14 @@ def test_verdicts_that_are_infinite_are_null_in_json(tmp_path: Path) -> None:
 
 
 def test_both_analyses_of_table_6_agree_where_they_overlap(
-    on_multibody: dict[tuple[str, str, str], Verdict],
+    on_multibody: dict[tuple[str, str, str], LoopVerdict],
 ) -> None:
     """`heli_lab.tune` knows filters and the board's law; this one knows (33) and (34)."""
     for gains in ("printed", "corrected"):
         row = on_multibody[gains, "degrees", "measurement"]
-        assert (row.growth_1_per_s < 0.0) == is_stable(linear_plant(RIG), law_of(paper_gains(gains)))
+        assert (row.growth_1_per_s < 0.0) == is_stable(
+            linear_plant(RIG), cascade_gains_of(paper_gains(gains))
+        )
 
 
 def test_the_growth_of_the_printed_travel_row_is_the_one_that_is_flown() -> None:

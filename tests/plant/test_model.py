@@ -103,8 +103,10 @@ def test_effects_that_share_a_name_are_refused() -> None:
 
 def test_a_reversed_rotor_pushes_down_only_on_a_rig_whose_drivers_reverse() -> None:
     model = PaperModel()
-    one_way, two_way = paper_rig(), paper_rig(reverse_thrust=0.6)
-    backwards = rates(model, two_way, LEVEL, (-3.0, -3.0))[3] - rates(model, one_way, LEVEL, (-3.0, -3.0))[3]
+    non_negative, two_way = paper_rig(), paper_rig(reverse_thrust=0.6)
+    backwards = (
+        rates(model, two_way, LEVEL, (-3.0, -3.0))[3] - rates(model, non_negative, LEVEL, (-3.0, -3.0))[3]
+    )
     forwards = rates(model, two_way, LEVEL, (3.0, 3.0))[3] - rates(model, two_way, LEVEL, (0.0, 0.0))[3]
     assert backwards == pytest.approx(-0.6 * forwards)
 

@@ -34,7 +34,7 @@ CAMPAIGNS = """
 import sys
 from pathlib import Path
 from heli_lab.campaign import Case
-from heli_lab.campaign.cage import Cage, Limits
+from heli_lab.campaign.worker_process import Cage, Limits
 from heli_lab.campaign.store import Store
 from heli_lab.errors import CampaignError
 assert "resource" not in sys.modules and "fcntl" not in sys.modules

@@ -12,8 +12,8 @@ import numpy as np
 from heli_host.flight import Flight
 from heli_lab.identify import Record, prepare
 from heli_lab.identify.functions import Floats
-from heli_lab.innovations import ModelFunctions, Unknowns, estimate, follow
-from heli_lab.pool.machine import Estimate, by_flights_alone
+from heli_lab.innovations import ModelFunctions, ParameterVector, estimate, kinematic_filter
+from heli_lab.pool.machine import NumberEstimate, by_flights_alone
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import Rig, load_rig
@@ -40,12 +40,12 @@ class Pooled:
     ----------
     off : dict of float
         By name, estimate minus truth in standard errors.
-    alone : dict of Estimate
+    alone : dict of NumberEstimate
         By name, what the flights alone say, where they say more than the rig's file.
     """
 
     off: dict[str, float]
-    alone: dict[str, Estimate]
+    alone: dict[str, NumberEstimate]
 
 
 def true_rig(rig: int) -> tuple[Rig, float]:
@@ -73,19 +73,19 @@ def pooled(rig: int, count: int) -> Pooled:
     nominal, (true, lag_s) = load_rig("makki2024"), true_rig(rig)
     records = [record(rig, seed) for seed in range(count)]
     model = MultibodyModel(parse_effects(["rotor_lag=0.06"]))
-    unknowns = Unknowns(model, nominal, records)
-    functions = ModelFunctions(model, unknowns.quantities)
-    courses, theta, weather = [follow(one) for one in records], unknowns.start, None
+    parameter_vector = ParameterVector(model, nominal, records)
+    functions = ModelFunctions(model, parameter_vector.quantities)
+    references, theta, disturbances = [kinematic_filter(one) for one in records], parameter_vector.start, None
     for _ in range(2):
-        found = estimate(unknowns, courses, functions, theta, weather)
-        theta, weather = found.theta, found.weather
-        courses = found.filtered().followed(weather)
+        found = estimate(parameter_vector, references, functions, theta, disturbances)
+        theta, disturbances = found.theta, found.disturbances
+        references = found.filtered().refiltered(disturbances)
     std = np.sqrt(np.diag(found.covariance))
     truth = {**{name: number.value for name, number in true.items()}, "rotor_lag_s": lag_s}
-    shared = [(i, one) for i, one in enumerate(unknowns.free) if one.record is None]
+    shared = [(i, one) for i, one in enumerate(parameter_vector.free) if one.record is None]
     alone = {
         one.name: by_flights_alone(
-            float(theta[i]), float(std[i]), Estimate(one.prior.mean, one.prior.std, one.unit)
+            float(theta[i]), float(std[i]), NumberEstimate(one.prior.mean, one.prior.std, one.unit)
         )
         for i, one in shared
     }

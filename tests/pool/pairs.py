@@ -21,19 +21,19 @@ from typing import Any, Final
 
 import numpy as np
 from heli_lab.diagnose.free_run import FreeRun, free_runs
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.prediction import predict
 from heli_lab.identify import Record, prepare
 from heli_lab.pool import pool
-from heli_lab.pool.machine import Estimate, Machine, by_flights_alone
+from heli_lab.pool.machine import Machine, NumberEstimate, by_flights_alone
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, effect_numbers, effects_of, parse_effects
 from heli_sim.rig import Rig, load_rig
 
+from tests.blind.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
+from tests.blind.disturbed_case import DisturbedCase
 from tests.blind.hidden import RotorLag
 from tests.blind.tracking import CONTROLLERS
-from tests.blind.weather import MEMORIES_s, STRENGTHS_Nm, Weather
-from tests.blind.weather_case import WeatherCase
 
 LIVELY_s, GENTLE_s, OTHER_s = 40.0, 15.0, 30.0
 """Lengths of the lively machine's flight, of the gentle one's, and of those that neither fit saw."""
@@ -52,30 +52,30 @@ _NORMAL: Final = {
 
 
 @dataclass(frozen=True)
-class MachineCase(WeatherCase):
+class MachineCase(DisturbedCase):
     """A machine of a make.
 
     Parameters
     ----------
-    make : int
+    population : int
         Seed of the make.
     """
 
-    make: int
+    population: int
 
     def rig(self) -> Rig:
         """Draw the make from what the file says, and the machine from the make."""
-        make, own = self.make_rig(), np.random.default_rng([self.seed, 1])
+        population, own = self.make_rig(), np.random.default_rng([self.seed, 1])
         off = {
             name: float(np.exp(std * _AMONG_MACHINES * own.standard_normal()))
             for name, std in _NORMAL.items()
         }
-        return make.replace(**{name: make[name].value * one for name, one in off.items()})
+        return population.replace(**{name: population[name].value * one for name, one in off.items()})
 
     def make_rig(self) -> Rig:
         """Draw the make from what the file says."""
-        rig, make = load_rig(self.rig_name), np.random.default_rng([self.make, 9])
-        off = {name: float(np.exp(std * make.standard_normal())) for name, std in _NORMAL.items()}
+        rig, population = load_rig(self.rig_name), np.random.default_rng([self.population, 9])
+        off = {name: float(np.exp(std * population.standard_normal())) for name, std in _NORMAL.items()}
         return rig.replace(**{name: rig[name].value * one for name, one in off.items()})
 
 
@@ -102,7 +102,7 @@ def machines(number: int) -> tuple[MachineCase, MachineCase]:
                 100,
                 bool(which),
                 CONTROLLERS[int(rng.integers(3))],
-                Weather(STRENGTHS_Nm[int(rng.integers(3))], MEMORIES_s[int(rng.integers(3))]),
+                DisturbanceModel(STRENGTHS_Nm[int(rng.integers(3))], MEMORIES_s[int(rng.integers(3))]),
                 8000 + number,
             )
         )
@@ -111,11 +111,11 @@ def machines(number: int) -> tuple[MachineCase, MachineCase]:
 
 def as_drawn(number: int) -> Rig:
     """The make of a pair as it was drawn: its numbers, and as tolerances twice the spread of its machines."""
-    make, lag_s = machines(number)[0].make_rig(), _drawn(number)[1]
-    numbers = dict(make.numbers)
+    population, lag_s = machines(number)[0].make_rig(), _drawn(number)[1]
+    numbers = dict(population.numbers)
     for name, std in _NORMAL.items():
-        value = make[name].value
-        numbers[name] = replace(make[name], tolerance=2.0 * _AMONG_MACHINES * std * value)
+        value = population[name].value
+        numbers[name] = replace(population[name], tolerance=2.0 * _AMONG_MACHINES * std * value)
     (name,) = catalogue()[_LAG].size
     lag = effect_numbers(
         catalogue()[_LAG], {name: lag_s}, {name: 2.0 * _LAG_AMONG_MACHINES * lag_s}, "as it was drawn"
@@ -138,7 +138,7 @@ def compared(number: int) -> dict[str, Any]:
     lively, gentle = machines(number)
     record = _record(lively, 0, LIVELY_s, nominal)
     model = MultibodyModel(parse_effects([f"{_LAG}=0.06"]))
-    found = Comparison(model, nominal, [record], []).refit([])
+    found = ModelComparison(model, nominal, [record], []).refit([])
     machine = _machine("lively", found)
     prior = pool([machine]).prior(nominal, "make")
     drawn = as_drawn(number)
@@ -148,14 +148,14 @@ def compared(number: int) -> dict[str, Any]:
         "gentle": _record(gentle, 1, OTHER_s, nominal),
     }
     # Along the same courses, whatever the prior.
-    judges = {name: Comparison(model, nominal, [train], [other]) for name, other in others.items()}
+    judges = {name: ModelComparison(model, nominal, [train], [other]) for name, other in others.items()}
     answer: dict[str, Any] = {name: {} for name in others}
     for what, rig, own in (
         ("by_file", nominal, model),
         ("by_make", prior, MultibodyModel(effects_of(prior))),
         ("as_drawn", drawn, MultibodyModel(effects_of(drawn))),
     ):
-        hypothesis = Comparison(own, rig, [train], []).refit([])
+        hypothesis = ModelComparison(own, rig, [train], []).refit([])
         fit = predict((), hypothesis.estimate, [train], ()).fit
         for name, other in others.items():
             (run,) = free_runs(fit, [other])
@@ -168,7 +168,7 @@ def compared(number: int) -> dict[str, Any]:
     return answer
 
 
-def _record(case: WeatherCase, flight: int, seconds: float, nominal: Rig) -> Record:
+def _record(case: DisturbedCase, flight: int, seconds: float, nominal: Rig) -> Record:
     return prepare(case.flown(flight, seconds)[0], nominal, f"{case.name} {flight}")
 
 
@@ -177,9 +177,9 @@ def _machine(label: str, found: Hypothesis) -> Machine:
     estimate = found.estimate
     std = np.sqrt(np.diag(estimate.covariance))
     priors, numbers = {}, {}
-    for i, one in enumerate(estimate.unknowns.free):
+    for i, one in enumerate(estimate.parameter_vector.free):
         if one.record is None:
-            priors[one.name] = Estimate(one.prior.mean, one.prior.std, one.unit)
+            priors[one.name] = NumberEstimate(one.prior.mean, one.prior.std, one.unit)
             alone = by_flights_alone(float(estimate.theta[i]), float(std[i]), priors[one.name])
             if alone is not None:
                 numbers[one.name] = alone

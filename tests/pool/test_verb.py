@@ -8,7 +8,7 @@ from pathlib import Path
 from heli_sim.rig import load_rig
 
 from tests.cli.terminal import Terminal, terminal
-from tests.pool.test_make import RIG, diagnosis
+from tests.pool.test_population import RIG, diagnosis
 
 __all__ = ["terminal"]
 

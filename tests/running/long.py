@@ -26,7 +26,7 @@ def samples(full: int, share: int) -> int:
     return full if LONG else share
 
 
-def shared_out(cases: Sequence[T], every: int, kind: Callable[[T], object] = lambda _: None) -> list[T]:
+def parallel_map(cases: Sequence[T], every: int, kind: Callable[[T], object] = lambda _: None) -> list[T]:
     """Which cases of a matrix to run: all in ``make long``, otherwise one in so many of each kind.
 
     Parameters

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.running import long
-from tests.running.long import samples, shared_out
+from tests.running.long import parallel_map, samples
 
 CASES = [f"{kind}{number}" for kind, count in (("a", 7), ("b", 1), ("c", 4)) for number in range(count)]
 
@@ -16,12 +16,12 @@ def kind_of(case: str) -> str:
 
 def test_a_share_has_one_of_each_kind_and_every_so_many(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(long, "LONG", False)
-    assert shared_out(CASES, every=3, kind=kind_of) == ["a0", "a3", "a6", "b0", "c0", "c3"]
-    assert shared_out(CASES, every=5) == ["a0", "a5", "c2"]
+    assert parallel_map(CASES, every=3, kind=kind_of) == ["a0", "a3", "a6", "b0", "c0", "c3"]
+    assert parallel_map(CASES, every=5) == ["a0", "a5", "c2"]
     assert samples(200, 8) == 8
 
 
 def test_long_runs_all(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(long, "LONG", True)
-    assert shared_out(CASES, every=3, kind=kind_of) == CASES
+    assert parallel_map(CASES, every=3, kind=kind_of) == CASES
     assert samples(200, 8) == 200

@@ -10,14 +10,14 @@ from heli_host.declaration import PARAMS
 from heli_host.errors import ParameterError
 from heli_host.published_gains import paper_gains
 from heli_lab.tune import (
+    CascadeGains,
     Known,
-    Law,
     LinearPlant,
     Pid,
     Spread,
+    cascade_gains_of,
     is_stable,
     known_of,
-    law_of,
     linear_plant,
     loops,
     margins,
@@ -31,7 +31,7 @@ from heli_sim.rig import load_rig
 
 from tests.tune.pilot import Floats, fly
 
-LAW = law_of({spec.name: spec.default for spec in PARAMS})
+LAW = cascade_gains_of({spec.name: spec.default for spec in PARAMS})
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def scaled(pid: Pid, factor: float) -> Pid:
     return replace(pid, kp=factor * pid.kp, ki=factor * pid.ki, kd=factor * pid.kd)
 
 
-def with_gain(loop: str, factor: float) -> Law:
+def with_gain(loop: str, factor: float) -> CascadeGains:
     """The law with the gain of one cut loop changed: the differential's cut is in front of all its parts."""
     if loop == "differential":
         return replace(LAW, pitch=scaled(LAW.pitch, factor), pitch_hold=factor * LAW.pitch_hold)
@@ -205,6 +205,6 @@ def test_table_6_is_printed_and_corrected_by_exchanging_P_and_I_of_travel() -> N
 
 def test_the_printed_travel_row_is_unstable_and_the_corrected_one_flies_without_lag() -> None:
     rig = load_rig("makki2024")
-    assert not is_stable(linear_plant(rig), law_of(paper_gains("printed")))
-    assert is_stable(linear_plant(rig), law_of(paper_gains("corrected")))
-    assert not is_stable(linear_plant(rig, 0.12), law_of(paper_gains("corrected")))
+    assert not is_stable(linear_plant(rig), cascade_gains_of(paper_gains("printed")))
+    assert is_stable(linear_plant(rig), cascade_gains_of(paper_gains("corrected")))
+    assert not is_stable(linear_plant(rig, 0.12), cascade_gains_of(paper_gains("corrected")))

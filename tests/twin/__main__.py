@@ -89,7 +89,7 @@ def of_healthy(rig: Known, count: int, seconds: float = 60.0) -> dict[str, Any]:
         seen = follow_flight(rig.twin, flight, "healthy", HOURS)
         found["healthy"].append(
             {
-                "most_nats": seen.most_nats,
+                "max_evidence_nats": seen.max_evidence_nats,
                 "free_s": seen.free_s,
                 "alarms": len(seen.alarms),
                 "maxima": [round(one, 2) for one in segment_maxima(seen.evidence_nats)],
@@ -124,7 +124,7 @@ def of_changed(rig: Known, name: str, size: float, seed: int) -> dict[str, Any]:
 def sigmas(rig: Known, flight: Flight, name: str, size: float, onset_s: float) -> float:
     """Standard errors that a change is large for who knows what changed and when, after `SEEN_s` of it."""
     samples, sample_s = samples_of(flight)
-    never = Calibration(rig.twin.calibration.weather, NEVER)
+    never = Calibration(rig.twin.calibration.disturbances, NEVER)
     model = TwinModel(rig.twin.model, rig.twin.rig)
     twin = Twin(model, never, count_rad_of(flight, rig.rig), sample_s)
     zero = round(float(samples.number[0]) - float(flight.t_s[0]) / sample_s)
@@ -152,7 +152,7 @@ def healthy_table(results: dict[str, Any]) -> list[str]:
             for one in rig["healthy"]:
                 chance.append(1.0 - math.exp(-one["free_s"] / 3600.0 / stated))
                 expected += chance[-1]
-                alarms += one["most_nats"] > threshold
+                alarms += one["max_evidence_nats"] > threshold
         mean = float(np.mean(chance)) if chance else 0.0
         p = float(binom.sf(alarms - 1, len(chance), mean)) if chance else 1.0
         lines.append(

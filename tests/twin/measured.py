@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from heli_host.flight import Flight
 from heli_host.log.flight_file import read_flight
-from heli_lab.innovations import ModelFunctions, Unknowns, estimate, follow
+from heli_lab.innovations import ModelFunctions, ParameterVector, estimate, kinematic_filter
 from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.files import USUAL, TwinRig
 from heli_lab.twin.flights import count_rad_of
@@ -33,17 +33,24 @@ def twin_of(pair: str, back: bool = False) -> TwinRig:
     rig = load_rig(RIG)
     record, _ = flights(pair, back)
     model = MultibodyModel(parse_effects(EFFECTS))
-    unknowns = Unknowns(model, rig, [record])
-    found = estimate(unknowns, [follow(record)], ModelFunctions(model, unknowns.quantities), unknowns.start)
-    values = {one.quantity: float(value) for one, value in zip(unknowns.free, found.theta, strict=True)}
+    parameter_vector = ParameterVector(model, rig, [record])
+    found = estimate(
+        parameter_vector,
+        [kinematic_filter(record)],
+        ModelFunctions(model, parameter_vector.quantities),
+        parameter_vector.start,
+    )
+    values = {
+        one.quantity: float(value) for one, value in zip(parameter_vector.free, found.theta, strict=True)
+    }
     numbers = rig.replace(**{name: value for name, value in values.items() if name in rig})
     effects = tuple(
         replace(effect, values={name: values.get(name, was) for name, was in effect.values.items()})
         for effect in model.effects
     )
     count_rad = count_rad_of(read_flight(MEASURED / f"{PAIRS[pair][1 if back else 0]}.csv.gz"), rig)
-    weather = at_least_rounding(found.weather, model, numbers, count_rad)
-    return TwinRig(numbers, MultibodyModel(effects), Calibration(weather, USUAL.tail), pair)
+    disturbances = at_least_rounding(found.disturbances, model, numbers, count_rad)
+    return TwinRig(numbers, MultibodyModel(effects), Calibration(disturbances, USUAL.tail), pair)
 
 
 def other(pair: str, back: bool = False) -> tuple[str, Flight]:
@@ -71,7 +78,8 @@ def main() -> None:
             name, flight = other(pair, back)
             quiet = beside(twin, name, flight)
             print(
-                f"{pair}{' back' if back else ''}: most {quiet.most_nats:.0f} nats; {quiet.sentences()[0]}",
+                f"{pair}{' back' if back else ''}: most {quiet.max_evidence_nats:.0f} nats; "
+                f"{quiet.sentences()[0]}",
                 flush=True,
             )
             end_s = LANDS_s.get(name, float(flight.t_s[-1]))

@@ -8,8 +8,8 @@ import numpy as np
 from heli_host.errors import HeliError
 from heli_host.flight import Flight
 from heli_lab.identify import prepare
-from heli_lab.innovations import ModelFunctions, Unknowns, Weather, estimate, follow
-from heli_lab.innovations.linear import BLOCK_s
+from heli_lab.innovations import DisturbanceModel, ModelFunctions, ParameterVector, estimate, kinematic_filter
+from heli_lab.innovations.linearised_flight import BLOCK_s
 from heli_lab.twin.calibration import Calibration, fit_tail
 from heli_lab.twin.files import TwinRig
 from heli_lab.twin.flights import count_rad_of
@@ -54,7 +54,7 @@ class Known:
     evidence: list[list[tuple[float, float]]]
 
 
-def true_rig(seed: int) -> tuple[Rig, Model, Weather]:
+def true_rig(seed: int) -> tuple[Rig, Model, DisturbanceModel]:
     """Draw a rig within the tolerances of makki2024, half of them with a rotor lag, in a weather."""
     rng = np.random.default_rng([seed, 16])
     base = load_rig("makki2024")
@@ -68,30 +68,30 @@ def true_rig(seed: int) -> tuple[Rig, Model, Weather]:
         if not name.startswith(("torque_", "offset_"))
     }
     lag = parse_effects([f"rotor_lag={rng.uniform(0.05, 0.15):.3f}"]) if seed % 2 else ()
-    weather = Weather(
+    disturbances = DisturbanceModel(
         np.array(STRENGTHS_Nm[rng.integers(3)]),
         np.full(3, float(rng.choice((0.3, 0.6, 1.2)))),
         np.array(DRIFT_Nm),
         np.ones(3),
     )
-    return base.replace(**drawn), MultibodyModel(lag), weather
+    return base.replace(**drawn), MultibodyModel(lag), disturbances
 
 
 def known(seed: int, simulated: int) -> Known:
     """Draw a rig, fly it, identify it, and set the alarm by as many flights `simulated` of what was found."""
-    rig, calm, weather = true_rig(seed)
-    model = in_weather(calm, weather)
+    rig, calm, disturbances = true_rig(seed)
+    model = in_weather(calm, disturbances)
     taught = flights(model, rig, 10_000 * seed, TEACHING)
     found, numbers, felt = identified(calm, taught)
     twin = TwinModel(found, numbers)
-    courses = [evidence(twin, felt, flight) for flight in taught]
-    taught_s = BLOCK_s * sum(map(len, courses))
+    references = [evidence(twin, felt, flight) for flight in taught]
+    taught_s = BLOCK_s * sum(map(len, references))
     again = in_weather(found, felt)
-    courses += [
+    references += [
         evidence(twin, felt, flight) for flight in flights(again, numbers, 10_000 * seed + 5_000, simulated)
     ]
-    calibration = Calibration(felt, fit_tail(courses, taught_s))
-    return Known(seed, rig, model, TwinRig(numbers, found, calibration, f"rig {seed}"), courses)
+    calibration = Calibration(felt, fit_tail(references, taught_s))
+    return Known(seed, rig, model, TwinRig(numbers, found, calibration, f"rig {seed}"), references)
 
 
 def flights(model: Model, rig: Rig, seed: int, count: int, seconds: float = 60.0) -> list[Flight]:
@@ -107,17 +107,19 @@ def flights(model: Model, rig: Rig, seed: int, count: int, seconds: float = 60.0
     return found
 
 
-def identified(model: Model, taught: list[Flight]) -> tuple[Model, Rig, Weather]:
+def identified(model: Model, taught: list[Flight]) -> tuple[Model, Rig, DisturbanceModel]:
     """Estimate numbers and weather from flights, from the nominal rig and typical effects on."""
     base = load_rig("makki2024")
     start = type(model)(parse_effects([effect.name for effect in model.effects]))
     records = [prepare(flight, base, f"teaching {i}") for i, flight in enumerate(taught)]
-    unknowns = Unknowns(start, base, records)
-    functions = ModelFunctions(start, unknowns.quantities)
-    found = estimate(unknowns, [follow(record) for record in records], functions, unknowns.start)
+    parameter_vector = ParameterVector(start, base, records)
+    functions = ModelFunctions(start, parameter_vector.quantities)
+    found = estimate(
+        parameter_vector, [kinematic_filter(record) for record in records], functions, parameter_vector.start
+    )
     values = {
         one.quantity: float(value)
-        for one, value in zip(unknowns.free, found.theta, strict=True)
+        for one, value in zip(parameter_vector.free, found.theta, strict=True)
         if one.record is None
     }
     numbers = base.replace(**{name: value for name, value in values.items() if name in base})
@@ -125,5 +127,5 @@ def identified(model: Model, taught: list[Flight]) -> tuple[Model, Rig, Weather]
         replace(effect, values={name: values.get(name, was) for name, was in effect.values.items()})
         for effect in start.effects
     ]
-    weather = at_least_rounding(found.weather, start, numbers, count_rad_of(taught[0], numbers))
-    return type(model)(tuple(effects)), numbers, weather
+    disturbances = at_least_rounding(found.disturbances, start, numbers, count_rad_of(taught[0], numbers))
+    return type(model)(tuple(effects)), numbers, disturbances

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from heli_lab.innovations import Weather
+from heli_lab.innovations import DisturbanceModel
 from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.files import USUAL, TwinRig
 from heli_lab.twin.healthy_flights import in_weather
@@ -26,11 +26,16 @@ def of(seed: int) -> Known:
     """A rig with what a user finds out, or in the short share with what is true."""
     if LONG:
         return known(seed, 12)
-    rig, model, weather = true_rig(seed)
+    rig, model, disturbances = true_rig(seed)
     # An angle's quantisation error repeats itself, which the filter takes for a larger one.
-    felt = Weather(weather.gust_Nm, weather.memory_s, weather.drift_Nm, np.array([1.8, 1.4, 1.1]))
+    felt = DisturbanceModel(
+        disturbances.fast_std_Nm,
+        disturbances.correlation_time_s,
+        disturbances.slow_std_Nm,
+        np.array([1.8, 1.4, 1.1]),
+    )
     twin = TwinRig(rig, model, Calibration(felt, USUAL.tail), f"rig {seed}")
-    return Known(seed, rig, in_weather(model, weather), twin, [])
+    return Known(seed, rig, in_weather(model, disturbances), twin, [])
 
 
 def test_alarms_are_as_seldom_as_stated_and_changes_have_their_names() -> None:

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from heli_host.flight import Flight
-from heli_lab.innovations import Weather
+from heli_lab.innovations import DisturbanceModel
 from heli_lab.twin import twin as twin_module
 from heli_lab.twin.calibration import Calibration, Tail
 from heli_lab.twin.flights import count_rad_of, samples_of
@@ -18,7 +18,7 @@ from heli_sim.model import MultibodyModel
 from heli_sim.rig import Rig, load_rig
 
 NEVER = Tail(np.inf, 0.0, 0.0, 1)
-WEATHER = Weather(
+WEATHER = DisturbanceModel(
     np.array([0.01, 0.003, 0.006]), np.full(3, 0.5), np.array([1e-3, 5e-4, 5e-4]), np.array([1.6, 1.4, 1.1])
 )
 

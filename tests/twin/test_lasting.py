@@ -12,7 +12,7 @@ from heli_lab.twin import twin as twin_module
 from heli_lab.twin.calibration import Calibration, Tail
 from heli_lab.twin.changes import CHANGES
 from heli_lab.twin.files import USUAL
-from heli_lab.twin.likelihood_ratio import ONSETS, Candidate, LikelihoodRatio
+from heli_lab.twin.likelihood_ratio import ONSETS, ChangeCandidate, LikelihoodRatio
 from heli_lab.twin.samples import Samples
 from heli_lab.twin.twin import LASTS_BLOCKS, NAMED_AFTER_s, Twin
 from heli_sim.rig import load_rig
@@ -48,13 +48,13 @@ def said(
     a moment after so many of them, or in a landing from there on.
     """
     told = iter(evidence)
-    first = Candidate(CHANGES[0], 0, 0.1, 0.01, THRESHOLD_nats)
+    first = ChangeCandidate(CHANGES[0], 0, 0.1, 0.01, THRESHOLD_nats)
     monkeypatch.setattr(twin_module, "KalmanFilter", _Filter)
     monkeypatch.setattr(twin_module, "start_state", lambda *_: np.zeros(6))
     monkeypatch.setattr(LikelihoodRatio, "take", lambda *_: next(told, 0.0))
     monkeypatch.setattr(LikelihoodRatio, "ranking", lambda _: [first, first])
     model: Any = SimpleNamespace(rig=load_rig("makki2024"), delay_s=0.0, least_V=-math.inf, changes=CHANGES)
-    twin = Twin(model, Calibration(USUAL.weather, Tail(THRESHOLD_nats, 1e-9, 1.0, 20)), COUNT_rad, 1e-3)
+    twin = Twin(model, Calibration(USUAL.disturbances, Tail(THRESHOLD_nats, 1e-9, 1.0, 20)), COUNT_rad, 1e-3)
     flying = np.ones(4000 + 40 * len(evidence), bool)
     count = len(flying)
     landing = np.zeros(count, bool)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from heli_lab.innovations import Weather
+from heli_lab.innovations import DisturbanceModel
 from heli_lab.twin.learn import SHOWS_s, at_least_rounding
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import derivatives, trim
@@ -14,11 +14,11 @@ from scipy.integrate import solve_ivp
 
 COUNT_rad = np.full(3, 2 * np.pi / 4096)
 ROUNDING_rad = COUNT_rad / np.sqrt(12.0)
-CALM = Weather(np.full(3, 2e-5), np.full(3, 0.03), np.full(3, 2e-5), np.array([0.02, 0.5, 1.7]))
+CALM = DisturbanceModel(np.full(3, 2e-5), np.full(3, 0.03), np.full(3, 2e-5), np.array([0.02, 0.5, 1.7]))
 
 
-def floored(weather: Weather) -> Weather:
-    return at_least_rounding(weather, MultibodyModel(), load_rig("makki2024"), COUNT_rad)
+def floored(disturbances: DisturbanceModel) -> DisturbanceModel:
+    return at_least_rounding(disturbances, MultibodyModel(), load_rig("makki2024"), COUNT_rad)
 
 
 def moved_rad(rig: Rig, axis: int, torque_Nm: float) -> float:
@@ -35,10 +35,10 @@ def moved_rad(rig: Rig, axis: int, torque_Nm: float) -> float:
 @pytest.mark.parametrize("axis", range(3), ids=AXES)
 def test_the_least_gust_moves_its_axis_by_the_rounding(axis: int) -> None:
     least = floored(CALM)
-    moved = moved_rad(load_rig("makki2024"), axis, float(least.gust_Nm[axis]))
+    moved = moved_rad(load_rig("makki2024"), axis, float(least.fast_std_Nm[axis]))
     # Pitch is a pendulum and damped: in half a second that takes a fifth.
     assert 0.75 * ROUNDING_rad[axis] < moved < 1.05 * ROUNDING_rad[axis]
-    assert least.memory_s[axis] == SHOWS_s
+    assert least.correlation_time_s[axis] == SHOWS_s
 
 
 def test_rounding_is_no_less_than_that_of_an_encoder() -> None:
@@ -46,17 +46,23 @@ def test_rounding_is_no_less_than_that_of_an_encoder() -> None:
 
 
 def test_weather_that_shows_is_left_as_it_was_found() -> None:
-    room = Weather(
+    room = DisturbanceModel(
         np.array([0.006, 0.002, 0.004]), np.array([0.3, 1.2, 0.6]), np.full(3, 1e-3), np.full(3, 1.2)
     )
     found = floored(room)
-    assert np.array_equal(found.gust_Nm, room.gust_Nm) and np.array_equal(found.memory_s, room.memory_s)
-    assert np.array_equal(found.drift_Nm, room.drift_Nm)
+    assert np.array_equal(found.fast_std_Nm, room.fast_std_Nm) and np.array_equal(
+        found.correlation_time_s, room.correlation_time_s
+    )
+    assert np.array_equal(found.slow_std_Nm, room.slow_std_Nm)
 
 
 def test_a_gust_too_short_to_show_is_raised_too() -> None:
     """Three times the least for a thirtieth of the time moves an axis less than the least does."""
-    short = Weather(3.0 * floored(CALM).gust_Nm, np.full(3, SHOWS_s / 30), CALM.drift_Nm, np.ones(3))
-    assert np.array_equal(floored(short).gust_Nm, floored(CALM).gust_Nm)
-    long = Weather(3.0 * floored(CALM).gust_Nm, np.full(3, SHOWS_s / 10), CALM.drift_Nm, np.ones(3))
-    assert np.array_equal(floored(long).gust_Nm, long.gust_Nm)
+    short = DisturbanceModel(
+        3.0 * floored(CALM).fast_std_Nm, np.full(3, SHOWS_s / 30), CALM.slow_std_Nm, np.ones(3)
+    )
+    assert np.array_equal(floored(short).fast_std_Nm, floored(CALM).fast_std_Nm)
+    long = DisturbanceModel(
+        3.0 * floored(CALM).fast_std_Nm, np.full(3, SHOWS_s / 10), CALM.slow_std_Nm, np.ones(3)
+    )
+    assert np.array_equal(floored(long).fast_std_Nm, long.fast_std_Nm)

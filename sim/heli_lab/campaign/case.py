@@ -33,8 +33,8 @@ class Case:
 
     def key(self, code: str) -> str:
         """Name the case's result: a digest of the case and of the digest `code` of what computes it."""
-        said = json.dumps([code, self.name, self.work, self.settings], sort_keys=True, default=str)
-        return hashlib.sha256(said.encode()).hexdigest()[:24]
+        content = json.dumps([code, self.name, self.work, self.settings], sort_keys=True, default=str)
+        return hashlib.sha256(content.encode()).hexdigest()[:24]
 
 
 @dataclass(frozen=True)

@@ -104,11 +104,11 @@ def usable(client: Client, code: str, works: tuple[str, ...]) -> tuple[list[str]
     bad : dict of str
         Why each other worker cannot be used, by address.
     """
-    told = client.run(other_code, code, works, on_error="return")
+    replies = client.run(other_code, code, works, on_error="return")
     bad = {}
-    for address, said in told.items():
-        if isinstance(said, BaseException):
-            bad[address] = " ".join(f"{type(said).__name__}: {said}".split())
-        elif said:
-            bad[address] = said
-    return [address for address in told if address not in bad], bad
+    for address, reply in replies.items():
+        if isinstance(reply, BaseException):
+            bad[address] = " ".join(f"{type(reply).__name__}: {reply}".split())
+        elif reply:
+            bad[address] = reply
+    return [address for address in replies if address not in bad], bad

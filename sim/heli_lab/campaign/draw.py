@@ -74,7 +74,7 @@ def check_form(name: str, how: object) -> None:
         raise CampaignError(f"[draw] {name}: it needs one of {', '.join(_FORMS)}", "as in { share = 0.2 }")
     form, value = next(iter(how.items()))
     numbers = value if isinstance(value, list | tuple) else [value]
-    plain = all(isinstance(one, int | float) and not isinstance(one, bool) for one in numbers)
+    plain = all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers)
     good = {
         "share": len(numbers) == 1 and plain and 0.0 <= numbers[0] < 1.0,
         "factor": len(numbers) == 1 and plain and numbers[0] >= 1.0,

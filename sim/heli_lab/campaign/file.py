@@ -9,10 +9,10 @@ from typing import Any, Final
 
 from heli_host.files import TOML_BYTES, parse_toml, read_file
 
-from heli_lab.campaign.cage import Limits
 from heli_lab.campaign.case import Case
 from heli_lab.campaign.draw import TOLERANCES, check_form
 from heli_lab.campaign.run import Campaign
+from heli_lab.campaign.worker_process import Limits
 from heli_lab.campaign.works import DEFAULTS, WORKS, WORST
 from heli_lab.errors import CampaignError
 
@@ -73,9 +73,12 @@ def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
     varied = [name for name, each in values.items() if len(each) > 1]
     cases = []
     for chosen in itertools.product(*values.values()):
-        own = dict(zip(values, chosen, strict=True))
-        name = " ".join(f"{_spelled(own[one])}" if one != "seed" else f"seed {own[one]}" for one in varied)
-        cases.append(Case(name or "the case", WORKS.get(work, work), {**fixed, **own}))
+        settings = dict(zip(values, chosen, strict=True))
+        name = " ".join(
+            f"{_spelled(settings[setting])}" if setting != "seed" else f"seed {settings[setting]}"
+            for setting in varied
+        )
+        cases.append(Case(name or "the case", WORKS.get(work, work), {**fixed, **settings}))
     return Campaign(title, tuple(cases), _limits(table.get("limits", {})), worst)
 
 
@@ -95,13 +98,13 @@ def _values(name: str, given: Any, folder: Path) -> list[Any]:
             raise CampaignError(f"[cases] {name} has {last - first + 1} values", f"at most {MOST_CASES}")
         return list(range(first, last + 1))
     several = given if isinstance(given, list) else [given]
-    if name in _LISTS and not all(isinstance(one, list) for one in several):
+    if name in _LISTS and not all(isinstance(entry, list) for entry in several):
         several = [several]
     if not several:
         raise CampaignError(f"[cases] {name} has no value", "give it one at least")
-    for one in several:
-        _check(name, one)
-    return [_placed(name, one, folder) for one in several]
+    for entry in several:
+        _check(name, entry)
+    return [_placed(name, entry, folder) for entry in several]
 
 
 def _check(name: str, value: Any) -> None:
@@ -109,7 +112,7 @@ def _check(name: str, value: Any) -> None:
     if name not in DEFAULTS:
         return
     wanted = type(DEFAULTS[name])
-    texts = wanted is list and isinstance(value, list) and all(isinstance(one, str) for one in value)
+    texts = wanted is list and isinstance(value, list) and all(isinstance(text, str) for text in value)
     if (wanted is list and not texts) or (wanted is not list and type(value) is not wanted):
         kind = {list: "a list of texts", int: "a whole number", str: "a text"}[wanted]
         raise CampaignError(f"[cases] {name} = {value!r} cannot be", f"each value is {kind}")
@@ -122,7 +125,7 @@ def _placed(name: str, value: Any, folder: Path) -> Any:
     if name not in _FILES:
         return value
     if isinstance(value, list):
-        return [_placed(name, one, folder) for one in value]
+        return [_placed(name, entry, folder) for entry in value]
     beside = folder / value
     return str(beside.resolve()) if value and beside.is_file() else value
 

@@ -25,10 +25,10 @@ _TEMPLATE: Final = Path(__file__).with_name("summary.html")
 
 def write_summary(campaign: Campaign, summary: Summary, folder: Path) -> Path:
     """Write index.html and its picture into the `folder` of the results; return the page."""
-    drawn = [one for one in summary.columns if len(np.unique(one.values)) > 1][:_MOST_DRAWN]
+    drawn = [column for column in summary.columns if len(np.unique(column.values)) > 1][:_MOST_DRAWN]
     picture = ""
     if drawn:
-        picture = str(Drawing().add(figure_of(drawn, campaign.worst), folder / "distributions.png"))
+        picture = str(Drawing().add(figure_of_drawn(drawn, campaign.worst), folder / "distributions.png"))
     return write_page(
         folder,
         _TEMPLATE,
@@ -42,11 +42,11 @@ def write_summary(campaign: Campaign, summary: Summary, folder: Path) -> Path:
         picture=picture,
         table=TABLE,
         groups=_groups(summary, drawn),
-        shown=[one.name for one in drawn[:4]],
+        shown=[column.name for column in drawn[:4]],
     )
 
 
-def figure_of(columns: Sequence[Column], worst: str) -> Figure:
+def figure_of_drawn(columns: Sequence[Column], worst: str) -> Figure:
     """Draw histograms of some `columns`, that by which the `worst` cases are found in another colour."""
     rows = math.ceil(len(columns) / _IN_A_ROW)
     figure = Figure(figsize=(3.3 * _IN_A_ROW, 2.4 * rows), layout="constrained")
@@ -73,7 +73,7 @@ def _groups(
     summary: Summary, drawn: Sequence[Column]
 ) -> list[tuple[str, list[tuple[str, int, list[float]]]]]:
     """Medians of the first columns by each setting: setting, then value, number of cases and medians."""
-    names = [one.name for one in drawn[:4]]
+    names = [column.name for column in drawn[:4]]
     return [
         (setting, [(value, len(rows), [_median(rows, name) for name in names]) for value, rows in by.items()])
         for setting, by in summary.groups.items()

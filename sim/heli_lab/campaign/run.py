@@ -9,12 +9,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from heli_lab.campaign.cage import Limits
 from heli_lab.campaign.case import Answer, Case, Cell
 from heli_lab.campaign.cluster import usable, workers_of
 from heli_lab.campaign.code import code_digest
 from heli_lab.campaign.store import Store, row_of
-from heli_lab.campaign.worker import Order, Refused, attend, release
+from heli_lab.campaign.worker import CodeMismatch, Job, release, run_job
+from heli_lab.campaign.worker_process import Limits
 from heli_lab.errors import CampaignError
 
 if TYPE_CHECKING:
@@ -126,11 +126,11 @@ def run_campaign(
         rows = _kept_rows(store, keys, again)
         count = sum(bool(row.get("failure")) for row in rows.values())
         tell(State(len(rows), count, len(keys)))
-        left = {key: case for key, case in keys.items() if key not in rows}
+        remaining = {key: case for key, case in keys.items() if key not in rows}
         waiting: list[dict[str, Cell]] = []
         flushed_s = time.monotonic()
         try:
-            for answer, note in _done(campaign, store, left, scheduler, processes, digest, code is None):
+            for answer, note in _done(campaign, store, remaining, scheduler, processes, digest, code is None):
                 if answer is None:
                     tell(State(len(rows), count, len(keys), None, note))
                     continue
@@ -165,7 +165,7 @@ def _kept_rows(
 def _done(
     campaign: Campaign,
     store: Store,
-    left: dict[str, Case],
+    remaining: dict[str, Case],
     scheduler: str | None,
     processes: int,
     code: str,
@@ -174,16 +174,16 @@ def _done(
     """Answers as they come; None and a note on what else there is to say. Other code than the installed one
     is not compared.
     """
-    if not left:
+    if not remaining:
         return
     works = campaign.works if compared else ()
-    asked = code if compared else code_digest()
+    expected_code = code if compared else code_digest()
     orders = {
-        key: Order(case, key, asked, works, campaign.limits, str(store.cases.resolve()), store.token)
-        for key, case in left.items()
+        key: Job(case, key, expected_code, works, campaign.limits, str(store.cases.resolve()), store.token)
+        for key, case in remaining.items()
     }
-    with workers_of(scheduler, min(processes, len(left))) as client:
-        good, bad = usable(client, asked, works)
+    with workers_of(scheduler, min(processes, len(remaining))) as client:
+        good, bad = usable(client, expected_code, works)
         for address, why in bad.items():
             yield None, f"worker {address} is not used: {why}"
         if not good:
@@ -195,14 +195,14 @@ def _done(
                 client.run(release, on_error="return")
 
 
-def _attended(client: Client, orders: dict[str, Order], bad: set[str]) -> Iterator[tuple[Answer | None, str]]:
+def _attended(client: Client, orders: dict[str, Job], bad: set[str]) -> Iterator[tuple[Answer | None, str]]:
     from distributed import as_completed
 
-    def submit(order: Order) -> Future[Any]:
+    def submit(order: Job) -> Future[Any]:
         # Should no other be left, a worker that cannot do it says so; what no worker may do is stuck.
-        good = [one for one in client.scheduler_info()["workers"] if one not in bad] if bad else None
+        good = [worker for worker in client.scheduler_info()["workers"] if worker not in bad] if bad else None
         # A key of its own: another campaign's task of the case's key may be of other limits.
-        return client.submit(attend, order, pure=False, workers=good or None, allow_other_workers=bool(good))
+        return client.submit(run_job, order, pure=False, workers=good or None, allow_other_workers=bool(good))
 
     tasks = {submit(order): order for order in orders.values()}
     lost: Counter[str] = Counter()
@@ -232,12 +232,12 @@ def _attended(client: Client, orders: dict[str, Order], bad: set[str]) -> Iterat
         completed.add(task)
 
 
-def _came(future: Future[Any], order: Order, lost: Counter[str]) -> Answer | Refused | None:
+def _came(future: Future[Any], order: Job, lost: Counter[str]) -> Answer | CodeMismatch | None:
     """What came of a task; None where its worker was lost and another is to try."""
     from distributed import KilledWorker
 
     try:
-        came: Answer | Refused = future.result()
+        came: Answer | CodeMismatch = future.result()
     except KilledWorker:
         lost[order.key] += 1
         if lost[order.key] < _LOST_WORKERS:

@@ -40,8 +40,8 @@ class Store:
         self.folder = folder
         self.cases, self._parts = folder / "cases", folder / "parts"
         try:
-            for one in (self.cases, self._parts):
-                one.mkdir(parents=True, exist_ok=True)
+            for subfolder in (self.cases, self._parts):
+                subfolder.mkdir(parents=True, exist_ok=True)
             mark = folder / "store.txt"
             if not mark.exists():
                 _write_whole(mark, secrets.token_hex(16).encode())
@@ -98,12 +98,12 @@ class Store:
         """Read all rows that are there, one for each result."""
         import pyarrow.parquet as pq
 
-        found: dict[str, dict[str, Any]] = {}
+        rows: dict[str, dict[str, Any]] = {}
         for path in (self.folder / TABLE, *sorted(self._parts.glob("*.parquet"))):
             with suppress(FileNotFoundError):
                 for row in pq.read_table(path).to_pylist():
-                    found[row["key"]] = {name: value for name, value in row.items() if value is not None}
-        return list(found.values())
+                    rows[row["key"]] = {name: value for name, value in row.items() if value is not None}
+        return list(rows.values())
 
     def settle(self, rows: Iterable[Mapping[str, Cell]]) -> Path:
         """Make one table of `rows`, by the names of the cases, in the place of all parts; return its file."""
@@ -117,8 +117,8 @@ class Store:
 def row_of(case: Case, answer: Answer) -> dict[str, Cell]:
     """Line of the table: name and settings of a case, what its work returned, what it took."""
     settings = {name: _cell(value) for name, value in case.settings.items()}
-    own = {name: getattr(answer, name) for name in OWN}
-    return {"case": case.name, **settings, **answer.row, **own}
+    fields = {name: getattr(answer, name) for name in OWN}
+    return {"case": case.name, **settings, **answer.row, **fields}
 
 
 def keep(folder: Path, answer: Answer) -> None:
@@ -143,7 +143,7 @@ def _cell(value: Any) -> Cell:
     if value is None or isinstance(value, str | int | float | bool):
         return value
     if isinstance(value, list | tuple):
-        return ", ".join(str(one) for one in value)
+        return ", ".join(str(item) for item in value)
     return json.dumps(value, sort_keys=True, default=str)
 
 
@@ -167,7 +167,7 @@ def _table(rows: Sequence[Mapping[str, Cell]]) -> pa.Table:
     columns: dict[str, list[Cell]] = {}
     for name in dict.fromkeys(name for row in rows for name in row):
         values = [row.get(name) for row in rows]
-        kinds = {type(one) for one in values if one is not None}
+        kinds = {type(value) for value in values if value is not None}
         if kinds <= {int, float} and float in kinds:
             # A number that is none, such as the settling time of what never settles, is left out.
             values = [float(v) if isinstance(v, int | float) and math.isfinite(v) else None for v in values]

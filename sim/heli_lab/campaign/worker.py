@@ -11,14 +11,14 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
-from heli_lab.campaign.cage import Cage, Limits
 from heli_lab.campaign.case import Answer, Case
 from heli_lab.campaign.code import code_digest
 from heli_lab.campaign.store import keep, kept
+from heli_lab.campaign.worker_process import Limits, WorkerProcess
 
 
 @dataclass(frozen=True)
-class Order:
+class Job:
     """A case on its way to a worker.
 
     Parameters
@@ -46,7 +46,7 @@ class Order:
 
 
 @dataclass(frozen=True)
-class Refused:
+class CodeMismatch:
     """A worker, `where`, that has other code than the campaign; `why` says so in a line."""
 
     where: str
@@ -57,16 +57,18 @@ class Refused:
 class _Cages:
     """Idle processes of this worker."""
 
-    idle: list[Cage] = field(default_factory=list)
+    idle: list[WorkerProcess] = field(default_factory=list)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     @contextmanager
-    def one(self, limits: Limits) -> Iterator[Cage]:
+    def one(self, limits: Limits) -> Iterator[WorkerProcess]:
         with self.lock:
-            fit = next((one for one in self.idle if one.limits.threads == limits.threads), None)
+            fit = next(
+                (idle_cage for idle_cage in self.idle if idle_cage.limits.threads == limits.threads), None
+            )
             if fit is not None:
                 self.idle.remove(fit)
-        cage = fit or Cage(limits)
+        cage = fit or WorkerProcess(limits)
         cage.limits = limits
         try:
             yield cage
@@ -101,13 +103,13 @@ def other_code(code: str, works: tuple[str, ...]) -> str:
     `works`; empty where it is the same.
     """
     try:
-        own = code_digest(works)
+        worker_code = code_digest(works)
     except ImportError as error:
         return str(error)
-    return "" if own == code else f"its code has the digest {own}, the campaign's has {code}"
+    return "" if worker_code == code else f"its code has the digest {worker_code}, the campaign's has {code}"
 
 
-def attend(order: Order) -> Answer | Refused:
+def run_job(order: Job) -> Answer | CodeMismatch:
     """Have a case done in a process of its own, and keep its result.
 
     A result that is there already is taken: a cluster that has lost the worker which held it asks again.
@@ -115,7 +117,7 @@ def attend(order: Order) -> Answer | Refused:
     """
     why = other_code(order.code, order.works)
     if why:
-        return Refused(here(), why)
+        return CodeMismatch(here(), why)
     cases = Path(order.cases)
     mark = cases.with_name("store.txt")
     seen = mark.is_file() and mark.read_text() == order.token

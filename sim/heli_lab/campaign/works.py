@@ -83,7 +83,7 @@ def identify(settings: Settings) -> Result:
     nominal, true, flight, _ = _flown(settings, settings["plan"], 0)
     other = _flown(settings, settings["validate"], _VALIDATION_SEED)[2]
     model = _model(settings, nominal)
-    found = find(
+    identification = find(
         model,
         nominal,
         [flight],
@@ -93,17 +93,17 @@ def identify(settings: Settings) -> Result:
         threads=settings["threads"],
     )
     off = {
-        name: (value - true[name].value) / found.fit.std[name]
-        for name, value in found.fit.values.items()
+        name: (value - true[name].value) / identification.fit.std[name]
+        for name, value in identification.fit.values.items()
         if name in true and not name.startswith("offset_")
     }
     return {
-        "normalised": found.training[0].normalised,
-        "held_out_normalised": found.validation[0].normalised,
+        "normalised": identification.training[0].normalised,
+        "held_out_normalised": identification.validation[0].normalised,
         "within_2_std": float(np.mean([abs(z) < 2.0 for z in off.values()])) if off else None,
         "most_std_off": max((abs(z) for z in off.values()), default=None),
-        "converged": found.fit.converged,
-    }, {"values": found.fit.values, "std": found.fit.std, "standard_errors_off": off}
+        "converged": identification.fit.converged,
+    }, {"values": identification.fit.values, "std": identification.fit.std, "standard_errors_off": off}
 
 
 def diagnose(settings: Settings) -> Result:
@@ -116,7 +116,7 @@ def diagnose(settings: Settings) -> Result:
     nominal, _, flight, _ = _flown(settings, settings["plan"], 0)
     other = _flown(settings, settings["validate"], _VALIDATION_SEED)[2]
     known = _effects(settings, nominal, of_rig_only=True)
-    found = find(
+    diagnosis = find(
         model_named(settings["model"] or nominal.model or MultibodyModel.name, known),
         nominal,
         [flight],
@@ -126,10 +126,10 @@ def diagnose(settings: Settings) -> Result:
         refits=settings["budget"],
         threads=settings["threads"],
     )
-    numbers = to_json(found)
-    hidden = {one.name for one in parse_effects(settings["effects"], settings["effect_files"])}
-    named = {one["effect"] for one in numbers["causes"]}
-    sure = {one["effect"] for one in numbers["causes"] if one["confidence"] >= 0.9}
+    numbers = to_json(diagnosis)
+    hidden = {effect.name for effect in parse_effects(settings["effects"], settings["effect_files"])}
+    named = {cause["effect"] for cause in numbers["causes"]}
+    sure = {cause["effect"] for cause in numbers["causes"] if cause["confidence"] >= 0.9}
     gains = numbers["gain"]["axis"]
     return {
         "verdict": numbers["verdict"],
@@ -138,7 +138,7 @@ def diagnose(settings: Settings) -> Result:
         "wrongly_sure": len(sure - hidden),
         "held_out_before": numbers["residual"]["normalised"]["held_out_before"],
         "held_out_after": numbers["residual"]["normalised"]["held_out_after"],
-        **{f"{axis}_gain": one["ratio"] for axis, one in gains.items()},
+        **{f"{axis}_gain": gain["ratio"] for axis, gain in gains.items()},
         "complete": numbers["complete"],
     }, numbers
 
@@ -153,8 +153,8 @@ def gains(settings: Settings) -> Result:
 
     nominal = load_rig(settings["rig"])
     true, effects = drawn(nominal, settings["effects"], settings["draw"], settings["seed"])
-    own = parse_effects(effects, settings["effect_files"])
-    model = model_named(settings["model"] or nominal.model or MultibodyModel.name, own)
+    fitted_effects = parse_effects(effects, settings["effect_files"])
+    model = model_named(settings["model"] or nominal.model or MultibodyModel.name, fitted_effects)
     parameters = read_parameters(Path(settings["params"])) if settings["params"] else {}
     trial = try_gains(Plant(model, true, settings["seed"]), parameters, "campaign", settings["seed"])
     metrics = asdict(trial.metrics)
@@ -166,8 +166,11 @@ def _flown(settings: Settings, plan: str, more_seed: int) -> tuple[Rig, Rig, Fli
     """Fly a plan, and return the rig of the file, the one that flew, the flight and its summary."""
     nominal = load_rig(settings["rig"])
     true, effects = drawn(nominal, settings["effects"], settings["draw"], settings["seed"])
-    own = (*_effects(settings, nominal, of_rig_only=True), *parse_effects(effects, settings["effect_files"]))
-    model = model_named(settings["model"] or nominal.model or MultibodyModel.name, own)
+    all_effects = (
+        *_effects(settings, nominal, of_rig_only=True),
+        *parse_effects(effects, settings["effect_files"]),
+    )
+    model = model_named(settings["model"] or nominal.model or MultibodyModel.name, all_effects)
     seed = settings["seed"] + more_seed
     session = Session(InProcessTransport(SilWorld(SilOptions(seed=seed), Plant(model, true, seed))))
     session.connect()
@@ -182,8 +185,8 @@ def _flown(settings: Settings, plan: str, more_seed: int) -> tuple[Rig, Rig, Fli
 def _effects(settings: Settings, rig: Rig, *, of_rig_only: bool) -> tuple[Any, ...]:
     """Effects that the rig's file states, less those that are hidden; with the hidden ones unless told."""
     hidden = parse_effects(settings["effects"], settings["effect_files"])
-    names = {one.name for one in hidden}
-    stated = tuple(one for one in effects_of(rig, settings["effect_files"]) if one.name not in names)
+    names = {effect.name for effect in hidden}
+    stated = tuple(effect for effect in effects_of(rig, settings["effect_files"]) if effect.name not in names)
     return stated if of_rig_only else (*stated, *hidden)
 
 

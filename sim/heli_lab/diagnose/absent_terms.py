@@ -2,7 +2,7 @@
 
 A parameter whose prior is wide, such as a friction, is estimated as zero (`absent_terms`). One whose prior is
 narrow, such as the length of a pendulum, cannot be: there the model is refitted without the term beside the
-effects that may be tried in its place (`closely_stated_terms`).
+effects that may be tried in its place (`tightly_specified_terms`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from heli_sim.rig import Prior, Rig
 
 from heli_lab.diagnose import thresholds
 from heli_lab.diagnose.candidate import Candidate
-from heli_lab.diagnose.model_comparison import Comparison
+from heli_lab.diagnose.model_comparison import ModelComparison
 from heli_lab.diagnose.screening import Screening
 from heli_lab.identify import Fit
 
@@ -63,21 +63,24 @@ def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[A
     """Find the terms whose parameters are zero within their standard errors in `fit`, the final model on the
     flights fitted: those more likely absent than not, the most likely first.
     """
-    values, stds = fit.values, fit.std
-    found = []
+    values, reported_std = fit.values, fit.std
+    terms = []
     for id_, kind in kinds.items():
         names = [name for name in kind.override if name in values and rig[name].value > 0.0]
         if not kind.baseline or not names:
             continue
         numbers = [
-            (0.0 if name in fit.at_bound else values[name] / rig[name].value, stds[name] / rig[name].value)
+            (
+                0.0 if name in fit.at_bound else values[name] / rig[name].value,
+                reported_std[name] / rig[name].value,
+            )
             for name in names
         ]
         confidence = math.prod(absence_probability(value, std) for value, std in numbers)
         if confidence < thresholds.ABSENT_MIN_CONFIDENCE:
             continue
         share, std = 1.0 - numbers[0][0], max(numbers[0][1], thresholds.ABSENT_MIN_STD)
-        found.append(
+        terms.append(
             AbsentTerm(
                 id_,
                 min(max(share, 0.0), 1.0),
@@ -87,7 +90,7 @@ def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectKind]) -> tuple[A
                 min((1.0 - value) / max(std, thresholds.ABSENT_MIN_STD) for value, std in numbers),
             )
         )
-    return tuple(sorted(found, key=lambda one: -one.confidence))
+    return tuple(sorted(terms, key=lambda term: -term.confidence))
 
 
 def absence_probability(value: float, std: float) -> float:
@@ -104,7 +107,7 @@ def absence_probability(value: float, std: float) -> float:
     return min(thresholds.MAX_CONFIDENCE, absent / max(absent + present, 1e-300))
 
 
-def closely_stated(kind: EffectKind, rig: Rig) -> bool:
+def tightly_specified(kind: EffectKind, rig: Rig) -> bool:
     """Whether a term's priors are so narrow that no fit would estimate its parameters as zero; False where
     the rig does not have the term.
     """
@@ -114,8 +117,8 @@ def closely_stated(kind: EffectKind, rig: Rig) -> bool:
     )
 
 
-def closely_stated_terms(
-    comparison: Comparison, kinds: Iterable[EffectKind], screening: Screening
+def tightly_specified_terms(
+    comparison: ModelComparison, kinds: Iterable[EffectKind], screening: Screening
 ) -> list[tuple[Candidate, dict[str, float], float]]:
     """Closely stated terms that the score test would take away about whole.
 
@@ -124,25 +127,25 @@ def closely_stated_terms(
     list of (Candidate, dict, float)
         The term gone, the values to refit from, and the gain that the score test promises, nats.
     """
-    known = {effect.name for effect in screening.estimate.unknowns.model.effects}
-    asked = [
+    known = {effect.name for effect in screening.estimate.parameter_vector.model.effects}
+    specs = [
         kind
         for kind in kinds
         if kind.baseline
         and kind.id not in known
         and kind.suits(comparison.model)
-        and closely_stated(kind, comparison.rig)
+        and tightly_specified(kind, comparison.rig)
     ]
     shares = [
         Candidate(kind.id, replace(kind.make(), priors={kind.size[0]: _ANY_SHARE}), kind.size)
-        for kind in asked
+        for kind in specs
     ]
-    found = []
-    for kind, (gain, coefficients, _) in zip(asked, screening.score(shares), strict=True):
+    terms = []
+    for kind, (gain, coefficients, _) in zip(specs, screening.score(shares), strict=True):
         if gain < thresholds.ABSENT_MIN or not _LEAST_SHARE < coefficients[0] < _MOST_SHARE:
             continue
         (name,) = kind.size
         candidate = Candidate(kind.id, replace(kind.make({name: 1.0}), priors={name: _WHOLE}), (name,))
         start = {number: comparison.rig[number].value for number in kind.override}
-        found.append((candidate, {**start, name: _START_SHARE}, gain))
-    return found
+        terms.append((candidate, {**start, name: _START_SHARE}, gain))
+    return terms

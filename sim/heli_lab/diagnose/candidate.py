@@ -24,10 +24,10 @@ from heli_lab.diagnose.spline_term import (
 )
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import (
-    OWN_SUBSTEPS,
-    AlongCourse,
-    Linear,
-    OwnStates,
+    EFFECT_SUBSTEPS,
+    AlongTrajectory,
+    EffectStates,
+    LinearisedFlight,
     Trajectory,
     known_directions,
 )
@@ -62,11 +62,11 @@ class Candidate:
     def neutral(self) -> dict[str, float]:
         """Values of its sizes at which it does next to nothing, within the priors' bounds, by full name."""
         sizes = self.linear_parameters or tuple(self.effect.priors)[:1]
-        found = {}
+        values = {}
         for name in sizes:
             prior = self.effect.priors[name]
-            found[name] = float(np.clip(0.0, prior.low + 1e-6 * prior.std, prior.high))
-        return found
+            values[name] = float(np.clip(0.0, prior.low + 1e-6 * prior.std, prior.high))
+        return values
 
     @property
     def is_spline(self) -> bool:
@@ -87,7 +87,7 @@ class Candidate:
         return values
 
 
-def usual(kind: EffectKind) -> Candidate:
+def typical_candidate(kind: EffectKind) -> Candidate:
     """An effect of its typical size, for a refit to start from."""
     return Candidate(kind.id, kind.make(kind.typical), kind.size)
 
@@ -110,24 +110,24 @@ class ChangeFunctions:
         return self._made[name]
 
     @cached_property
-    def rates(self) -> AlongCourse:
+    def rates(self) -> AlongTrajectory:
         """Rates of the model itself."""
         model = self.model
         x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
         t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
-        return AlongCourse(ca.Function("rates", [x, u, t, p], [ca.densify(model.dynamics(x, u, p, t))]))
+        return AlongTrajectory(ca.Function("rates", [x, u, t, p], [ca.densify(model.dynamics(x, u, p, t))]))
 
 
 class Regressors:
     """Makes the regressors of candidates along a course, by `functions` of its model."""
 
-    def __init__(self, linear: Linear, functions: ChangeFunctions) -> None:
+    def __init__(self, linear: LinearisedFlight, functions: ChangeFunctions) -> None:
         self.linear = linear
         self.model = linear.model
         self._functions = functions
         self._channels: dict[str, tuple[Floats, Floats]] = {}
         self._quantities: dict[str, dict[str, Floats]] = {}
-        self._directions: Floats = linear.course.directions[linear.course.rows]
+        self._directions: Floats = linear.reference.directions[linear.reference.rows]
 
     def release(self) -> None:
         """Give back what is kept of channels and quantities; it is made again when asked for."""
@@ -190,7 +190,7 @@ class Regressors:
 
     def _delayed(self, candidate: Candidate) -> Floats:
         """What delayed voltages change: the model itself is the same."""
-        trajectory, record = self.linear.trajectory, self.linear.course.record
+        trajectory, record = self.linear.trajectory, self.linear.reference.record
         delay_s = candidate.effect.values[candidate.effect.delay]
         middle_s = record.t_s - record.t_s[0] + 0.5 * record.step_s
         kernel = np.ones(max(1, round(trajectory.step_s / record.step_s)))
@@ -210,18 +210,18 @@ class ExtendedModel:
     """
 
     def __init__(self, model: Model, effect: Effect, linear: Sequence[str]) -> None:
-        effect = effect.along_measured()
+        effect = effect.with_measured_angles()
         self.model, self.linear_parameters = model, linear
         self.more = type(model)((*model.effects, effect))
         self.effect = effect
         names = [quantity.name for quantity in self.more.parameters]
-        own = [state.name for state in effect.states]
+        state_names = [state.name for state in effect.states]
         self.places = [names.index(q.name) for q in model.parameters]
         self.own_places = {q.name: names.index(q.name) for q in effect.parameters}
         states = [state.name for state in self.more.states]
         base = [states.index(state.name) for state in model.states]
-        extra = [states.index(name) for name in own]
-        x, z = ca.SX.sym("x", len(model.states)), ca.SX.sym("z", len(own))
+        extra = [states.index(name) for name in state_names]
+        x, z = ca.SX.sym("x", len(model.states)), ca.SX.sym("z", len(state_names))
         u, t, p = ca.SX.sym("u", 2), ca.SX.sym("t"), ca.SX.sym("p", len(names))
         both = ca.SX(len(states), 1)
         for i, place in enumerate(base):
@@ -239,12 +239,12 @@ class ExtendedModel:
                 ca.vertcat(*(rates[i] for i in base)) - model.dynamics(x, u, p_base, t),
                 angles - model.measurement(x, u, p_base, t),
             ]
-        self.state_count = len(own)
+        self.state_count = len(state_names)
         inputs = [ca.vertcat(x, z), u, t, p]
-        self.change = AlongCourse(ca.Function("change", inputs, [ca.densify(o) for o in outputs]))
-        if own:
+        self.change = AlongTrajectory(ca.Function("change", inputs, [ca.densify(o) for o in outputs]))
+        if state_names:
             inputs = [z, t, x, u, p]
-            self.own = OwnStates(
+            self.own = EffectStates(
                 ca.Function("rates", inputs, [ca.densify(ca.vertcat(*(rates[i] for i in extra)))]),
                 ca.Function("resets", inputs, [ca.densify(ca.vertcat(*(after[i] for i in extra)))]),
             )
@@ -262,11 +262,11 @@ class ExtendedModel:
             parameters[place] = values[name]
         state = trajectory.state
         if self.state_count:
-            own = self._own_states(trajectory, parameters)
+            effect_states = self._own_states(trajectory, parameters)
             for place, axis in known_directions([self.effect]):
                 if directions is not None:
-                    own[:, place] = directions[:, axis]
-            state = np.column_stack((state, own))
+                    effect_states[:, place] = directions[:, axis]
+            state = np.column_stack((state, effect_states))
         rates, measured = self.change(
             Trajectory(trajectory.t_s, state, trajectory.volts_V, trajectory.step_s, parameters)
         )
@@ -279,8 +279,8 @@ class ExtendedModel:
             trajectory.t_s,
             parameters,
             trajectory.step_s,
-            OWN_SUBSTEPS,
-            OWN_SUBSTEPS // 2 - 1,
+            EFFECT_SUBSTEPS,
+            EFFECT_SUBSTEPS // 2 - 1,
         )
 
 
@@ -295,13 +295,13 @@ def effect_candidates(kind: EffectKind, seconds: float) -> list[Candidate]:
     return candidates
 
 
-def spline_candidates(linears: Sequence[Linear], number: int = 0) -> list[Candidate]:
+def spline_candidates(linearised_flights: Sequence[LinearisedFlight], number: int = 0) -> list[Candidate]:
     """Spline terms of every channel on every quantity, over the range that the flights cover; `number`
     distinguishes those of one model.
     """
-    model = linears[0].model
+    model = linearised_flights[0].model
     together: dict[str, list[Floats]] = {}
-    for linear in linears:
+    for linear in linearised_flights:
         for name, values in quantity_values(model, linear.trajectory).items():
             together.setdefault(name, []).append(values)
     candidates = []

@@ -15,17 +15,17 @@ from heli_lab.innovations import Estimate
 def undetectable_effects(screened: Sequence[Scored], kinds: Mapping[str, EffectKind]) -> tuple[str, ...]:
     """Find the effects that would not be significant at a typical size, by id."""
     undetectable = []
-    for one in screened:
-        kind = kinds[one.candidate.id]
+    for scored in screened:
+        kind = kinds[scored.candidate.id]
         # Without linear parameters there is one regressor, the effect at the size tried.
         name = kind.size[0]
-        unit = 1.0 if one.candidate.linear_parameters else one.candidate.effect.values[name]
-        if one.std[0] * abs(unit) * DETECTION_STD_ERRORS > abs(kind.typical[name]):
+        unit = 1.0 if scored.candidate.linear_parameters else scored.candidate.effect.values[name]
+        if scored.std[0] * abs(unit) * DETECTION_STD_ERRORS > abs(kind.typical[name]):
             undetectable.append(kind.id)
     return tuple(sorted(undetectable))
 
 
 def unidentifiable_parameters(estimate: Estimate) -> tuple[str, ...]:
     """Find the parameters of the rig whose posterior is as wide as their prior, by name."""
-    unknowns = estimate.unknowns
-    return tuple(uninformed_parameters(unknowns.names, estimate.covariance, unknowns.std))
+    parameter_vector = estimate.parameter_vector
+    return tuple(uninformed_parameters(parameter_vector.names, estimate.covariance, parameter_vector.std))

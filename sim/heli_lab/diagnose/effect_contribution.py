@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from heli_lab.identify.functions import Floats
-from heli_lab.innovations import AlongCourse, Estimate
+from heli_lab.innovations import AlongTrajectory, Estimate
 
 
 def accelerations(estimate: Estimate, name: str, index: int = 0) -> tuple[Floats, Floats]:
@@ -27,7 +27,7 @@ def accelerations(estimate: Estimate, name: str, index: int = 0) -> tuple[Floats
         Acceleration of elevation, pitch and travel with the effect less that without it; zero for a delay and
         for an effect on what is measured.
     """
-    linear = estimate.filtered().linears[index]
+    linear = estimate.filtered().linearised_flights[index]
     model = linear.model
     less = type(model)(tuple(effect for effect in model.effects if effect.name != name))
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
@@ -38,5 +38,5 @@ def accelerations(estimate: Estimate, name: str, index: int = 0) -> tuple[Floats
     p_less = ca.vertcat(*(p[names.index(q.name)] for q in less.parameters))
     change = model.dynamics(x, u, p, t)[3:6] - less.dynamics(x_less, u, p_less, t)[3:6]
     function = ca.Function("change", [x, u, t, p], [ca.densify(change)])
-    (result,) = AlongCourse(function)(linear.trajectory)
+    (result,) = AlongTrajectory(function)(linear.trajectory)
     return linear.trajectory.t_s, np.ascontiguousarray(result[:, :, 0])

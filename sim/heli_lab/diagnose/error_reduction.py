@@ -38,7 +38,7 @@ class ErrorReduction:
 
 
 @dataclass(frozen=True)
-class Judgement:
+class HeldOutComparison:
     """Baseline and extended model on the same flights.
 
     Parameters
@@ -54,11 +54,11 @@ class Judgement:
     horizons: Mapping[str, Mapping[str, ErrorReduction]]
 
 
-def judgement(before: Sequence[FreeRun], after: Sequence[FreeRun], seed: int = 0) -> Judgement:
+def judgement(before: Sequence[FreeRun], after: Sequence[FreeRun], seed: int = 0) -> HeldOutComparison:
     """Compare two models' free runs `before` and `after` an extension over the same flights; `seed` is the
     bootstrap's.
     """
-    return Judgement(
+    return HeldOutComparison(
         tuple(before),
         tuple(after),
         {
@@ -76,9 +76,9 @@ def error_reduction(
     """Compare the errors of two models by axis; one of each for each flight, in the same windows. `seed` is
     the bootstrap's.
     """
-    rows = np.concatenate([one.rows for one in before])
-    squares_before = np.concatenate([one.squares_rad2 for one in before])
-    squares_after = np.concatenate([one.squares_rad2 for one in after])
+    rows = np.concatenate([run.rows for run in before])
+    squares_before = np.concatenate([run.squares_rad2 for run in before])
+    squares_after = np.concatenate([run.squares_rad2 for run in after])
     count = len(rows)
     random = np.random.default_rng(seed)
     weights = random.multinomial(count, np.full(count, 1.0 / count), _RESAMPLES)

@@ -15,7 +15,7 @@ from heli_sim.errors import SimError
 from heli_sim.model.effects import EffectKind
 
 from heli_lab.diagnose.detectability import undetectable_effects
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.screening import Screening
 from heli_lab.diagnose.simulated_experiment import expected_log_likelihood_ratio, simulate_experiment
 
@@ -162,7 +162,7 @@ class Pair:
 
 def discriminating_experiment(
     pair: Pair,
-    comparison: Comparison,
+    comparison: ModelComparison,
     kinds: Mapping[str, EffectKind],
     enough: float,
 ) -> ExperimentDesign:
@@ -179,23 +179,23 @@ def discriminating_experiment(
         f"{abs(pair.log_likelihood_ratio):.1f}, and {enough:.0f} are needed."
     )
     parts = [segment_for(kinds[id_]) for id_ in pair.names if id_ in kinds]
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for key in dict.fromkeys((*parts, *_ALSO_TRIED)):
-        if max(found.values(), default=0.0) > _PLENTY * enough:
+        if max(values.values(), default=0.0) > _PLENTY * enough:
             break
         expected_apart = expected_log_likelihood_ratio(pair.first, pair.second, comparison, _plan([key]))
         if expected_apart is not None:
-            found[key] = expected_apart
-    if not found:
+            values[key] = expected_apart
+    if not values:
         return compose_experiment(apart, parts)
-    best = max(found, key=lambda key: found[key])
+    best = max(values, key=lambda key: values[key])
     other = expected_log_likelihood_ratio(pair.second, pair.first, comparison, _plan([best]))
-    expected = f"{found[best]:.0f} if it is {pair.names[0]}"
+    expected = f"{values[best]:.0f} if it is {pair.names[0]}"
     if other is not None:
         expected += f" and {other:.0f} if it is {pair.names[1]}"
     return ExperimentDesign(
         f"{apart} Fly {_shows([best])}. Simulated on this rig, this plan alone sets them apart by "
-        f"{expected}; it does best of {len(found)} plans tried.",
+        f"{expected}; it does best of {len(values)} plans tried.",
         _plan([best]),
     )
 
@@ -215,21 +215,23 @@ def informative_experiment(
     baseline : Hypothesis
         The refitted baseline, to simulate the plan with.
     """
-    asked = [kinds[id_] for id_ in undetectable]
-    flight = compose_experiment(reason, {segment_for(kind) for kind in asked})
+    wanted = [kinds[id_] for id_ in undetectable]
+    flight = compose_experiment(reason, {segment_for(kind) for kind in wanted})
     record = simulate_experiment(baseline.estimate, flight.plan)
     if record is None:
         return flight
-    unknowns = baseline.estimate.unknowns
+    parameter_vector = baseline.estimate.parameter_vector
     try:
-        new = Comparison(unknowns.model, unknowns.rig, [record], ()).refit([], baseline.values)
-        still = undetectable_effects(Screening(new.estimate).effects(asked), kinds)
+        new = ModelComparison(parameter_vector.model, parameter_vector.rig, [record], ()).refit(
+            [], baseline.values
+        )
+        still = undetectable_effects(Screening(new.estimate).effects(wanted), kinds)
     except SimError:
         return flight
     but = f", not {', '.join(still)}" if still else ""
     return ExperimentDesign(
-        f"{flight.why} Simulated on this rig, it shows {len(asked) - len(still)} of these "
-        f"{len(asked)} at a typical size{but}.",
+        f"{flight.why} Simulated on this rig, it shows {len(wanted) - len(still)} of these "
+        f"{len(wanted)} at a typical size{but}.",
         flight.plan,
     )
 

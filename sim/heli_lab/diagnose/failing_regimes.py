@@ -118,18 +118,18 @@ class FailingRegimes:
             "false_discovery_rate": FALSE_DISCOVERY_RATE,
             **{
                 name: {
-                    "share_of_time": one.share,
-                    "missing_torque_rms_Nm": one.rms_Nm,
+                    "share_of_time": regimes.share,
+                    "missing_torque_rms_Nm": regimes.rms_Nm,
                     "cells": [
                         {
                             "x": [float(self.x_edges[i]), float(self.x_edges[i + 1])],
                             "y": [float(self.y_edges[j]), float(self.y_edges[j + 1])],
-                            "standard_deviations": float(one.z[i, j]),
+                            "standard_deviations": float(regimes.z[i, j]),
                         }
-                        for i, j in zip(*np.nonzero(one.fails), strict=True)
+                        for i, j in zip(*np.nonzero(regimes.fails), strict=True)
                     ],
                 }
-                for name, one in (("before", self.before), ("after", self.after))
+                for name, regimes in (("before", self.before), ("after", self.after))
             },
         }
 
@@ -147,7 +147,7 @@ def failing_regimes(before: Estimate, after: Estimate, axis: str, first: str = "
         One of the two quantities, where it is known what matters.
     """
     # What is missing passes for weather before: it is tested against the weather that remains in the end.
-    screening = Screening(replace(before, weather=after.weather))
+    screening = Screening(replace(before, disturbances=after.disturbances))
     values = _values(screening)
     if first not in _PLANES:
         lines = {name: _gain(screening, axis, [_cell(values[name]), None]) for name in _MOTION}
@@ -176,8 +176,10 @@ def false_discoveries(p: Floats, rate: float = FALSE_DISCOVERY_RATE) -> Booleans
 
 
 def _values(screening: Screening) -> dict[str, Floats]:
-    every = [quantity_values(one.model, one.trajectory) for one in screening.filtered.linears]
-    return {name: np.concatenate([one[name] for one in every]) for name in _PLANES}
+    every = [
+        quantity_values(linear.model, linear.trajectory) for linear in screening.filtered.linearised_flights
+    ]
+    return {name: np.concatenate([values[name] for values in every]) for name in _PLANES}
 
 
 def _edges(values: Floats) -> Floats:
@@ -208,15 +210,15 @@ def _scores(screening: Screening, axis: str, place: npt.NDArray[np.int64], count
     """Score of a torque in each of `count` cells in standard deviations, by the cell that each step is in;
     nan where there were too few steps.
     """
-    step_s = screening.filtered.linears[0].trajectory.step_s
+    step_s = screening.filtered.linearised_flights[0].trajectory.step_s
     visited = np.nonzero(np.bincount(place, minlength=count) * step_s >= _VISITED_s)[0]
     z = np.full(count, np.nan)
-    lengths = np.cumsum([one.rows for one in screening.filtered.linears])[:-1]
+    lengths = np.cumsum([linear.rows for linear in screening.filtered.linearised_flights])[:-1]
     for low in range(0, len(visited), screening.batch):
         some = visited[low : low + screening.batch]
         inside = np.asarray(place[:, None] == some[None, :], float)
         only = screening.filtered.torque_regressors(
-            screening.estimate.weather, AXES.index(axis), np.split(inside, lengths)
+            screening.estimate.disturbances, AXES.index(axis), np.split(inside, lengths)
         )
         parts = screening.projected(only, [1] * len(some))
         z[some] = [gradient[0] / np.sqrt(max(information[0, 0], 1e-12)) for information, gradient in parts]
@@ -233,16 +235,16 @@ def _regimes(
     tested = np.nonzero(np.isfinite(z))[0]
     fails = np.zeros(_CELLS**2, bool)
     # Of standard normal numbers; scipy.special takes longer to import than a diagnosis has for all of this.
-    chances = [math.erfc(abs(one) / math.sqrt(2.0)) for one in z[tested]]
+    chances = [math.erfc(abs(score) / math.sqrt(2.0)) for score in z[tested]]
     fails[tested] = false_discoveries(np.array(chances))
-    smoothed = screening.filtered.smoothed_torques(estimate.weather, np.zeros(len(estimate.theta)))
+    smoothed = screening.filtered.smoothed_torques(estimate.disturbances, np.zeros(len(estimate.theta)))
     moments = []
-    for linear, (_, torque_Nm, _) in zip(screening.filtered.linears, smoothed, strict=True):
+    for linear, (_, torque_Nm, _) in zip(screening.filtered.linearised_flights, smoothed, strict=True):
         rows = np.concatenate([blocks.rows for blocks in linear.blocks])
         at = quantity_values(linear.model, linear.trajectory)
-        own = torque_Nm[:, AXES.index(axis)]
-        moments.append(Moments(at[x][rows], at[y][rows], own - own.mean()))
-    every = np.concatenate([one.torque_Nm for one in moments])
+        axis_torque_Nm = torque_Nm[:, AXES.index(axis)]
+        moments.append(Moments(at[x][rows], at[y][rows], axis_torque_Nm - axis_torque_Nm.mean()))
+    every = np.concatenate([moment.torque_Nm for moment in moments])
     return Regimes(
         z.reshape(_CELLS, _CELLS),
         fails.reshape(_CELLS, _CELLS),

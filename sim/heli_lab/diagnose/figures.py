@@ -49,9 +49,9 @@ def figure_of_flight(before: Fit, after: Fit) -> Figure:
         above.plot(*_broken(old, axis), color=BEFORE, lw=1.0, label="simulated before")
         above.plot(*_broken(new, axis), color=AFTER, lw=1.0, label="simulated after")
         above.set_ylabel(f"{AXES[axis]} [deg]")
-        for one, color in ((old, BEFORE), (new, AFTER)):
-            error = np.rad2deg(one.residual[:, axis] * one.sigma_rad[axis])
-            below.plot(one.t_s[keep], error[keep], color=color, lw=0.7, label=f"rms {_rms(error):.3g}")
+        for drawn, color in ((old, BEFORE), (new, AFTER)):
+            error = np.rad2deg(drawn.residual[:, axis] * drawn.sigma_rad[axis])
+            below.plot(drawn.t_s[keep], error[keep], color=color, lw=0.7, label=f"rms {_rms(error):.3g}")
         below.set_ylabel("error [deg]")
         _beside(below)
         for panel in (above, below):
@@ -80,7 +80,9 @@ def figure_of_windows(before: Fit, after: Fit) -> Figure:
         )
         panel.plot(t_s, np.rad2deg(old.predicted_rad[worst, axis]), color=BEFORE, lw=1.3, label="before")
         panel.plot(t_s, np.rad2deg(new.predicted_rad[worst, axis]), color=AFTER, lw=1.3, label="after")
-        errors_deg = [np.rad2deg(_rms(one.residual[worst, axis]) * one.sigma_rad[axis]) for one in (old, new)]
+        errors_deg = [
+            np.rad2deg(_rms(drawn.residual[worst, axis]) * drawn.sigma_rad[axis]) for drawn in (old, new)
+        ]
         title = f"{AXES[axis]}: rms {errors_deg[0]:.3g} deg before, {errors_deg[1]:.3g} after"
         panel.set_title(title, fontsize=9)
         panel.set_xlabel("time [s]")
@@ -97,7 +99,9 @@ def figure_of_torque(diagnosis: Diagnosis) -> Figure:
     """
     from matplotlib.figure import Figure
 
-    before, after = (_torque(one.estimate) for one in (diagnosis.search.baseline, diagnosis.extended))
+    before, after = (
+        _torque(prediction.estimate) for prediction in (diagnosis.search.baseline, diagnosis.extended)
+    )
     figure = Figure(figsize=(11, 6.5))
     panels = figure.subplots(3, 2, width_ratios=[2.4, 1])
     figure.subplots_adjust(0.07, 0.08, 0.98, 0.91, wspace=0.12, hspace=0.35)
@@ -129,15 +133,15 @@ def figure_of_ranking(rounds: tuple[Round, ...]) -> Figure:
     figure = Figure(figsize=(11, height))
     panels: Floats = np.atleast_1d(figure.subplots(len(shown), 1))
     figure.subplots_adjust(0.32, 0.5 / height, 0.98, 1.0 - 0.3 / height, hspace=0.4)
-    for number, (one, panel) in enumerate(zip(shown, panels, strict=True), 1):
-        _rank(one, number, panel)
+    for number, (round_, panel) in enumerate(zip(shown, panels, strict=True), 1):
+        _rank(round_, number, panel)
     panels[-1].set_xlabel("log-likelihood ratio [nats]; grey: score test, blue: refitted", fontsize=9)
     return figure
 
 
-def _rank(one: Round, number: int, panel: Axes) -> None:
-    refits = {refit.candidate.id: refit for refit in one.refits}
-    every = sorted((*one.screened[:7], *one.splines[:3]), key=lambda scored: scored.log_likelihood_gain)
+def _rank(round_: Round, number: int, panel: Axes) -> None:
+    refits = {refit.candidate.id: refit for refit in round_.refits}
+    every = sorted((*round_.screened[:7], *round_.splines[:3]), key=lambda scored: scored.log_likelihood_gain)
     names = [readable_id(scored.candidate.id) for scored in every]
     place = np.arange(len(every))
     gains = [max(scored.log_likelihood_gain, 0.1) for scored in every]
@@ -145,7 +149,7 @@ def _rank(one: Round, number: int, panel: Axes) -> None:
     for row, scored in enumerate(every):
         refit = refits.get(scored.candidate.id)
         if refit is not None:
-            color = AFTER if scored.candidate.id == one.taken else "#8fb3d1"
+            color = AFTER if scored.candidate.id == round_.taken else "#8fb3d1"
             panel.barh(row, max(refit.gain, 0.1), height=0.4, color=color)
             text = f"  {refit.gain:.0f} refitted"
             panel.text(
@@ -159,8 +163,8 @@ def _rank(one: Round, number: int, panel: Axes) -> None:
     most = max([*gains, *(refit.gain for refit in refits.values())])
     panel.set_xlim(1.0, max(10.0, 5.0 * most))
     panel.set_yticks(place, names, fontsize=8)
-    taken = f"taken: {readable_id(one.taken)}" if one.taken else "nothing taken"
-    panel.set_title(f"round {number}: {taken}", fontsize=10, loc="left")
+    outcome = f"taken: {readable_id(round_.taken)}" if round_.taken else "nothing taken"
+    panel.set_title(f"round {number}: {outcome}", fontsize=10, loc="left")
 
 
 def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
@@ -176,12 +180,12 @@ def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
     figure = Figure(figsize=(11, 5.5))
     panels = figure.subplots(3, 1, sharex=True)
     figure.subplots_adjust(0.08, 0.09, 0.98, 0.9, hspace=0.3)
-    for number, found in enumerate(diagnosis.verdict.causes):
-        t_s, change = accelerations(diagnosis.extended.estimate, found.candidate.id)
+    for number, cause in enumerate(diagnosis.verdict.causes):
+        t_s, change = accelerations(diagnosis.extended.estimate, cause.candidate.id)
         for axis, panel in enumerate(panels):
             degrees = np.rad2deg(change[:, axis])
             size = f"rms {_rms(degrees):.3g} deg/s$^2$" if degrees.any() else "none of its own"
-            text = f"{found.candidate.id}: {size}"
+            text = f"{cause.candidate.id}: {size}"
             panel.plot(t_s, degrees, lw=0.7, color=f"C{number}", label=text)
     for axis, panel in enumerate(panels):
         panel.set_ylabel(f"{AXES[axis]} [deg/s$^2$]")
@@ -247,23 +251,23 @@ def _deg(angles_rad: Floats, axis: int, keep: slice) -> Floats:
     return result
 
 
-def _broken(one: Trace, axis: int) -> tuple[Floats, Floats]:
+def _broken(drawn: Trace, axis: int) -> tuple[Floats, Floats]:
     """A prediction with a gap between windows."""
     t_s: list[Floats] = []
     values: list[Floats] = []
-    for window in one.windows:
-        step = max(1, len(one.t_s) // _MOST_POINTS)
+    for window in drawn.windows:
+        step = max(1, len(drawn.t_s) // _MOST_POINTS)
         part = slice(window.start, window.stop, step)
-        t_s += [one.t_s[part], one.t_s[window.stop - 1 : window.stop]]
-        values += [np.rad2deg(one.predicted_rad[part, axis]), np.array([np.nan])]
+        t_s += [drawn.t_s[part], drawn.t_s[window.stop - 1 : window.stop]]
+        values += [np.rad2deg(drawn.predicted_rad[part, axis]), np.array([np.nan])]
     return np.concatenate(t_s), np.concatenate(values)
 
 
 def _torque(estimate: Estimate) -> tuple[Floats, Floats]:
     """Times and torques by chance about the three axes of the first flight fitted."""
-    t_s, torque_Nm, _ = estimate.filtered().smoothed_torques(estimate.weather, np.zeros(len(estimate.theta)))[
-        0
-    ]
+    t_s, torque_Nm, _ = estimate.filtered().smoothed_torques(
+        estimate.disturbances, np.zeros(len(estimate.theta))
+    )[0]
     return t_s, torque_Nm
 
 

@@ -14,50 +14,50 @@ from heli_lab.diagnose.thresholds import CONFIDENCE_BESIDE_UNKNOWN, CONFIDENCE_G
 from heli_lab.diagnose.verdict import ambiguous_with, confidence
 
 
-def causes(found: Diagnosis) -> list[dict[str, Any]]:
+def causes(result: Diagnosis) -> list[dict[str, Any]]:
     """Effect, parameters, confidence, sentence, equation, evidence and alternatives of each cause, strongest
     first.
     """
     causes: list[dict[str, Any]] = []
-    unexplained = found.verdict.label == "unexplained"
+    unexplained = result.verdict.label == "unexplained"
     beside = CONFIDENCE_BESIDE_UNKNOWN if unexplained else 1.0
-    for one in found.verdict.causes:
+    for cause in result.verdict.causes:
         causes.append(
             {
-                "effect": one.candidate.id,
-                "parameters": _parameters(found.values(one)),
-                "confidence": round(confidence(one, unexplained), 3),
-                "sentence": found.sentence(one),
-                "equation": found.kinds[one.candidate.id].equation,
+                "effect": cause.candidate.id,
+                "parameters": _parameters(result.values(cause)),
+                "confidence": round(confidence(cause, unexplained), 3),
+                "sentence": result.sentence(cause),
+                "equation": result.kinds[cause.candidate.id].equation,
                 "evidence": {
-                    "log_likelihood_ratio_train": one.train,
-                    "log_likelihood_ratio_held_out": one.held_out,
-                    "penalty": one.penalty,
-                    "alternatives": {other.id: other.log_likelihood_ratio for other in one.alternatives},
+                    "log_likelihood_ratio_train": cause.train,
+                    "log_likelihood_ratio_held_out": cause.held_out,
+                    "penalty": cause.penalty,
+                    "alternatives": {other.id: other.log_likelihood_ratio for other in cause.alternatives},
                 },
-                "ambiguous_with": ambiguous_with(one),
+                "ambiguous_with": ambiguous_with(cause),
             }
         )
-    if found.verdict.gust:
-        id_ = f"random_torque.{found.residual_analysis.axis}"
+    if result.verdict.gust:
+        id_ = f"random_torque.{result.residual_analysis.axis}"
         causes.append(
             {
                 "effect": id_,
-                "parameters": _parameters(found.random_torque),
+                "parameters": _parameters(result.random_torque),
                 "confidence": CONFIDENCE_GUST,
-                "sentence": found.kinds[id_].describe(
-                    {key: value for key, (value, _, _) in found.random_torque.items()},
-                    {key: std for key, (_, std, _) in found.random_torque.items()},
+                "sentence": result.kinds[id_].describe(
+                    {key: value for key, (value, _, _) in result.random_torque.items()},
+                    {key: std for key, (_, std, _) in result.random_torque.items()},
                 ),
-                "equation": found.kinds[id_].equation,
+                "equation": result.kinds[id_].equation,
                 "evidence": {
-                    "log_likelihood_ratio": float(found.residual_analysis.gains.max()),
+                    "log_likelihood_ratio": float(result.residual_analysis.gains.max()),
                 },
                 "ambiguous_with": [],
             }
         )
-    for term in found.absent:
-        kind = found.kinds[term.id]
+    for term in result.absent:
+        kind = result.kinds[term.id]
         (name,) = kind.size
         causes.append(
             {
@@ -76,24 +76,24 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
     return causes
 
 
-def unexplained(found: Diagnosis) -> dict[str, Any] | None:
+def unexplained(result: Diagnosis) -> dict[str, Any] | None:
     """Axis, correlates and share of what no effect explains; None when nothing is."""
-    if found.verdict.label != "unexplained":
+    if result.verdict.label != "unexplained":
         return None
-    if not found.verdict.off_list:
+    if not result.verdict.unlisted:
         # A quantity may stand there as a curve and as a straight line.
-        named = list(dict.fromkeys(one.what for one in found.residual_analysis.dependences))
+        named = list(dict.fromkeys(dependence.what for dependence in result.residual_analysis.dependences))
         channel = named[0].split(" on ")[0].rpartition(".")[2]
-        axis = channel if channel in AXES else found.residual_analysis.axis
+        axis = channel if channel in AXES else result.residual_analysis.axis
         return {
             "axis": axis,
             "correlates_with": named,
-            "share_of_variance": round(found.residual_analysis.share_foretold, 4),
-            "log_likelihood_gain": found.residual_analysis.dependences[0].log_likelihood_gain,
+            "share_of_variance": round(result.residual_analysis.share_foretold, 4),
+            "log_likelihood_gain": result.residual_analysis.dependences[0].log_likelihood_gain,
         }
-    strongest = found.verdict.off_list[0]
+    strongest = result.verdict.unlisted[0]
     _, channel, on = strongest.candidate.id.split(":")
-    first = next(r for r in found.search.rounds if r.taken == strongest.candidate.id)
+    first = next(r for r in result.search.rounds if r.taken == strongest.candidate.id)
     others = [name for name in correlates(first.splines) if name != f"{channel} on {on}"]
     where = channel.rpartition(".")[2]
     axis = where if where in AXES else ("pitch" if where == "difference" else "elevation")
@@ -101,22 +101,22 @@ def unexplained(found: Diagnosis) -> dict[str, Any] | None:
         "axis": axis,
         "channel": channel,
         "correlates_with": [f"{channel} on {on}", *others],
-        "share_of_variance": round(max(0.0, 1.0 - found.spline_gains[axis].ratio ** 2), 4),
+        "share_of_variance": round(max(0.0, 1.0 - result.spline_gains[axis].ratio ** 2), 4),
         "log_likelihood_gain": strongest.train,
-        "splines": [one.candidate.id.removeprefix("spline:") for one in found.verdict.off_list],
-        "gain_with_splines": gains(found.spline_gains),
+        "splines": [cause.candidate.id.removeprefix("spline:") for cause in result.verdict.unlisted],
+        "gain_with_splines": gains(result.spline_gains),
     }
 
 
-def weather(left: ResidualAnalysis) -> dict[str, dict[str, float]]:
+def disturbances(analysis: ResidualAnalysis) -> dict[str, dict[str, float]]:
     """Torques by chance about each axis: size and memory of gusts, size of the drift, evidence."""
-    weather = left.weather
+    disturbances = analysis.disturbances
     return {
         axis: {
-            "gust_Nm": float(weather.gust_Nm[i]),
-            "memory_s": float(weather.memory_s[i]),
-            "drift_Nm": float(weather.drift_Nm[i]),
-            "log_likelihood_ratio": float(left.gains[i]),
+            "fast_std_Nm": float(disturbances.fast_std_Nm[i]),
+            "correlation_time_s": float(disturbances.correlation_time_s[i]),
+            "slow_std_Nm": float(disturbances.slow_std_Nm[i]),
+            "log_likelihood_ratio": float(analysis.gains[i]),
         }
         for i, axis in enumerate(AXES)
     }
@@ -126,12 +126,12 @@ def gains(measured: Mapping[str, ErrorReduction]) -> dict[str, dict[str, Any]]:
     """Free-run errors before and after, ratio and interval95 of each axis."""
     return {
         axis: {
-            "before": one.before_deg,
-            "after": one.after_deg,
-            "ratio": one.ratio,
-            "interval95": list(one.interval95),
+            "before": reduction.before_deg,
+            "after": reduction.after_deg,
+            "ratio": reduction.ratio,
+            "interval95": list(reduction.interval95),
         }
-        for axis, one in measured.items()
+        for axis, reduction in measured.items()
     }
 
 

@@ -66,7 +66,7 @@ class FreeRun:
     ----------
     label : str
         The flight.
-    calibrated_s, judged_s : float
+    calibrated_s, evaluated_s : float
         Free flight in each part.
     constants : Mapping[str, (float, float)]
         The flight's own constants: value and standard error, in the rig file's units; empty where nothing was
@@ -81,7 +81,7 @@ class FreeRun:
 
     label: str
     calibrated_s: float
-    judged_s: float
+    evaluated_s: float
     constants: Mapping[str, tuple[float, float]]
     priors: Mapping[str, Prior]
     errors: Mapping[str, WindowErrors]
@@ -118,27 +118,27 @@ def free_run(
     known = {**dict(zip(names, map(float, model.parameter_values(rig)), strict=True)), **values}
     first, rest = _split(record, calibrate_s)
     priors = flight_constants(model, rig, known)
-    found: dict[str, tuple[float, float]] = {}
+    calibrated: dict[str, tuple[float, float]] = {}
     if first.segments:
         fit = solve(
-            _problem(model, rig, known, first, priors, threads), robust=False, scatter=False, near=True
+            _problem(model, rig, known, first, priors, threads), robust=False, scatter=False, warm_start=True
         )
-        found = {name: (value, fit.std[name]) for name, value in fit.values.items()}
+        calibrated = {name: (value, fit.std[name]) for name, value in fit.values.items()}
         known |= fit.values
     # Bounds without room between them: with the constants among the free, their kernel serves again.
-    held = {name: Prior(known[name], one.std, known[name], known[name]) for name, one in priors.items()}
+    held = {name: Prior(known[name], prior.std, known[name], known[name]) for name, prior in priors.items()}
     problem = _problem(model, rig, known, rest, held, threads)
     windows = [rows for _, rows in problem.windows(0)]
     fits = {
-        key: solve(problem.with_split_windows(parts), robust=False, scatter=False, near=True)
+        key: solve(problem.with_split_windows(parts), robust=False, scatter=False, warm_start=True)
         for key, parts in HORIZONS.items()
     }
     return FreeRun(
         record.label,
         first.used_s,
         rest.used_s,
-        found,
-        priors if found else {},
+        calibrated,
+        priors if calibrated else {},
         {key: _errors(fit, windows) for key, fit in fits.items()},
         fits["2"],
     )
@@ -152,21 +152,21 @@ def free_runs(
     """
     problem = fit.problem
     names = [quantity.name for quantity in problem.model.parameters]
-    own = [problem.parameters(fit.theta, index) for index in range(len(problem.records))]
+    parameters = [problem.parameters(fit.theta, index) for index in range(len(problem.records))]
     if not validation:
         return tuple(
             free_run(
                 problem.model,
                 problem.rig,
-                dict(zip(names, map(float, one), strict=True)),
+                dict(zip(names, map(float, flight_values), strict=True)),
                 record,
                 0.0,
                 problem.threads,
             )
-            for one, record in zip(own, problem.records, strict=True)
+            for flight_values, record in zip(parameters, problem.records, strict=True)
         )
     # What each of several flights has of its own, another one has on average.
-    values = dict(zip(names, map(float, np.mean(own, axis=0)), strict=True))
+    values = dict(zip(names, map(float, np.mean(parameters, axis=0)), strict=True))
     return tuple(
         free_run(
             problem.model, problem.rig, values, record, calibration_s(record, calibrate_s), problem.threads
@@ -222,11 +222,11 @@ def _problem(
 
 def _split(record: Record, seconds: float) -> tuple[Record, Record]:
     """The first seconds of free flight, and the rest; scraps beside longer pieces of the rest are dropped."""
-    left = round(seconds / record.step_s)
+    remaining = round(seconds / record.step_s)
     first, rest = [], []
     for start, stop in record.segments:
-        cut = min(stop, start + left)
-        left -= cut - start
+        cut = min(stop, start + remaining)
+        remaining -= cut - start
         first += [(start, cut)] if cut > start else []
         rest += [(cut, stop)] if stop > cut else []
     least = round(LEAST_SEGMENT_S / record.step_s)

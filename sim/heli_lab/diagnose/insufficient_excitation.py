@@ -49,6 +49,6 @@ def insufficient_excitation(
     return InsufficientExcitation(
         why,
         tuple(sorted(id_ for id_, kind in kinds.items() if kind.suits(model))),
-        tuple(one.quantity for one in free_parameters(model, rig, None, {})),
+        tuple(parameter.quantity for parameter in free_parameters(model, rig, None, {})),
         compose_experiment("Of a rig that does not fly nothing can be learned.", ()),
     )

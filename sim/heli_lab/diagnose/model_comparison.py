@@ -13,20 +13,20 @@ from heli_sim.model.base import Model
 from heli_sim.rig import Rig
 
 from heli_lab.diagnose.candidate import Candidate
-from heli_lab.diagnose.kept_estimates import KeptEstimates, key_of
+from heli_lab.diagnose.estimate_cache import EstimateCache, cache_key
 from heli_lab.diagnose.thresholds import EVENT_EDGE_s
 from heli_lab.identify import Record
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import (
     BLOCK_s,
-    Course,
     Estimate,
     ModelFunctions,
-    Unknowns,
+    ParameterVector,
+    ReferenceTrajectory,
     estimate,
-    follow,
+    kinematic_filter,
 )
-from heli_lab.threads import Ahead
+from heli_lab.threads import Prefetcher
 
 _FOLLOWED: Final = 2
 """Times that the course is followed anew by the baseline's own filter: after the second it moves by less than
@@ -67,12 +67,12 @@ class Hypothesis:
     @property
     def values(self) -> dict[str, float]:
         """Free parameters by name."""
-        return dict(zip(self.estimate.unknowns.names, map(float, self.estimate.theta), strict=True))
+        return dict(zip(self.estimate.parameter_vector.names, map(float, self.estimate.theta), strict=True))
 
 
 @dataclass(frozen=True)
-class Asked:
-    """A refit that will be asked for: arguments of `Comparison.refit`.
+class RefitSpec:
+    """A refit that will be asked for: arguments of `ModelComparison.refit`.
 
     Parameters
     ----------
@@ -80,16 +80,16 @@ class Asked:
         The effects.
     start : Mapping[str, float]
         Values to start from by name.
-    near : Hypothesis, optional
+    warm_start : Hypothesis, optional
         A hypothesis to start from.
     """
 
     candidates: Sequence[Candidate]
     start: Mapping[str, float]
-    near: Hypothesis | None
+    warm_start: Hypothesis | None
 
 
-class Comparison:
+class ModelComparison:
     """Flights that all hypotheses are estimated on.
 
     Parameters
@@ -104,7 +104,7 @@ class Comparison:
         Flights on which what was chosen is judged.
     seed : int
         Seed of the bootstrap behind the intervals.
-    kept : KeptEstimates, optional
+    kept : EstimateCache, optional
         Estimates that were worked out before.
 
     Attributes
@@ -121,48 +121,48 @@ class Comparison:
         held_out: Sequence[Record],
         *,
         seed: int = 0,
-        kept: KeptEstimates | None = None,
+        kept: EstimateCache | None = None,
     ) -> None:
         self.model, self.rig, self.seed = model, rig, seed
-        self._kept = kept or KeptEstimates()
+        self._kept = kept or EstimateCache()
         self.train, self.held_out = tuple(train), tuple(held_out)
         self.fits = 0
-        self._ahead = Ahead()
+        self._ahead = Prefetcher()
         self._best: dict[frozenset[str], Hypothesis] = {}
         """The likeliest hypothesis of each set of effects that was estimated."""
 
     @cached_property
-    def courses(self) -> tuple[Course, ...]:
+    def references(self) -> tuple[ReferenceTrajectory, ...]:
         """Courses of the flights fitted, as the baseline follows them."""
         return self._followed(self.train)
 
     @cached_property
-    def held_out_courses(self) -> tuple[Course, ...]:
+    def held_out_courses(self) -> tuple[ReferenceTrajectory, ...]:
         """Courses of the flights held out."""
         return self._followed(self.held_out)
 
     @cached_property
     def rows(self) -> int:
         """Measurements of the flights fitted."""
-        step_s = self.courses[0].step_s
-        return int(sum(len(course.rows) for course in self.courses) * step_s / BLOCK_s)
+        step_s = self.references[0].step_s
+        return int(sum(len(reference.rows) for reference in self.references) * step_s / BLOCK_s)
 
-    def _followed(self, records: Sequence[Record]) -> tuple[Course, ...]:
-        courses = tuple(follow(record) for record in records)
-        unknowns = Unknowns(self.model, self.rig, records)
-        functions = ModelFunctions(self.model, unknowns.quantities)
-        weather, theta = None, unknowns.start
+    def _followed(self, records: Sequence[Record]) -> tuple[ReferenceTrajectory, ...]:
+        references = tuple(kinematic_filter(record) for record in records)
+        parameter_vector = ParameterVector(self.model, self.rig, records)
+        functions = ModelFunctions(self.model, parameter_vector.quantities)
+        disturbances, theta = None, parameter_vector.start
         for _ in range(_FOLLOWED):
-            found = estimate(unknowns, courses, functions, theta, weather)
-            weather, theta = found.weather, found.theta
-            courses = tuple(found.filtered().followed(weather))
-        return courses
+            estimate_ = estimate(parameter_vector, references, functions, theta, disturbances)
+            disturbances, theta = estimate_.disturbances, estimate_.theta
+            references = tuple(estimate_.filtered().refiltered(disturbances))
+        return references
 
     def refit(
         self,
         candidates: Sequence[Candidate],
         start: Mapping[str, float] | None = None,
-        near: Hypothesis | None = None,
+        warm_start: Hypothesis | None = None,
     ) -> Hypothesis:
         """Estimate the model with some effects.
 
@@ -172,34 +172,38 @@ class Comparison:
             The effects, in place of those of any other hypothesis.
         start : Mapping[str, float], optional
             Values to start from by name, beside those of the rig and the effects.
-        near : Hypothesis, optional
+        warm_start : Hypothesis, optional
             A hypothesis whose parameters and weather to start from. Where this one contains it, it is never
             less likely: else the estimate begins again from there.
         """
-        asked = len(self._kept.asked)
-        found = self._estimate(candidates, start or {}, near)
-        if near is not None and not set(near.ids) <= {candidate.id for candidate in candidates}:
+        used_count = len(self._kept.refit_spec)
+        hypothesis = self._estimate(candidates, start or {}, warm_start)
+        if warm_start is not None and not set(warm_start.ids) <= {candidate.id for candidate in candidates}:
             # Fewer effects than before: what these were once with is the better place to begin.
             known = self._remembered(candidates)
-            if known is not None and known.log_likelihood > found.log_likelihood + _WORSE_NATS:
+            if known is not None and known.log_likelihood > hypothesis.log_likelihood + _WORSE_NATS:
                 again = self._estimate(candidates, start or {}, known)
-                found = max(found, again, key=lambda one: one.log_likelihood)
-        elif near is not None and found.log_likelihood < near.log_likelihood - _WORSE_NATS:
+                hypothesis = max(
+                    hypothesis, again, key=lambda candidate_hypothesis: candidate_hypothesis.log_likelihood
+                )
+        elif warm_start is not None and hypothesis.log_likelihood < warm_start.log_likelihood - _WORSE_NATS:
             neutral: dict[str, float] = {}
             for candidate in candidates:
-                if candidate.id not in near.ids:
+                if candidate.id not in warm_start.ids:
                     neutral |= candidate.neutral
-            again = self._estimate(candidates, neutral, near)
-            found = max(found, again, key=lambda one: one.log_likelihood)
-        self.fits += len(self._kept.asked) > asked
+            again = self._estimate(candidates, neutral, warm_start)
+            hypothesis = max(
+                hypothesis, again, key=lambda candidate_hypothesis: candidate_hypothesis.log_likelihood
+            )
+        self.fits += len(self._kept.refit_spec) > used_count
         key = frozenset(candidate.id for candidate in candidates)
         best = self._best.get(key)
         if (
             best is None
-            or found.log_likelihood > best.log_likelihood
+            or hypothesis.log_likelihood > best.log_likelihood
             or _grids(best.candidates) != _grids(candidates)
         ):
-            best = self._best[key] = Hypothesis(tuple(candidates), found)
+            best = self._best[key] = Hypothesis(tuple(candidates), hypothesis)
         return best
 
     def in_flight(self, hypothesis: Hypothesis) -> bool:
@@ -216,11 +220,11 @@ class Comparison:
     def _remembered(self, candidates: Sequence[Candidate]) -> Hypothesis | None:
         """The likeliest of what was estimated before with some of these effects and no other."""
         ids = {candidate.id for candidate in candidates}
-        known = [one for key, one in self._best.items() if key <= ids]
-        return max(known, key=lambda one: one.log_likelihood, default=None)
+        known = [hypothesis for key, hypothesis in self._best.items() if key <= ids]
+        return max(known, key=lambda hypothesis: hypothesis.log_likelihood, default=None)
 
     @contextmanager
-    def ahead(self, refits: Iterable[Asked]) -> Iterator[None]:
+    def prefetch(self, refits: Iterable[RefitSpec]) -> Iterator[None]:
         """Have a second thread work ahead on `refits` that this block asks for in this order; not where two
         refits at once would take too much memory.
         """
@@ -228,8 +232,8 @@ class Comparison:
             yield
             return
         works = {
-            _key(*one): partial(self._estimate, *one, asked=False)
-            for one in ((one.candidates, one.start, one.near) for one in refits)
+            _key(*spec): partial(self._estimate, *spec, record_use=False)
+            for spec in ((spec.candidates, spec.start, spec.warm_start) for spec in refits)
         }
         with self._ahead.working(works):
             yield
@@ -238,72 +242,90 @@ class Comparison:
         self,
         candidates: Sequence[Candidate],
         start: Mapping[str, float],
-        near: Hypothesis | None,
-        asked: bool = True,
+        warm_start: Hypothesis | None,
+        record_use: bool = True,
     ) -> Estimate:
-        key = _key(candidates, start, near)
-        if asked:
+        key = _key(candidates, start, warm_start)
+        if record_use:
             self._ahead.wait_for(key)
         model = type(self.model)((*self.model.effects, *(candidate.effect for candidate in candidates)))
-        unknowns = Unknowns(model, self.rig, self.train)
-        functions = ModelFunctions(model, unknowns.quantities)
-        known = {**(near.values if near else {}), **start}
+        parameter_vector = ParameterVector(model, self.rig, self.train)
+        functions = ModelFunctions(model, parameter_vector.quantities)
+        known = {**(warm_start.values if warm_start else {}), **start}
         theta = np.array(
-            [known.get(one.name, value) for one, value in zip(unknowns.free, unknowns.start, strict=True)]
+            [
+                known.get(parameter.name, value)
+                for parameter, value in zip(parameter_vector.free, parameter_vector.start, strict=True)
+            ]
         )
-        theta = np.clip(theta, *unknowns.bounds)
+        theta = np.clip(theta, *parameter_vector.bounds)
         return self._kept.estimate(
             key,
-            unknowns,
-            self.courses,
+            parameter_vector,
+            self.references,
             functions,
-            lambda: self._worked_out(unknowns, functions, theta, near),
-            asked,
+            lambda: self._worked_out(parameter_vector, functions, theta, warm_start),
+            record_use,
         )
 
     def _worked_out(
-        self, unknowns: Unknowns, functions: ModelFunctions, theta: Floats, near: Hypothesis | None
+        self,
+        parameter_vector: ParameterVector,
+        functions: ModelFunctions,
+        theta: Floats,
+        warm_start: Hypothesis | None,
     ) -> Estimate:
-        if near is None:
-            return estimate(unknowns, self.courses, functions, theta)
-        found = estimate(unknowns, self.courses, functions, theta, near.estimate.weather)
-        if found.log_likelihood > near.log_likelihood + _OTHER_WEATHER_NATS:
+        if warm_start is None:
+            return estimate(parameter_vector, self.references, functions, theta)
+        estimate_ = estimate(
+            parameter_vector, self.references, functions, theta, warm_start.estimate.disturbances
+        )
+        if estimate_.log_likelihood > warm_start.log_likelihood + _OTHER_WEATHER_NATS:
             # What was missing had passed for weather: the likelihood may have another maximum now.
-            other = found.other_weather()
+            other = estimate_.other_disturbances()
             if other is not None:
-                again = estimate(unknowns, self.courses, functions, found.theta, other)
-                return max(found, again, key=lambda one: one.log_likelihood)
-        return found
+                again = estimate(parameter_vector, self.references, functions, estimate_.theta, other)
+                return max(estimate_, again, key=lambda candidate_estimate: candidate_estimate.log_likelihood)
+        return estimate_
 
     def held_out_estimate(self, hypothesis: Hypothesis) -> Estimate:
         """Estimate of the flights held out: what all flights share is as the hypothesis has it, each flight's
         own constants and the weather are its own.
         """
-        own = hypothesis.estimate
+        trained = hypothesis.estimate
         shared = {
-            one.quantity: float(value)
-            for one, value in zip(own.unknowns.free, own.theta, strict=True)
-            if one.record is None
+            parameter.quantity: float(value)
+            for parameter, value in zip(trained.parameter_vector.free, trained.theta, strict=True)
+            if parameter.record is None
         }
-        unknowns = Unknowns(own.unknowns.model, self.rig, self.held_out, fixed=shared)
-        functions = ModelFunctions(own.unknowns.model, unknowns.quantities)
-        weather = replace(own.weather, curvature=None)
+        parameter_vector = ParameterVector(
+            trained.parameter_vector.model, self.rig, self.held_out, fixed=shared
+        )
+        functions = ModelFunctions(trained.parameter_vector.model, parameter_vector.quantities)
+        disturbances = replace(trained.disturbances, curvature=None)
         return self._kept.estimate(
-            key_of("held out", hypothesis.candidates, shared, own),
-            unknowns,
+            cache_key("held out", hypothesis.candidates, shared, trained),
+            parameter_vector,
             self.held_out_courses,
             functions,
-            lambda: estimate(unknowns, self.held_out_courses, functions, unknowns.start, weather),
+            lambda: estimate(
+                parameter_vector, self.held_out_courses, functions, parameter_vector.start, disturbances
+            ),
         )
 
 
-def _key(candidates: Sequence[Candidate], start: Mapping[str, float], near: Hypothesis | None) -> str:
-    return key_of("train", candidates, start, near.estimate if near else None)
+def _key(candidates: Sequence[Candidate], start: Mapping[str, float], warm_start: Hypothesis | None) -> str:
+    return cache_key("train", candidates, start, warm_start.estimate if warm_start else None)
 
 
 def _grids(candidates: Sequence[Candidate]) -> list[tuple[str, tuple[tuple[str, float], ...]]]:
     """What tells two sets of the same effects apart: values that no estimate moves."""
     return sorted(
-        (one.id, tuple(sorted((n, v) for n, v in one.effect.values.items() if n not in one.effect.priors)))
-        for one in candidates
+        (
+            candidate.id,
+            tuple(
+                sorted((n, v) for n, v in candidate.effect.values.items() if n not in candidate.effect.priors)
+            ),
+        )
+        for candidate in candidates
     )

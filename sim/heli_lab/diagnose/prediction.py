@@ -119,8 +119,8 @@ def predict(
     What differs from flight to flight, encoder zeros and a constant torque about each axis, is ruled by the
     free run itself: filtered innovations tell little of such constants.
     """
-    fit = _free_run(estimate, train, own=True)
-    held_out_fit = _free_run(estimate, held_out, own=False) if held_out else None
+    fit = _free_run(estimate, train, own_calibration=True)
+    held_out_fit = _free_run(estimate, held_out, own_calibration=False) if held_out else None
     errors_train = errors(fit)
     return Prediction(
         tuple(candidates),
@@ -131,20 +131,24 @@ def predict(
     )
 
 
-def _free_run(estimate: Estimate, records: Sequence[Record], own: bool) -> Fit:
-    """Fit zeros, constant torques and initial states of `records`, everything else as estimated; `own` says
-    that these are the records of the estimate, whose free parameters and covariance the result then has.
+def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bool) -> Fit:
+    """Fit zeros, constant torques and initial states of `records`, everything else as estimated. With
+    `own_calibration` these are the records of the estimate, and the result has its parameters and covariance.
     """
-    unknowns = estimate.unknowns
-    local = {one.quantity: one.prior for one in unknowns.free if one.record is not None}
+    parameter_vector = estimate.parameter_vector
+    local = {
+        parameter.quantity: parameter.prior
+        for parameter in parameter_vector.free
+        if parameter.record is not None
+    }
     shared = {
-        one.quantity: float(value)
-        for one, value in zip(unknowns.free, estimate.theta, strict=True)
-        if one.record is None
+        parameter.quantity: float(value)
+        for parameter, value in zip(parameter_vector.free, estimate.theta, strict=True)
+        if parameter.record is None
     }
     problem = Problem(
-        unknowns.model,
-        unknowns.rig,
+        parameter_vector.model,
+        parameter_vector.rig,
         records,
         free=tuple(local),
         per_flight=tuple(local),
@@ -153,28 +157,33 @@ def _free_run(estimate: Estimate, records: Sequence[Record], own: bool) -> Fit:
         priors=local,
         values=shared,
     )
-    fit = solve(problem, robust=False, scatter=False, near=True)
-    if not own:
+    fit = solve(problem, robust=False, scatter=False, warm_start=True)
+    if not own_calibration:
         return fit
-    found = {(one.quantity, one.record): float(v) for one, v in zip(problem.free, fit.theta, strict=True)}
+    values = {
+        (parameter.quantity, parameter.record): float(v)
+        for parameter, v in zip(problem.free, fit.theta, strict=True)
+    }
     theta = np.array(
         [
-            v if one.record is None else found[one.quantity, one.record]
-            for one, v in zip(unknowns.free, estimate.theta, strict=True)
+            v if parameter.record is None else values[parameter.quantity, parameter.record]
+            for parameter, v in zip(parameter_vector.free, estimate.theta, strict=True)
         ]
     )
-    low, high = unknowns.bounds
+    low, high = parameter_vector.bounds
     at_bound = tuple(
         name
-        for name, v, a, b in zip(unknowns.names, estimate.theta, low, high, strict=True)
+        for name, v, a, b in zip(parameter_vector.names, estimate.theta, low, high, strict=True)
         if v <= a or v >= b
     )
     return replace(
         fit,
-        problem=problem.with_free(unknowns.free),
+        problem=problem.with_free(parameter_vector.free),
         theta=theta,
         covariance=estimate.covariance,
-        information=np.asarray(np.linalg.inv(estimate.covariance) - np.diag(unknowns.std**-2.0), float),
+        information=np.asarray(
+            np.linalg.inv(estimate.covariance) - np.diag(parameter_vector.std**-2.0), float
+        ),
         at_bound=at_bound,
     )
 
@@ -215,7 +224,7 @@ def errors(fit: Fit) -> Errors:
 
 def _prior_penalty(fit: Fit) -> float:
     problem = fit.problem
-    own = {name for effect in problem.model.effects for name in effect.priors}
-    rig = np.array([one.quantity not in own for one in problem.free], bool)
+    effect_names = {name for effect in problem.model.effects for name in effect.priors}
+    rig = np.array([parameter.quantity not in effect_names for parameter in problem.free], bool)
     off = ((fit.theta - problem.prior_mean) / problem.prior_std)[rig]
     return float(0.5 * (off @ off))

@@ -9,11 +9,11 @@ from typing import Any, Final
 import numpy as np
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose import figures, law_figures
+from heli_lab.diagnose import equation_figures, figures
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
-from heli_lab.diagnose.missing_law import MissingLaw, missing_laws
+from heli_lab.diagnose.missing_term import MissingTerm, missing_terms
 from heli_lab.diagnose.result import Diagnosis
-from heli_lab.diagnose.result_figures import figure_of_gain, figure_of_laws, figure_of_prediction
+from heli_lab.diagnose.result_figures import figure_of_gain, figure_of_missing_terms, figure_of_prediction
 from heli_lab.diagnose.serialize import to_json
 from heli_lab.diagnose.summary import summary, title, weather_of
 from heli_lab.diagnose.words import SHOWN, curve_in_words, readable_id
@@ -46,14 +46,14 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
     folder = folder_with(numbers, folder)
     before, after = diagnosis.judgement.before[0].fit, diagnosis.judgement.after[0].fit
     size = figures.figure_of_size(diagnosis)
-    laws = missing_laws(diagnosis)
+    equations = missing_terms(diagnosis)
     curves = diagnosis.curves
     extended = before is not after
 
     def kept(name: str, figure: Any) -> Picture | None:
         return None if figure is None else drawing.add(figure, folder / f"{name}.png")
 
-    if diagnosis.proposed_law is not None:
+    if diagnosis.proposed_term is not None:
         write_effect_file(diagnosis, folder)
     return write_page(
         folder,
@@ -62,20 +62,20 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
         label=diagnosis.label,
         extended=extended,
         sentence=numbers["sentence"],
-        cautions=[_sentence(one) for one in numbers["cautions"]],
-        cause=_cause(laws, kept),
+        cautions=[_sentence(caution) for caution in numbers["cautions"]],
+        cause=_cause(equations, kept),
         judged="a flight that no fit saw" if diagnosis.after.held_out_fit else "the flight that was fitted",
-        prediction=kept("prediction", figure_of_prediction(before, after, _axis(diagnosis, laws))),
+        prediction=kept("prediction", figure_of_prediction(before, after, _axis(diagnosis, equations))),
         gain={
             "address": kept("gain", figure_of_gain(diagnosis.judgement.horizons, extended)),
             "rows": _gain(numbers["gain"]["axis"]),
         },
-        causes=[_found(one, kept) for one in numbers["causes"]],
+        causes=[_found(cause, kept) for cause in numbers["causes"]],
         unknown=_unknown(numbers["unexplained"]),
         curves=kept("curves", figures.figure_of_curves(curves)) if curves else None,
-        weather=_weather(diagnosis, numbers),
-        law=_law(diagnosis, kept),
-        regimes=kept("regimes", law_figures.figure_of_failing_regimes(diagnosis.failing)),
+        disturbances=_weather(diagnosis, numbers),
+        equation=_law(diagnosis, kept),
+        regimes=kept("regimes", equation_figures.figure_of_failing_regimes(diagnosis.failing)),
         torque=kept("torque", figures.figure_of_torque(diagnosis)),
         ranking={
             "address": kept("ranking", figures.figure_of_ranking(diagnosis.search.rounds)),
@@ -97,12 +97,12 @@ def write_effect_file(diagnosis: Diagnosis, folder: str | Path) -> Path:
     """Write the proposed law, which there must be, as ``proposed.py`` into a `folder`, made if it is missing;
     return the file.
     """
-    assert diagnosis.proposed_law is not None
+    assert diagnosis.proposed_term is not None
     labels = ", ".join(record.label for record in diagnosis.after.fit.problem.records)
     head = f"A law that heli-host diagnose proposes from {labels}: what no effect of the list explains."
     path = Path(folder) / "proposed.py"
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(diagnosis.proposed_law.effect_file(head), encoding="utf-8")
+    path.write_text(diagnosis.proposed_term.effect_file(head), encoding="utf-8")
     return path
 
 
@@ -122,43 +122,45 @@ def write_insufficient_excitation(result: InsufficientExcitation, folder: str | 
     )
 
 
-def _axis(diagnosis: Diagnosis, laws: Sequence[MissingLaw]) -> str:
+def _axis(diagnosis: Diagnosis, equations: Sequence[MissingTerm]) -> str:
     """The axis whose angle is drawn: where the eye sees the gain, or where something is missing."""
     seen = trace(diagnosis.judgement.before[0].fit)
     ranges_deg = dict(zip(AXES, np.rad2deg(np.ptp(seen.measured_rad, axis=0)), strict=True))
 
     def shows(axis: str) -> float:
         """What the eye sees of the gain, or where there is none of the error: as a share of the picture."""
-        one = diagnosis.gains[axis]
-        after_deg = one.after_deg if diagnosis.extended.candidates else 0.0
-        return float((one.before_deg - after_deg) / max(ranges_deg[axis], 1e-9))
+        reduction = diagnosis.gains[axis]
+        after_deg = reduction.after_deg if diagnosis.extended.candidates else 0.0
+        return float((reduction.before_deg - after_deg) / max(ranges_deg[axis], 1e-9))
 
-    return laws[0].axis if laws and not diagnosis.extended.candidates else max(AXES, key=shows)
+    return equations[0].axis if equations and not diagnosis.extended.candidates else max(AXES, key=shows)
 
 
-def _cause(laws: Sequence[MissingLaw], kept: _Kept) -> dict[str, Any] | None:
-    if not laws:
+def _cause(equations: Sequence[MissingTerm], kept: _Kept) -> dict[str, Any] | None:
+    if not equations:
         return None
     return {
-        "address": kept("cause", figure_of_laws(laws)),
-        "meaning": "; ".join(f"missing {law.what} about {law.axis} against {law.on}" for law in laws),
+        "address": kept("cause", figure_of_missing_terms(equations)),
+        "meaning": "; ".join(
+            f"missing {equation.what} about {equation.axis} against {equation.on}" for equation in equations
+        ),
         "caption": " ".join(
             [
-                *(_caption(law) for law in laws),
-                _DOTS if any(law.what == "torque" for law in laws) else _POINTS,
+                *(_caption(equation) for equation in equations),
+                _DOTS if any(equation.what == "torque" for equation in equations) else _POINTS,
             ]
         ),
     }
 
 
-def _caption(law: MissingLaw) -> str:
-    name = readable_id(law.id)
-    return f"{name}: the law accounts for {100 * max(law.share, 0.0):.0f} % of the variance."
+def _caption(equation: MissingTerm) -> str:
+    name = readable_id(equation.id)
+    return f"{name}: the law accounts for {100 * max(equation.share, 0.0):.0f} % of the variance."
 
 
 def _law(diagnosis: Diagnosis, kept: _Kept) -> dict[str, Any] | None:
     """The law that is proposed, with its figure."""
-    proposed = diagnosis.proposed_law
+    proposed = diagnosis.proposed_term
     if proposed is None:
         return None
     numbers, discovery = proposed.to_json(), proposed.discovery
@@ -171,15 +173,15 @@ def _law(diagnosis: Diagnosis, kept: _Kept) -> dict[str, Any] | None:
         "sentence": proposed.sentence,
         "evidence": f"Confidence {proposed.confidence:.2f}: log-likelihood ratio {discovery.train:.0f} nats "
         f"on the flights fitted, {confirmed}, the best of {discovery.tried} terms.",
-        "address": kept("law", law_figures.figure_of_law(proposed)),
+        "address": kept("law", equation_figures.figure_of_equation(proposed)),
         "rows": [
             # A plain number in an expression is no share of anything.
-            [name, f"{one['value']:g}", ""]
-            if one["unit"] == "1" and not one["std"]
-            else [name, _plus_minus(one, one["unit"]), _shown_unit(one["unit"])]
-            for name, one in numbers["numbers"].items()
+            [name, f"{number['value']:g}", ""]
+            if number["unit"] == "1" and not number["std"]
+            else [name, _plus_minus(number, number["unit"]), _shown_unit(number["unit"])]
+            for name, number in numbers["numbers"].items()
         ],
-        "rivals": [[one.key, f"{one.log_likelihood_ratio:.0f}"] for one in discovery.rivals],
+        "rivals": [[rival.key, f"{rival.log_likelihood_ratio:.0f}"] for rival in discovery.rivals],
         "gain": _gain(numbers["gain"]),
     }
 
@@ -188,12 +190,12 @@ def _gain(gain: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
     return [
         [
             axis,
-            f"{one['before']:.3g}",
-            f"{one['after']:.3g}",
-            f"{one['ratio']:.2f}",
-            f"{one['interval95'][0]:.2f} to {one['interval95'][1]:.2f}",
+            f"{reduction['before']:.3g}",
+            f"{reduction['after']:.3g}",
+            f"{reduction['ratio']:.2f}",
+            f"{reduction['interval95'][0]:.2f} to {reduction['interval95'][1]:.2f}",
         ]
-        for axis, one in gain.items()
+        for axis, reduction in gain.items()
     ]
 
 
@@ -206,18 +208,19 @@ def _calibration(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                     name,
                     *(
                         _plus_minus(n, n["unit"])
-                        for m in (one["before"], one["after"])
+                        for m in (flight["before"], flight["after"])
                         for n in _pair(m[name])
                     ),
                     _shown_unit(number["unit"]),
                 ]
-                for name, number in one["after"].items()
+                for name, number in flight["after"].items()
             ],
-            "note": f"{one['flight']}: zeros and constant torques from its first "
-            f"{one['calibrated_s']:.1f} s of free flight; the {one['judged_s']:.1f} s after them are judged.",
+            "note": f"{flight['flight']}: zeros and constant torques from its first "
+            f"{flight['calibrated_s']:.1f} s of free flight; "
+            f"the next {flight['evaluated_s']:.1f} s are evaluated.",
         }
-        for one in flights
-        if one["after"]
+        for flight in flights
+        if flight["after"]
     ]
 
 
@@ -235,23 +238,24 @@ def _shown_unit(unit: str) -> str:
     return SHOWN.get(unit, (1.0, unit))[1]
 
 
-def _found(one: dict[str, Any], kept: _Kept) -> dict[str, Any]:
-    others = ", ".join(one["ambiguous_with"])
+def _found(cause: dict[str, Any], kept: _Kept) -> dict[str, Any]:
+    others = ", ".join(cause["ambiguous_with"])
     evidence = ", ".join(
         f"{name.replace('_', ' ')} {value:.3g}"
-        for name, value in one["evidence"].items()
+        for name, value in cause["evidence"].items()
         if isinstance(value, float)
     )
-    equation = figures.figure_of_equation(one["equation"])
+    equation = figures.figure_of_equation(cause["equation"])
     return {
-        "effect": one["effect"],
-        "confidence": f"{one['confidence']:.2f}",
-        "sentence": _capital(one["sentence"]),
+        "effect": cause["effect"],
+        "confidence": f"{cause['confidence']:.2f}",
+        "sentence": _capital(cause["sentence"]),
         "unclear": f" It could as well be {others}." if others else "",
-        "latex": one["equation"],
-        "equation": kept(f"equation-{one['effect']}", equation),
+        "latex": cause["equation"],
+        "equation": kept(f"equation-{cause['effect']}", equation),
         "rows": [
-            [name, _plus_minus(n, n["unit"]), _shown_unit(n["unit"])] for name, n in one["parameters"].items()
+            [name, _plus_minus(n, n["unit"]), _shown_unit(n["unit"])]
+            for name, n in cause["parameters"].items()
         ],
         "evidence": f"Evidence: {evidence}.",
     }
@@ -263,11 +267,11 @@ def _residual(residual: dict[str, Any]) -> dict[str, Any]:
     rows = [
         [
             axis,
-            *(f"{one[when]:.3f}" for when in _WHEN),
+            *(f"{errors[when]:.3f}" for when in _WHEN),
             *(f"{correlation[when][axis]:.2f}" for when in _WHEN),
             "yes" if residual["white"][role]["after"][axis] else "no",
         ]
-        for axis, one in residual["axis"].items()
+        for axis, errors in residual["axis"].items()
     ]
     whole = residual["normalised"]
     rows.append(["all", *(f"{whole[when]:.3f}" for when in _WHEN), "", "", ""])
@@ -293,7 +297,7 @@ def _unknown(missing: dict[str, Any] | None) -> dict[str, Any] | None:
         "said": f"Something foretells the motion about {missing['axis']} that no effect of the catalogue "
         f"explains: log-likelihood ratio {missing['log_likelihood_gain']:.0f} nats. Any smooth curve of "
         "these would do, the strongest first:",
-        "depends": [_capital(curve_in_words(one)) for one in missing["correlates_with"]],
+        "depends": [_capital(curve_in_words(curve)) for curve in missing["correlates_with"]],
         "gain": _gain(missing.get("gain_with_splines", {})),
     }
 
@@ -304,12 +308,12 @@ def _weather(diagnosis: Diagnosis, numbers: dict[str, Any]) -> dict[str, Any]:
         "rows": [
             [
                 axis,
-                f"{1e3 * one['gust_Nm']:.2g}",
-                f"{one['memory_s']:.2g}",
-                f"{1e3 * one['drift_Nm']:.2g}",
-                f"{one['log_likelihood_ratio']:.0f}",
+                f"{1e3 * values['fast_std_Nm']:.2g}",
+                f"{values['correlation_time_s']:.2g}",
+                f"{1e3 * values['slow_std_Nm']:.2g}",
+                f"{values['log_likelihood_ratio']:.0f}",
             ]
-            for axis, one in numbers["weather"].items()
+            for axis, values in numbers["disturbances"].items()
         ],
     }
 
@@ -320,13 +324,13 @@ def _ranking(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
 
     return [
         [
-            f"{one['round']}: {readable_id(one['candidate'])}{' (taken)' if one['taken'] else ''}",
-            cell(one["score"]),
-            cell(one["train"]),
-            cell(one["penalty"]),
+            f"{round_['round']}: {readable_id(round_['candidate'])}{' (taken)' if round_['taken'] else ''}",
+            cell(round_["score"]),
+            cell(round_["train"]),
+            cell(round_["penalty"]),
         ]
-        for one in ranking
-        if one["train"] is not None or one["score"] > 3.0
+        for round_ in ranking
+        if round_["train"] is not None or round_["score"] > 3.0
     ]
 
 
@@ -337,14 +341,16 @@ def _more_rounds(diagnosis: Diagnosis) -> str:
 
 def _used(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     used = []
-    for one in flights:
-        role = "fitted" if one["role"] == "train" else "held out"
-        spans = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in one["used"])
-        notes = "".join(f" {note}." for note in one["notes"])
+    for flight in flights:
+        role = "fitted" if flight["role"] == "train" else "held out"
+        spans = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in flight["used"])
+        notes = "".join(f" {note}." for note in flight["notes"])
         used.append(
             {
-                "said": f"{one['flight']}, {role}: {one['seconds_used']:.1f} s used ({spans}).{notes}",
-                "left_out": [[f"{c['from_s']:.2f}", f"{c['to_s']:.2f}", c["why"]] for c in one["left_out"]],
+                "said": f"{flight['flight']}, {role}: {flight['seconds_used']:.1f} s used ({spans}).{notes}",
+                "left_out": [
+                    [f"{c['from_s']:.2f}", f"{c['to_s']:.2f}", c["why"]] for c in flight["left_out"]
+                ],
             }
         )
     return used

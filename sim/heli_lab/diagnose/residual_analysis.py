@@ -21,7 +21,7 @@ from heli_lab.diagnose.screening import Scored, Screening, coefficient_std, scor
 from heli_lab.diagnose.spline_term import quantity_values
 from heli_lab.diagnose.thresholds import CORRELATE_MIN, CORRELATE_SHARE
 from heli_lab.identify.functions import Floats
-from heli_lab.innovations import BLOCK_s, Linear, Weather
+from heli_lab.innovations import BLOCK_s, DisturbanceModel, LinearisedFlight
 
 _MAX_CORRELATES: Final = 4
 """Length of a list for people."""
@@ -93,7 +93,7 @@ class ResidualAnalysis:
 
     Parameters
     ----------
-    weather : Weather
+    disturbances : DisturbanceModel
         Torques by chance about each axis.
     gains : ndarray (3,)
         Log-likelihood ratio of each axis' weather over none about that axis, nats.
@@ -109,7 +109,7 @@ class ResidualAnalysis:
         What foretells the innovations significantly, strongest first; empty where they are white.
     """
 
-    weather: Weather
+    disturbances: DisturbanceModel
     gains: Floats
     autocorrelation: Floats
     lags_s: tuple[float, ...]
@@ -134,18 +134,22 @@ def residual_analysis(screenings: Sequence[Screening]) -> ResidualAnalysis:
     give back what they keep: weather of the former, what foretells the innovations of all.
     """
     first = screenings[0]
-    significant = [one for one in dependences(screenings) if one.log_likelihood_gain > one.penalty]
+    significant = [
+        dependence
+        for dependence in dependences(screenings)
+        if dependence.log_likelihood_gain > dependence.penalty
+    ]
     autocorrelation, bound = _autocorrelation(first)
     gains = weather_gains(first)
-    for one in screenings:
-        one.release()
+    for screening in screenings:
+        screening.release()
     return ResidualAnalysis(
-        first.estimate.weather,
+        first.estimate.disturbances,
         gains,
         autocorrelation,
         tuple(lag * BLOCK_s for lag in _WHITE_LAGS),
         bound,
-        sum(one.measurements for one in screenings),
+        sum(screening.measurements for screening in screenings),
         tuple(significant[:_MAX_CORRELATES]),
     )
 
@@ -159,28 +163,30 @@ def penalty(coefficients: int) -> float:
 
 def weather_gains(screening: Screening) -> Floats:
     """Log-likelihood ratio of each axis' weather over none about that axis, nats, shape (3,)."""
-    weather, filtered = screening.estimate.weather, screening.filtered
+    disturbances, filtered = screening.estimate.disturbances, screening.filtered
     less = [
-        Weather(
-            np.where(gone, _NO_TORQUE_Nm, weather.gust_Nm),
-            weather.memory_s,
-            np.where(gone, _NO_TORQUE_Nm, weather.drift_Nm),
-            weather.quantisation,
+        DisturbanceModel(
+            np.where(gone, _NO_TORQUE_Nm, disturbances.fast_std_Nm),
+            disturbances.correlation_time_s,
+            np.where(gone, _NO_TORQUE_Nm, disturbances.slow_std_Nm),
+            disturbances.quantisation,
         )
         for gone in np.eye(3, dtype=bool)
     ]
-    error = filtered.moved(np.zeros(filtered.size))
-    values = filtered.log_likelihoods([weather, *less], error).sum(axis=1)
+    error = filtered.perturbed_residual(np.zeros(filtered.size))
+    values = filtered.log_likelihoods([disturbances, *less], error).sum(axis=1)
     result: Floats = values[0] - values[1:]
     return result
 
 
 def _autocorrelation(screening: Screening) -> tuple[Floats, float]:
-    innovations = screening.filtered.innovations_by_flight(screening.estimate.weather)
-    value = np.concatenate([one[:, 0] for one in innovations.flights]).reshape(-1, 3)
+    innovations = screening.filtered.innovations_by_flight(screening.estimate.disturbances)
+    value = np.concatenate([flight[:, 0] for flight in innovations.flights]).reshape(-1, 3)
     variance = np.maximum((value**2).mean(axis=0), 1e-12)
-    found = [(value[lag:] * value[:-lag]).mean(axis=0) / variance for lag in _WHITE_LAGS if lag < len(value)]
-    return np.array(found), float(3.0 / np.sqrt(len(value)))
+    correlations = [
+        (value[lag:] * value[:-lag]).mean(axis=0) / variance for lag in _WHITE_LAGS if lag < len(value)
+    ]
+    return np.array(correlations), float(3.0 / np.sqrt(len(value)))
 
 
 def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
@@ -188,16 +194,21 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
 
     The functions have the same coefficients in all flights, with everything else refitted in each.
     """
-    linears = [linear for one in screenings for linear in one.filtered.linears]
-    candidates = [
-        one
-        for one in spline_candidates(linears, _TEST_SPLINES)
-        if not one.id.startswith("spline:measurement")
+    linearised_flights = [
+        linear for each_screening in screenings for linear in each_screening.filtered.linearised_flights
     ]
-    names = [(" on ".join(one.id.split(":")[1:]), len(one.linear_parameters)) for one in candidates]
-    priors = [coefficient_std(one) for one in candidates]
-    parts = [one.spline_information(candidates) for one in screenings]
-    functions = _functions(linears)
+    candidates = [
+        candidate
+        for candidate in spline_candidates(linearised_flights, _TEST_SPLINES)
+        if not candidate.id.startswith("spline:measurement")
+    ]
+    names = [
+        (" on ".join(candidate.id.split(":")[1:]), len(candidate.linear_parameters))
+        for candidate in candidates
+    ]
+    priors = [coefficient_std(candidate) for candidate in candidates]
+    parts = [each_screening.spline_information(candidates) for each_screening in screenings]
+    functions = _functions(linearised_flights)
     for what, curves in functions.items():
         for axis, name in enumerate(AXES):
             size = curves[0].shape[1]
@@ -205,33 +216,34 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
             priors.append(np.full(size, _TORQUE_STD_Nm[axis]))
     first = 0
     for number, screening in enumerate(screenings):
-        own = screening.filtered.linears
-        flights = range(first, first + len(own))
+        flight_linears = screening.filtered.linearised_flights
+        flights = range(first, first + len(flight_linears))
         for group in _groups(functions, screening.batch):
             sizes = [curves[0].shape[1] for curves in group]
             torques_Nm = [np.hstack([curves[place] for curves in group]) for place in flights]
             by_axis = [
                 screening.projected(
-                    screening.filtered.torque_regressors(screening.estimate.weather, axis, torques_Nm), sizes
+                    screening.filtered.torque_regressors(screening.estimate.disturbances, axis, torques_Nm),
+                    sizes,
                 )
                 for axis in range(len(AXES))
             ]
-            parts[number] += [one[k] for k in range(len(group)) for one in by_axis]
-        first += len(own)
-    found = []
+            parts[number] += [parts_by_axis[k] for k in range(len(group)) for parts_by_axis in by_axis]
+        first += len(flight_linears)
+    result = []
     for (what, size), std, *each in zip(names, priors, *parts, strict=True):
-        information = np.sum([one for one, _ in each], axis=0)
-        gain, _, _ = score_of(information, np.sum([one for _, one in each], axis=0), std)
+        information = np.sum([information_ for information_, _ in each], axis=0)
+        gain, _, _ = score_of(information, np.sum([score_ for _, score_ in each], axis=0), std)
         more = _NEAR_REST if what.endswith("near rest") or _on_own_rate(what) else 0.0
-        found.append(Dependence(what, gain, size, penalty(size) + more))
-    return sorted(found, key=lambda one: -one.log_likelihood_gain)
+        result.append(Dependence(what, gain, size, penalty(size) + more))
+    return sorted(result, key=lambda dependence: -dependence.log_likelihood_gain)
 
 
 def _groups(functions: Mapping[str, list[Floats]], batch: int) -> Iterator[list[list[Floats]]]:
     """Functions in their order, as many at once as make `batch` regressors about an axis."""
     group: list[list[Floats]] = []
     for curves in functions.values():
-        if group and sum(one[0].shape[1] for one in [*group, curves]) > batch:
+        if group and sum(curve[0].shape[1] for curve in [*group, curves]) > batch:
             yield group
             group = []
         group.append(curves)
@@ -251,33 +263,33 @@ def correlates(splines: Sequence[Scored]) -> list[str]:
     best = splines[0].log_likelihood_gain if splines else 0.0
     least = max(CORRELATE_SHARE * best, CORRELATE_MIN)
     return [
-        " on ".join(one.candidate.id.split(":")[1:])
-        for one in splines[:_MAX_CORRELATES]
-        if one.log_likelihood_gain > least
+        " on ".join(spline.candidate.id.split(":")[1:])
+        for spline in splines[:_MAX_CORRELATES]
+        if spline.log_likelihood_gain > least
     ]
 
 
-def _functions(linears: Sequence[Linear]) -> dict[str, list[Floats]]:
+def _functions(linearised_flights: Sequence[LinearisedFlight]) -> dict[str, list[Floats]]:
     """Quantities, products of two, past thrusts, and rates near rest: (n, s) for each flight."""
-    quantities = [quantity_values(linear.model, linear.trajectory) for linear in linears]
+    quantities = [quantity_values(linear.model, linear.trajectory) for linear in linearised_flights]
     centre, scale = {}, {}
     for name in _PRODUCTS:
-        together = np.concatenate([one[name] for one in quantities])
+        together = np.concatenate([values[name] for values in quantities])
         centre[name], scale[name] = together.mean(), together.std() + 1e-12
-    every = [{n: (one[n] - centre[n]) / scale[n] for n in _PRODUCTS} for one in quantities]
-    found = {name: [at[name][:, None] for at in every] for name in _PRODUCTS}
-    for one, other in itertools.combinations(_PRODUCTS, 2):
-        found[f"{one} times {other}"] = [(at[one] * at[other])[:, None] for at in every]
-    step_s = linears[0].trajectory.step_s
+    every = [{n: (values[n] - centre[n]) / scale[n] for n in _PRODUCTS} for values in quantities]
+    functions = {name: [at[name][:, None] for at in every] for name in _PRODUCTS}
+    for first, other in itertools.combinations(_PRODUCTS, 2):
+        functions[f"{first} times {other}"] = [(at[first] * at[other])[:, None] for at in every]
+    step_s = linearised_flights[0].trajectory.step_s
     for name in _THRUSTS:
-        found[f"past {name}"] = [_past(at[name], step_s) for at in every]
+        functions[f"past {name}"] = [_past(at[name], step_s) for at in every]
     for name in _RATES:
-        rates = [one[name] / scale[name] for one in quantities]
-        found[f"{name} near rest"] = [
+        rates = [values[name] / scale[name] for values in quantities]
+        functions[f"{name} near rest"] = [
             np.column_stack([np.tanh(r / 0.1 / w) * np.exp(-((r / w) ** 2)) for w in _REST_WIDTHS])
             for r in rates
         ]
-    return found
+    return functions
 
 
 def _past(signal: Floats, step_s: float) -> Floats:

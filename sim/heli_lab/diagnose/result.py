@@ -16,13 +16,13 @@ from heli_sim.model.parts import AXES
 from heli_sim.rig import Number, Rig
 
 from heli_lab.diagnose.absent_terms import AbsentTerm
-from heli_lab.diagnose.equation_discovery import ProposedLaw
-from heli_lab.diagnose.error_reduction import ErrorReduction, Judgement
+from heli_lab.diagnose.equation_discovery import ProposedTerm
+from heli_lab.diagnose.error_reduction import ErrorReduction, HeldOutComparison
 from heli_lab.diagnose.experiment_design import ExperimentDesign
 from heli_lab.diagnose.failing_regimes import FailingRegimes, failing_regimes
 from heli_lab.diagnose.model_comparison import Hypothesis
 from heli_lab.diagnose.prediction import Prediction
-from heli_lab.diagnose.prior_pull import PriorPull, prior_pulls, tried_without
+from heli_lab.diagnose.prior_conflict import PriorConflict, prior_conflicts, tried_without
 from heli_lab.diagnose.residual_analysis import ResidualAnalysis
 from heli_lab.diagnose.search_record import Cause, Search
 from heli_lab.diagnose.spline_curve import SplineCurve, spline_curve_of
@@ -53,7 +53,7 @@ class Diagnosis:
         The model with the causes of the catalogue alone, as the extended rig flies it.
     before, after : Prediction
         Free runs of the refitted baseline and of the extended model, over all flights.
-    judgement : Judgement
+    judgement : HeldOutComparison
         Free runs before and after on the flights held out, calibrated.
     spline_gains : Mapping[str, ErrorReduction]
         Errors over 2 s without anything and with the spline terms too that stand for causes outside the
@@ -74,7 +74,7 @@ class Diagnosis:
         Free flight of each validation flight to calibrate on, where it was asked for.
     refits : int
         Refits of the model: the work that it took, on any computer.
-    proposed_law : ProposedLaw or None
+    proposed_term : ProposedTerm or None
         The law of what no effect of the catalogue explains, where one was found and confirmed.
     """
 
@@ -84,7 +84,7 @@ class Diagnosis:
     extended: Hypothesis
     before: Prediction
     after: Prediction
-    judgement: Judgement
+    judgement: HeldOutComparison
     spline_gains: Mapping[str, ErrorReduction]
     absent: tuple[AbsentTerm, ...]
     kinds: Mapping[str, EffectKind]
@@ -95,25 +95,25 @@ class Diagnosis:
     seconds: float
     calibrate_s: float | None = None
     refits: int = 0
-    proposed_law: ProposedLaw | None = None
+    proposed_term: ProposedTerm | None = None
 
-    def values(self, found: Cause) -> dict[str, tuple[float, float, str]]:
+    def values(self, cause: Cause) -> dict[str, tuple[float, float, str]]:
         """Parameters of a cause by full name: value, standard error and unit."""
-        kind, fit = self.kinds[found.candidate.id], self.after.fit
-        std = stds(fit, kind)
+        kind, fit = self.kinds[cause.candidate.id], self.after.fit
+        std = reported_std(fit, kind)
         return {
             q.name: (
-                fit.values.get(q.name, found.candidate.effect.values[q.name]),
+                fit.values.get(q.name, cause.candidate.effect.values[q.name]),
                 std.get(q.name, 0.0),
                 q.unit,
             )
             for q in kind.parameters
         }
 
-    def sentence(self, found: Cause) -> str:
+    def sentence(self, cause: Cause) -> str:
         """A cause with its parameters, in one sentence without its full stop."""
-        numbers = self.values(found)
-        return self.kinds[found.candidate.id].describe(
+        numbers = self.values(cause)
+        return self.kinds[cause.candidate.id].describe(
             {name: value for name, (value, _, _) in numbers.items()},
             {name: std for name, (_, std, _) in numbers.items()},
         )
@@ -123,14 +123,17 @@ class Diagnosis:
         """Where the refitted baseline fails, and where the model with the causes does; with a proposed law
         where the model with the causes fails, and where it does with the law.
         """
-        proposed = self.proposed_law
-        splines = [one.candidate.id.split(":") for one in self.search.rounds[0].splines]
+        proposed = self.proposed_term
+        splines = [spline.candidate.id.split(":") for spline in self.search.rounds[0].splines]
         best = [(channel, on) for _, channel, on in splines if channel.startswith("torque")]
         channel, on = best[0] if best else (f"torque.{self.residual_analysis.axis}", "")
         if proposed is not None:
-            law = proposed.discovery
+            equation = proposed.discovery
             return failing_regimes(
-                law.base.estimate, law.hypothesis.estimate, proposed.course.axis, proposed.course.on
+                equation.base.estimate,
+                equation.hypothesis.estimate,
+                proposed.reference.axis,
+                proposed.reference.on,
             )
         axis = channel.partition(".")[2]
         return failing_regimes(self.search.baseline.estimate, self.extended.estimate, axis, on)
@@ -148,9 +151,11 @@ class Diagnosis:
     @property
     def curves(self) -> list[SplineCurve]:
         """The spline terms in the place of causes outside the catalogue, the strongest first."""
-        effects = (one.candidate.effect for one in self.verdict.off_list)
+        effects = (cause.candidate.effect for cause in self.verdict.unlisted)
         return [
-            spline_curve_of(one, self.search.final.estimate) for one in effects if isinstance(one, SplineTerm)
+            spline_curve_of(effect, self.search.final.estimate)
+            for effect in effects
+            if isinstance(effect, SplineTerm)
         ]
 
     @property
@@ -159,22 +164,25 @@ class Diagnosis:
         if not self.verdict.gust:
             return {}
         axis = AXES.index(self.residual_analysis.axis)
-        weather = self.residual_analysis.weather
-        sigma_Nm, memory_s = float(weather.gust_Nm[axis]), float(weather.memory_s[axis])
+        disturbances = self.residual_analysis.disturbances
+        sigma_Nm, correlation_time_s = (
+            float(disturbances.fast_std_Nm[axis]),
+            float(disturbances.correlation_time_s[axis]),
+        )
         seconds = sum(record.used_s for record in self.before.fit.problem.records)
-        relative = 1.0 / math.sqrt(2.0 * max(seconds / (2.0 * memory_s), 2.0))
+        relative = 1.0 / math.sqrt(2.0 * max(seconds / (2.0 * correlation_time_s), 2.0))
         prefix = f"random_torque_{AXES[axis]}"
         return {
             f"{prefix}_Nm": (sigma_Nm, sigma_Nm * relative, "N m"),
-            f"{prefix}_s": (memory_s, 2.0 * memory_s * relative, "s"),
+            f"{prefix}_s": (correlation_time_s, 2.0 * correlation_time_s * relative, "s"),
         }
 
     @cached_property
-    def pulled(self) -> tuple[PriorPull, ...]:
+    def prior_conflicts(self) -> tuple[PriorConflict, ...]:
         """Numbers of the rig that the extended model has far from what its file says, and what they are
         without that.
         """
-        return tried_without(prior_pulls(self.after.fit), self.extended.estimate)
+        return tried_without(prior_conflicts(self.after.fit), self.extended.estimate)
 
     @property
     def cautions(self) -> list[str]:
@@ -184,8 +192,8 @@ class Diagnosis:
         if held_out is None:
             cautions.append("no flight was held out: nothing here is confirmed; give one to --validate")
         else:
-            cautions += self._cautions_of_judgement(sum(one.used_s for one in held_out.problem.records))
-        cautions += [one.sentence for one in self.pulled]
+            cautions += self._cautions_of_judgement(sum(record.used_s for record in held_out.problem.records))
+        cautions += [pull.sentence for pull in self.prior_conflicts]
         if not self.search.complete:
             cautions.append("the work allowed ran out before everything was tried; give more with --budget")
         return cautions
@@ -211,16 +219,16 @@ class Diagnosis:
         `heli-host sil|fly --rig`; `with_law` adds the proposed law where there is one, whose effect file has
         to be given beside it.
         """
-        if with_law and self.proposed_law is not None:
-            return self._rig_with_law(name, self.proposed_law)
-        found = Identification(self.after.fit, (), (), (), ()).rig(name)
+        if with_law and self.proposed_term is not None:
+            return self._rig_with_law(name, self.proposed_term)
+        rig = Identification(self.after.fit, (), (), (), ()).rig(name)
         labels = ", ".join(record.label for record in self.after.fit.problem.records)
         source = f"found by heli-host diagnose from {labels}"
-        effects: dict[str, Mapping[str, Number]] = dict(found.effects)
-        for one in self.verdict.causes:
-            numbers = self.values(one)
-            effects[one.candidate.id] = effect_numbers(
-                self.kinds[one.candidate.id],
+        effects: dict[str, Mapping[str, Number]] = dict(rig.effects)
+        for cause in self.verdict.causes:
+            numbers = self.values(cause)
+            effects[cause.candidate.id] = effect_numbers(
+                self.kinds[cause.candidate.id],
                 {key: value for key, (value, _, _) in numbers.items()},
                 {key: 2.0 * std for key, (_, std, _) in numbers.items()},
                 source,
@@ -234,17 +242,17 @@ class Diagnosis:
                 {key: 2.0 * std for key, (_, std, _) in numbers.items()},
                 source,
             )
-        return Rig(found.name, found.description, found.numbers, effects, found.model)
+        return Rig(rig.name, rig.description, rig.numbers, effects, rig.model)
 
-    def _rig_with_law(self, name: str, proposed: ProposedLaw) -> Rig:
-        found = Identification(proposed.prediction.fit, (), (), (), ()).rig(name)
+    def _rig_with_law(self, name: str, proposed: ProposedTerm) -> Rig:
+        rig = Identification(proposed.prediction.fit, (), (), (), ()).rig(name)
         labels = ", ".join(record.label for record in self.after.fit.problem.records)
         source = f"found by heli-host diagnose from {labels}"
-        effects: dict[str, Mapping[str, Number]] = dict(found.effects)
+        effects: dict[str, Mapping[str, Number]] = dict(rig.effects)
         fit = proposed.prediction.fit
         for candidate in proposed.discovery.hypothesis.candidates[:-1]:
             kind = self.kinds[candidate.id]
-            std = stds(fit, kind)
+            std = reported_std(fit, kind)
             known = {q.name: fit.values.get(q.name, candidate.effect.values[q.name]) for q in kind.parameters}
             effects[candidate.id] = effect_numbers(
                 kind, known, {n: 2.0 * std.get(n, 0.0) for n in known}, source
@@ -253,7 +261,7 @@ class Diagnosis:
             what: Number(value, unit, 2.0 * error, source)
             for what, (value, error, unit) in proposed.discovery.values.items()
         }
-        return Rig(found.name, found.description, found.numbers, effects, found.model)
+        return Rig(rig.name, rig.description, rig.numbers, effects, rig.model)
 
     @property
     def metric(self) -> str:
@@ -261,7 +269,7 @@ class Diagnosis:
         return METRIC if self.after.held_out_fit else METRIC.replace("validation", "fitted")
 
 
-def stds(fit: Fit, kind: EffectKind) -> dict[str, float]:
+def reported_std(fit: Fit, kind: EffectKind) -> dict[str, float]:
     """Standard errors by name of the numbers of a `kind`, none finer than what flights resolve.
 
     Voltages are held over a sample: a time constant or a delay is uncertain by a part of it, whichever way
@@ -271,14 +279,14 @@ def stds(fit: Fit, kind: EffectKind) -> dict[str, float]:
     """
     record = fit.problem.records[0]
     part, _, axis = kind.acts_on.partition(".")
-    found = {}
-    for one in fit.problem.free:
+    errors = {}
+    for parameter in fit.problem.free:
         least = 0.0
-        if one.unit == "s":
+        if parameter.unit == "s":
             least = 0.5 * record.step_s
-        elif one.unit == "rad" and part == "measurement" and axis in AXES:
+        elif parameter.unit == "rad" and part == "measurement" and axis in AXES:
             least = LEAST_COUNTS * float(record.count_rad[AXES.index(axis)])
-        std = fit.std[one.name] * (WITHIN_STEP_STD if one.unit == "s" else 1.0)
-        blurred = LEAST_STD_SHARE * fit.values[one.name] if one.name in kind.size else 0.0
-        found[one.name] = math.hypot(std, least, blurred)
-    return found
+        std = fit.std[parameter.name] * (WITHIN_STEP_STD if parameter.unit == "s" else 1.0)
+        blurred = LEAST_STD_SHARE * fit.values[parameter.name] if parameter.name in kind.size else 0.0
+        errors[parameter.name] = math.hypot(std, least, blurred)
+    return errors

@@ -10,7 +10,7 @@ from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.error_reduction import ErrorReduction
 from heli_lab.diagnose.figures import AFTER, BEFORE, MEASURED
-from heli_lab.diagnose.missing_law import MissingLaw
+from heli_lab.diagnose.missing_term import MissingTerm
 from heli_lab.identify import Fit, Trace, trace
 from heli_lab.identify.functions import Floats
 
@@ -27,50 +27,65 @@ _EXCERPT_s: Final = 40.0
 _MOST_DOTS: Final = 4000
 
 
-def figure_of_laws(laws: Sequence[MissingLaw]) -> Figure:
+def figure_of_missing_terms(equations: Sequence[MissingTerm]) -> Figure:
     """Draw what is missing against what it goes with, a row a cause: without the cause on the left with the
     law that was found, with it on the right.
     """
     from matplotlib.figure import Figure
 
-    rows = len(laws)
+    rows = len(equations)
     figure = Figure(figsize=(11, 4.1 * rows))
     panels = figure.subplots(rows, 2, sharey="row", squeeze=False)
     high = 4.1 * rows
     figure.subplots_adjust(0.085, 0.62 / high, 0.985, 1.0 - 0.42 / high, wspace=0.05, hspace=0.42)
-    for law, (left, right) in zip(laws, panels, strict=True):
-        noun = f"torque about {law.axis}" if law.what == "torque" else f"angle of the {law.axis} encoder"
-        _dots(left, law.place, law.missing, law)
-        _dots(right, law.place, law.left, law)
-        place, value = (
-            _binned(law.place, law.law, 4 * _BINS) if law.what == "torque" else (law.place, law.law)
+    for equation, (left_panel, right) in zip(equations, panels, strict=True):
+        noun = (
+            f"torque about {equation.axis}"
+            if equation.what == "torque"
+            else f"angle of the {equation.axis} encoder"
         )
-        left.plot(place, value, color=AFTER, lw=2.2, label="the law found")
-        left.set_title(f"before: {noun} that the model lacks", fontsize=10.5, color=BEFORE, loc="left")
+        _dots(left_panel, equation.place, equation.missing, equation)
+        _dots(right, equation.place, equation.left, equation)
+        place, value = (
+            _binned(equation.place, equation.equation, 4 * _BINS)
+            if equation.what == "torque"
+            else (equation.place, equation.equation)
+        )
+        left_panel.plot(place, value, color=AFTER, lw=2.2, label="the law found")
+        left_panel.set_title(f"before: {noun} that the model lacks", fontsize=10.5, color=BEFORE, loc="left")
         right.set_title(
             "after: what is left with the law in the model", fontsize=10.5, color=AFTER, loc="left"
         )
-        left.set_ylabel(f"{noun} [{law.unit}]", fontsize=10)
-        for panel in (left, right):
+        left_panel.set_ylabel(f"{noun} [{equation.unit}]", fontsize=10)
+        for panel in (left_panel, right):
             panel.axhline(0.0, color="#9aa0a6", lw=0.8, zorder=0)
-            panel.set_xlabel(f"{law.on} [{law.on_unit}]", fontsize=10)
+            panel.set_xlabel(f"{equation.on} [{equation.on_unit}]", fontsize=10)
             panel.grid(alpha=0.25)
-        wide = 2.0 * law.std if law.what == "angle" else np.zeros(1)
-        shown = np.concatenate((law.missing - wide, law.missing + wide, law.left, law.law))
+        wide = 2.0 * equation.std if equation.what == "angle" else np.zeros(1)
+        shown = np.concatenate(
+            (equation.missing - wide, equation.missing + wide, equation.left, equation.equation)
+        )
         low, top = np.quantile(shown, [_TAIL, 1.0 - _TAIL])
         room = 0.12 * (top - low)
-        left.set_ylim(min(low, value.min()) - room, max(top, value.max()) + room)
-        ends = np.quantile(law.place, [_TAIL, 1.0 - _TAIL])
-        for panel in (left, right):
+        left_panel.set_ylim(min(low, value.min()) - room, max(top, value.max()) + room)
+        ends = np.quantile(equation.place, [_TAIL, 1.0 - _TAIL])
+        for panel in (left_panel, right):
             panel.set_xlim(*(ends + np.array([-0.03, 0.03]) * np.ptp(ends)))
-        left.legend(loc="best", fontsize=9, framealpha=0.85)
+        left_panel.legend(loc="best", fontsize=9, framealpha=0.85)
     return figure
 
 
-def _dots(panel: Axes, place: Floats, value: Floats, law: MissingLaw) -> None:
-    if law.what == "angle":
+def _dots(panel: Axes, place: Floats, value: Floats, equation: MissingTerm) -> None:
+    if equation.what == "angle":
         panel.errorbar(
-            place, value, 2.0 * law.std, fmt="o", ms=4, lw=1, color=MEASURED, label="as the flights show it"
+            place,
+            value,
+            2.0 * equation.std,
+            fmt="o",
+            ms=4,
+            lw=1,
+            color=MEASURED,
+            label="as the flights show it",
         )
         return
     keep = slice(None, None, max(1, len(place) // _MOST_DOTS))
@@ -83,7 +98,7 @@ def _dots(panel: Axes, place: Floats, value: Floats, law: MissingLaw) -> None:
 def _binned(place: Floats, value: Floats, bins: int) -> tuple[Floats, Floats]:
     """Means of as many parts of the same number of dots."""
     parts = np.array_split(np.argsort(place), min(bins, len(place)))
-    return np.array([place[one].mean() for one in parts]), np.array([value[one].mean() for one in parts])
+    return np.array([place[part].mean() for part in parts]), np.array([value[part].mean() for part in parts])
 
 
 def figure_of_prediction(before: Fit, after: Fit, first: str) -> Figure:
@@ -104,19 +119,19 @@ def figure_of_prediction(before: Fit, after: Fit, first: str) -> Figure:
     measured = np.rad2deg(old.measured_rad[keep, order[0]])
     angle.plot(t_s, measured, ".", ms=2.2, color=MEASURED, label="measured")
     models = [(old, BEFORE, "baseline"), (new, AFTER, "extended")][: 1 if before is after else 2]
-    for one, color, label in models:
-        for window in (w for w in one.windows if w.start >= keep.start and w.stop <= keep.stop):
+    for run, color, label in models:
+        for window in (w for w in run.windows if w.start >= keep.start and w.stop <= keep.stop):
             name = label if window.start == keep.start else None
             angle.plot(
-                one.t_s[window],
-                np.rad2deg(one.predicted_rad[window, order[0]]),
+                run.t_s[window],
+                np.rad2deg(run.predicted_rad[window, order[0]]),
                 color=color,
                 lw=1.1,
                 label=name,
             )
             for panel, axis in zip(panels[1:], order, strict=True):
-                error_deg = np.rad2deg(one.predicted_rad[window, axis] - one.measured_rad[window, axis])
-                panel.plot(one.t_s[window], error_deg, color=color, lw=0.9)
+                error_deg = np.rad2deg(run.predicted_rad[window, axis] - run.measured_rad[window, axis])
+                panel.plot(run.t_s[window], error_deg, color=color, lw=0.9)
     angle.set_ylabel(f"{AXES[order[0]]} [deg]", fontsize=10)
     for panel, axis in zip(panels[1:], order, strict=True):
         panel.axhline(0.0, color="#9aa0a6", lw=0.8, zorder=0)
@@ -137,15 +152,17 @@ def figure_of_prediction(before: Fit, after: Fit, first: str) -> Figure:
     return figure
 
 
-def _excerpt(one: Trace, axis: int) -> slice:
+def _excerpt(drawn: Trace, axis: int) -> slice:
     """Whole windows, of at most `_EXCERPT_s` in all, with the largest error of an axis."""
     spans = [
-        (one.t_s[a.start], one.t_s[b.stop - 1], a.start, b.stop) for a in one.windows for b in one.windows
+        (drawn.t_s[a.start], drawn.t_s[b.stop - 1], a.start, b.stop)
+        for a in drawn.windows
+        for b in drawn.windows
     ]
     fits = [(a, b) for start_s, stop_s, a, b in spans if 0.0 < stop_s - start_s <= _EXCERPT_s]
     if not fits:
-        return slice(one.windows[0].start, one.windows[0].stop)
-    squares = np.concatenate(([0.0], np.cumsum(one.residual[:, axis] ** 2)))
+        return slice(drawn.windows[0].start, drawn.windows[0].stop)
+    squares = np.concatenate(([0.0], np.cumsum(drawn.residual[:, axis] ** 2)))
     return slice(*max(fits, key=lambda span: float(squares[span[1]] - squares[span[0]])))
 
 
@@ -160,10 +177,10 @@ def figure_of_gain(horizons: Mapping[str, Mapping[str, ErrorReduction]], extende
     figure.subplots_adjust(0.065, 0.155, 0.985, 0.86, wspace=0.18)
     place = np.arange(len(horizons))
     for axis, panel in zip(AXES, panels, strict=True):
-        measured = [one[axis] for one in horizons.values()]
-        before = np.array([one.before_deg for one in measured])
-        after = np.array([one.after_deg for one in measured])
-        ends = before * np.array([one.interval95 for one in measured]).T
+        measured = [horizon[axis] for horizon in horizons.values()]
+        before = np.array([reduction.before_deg for reduction in measured])
+        after = np.array([reduction.after_deg for reduction in measured])
+        ends = before * np.array([reduction.interval95 for reduction in measured]).T
         panel.bar(place - (0.18 if extended else 0.0), before, 0.32, color=BEFORE, label="baseline")
         panel.set_xticks(place, [f"{key} s" for key in horizons])
         panel.set_title(axis, fontsize=10.5)
@@ -179,11 +196,11 @@ def figure_of_gain(horizons: Mapping[str, Mapping[str, ErrorReduction]], extende
         )
         top = np.maximum(before, np.maximum(after, ends[1]))
         highest = float(top.max())
-        for where, height, one in zip(place, top, measured, strict=True):
+        for where, height, reduction in zip(place, top, measured, strict=True):
             panel.text(
                 where,
                 height + 0.03 * highest,
-                f"\N{MULTIPLICATION SIGN} {one.ratio:.2f}",
+                f"\N{MULTIPLICATION SIGN} {reduction.ratio:.2f}",
                 ha="center",
                 fontsize=10,
             )

@@ -17,8 +17,9 @@ from heli_sim.rig import Rig
 
 from heli_lab.diagnose.absent_terms import AbsentTerm, absent_terms
 from heli_lab.diagnose.detectability import undetectable_effects, unidentifiable_parameters
-from heli_lab.diagnose.equation_discovery import ProposedLaw, propose_law
+from heli_lab.diagnose.equation_discovery import ProposedTerm, propose_term
 from heli_lab.diagnose.error_reduction import ErrorReduction, judgement
+from heli_lab.diagnose.estimate_cache import EstimateCache, fingerprint
 from heli_lab.diagnose.experiment_design import (
     ExperimentDesign,
     Pair,
@@ -27,8 +28,7 @@ from heli_lab.diagnose.experiment_design import (
     informative_experiment,
 )
 from heli_lab.diagnose.free_run import calibration_s, free_runs
-from heli_lab.diagnose.kept_estimates import KeptEstimates, digest_of
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.prediction import Prediction, predict
 from heli_lab.diagnose.residual_analysis import ResidualAnalysis, residual_analysis
 from heli_lab.diagnose.result import Diagnosis
@@ -86,7 +86,7 @@ def diagnose(
         Free flight of each validation flight that its zeros and torques are estimated from before the rest is
         judged, at most a third of it; `CALIBRATE_s` where not given.
     threads : int, optional
-        Threads that candidates, windows and weathers are shared out to; `usual_threads` where not given. The
+        Threads for candidates, windows and disturbances; `default_thread_count` where not given. The
         result does not depend on it.
     resume : Path, optional
         File that keeps what was worked out; a search that ended early goes on from it, and ends as one that
@@ -116,37 +116,38 @@ def diagnose(
         _refuse_twins(train, held_out)
         for record in held_out:
             calibration_s(record, calibrate_s)
-        kept = KeptEstimates(resume, digest_of(model, rig, [*train, *held_out])) if resume else None
-        comparison = Comparison(model, rig, train, held_out, seed=seed, kept=kept)
+        kept = EstimateCache(resume, fingerprint(model, rig, [*train, *held_out])) if resume else None
+        comparison = ModelComparison(model, rig, train, held_out, seed=seed, kept=kept)
         known = {effect.name for effect in model.effects}
         tried = {id_: kind for id_, kind in every.items() if _candidate(kind, model, known)}
         reached = _searched(comparison, tried, every, every.values(), tell, refits)
         if reached.verdict.label == "unexplained" and any(
-            one.candidate.id in every and every[one.candidate.id].override for one in reached.verdict.causes
+            cause.candidate.id in every and every[cause.candidate.id].override
+            for cause in reached.verdict.causes
         ):
             # What is missing takes the place of a term that the rig states closely: where something is, no
             # such term is said to be absent.
             reached = _searched(comparison, tried, every, (), tell, refits)
-        found, verdict = reached.search, reached.verdict
+        search_result, verdict = reached.search, reached.verdict
         before, after = reached.before, reached.after
-        undetectable = undetectable_effects(found.rounds[-1].screened, every)
+        undetectable = undetectable_effects(search_result.rounds[-1].screened, every)
         runs_before = free_runs(before.fit, held_out, calibrate_s)
         runs_after = runs_before if after is before else free_runs(after.fit, held_out, calibrate_s)
         spline_gains: Mapping[str, ErrorReduction] = {}
-        if verdict.off_list:
-            final = predict(found.final.candidates, found.final.estimate, train, held_out)
+        if verdict.unlisted:
+            final = predict(search_result.final.candidates, search_result.final.estimate, train, held_out)
             spline_gains = judgement(runs_before, free_runs(final.fit, held_out, calibrate_s), seed).horizons[
                 "2"
             ]
-        proposed: ProposedLaw | None = None
+        proposed: ProposedTerm | None = None
         if verdict.label == "unexplained" and comparison.fits < refits:
             tell("looking for the law of what is missing", 0.92)
-            curve = found.final if verdict.off_list else None
-            proposed = propose_law(
+            curve = search_result.final if verdict.unlisted else None
+            proposed = propose_term(
                 comparison, reached.extended, curve, tried, runs_before, calibrate_s, seed, refits, tell
             )
         return Diagnosis(
-            found,
+            search_result,
             verdict,
             reached.remaining,
             reached.extended,
@@ -157,9 +158,9 @@ def diagnose(
             reached.absent,
             every,
             undetectable,
-            tuple(unidentifiable_parameters(found.baseline.estimate)),
-            tuple(str(one) for one in (*lost, *lost_held)),
-            _next(comparison, verdict, found, reached.extended, every, undetectable),
+            tuple(unidentifiable_parameters(search_result.baseline.estimate)),
+            tuple(str(loss) for loss in (*lost, *lost_held)),
+            _next(comparison, verdict, search_result, reached.extended, every, undetectable),
             time.perf_counter() - started_s,
             calibrate_s,
             comparison.fits,
@@ -181,30 +182,30 @@ class _Reached:
 
 
 def _searched(
-    comparison: Comparison,
+    comparison: ModelComparison,
     tried: Mapping[str, EffectKind],
     every: Mapping[str, EffectKind],
     removable: Iterable[EffectKind],
     tell: Callable[[str, float], None],
     refits: float,
 ) -> _Reached:
-    found = search(comparison, tried, removable=tuple(removable), say=tell, refits=refits)
+    search_result = search(comparison, tried, removable=tuple(removable), say=tell, refits=refits)
     tell("looking at what remains", 0.9)
     train, held_out = comparison.train, comparison.held_out
     # Numbers from a few seconds are too uncertain to be held against another flight.
     enough = bool(held_out) and sum(record.used_s for record in train) > SHORT_s
-    judged = [Screening(comparison.held_out_estimate(found.final))] if enough else []
-    remaining = residual_analysis([found.screening, *judged])
-    extended = _extended(comparison, found)
-    before = predict((), found.baseline.estimate, train, held_out)
+    judged = [Screening(comparison.held_out_estimate(search_result.final))] if enough else []
+    remaining = residual_analysis([search_result.screening, *judged])
+    extended = _extended(comparison, search_result)
+    before = predict((), search_result.baseline.estimate, train, held_out)
     after = (
         before
-        if extended is found.baseline
+        if extended is search_result.baseline
         else predict(extended.candidates, extended.estimate, train, held_out)
     )
     absent = tuple(absent_terms(after.fit, comparison.rig, every))
-    verdict = judge(found, remaining, after, every, bool(absent))
-    return _Reached(found, remaining, extended, before, after, absent, verdict)
+    verdict = judge(search_result, remaining, after, every, bool(absent))
+    return _Reached(search_result, remaining, extended, before, after, absent, verdict)
 
 
 def _candidate(kind: EffectKind, model: Model, known: set[str]) -> bool:
@@ -215,28 +216,29 @@ def _candidate(kind: EffectKind, model: Model, known: set[str]) -> bool:
 
 
 def _next(
-    comparison: Comparison,
+    comparison: ModelComparison,
     verdict: Verdict,
-    found: Search,
+    search_result: Search,
     extended: Hypothesis,
     kinds: Mapping[str, EffectKind],
     undetectable: Sequence[str],
 ) -> ExperimentDesign | None:
     """The experiment that would tell more, where these flights left something open."""
-    pair = _pair(comparison, verdict, found, extended) if verdict.label == "ambiguous" else None
+    pair = _pair(comparison, verdict, search_result, extended) if verdict.label == "ambiguous" else None
     if pair is not None:
         return discriminating_experiment(pair, comparison, kinds, AMBIGUOUS)
     if verdict.label == "unexplained":
-        on = {one.candidate.id.rpartition(":")[2] for one in verdict.off_list}
+        on = {cause.candidate.id.rpartition(":")[2] for cause in verdict.unlisted}
         parts = {part for part in ("travel", "elevation", "time") if any(part in name for name in on)}
         parts |= {"motors"} if any("thrust" in name for name in on) or not on else set()
         curves = [
-            spline_curve_of(effect, found.final.estimate)
-            for effect in (one.candidate.effect for one in verdict.off_list)
+            spline_curve_of(effect, search_result.final.estimate)
+            for effect in (cause.candidate.effect for cause in verdict.unlisted)
             if isinstance(effect, SplineTerm)
         ]
         covered = " and ".join(
-            f"{one.on} only from {one.place[0]:.3g} to {one.place[-1]:.3g} {one.place_unit}" for one in curves
+            f"{curve.on} only from {curve.place[0]:.3g} to {curve.place[-1]:.3g} {curve.place_unit}"
+            for curve in curves
         )
         reason = "What is missing should be seen over a wider range"
         return compose_experiment(
@@ -248,24 +250,26 @@ def _next(
         return informative_experiment(
             f"{seconds:.0f} s of free flight show too little to tell about {which}.",
             undetectable,
-            found.baseline,
+            search_result.baseline,
             kinds,
         )
     return None
 
 
-def _pair(comparison: Comparison, verdict: Verdict, found: Search, extended: Hypothesis) -> Pair | None:
+def _pair(
+    comparison: ModelComparison, verdict: Verdict, search_result: Search, extended: Hypothesis
+) -> Pair | None:
     """The least certain cause and its closest alternative, both fitted in the place of the same effect."""
-    unclear = [one for one in verdict.causes if ambiguous_with(one)]
+    unclear = [cause for cause in verdict.causes if ambiguous_with(cause)]
     if not unclear:
         return None
-    one = min(unclear, key=lambda cause: cause.alternatives[0].log_likelihood_ratio)
-    alternative = one.alternatives[0]
+    least_certain = min(unclear, key=lambda cause: cause.alternatives[0].log_likelihood_ratio)
+    alternative = least_certain.alternatives[0]
     refit = next(
         (
             refit
-            for tried in found.rounds
-            if tried.taken == one.candidate.id
+            for tried in search_result.rounds
+            if tried.taken == least_certain.candidate.id
             for refit in tried.refits
             if refit.candidate.id == alternative.id
         ),
@@ -273,21 +277,23 @@ def _pair(comparison: Comparison, verdict: Verdict, found: Search, extended: Hyp
     )
     if refit is None:
         return None
-    rest = [candidate for candidate in extended.candidates if candidate.id != one.candidate.id]
+    rest = [candidate for candidate in extended.candidates if candidate.id != least_certain.candidate.id]
     second = refit.hypothesis
     if rest:
         second = comparison.refit([*rest, refit.candidate], second.values, extended)
-    return Pair(extended, second, (one.candidate.id, alternative.id), alternative.log_likelihood_ratio)
+    return Pair(
+        extended, second, (least_certain.candidate.id, alternative.id), alternative.log_likelihood_ratio
+    )
 
 
-def _extended(comparison: Comparison, found: Search) -> Hypothesis:
+def _extended(comparison: ModelComparison, search_result: Search) -> Hypothesis:
     """The final model without spline terms, which no simulator flies."""
-    named = [candidate for candidate in found.final.candidates if not candidate.is_spline]
-    if len(named) == len(found.final.candidates):
-        return found.final
+    named = [candidate for candidate in search_result.final.candidates if not candidate.is_spline]
+    if len(named) == len(search_result.final.candidates):
+        return search_result.final
     if not named:
-        return found.baseline
-    return comparison.refit(named, None, found.final)
+        return search_result.baseline
+    return comparison.refit(named, None, search_result.final)
 
 
 def _ready(
@@ -311,9 +317,9 @@ def _ready(
 
 
 def _refuse_twins(train: Sequence[Record], held_out: Sequence[Record]) -> None:
-    for one in train:
+    for record in train:
         for other in held_out:
-            if np.array_equal(one.angles_rad, other.angles_rad):
+            if np.array_equal(record.angles_rad, other.angles_rad):
                 raise IdentifyError(
                     f"{other.label} is both fitted and validated on", "give another flight to --validate"
                 )

@@ -21,8 +21,8 @@ from heli_lab.diagnose.candidate import (
 from heli_lab.diagnose.spline_term import KNOTS, SplineTerm
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import Estimate
-from heli_lab.innovations.bordered import solve_bordered
-from heli_lab.threads import shared_out, usual_threads
+from heli_lab.innovations.arrowhead import solve_arrowhead
+from heli_lab.threads import default_thread_count, parallel_map
 
 _BATCH_NUMBERS: Final = 1_250_000
 """Numbers of the regressors that a thread filters at once, 10 MB: 32 regressors of a flight of a minute. The
@@ -78,34 +78,34 @@ class Screening:
     Parameters
     ----------
     threads : int, optional
-        Threads that share out the candidates; `usual_threads` where not given. The scores do not depend on
+        Threads that score candidates; `default_thread_count` where not given. The scores do not depend on
         it.
     """
 
     def __init__(self, estimate: Estimate, threads: int | None = None) -> None:
         self.estimate = estimate
         self.filtered = filtered = estimate.filtered()
-        weather = estimate.weather
-        functions = ChangeFunctions(filtered.linears[0].model)
-        self.regressors = tuple(Regressors(linear, functions) for linear in filtered.linears)
-        self.seconds = max(float(one.trajectory.t_s[-1]) for one in filtered.linears)
-        rows = max(one.rows for one in filtered.linears)
-        threads = usual_threads() if threads is None else threads
-        batch = _BATCH_NUMBERS // (rows * filtered.linears[0].states)
+        disturbances = estimate.disturbances
+        functions = ChangeFunctions(filtered.linearised_flights[0].model)
+        self.regressors = tuple(Regressors(linear, functions) for linear in filtered.linearised_flights)
+        self.seconds = max(float(model.trajectory.t_s[-1]) for model in filtered.linearised_flights)
+        rows = max(model.rows for model in filtered.linearised_flights)
+        threads = default_thread_count() if threads is None else threads
+        batch = _BATCH_NUMBERS // (rows * filtered.linearised_flights[0].states)
         self.batch = max(KNOTS, batch)
         """Regressors that are filtered together, one flight after the other."""
         # Of a long flight one such batch needs more memory than that already.
         self.threads = threads if batch >= KNOTS else 1
-        self._innovations = innovations = filtered.innovations_by_flight(weather)
-        unknowns = estimate.unknowns
-        self.measurements = sum(len(one) for one in innovations.flights)
-        self._bordered = innovations.information() + np.diag(unknowns.std**-2.0), innovations.own
-        offset = unknowns.std**-2.0 * (estimate.theta - unknowns.mean)
+        self._innovations = innovations = filtered.innovations_by_flight(disturbances)
+        parameter_vector = estimate.parameter_vector
+        self.measurements = sum(len(flight) for flight in innovations.flights)
+        self._bordered = innovations.information() + np.diag(parameter_vector.std**-2.0), innovations.own
+        offset = parameter_vector.std**-2.0 * (estimate.theta - parameter_vector.mean)
         self._error = innovations.left(self._solved(innovations.score() - offset))
 
     def release(self) -> None:
         """Give back what scoring keeps: 0.2 GB of ten minutes; it is made again when asked for."""
-        for linear, maker in zip(self.filtered.linears, self.regressors, strict=True):
+        for linear, maker in zip(self.filtered.linearised_flights, self.regressors, strict=True):
             linear.release()
             maker.release()
 
@@ -115,18 +115,21 @@ class Screening:
         flat = [candidate for _, candidates in places.values() for candidate in candidates]
         scores = iter(self.score(flat))
         scored = [(kind, some, [next(scores) for _ in some]) for kind, some in places.values()]
-        found = shared_out(lambda one: self._best(*one), scored, self.threads)
-        return sorted((one for one in found if one is not None), key=lambda one: -one.log_likelihood_gain)
+        scored_ = parallel_map(lambda arguments: self._best(*arguments), scored, self.threads)
+        return sorted(
+            (scored_effect for scored_effect in scored_ if scored_effect is not None),
+            key=lambda scored_effect: -scored_effect.log_likelihood_gain,
+        )
 
     def splines(self, number: int = 0) -> list[Scored]:
         """Score every spline term, the highest score first; `number` distinguishes those of one model."""
-        candidates = spline_candidates(self.filtered.linears, number)
+        candidates = spline_candidates(self.filtered.linearised_flights, number)
         self._prepare(candidates)
-        found = [
+        scored_ = [
             Scored(candidate, *score, 1)
             for candidate, score in zip(candidates, self.score(candidates), strict=True)
         ]
-        return sorted(found, key=lambda one: -one.log_likelihood_gain)
+        return sorted(scored_, key=lambda scored_spline: -scored_spline.log_likelihood_gain)
 
     def score(self, candidates: Sequence[Candidate]) -> list[Score]:
         """Gain [nats], coefficients and their standard errors of each candidate by itself."""
@@ -139,7 +142,7 @@ class Screening:
                 width = 0
             groups[-1].append(candidate)
             width += size
-        return [score for scores in shared_out(self._score_group, groups, self.threads) for score in scores]
+        return [score for scores in parallel_map(self._score_group, groups, self.threads) for score in scores]
 
     def score_signals(
         self, signals: Iterable[tuple[Floats, Floats | None]], sizes: Sequence[int], priors: Sequence[Floats]
@@ -173,7 +176,7 @@ class Screening:
         sizes : sequence of int
             Regressors of each candidate.
         """
-        return self.projected(self.filtered.regressors(self.estimate.weather, signals), sizes)
+        return self.projected(self.filtered.regressors(self.estimate.disturbances, signals), sizes)
 
     def projected(self, regressors: Iterable[Floats], sizes: Sequence[int]) -> list[tuple[Floats, Floats]]:
         """The same of what `regressors` take off each flight's innovations, shape (m, s) for each in
@@ -192,24 +195,28 @@ class Screening:
             score += only.T @ error
             for number, part in enumerate(parts):
                 raw[number] += only[:, part].T @ only[:, part]
-        taken = self._solved(mixed)
-        score -= taken.T @ own_score
+        fitted = self._solved(mixed)
+        score -= fitted.T @ own_score
         results = []
         for total, part in zip(raw, parts, strict=True):
-            information = total - mixed[:, part].T @ taken[:, part]
+            information = total - mixed[:, part].T @ fitted[:, part]
             results.append((0.5 * (information + information.T), score[part]))
         return results
 
     def _solved(self, right: Floats) -> Floats:
         """Moves of the free parameters that the `right` side of their normal equations asks for."""
-        return solve_bordered(self._bordered[0], right, self._bordered[1])
+        return solve_arrowhead(self._bordered[0], right, self._bordered[1])
 
     def spline_information(self, candidates: Sequence[Candidate]) -> list[tuple[Floats, Floats]]:
         """The same of spline terms."""
         self._prepare(candidates)
         every = self.batch // KNOTS
         groups = [candidates[low : low + every] for low in range(0, len(candidates), every)]
-        return [one for found in shared_out(self._spline_group, groups, self.threads) for one in found]
+        return [
+            information
+            for group_information in parallel_map(self._spline_group, groups, self.threads)
+            for information in group_information
+        ]
 
     def _prepare(self, candidates: Iterable[Candidate]) -> None:
         """Make what spline terms of a channel share, by the first of them whichever thread scores first."""
@@ -217,7 +224,7 @@ class Screening:
         for candidate in candidates:
             if isinstance(candidate.effect, SplineTerm):
                 first.setdefault(candidate.effect.channel, candidate.effect)
-        shared_out(
+        parallel_map(
             lambda term: [maker.influence(term) for maker in self.regressors],
             list(first.values()),
             self.threads,
@@ -225,7 +232,7 @@ class Screening:
 
     def _spline_group(self, group: Sequence[Candidate]) -> list[tuple[Floats, Floats]]:
         signals = (signals_of(maker, group) for maker in self.regressors)
-        return self.information(signals, [len(one.linear_parameters) for one in group])
+        return self.information(signals, [len(candidate.linear_parameters) for candidate in group])
 
     def _score_group(self, candidates: Sequence[Candidate]) -> list[Score]:
         sizes = [max(1, len(candidate.linear_parameters)) for candidate in candidates]
@@ -258,8 +265,10 @@ class Screening:
                 replace(
                     kind,
                     numbers=tuple(
-                        replace(one, grid=self._peaks(axis)) if kind.full(one.what) == frequency else one
-                        for one in kind.numbers
+                        replace(number, grid=self._peaks(axis))
+                        if kind.full(number.what) == frequency
+                        else number
+                        for number in kind.numbers
                     ),
                 ),
                 self.seconds,
@@ -277,7 +286,7 @@ class Screening:
     def _refined(self, kind: EffectKind, candidates: Sequence[Candidate], best: Scored) -> Scored:
         """Halve the grid's distance about its best point, in parameters of three values and more."""
         for name in best.candidate.grid:
-            values = sorted({one.grid[name] for one in candidates})
+            values = sorted({tried.grid[name] for tried in candidates})
             prior = kind.priors.get(name)
             if len(values) < 3 or prior is None:
                 continue
@@ -289,7 +298,7 @@ class Screening:
             for _ in range(_BISECTIONS):
                 step *= 0.5
                 candidate = best.candidate
-                near = [
+                warm_start = [
                     Candidate(
                         candidate.id,
                         kind.make({**candidate.effect.values, name: value}),
@@ -299,8 +308,8 @@ class Screening:
                     for value in (candidate.grid[name] - step, candidate.grid[name] + step)
                     if prior.low <= value <= prior.high
                 ]
-                best = replace(best, tried=best.tried + len(near))
-                for other, (gain, coefficients, std) in zip(near, self.score(near), strict=True):
+                best = replace(best, tried=best.tried + len(warm_start))
+                for other, (gain, coefficients, std) in zip(warm_start, self.score(warm_start), strict=True):
                     if gain > best.log_likelihood_gain and _possible(other, coefficients):
                         best = Scored(other, gain, coefficients, std, best.tried)
         return best
@@ -309,7 +318,7 @@ class Screening:
     def _smoothed(self) -> tuple[Floats, Floats]:
         """Times in the first flight, (m,), and torques there that weather stands for, (m, 3)."""
         t_s, torque_Nm, _ = self.filtered.smoothed_torques(
-            self.estimate.weather, np.zeros(len(self.estimate.theta))
+            self.estimate.disturbances, np.zeros(len(self.estimate.theta))
         )[0]
         return t_s, torque_Nm
 
@@ -326,12 +335,12 @@ class Screening:
         means = (sums[width:] - sums[:-width]) / width
         jump = np.abs(means[width:] - means[:-width])
         height = (jump / (jump.std(axis=0) + 1e-12)).max(axis=1)
-        found = []
+        jumps = []
         for _ in range(_JUMPS):
             top = int(np.argmax(height))
-            found.append(float(t_s[top + width]))
+            jumps.append(float(t_s[top + width]))
             height[max(0, top - 2 * width) : top + 2 * width] = -1.0
-        return tuple(found)
+        return tuple(jumps)
 
     def _peaks(self, axis: str) -> tuple[float, ...]:
         """Frequencies of the highest peaks of the torque's spectrum about an axis that weather stands for."""
@@ -342,7 +351,9 @@ class Screening:
         frequency_Hz = np.fft.rfftfreq(4 * len(value), step_s)
         power = np.abs(np.fft.rfft((value - value.mean()) * np.hanning(len(value)), 4 * len(value)))
         # White noise through the weather's memory falls with frequency: a peak is measured against that.
-        power *= np.hypot(1.0, 2 * np.pi * frequency_Hz * self.estimate.weather.memory_s[index])
+        power *= np.hypot(
+            1.0, 2 * np.pi * frequency_Hz * self.estimate.disturbances.correlation_time_s[index]
+        )
         power[(frequency_Hz < _MIN_Hz) | (frequency_Hz > _MAX_Hz)] = 0.0
         top = [i for i in range(1, len(power) - 1) if power[i] >= power[i - 1] and power[i] > power[i + 1]]
         top.sort(key=lambda i: -power[i])
@@ -372,12 +383,12 @@ def signals_of(maker: Regressors, candidates: Sequence[Candidate]) -> tuple[Floa
     pairs = [maker.signals(candidate) for candidate in candidates]
     if len(pairs) == 1:
         return pairs[0]
-    rates = np.concatenate([one for one, _ in pairs], axis=2)
-    if all(one is None for _, one in pairs):
+    rates = np.concatenate([rates_ for rates_, _ in pairs], axis=2)
+    if all(angles_ is None for _, angles_ in pairs):
         return rates, None
     shape = len(rates), 3
     return rates, np.concatenate(
-        [np.zeros((*shape, r.shape[2])) if one is None else one for r, one in pairs], axis=2
+        [np.zeros((*shape, r.shape[2])) if angles_ is None else angles_ for r, angles_ in pairs], axis=2
     )
 
 
@@ -399,7 +410,9 @@ def _thinned(kind: EffectKind, seconds: float, jumps: tuple[float, ...]) -> Effe
         thinned = values[:: -(-len(values) // _MAX_GRID)]
         return tuple(sorted({*thinned, *jumps})) if what == "at_s" else thinned
 
-    numbers = tuple(one if one.grid is None else replace(one, grid=thin(one.what)) for one in kind.numbers)
+    numbers = tuple(
+        number if number.grid is None else replace(number, grid=thin(number.what)) for number in kind.numbers
+    )
     return replace(kind, numbers=numbers)
 
 

@@ -20,12 +20,12 @@ from heli_sim.model.effects.kind import EffectKind
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose import thresholds
-from heli_lab.diagnose.absent_terms import closely_stated_terms
-from heli_lab.diagnose.candidate import Candidate, usual
-from heli_lab.diagnose.model_comparison import Asked, Comparison, Hypothesis
+from heli_lab.diagnose.absent_terms import tightly_specified_terms
+from heli_lab.diagnose.candidate import Candidate, typical_candidate
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison, RefitSpec
 from heli_lab.diagnose.screening import Scored, Screening
 from heli_lab.diagnose.search_record import Alternative, Cause, Refit, Round, Search
-from heli_lab.threads import shared_out
+from heli_lab.threads import parallel_map
 
 _SEARCH_SHARE: Final = 0.9
 """Share of a diagnosis at which its search has ended."""
@@ -33,7 +33,7 @@ _SEARCH_SHARE: Final = 0.9
 
 @dataclass
 class _Searcher:
-    comparison: Comparison
+    comparison: ModelComparison
     kinds: Mapping[str, EffectKind]
     say: Callable[[str, float], None]
     refits_left: Callable[[], bool]
@@ -51,13 +51,15 @@ class _Searcher:
         tries = thresholds.CANDIDATES_TRIED + tried
         return 0.5 * weight * free * math.log(self.comparison.rows) + math.log(tries)
 
-    def attempt(self, base: Hypothesis, candidates: Sequence[Candidate], one: Scored) -> Refit:
+    def attempt(self, base: Hypothesis, candidates: Sequence[Candidate], scored_candidate: Scored) -> Refit:
         """Refit the model with one more candidate, at the best value of a parameter that only a grid
         searches.
         """
-        scored, *directions = self._on_grid(one)
+        scored, *directions = self._on_grid(scored_candidate)
         (first,) = scored
-        best = self.comparison.refit([*candidates, first], first.start_values(one.coefficients), base)
+        best = self.comparison.refit(
+            [*candidates, first], first.start_values(scored_candidate.coefficients), base
+        )
         for further in directions:
             for candidate in further:
                 start = {**best.values, **{n: candidate.effect.values[n] for n in candidate.grid}}
@@ -66,29 +68,34 @@ class _Searcher:
                     break
                 best = hypothesis
         gain = best.log_likelihood - base.log_likelihood
-        return Refit(best, gain, self.penalty(one.candidate, one.tried), one.log_likelihood_gain)
+        return Refit(
+            best,
+            gain,
+            self.penalty(scored_candidate.candidate, scored_candidate.tried),
+            scored_candidate.log_likelihood_gain,
+        )
 
     @contextmanager
     def _ahead(self, base: Hypothesis, shortlist: Sequence[Scored]) -> Iterator[None]:
         """Work ahead on the first attempt with each of a `shortlist`."""
-        first = [(one, self._on_grid(one)[0][0]) for one in shortlist]
-        with self.comparison.ahead(
-            Asked([*base.candidates, candidate], candidate.start_values(one.coefficients), base)
-            for one, candidate in first
+        first = [(scored, self._on_grid(scored)[0][0]) for scored in shortlist]
+        with self.comparison.prefetch(
+            RefitSpec([*base.candidates, candidate], candidate.start_values(scored.coefficients), base)
+            for scored, candidate in first
         ):
             yield
 
-    def _on_grid(self, one: Scored) -> list[list[Candidate]]:
+    def _on_grid(self, scored: Scored) -> list[list[Candidate]]:
         """The candidate; then, where only a grid searches a parameter, those at its larger and at its smaller
         values, to be refitted as long as each is better.
         """
-        candidate, kind = one.candidate, self.kinds.get(one.candidate.id)
+        candidate, kind = scored.candidate, self.kinds.get(scored.candidate.id)
         fixed = [name for name in candidate.grid if name not in candidate.effect.priors]
         if kind is None or len(fixed) != 1:
             return [[candidate]]
         (name,) = fixed
         values = kind.grid_values(1.0)[name]
-        near = int(np.argmin(np.abs(np.array(values) - candidate.grid[name])))
+        warm_start = int(np.argmin(np.abs(np.array(values) - candidate.grid[name])))
         return [
             [
                 Candidate(
@@ -99,7 +106,7 @@ class _Searcher:
                 )
                 for v in some
             ]
-            for some in ((values[near],), values[near + 1 :], values[:near][::-1])
+            for some in ((values[warm_start],), values[warm_start + 1 :], values[:warm_start][::-1])
         ]
 
     def _accepted(self, refit: Refit) -> bool:
@@ -116,8 +123,8 @@ class _Searcher:
         """Whether the size of one of its candidates, without which it is worse by its margin, is told from
         nothing: by its standard error, or where that tells of one side alone, by the likelihood.
         """
-        plain = refit.margin > thresholds.PLAIN_NATS
-        return plain or candidate.is_spline or told_from_nothing(refit.hypothesis, candidate, self.kinds)
+        plain = refit.margin > thresholds.WALD_OVERRIDE_NATS
+        return plain or candidate.is_spline or is_significant(refit.hypothesis, candidate, self.kinds)
 
     def forward(self, hypothesis: Hypothesis) -> tuple[Hypothesis, Screening, bool]:
         """Add causes until none is accepted."""
@@ -127,22 +134,26 @@ class _Searcher:
             self.say(f"looking for what is missing, round {number + 1}", 0.1 + 0.6 * (1 - 0.6**number))
             screening = Screening(hypothesis.estimate)
             known = [self.kinds[id_] for id_ in hypothesis.ids if id_ in self.kinds]
-            left = [kind for kind in self.kinds.values() if all(_together(kind, one) for one in known)]
-            screened = screening.effects(left)
+            remaining = [
+                kind for kind in self.kinds.values() if all(_together(kind, candidate) for candidate in known)
+            ]
+            screened = screening.effects(remaining)
             splines = screening.splines(number)
             full = len(hypothesis.candidates) >= thresholds.MAX_CAUSES or not self.refits_left()
             refits: list[Refit] = []
-            taken: Refit | None = None
-            absent = [] if full else closely_stated_terms(self.comparison, self.removable, screening)
+            accepted: Refit | None = None
+            absent = [] if full else tightly_specified_terms(self.comparison, self.removable, screening)
             screening.release()
             if not full:
-                refits, taken = self.choice(hypothesis, screening, screened, splines, absent)
+                refits, accepted = self.choice(hypothesis, screening, screened, splines, absent)
             self.rounds.append(
-                Round(tuple(screened), tuple(splines), tuple(refits), taken.candidate.id if taken else "")
+                Round(
+                    tuple(screened), tuple(splines), tuple(refits), accepted.candidate.id if accepted else ""
+                )
             )
-            if taken is None:
+            if accepted is None:
                 return hypothesis, screening, not full and self.refits_left()
-            hypothesis = taken.hypothesis
+            hypothesis = accepted.hypothesis
 
     def choice(
         self,
@@ -157,23 +168,25 @@ class _Searcher:
         """
         number = len(self.rounds)
 
-        def refit(one: Scored) -> Refit:
-            self.say(f"trying {one.candidate.id}", 0.1 + 0.6 * (1 - 0.6 ** (number + 0.5)))
-            return self.attempt(base, base.candidates, one)
+        def refit(scored: Scored) -> Refit:
+            self.say(f"trying {scored.candidate.id}", 0.1 + 0.6 * (1 - 0.6 ** (number + 0.5)))
+            return self.attempt(base, base.candidates, scored)
 
-        best_score = max((one.log_likelihood_gain for one in screened), default=0.0)
-        left, likely, refits = self._worth_a_refit(screened), list[Scored](), list[Refit]()
+        best_score = max((scored.log_likelihood_gain for scored in screened), default=0.0)
+        remaining, likely, refits = self._worth_a_refit(screened), list[Scored](), list[Refit]()
         # Scores that no refit bears out, as of an encoder at rest, say nothing against those below them.
-        while left and not any(self._accepted(one) for one in refits):
-            share = thresholds.SHORTLIST_SHARE * left[0].log_likelihood_gain
-            some = [one for one in left if one.log_likelihood_gain >= share][: thresholds.SHORTLIST]
+        while remaining and not any(self._accepted(refit_) for refit_ in refits):
+            share = thresholds.SHORTLIST_SHARE * remaining[0].log_likelihood_gain
+            some = [scored for scored in remaining if scored.log_likelihood_gain >= share][
+                : thresholds.SHORTLIST
+            ]
             with self._ahead(base, some):
-                refits += [refit(one) for one in some if self.refits_left()]
+                refits += [refit(scored) for scored in some if self.refits_left()]
             likely += some
-            left = left[len(some) :]
-        if not any(self._accepted(one) for one in refits):
-            dry = self._dry_friction(base, screening, {one.candidate.id for one in likely})
-            refits += [refit(one) for one in dry if self.refits_left()]
+            remaining = remaining[len(some) :]
+        if not any(self._accepted(refit_) for refit_ in refits):
+            dry = self._dry_friction(base, screening, {scored.candidate.id for scored in likely})
+            refits += [refit(scored) for scored in dry if self.refits_left()]
             likely += dry
         for gone, start, score in absent:
             if (
@@ -185,57 +198,59 @@ class _Searcher:
                 refits.append(
                     Refit(less, less.log_likelihood - base.log_likelihood, self.penalty(gone), score)
                 )
-        accepted = [one for one in refits if self._accepted(one)]
-        best = max(accepted, key=lambda one: one.margin, default=None)
+        accepted = [refit_ for refit_ in refits if self._accepted(refit_)]
+        best = max(accepted, key=lambda refit_: refit_.margin, default=None)
         curve = splines[0] if splines else None
         needed = max(thresholds.SPLINE_MIN, best.margin if best else 0.0)
         promised = thresholds.EXPECTED_REFIT_GAIN * curve.log_likelihood_gain if curve else 0.0
         if curve is not None and promised > needed and self.refits_left():
             # An effect of the list is not displaced before its like was refitted over its grid.
             channel = curve.candidate.id.split(":")[1]
-            known = {one.candidate.id for one in likely}
+            known = {scored.candidate.id for scored in likely}
             like = [
-                one
-                for one in screened
-                if one.candidate.id not in known and _acts_on(self.kinds[one.candidate.id], channel)
+                scored
+                for scored in screened
+                if scored.candidate.id not in known and _acts_on(self.kinds[scored.candidate.id], channel)
             ]
             spline = refit(curve)
             if spline.margin > needed:
-                like = [one for one in like[: thresholds.LIKE_REFITTED] if one.log_likelihood_gain > 0.0]
+                like = [
+                    scored for scored in like[: thresholds.LIKE_REFITTED] if scored.log_likelihood_gain > 0.0
+                ]
                 with self._ahead(base, like):
-                    more = [refit(one) for one in like if self.refits_left()]
+                    more = [refit(scored) for scored in like if self.refits_left()]
                 refits += more
-                accepted += [one for one in more if self._accepted(one)]
-                best = max(accepted, key=lambda one: one.margin, default=None)
+                accepted += [refit_ for refit_ in more if self._accepted(refit_)]
+                best = max(accepted, key=lambda refit_: refit_.margin, default=None)
             refits.append(spline)
             lead = spline.margin - (best.margin if best else 0.0)
             if lead > max(thresholds.SPLINE_MIN, thresholds.SPLINE_MARGIN * spline.margin):
                 best = spline
-        return sorted(refits, key=lambda one: -one.margin), best
+        return sorted(refits, key=lambda refit_: -refit_.margin), best
 
     def _worth_a_refit(self, screened: Sequence[Scored]) -> list[Scored]:
         """Those that may be significant, the highest score first."""
         return [
-            one
-            for one in screened
-            if thresholds.EXPECTED_REFIT_GAIN * one.log_likelihood_gain
-            > self.penalty(one.candidate, one.tried) + thresholds.MIN_MARGIN
+            scored
+            for scored in screened
+            if thresholds.EXPECTED_REFIT_GAIN * scored.log_likelihood_gain
+            > self.penalty(scored.candidate, scored.tried) + thresholds.MIN_MARGIN
         ]
 
     def _dry_friction(self, base: Hypothesis, screening: Screening, known: Collection[str]) -> list[Scored]:
         """Dry friction of its usual size of axes that rest for long: a score is taken where an axis creeps,
         and does not see one that is held.
         """
-        courses = [one.course for one in screening.filtered.linears]
-        resting = np.concatenate([one.at_rest[one.rows] for one in courses]).mean(axis=0)
-        found = []
+        references = [linear.reference for linear in screening.filtered.linearised_flights]
+        resting = np.concatenate([reference.at_rest[reference.rows] for reference in references]).mean(axis=0)
+        scored_ = []
         for axis, share in zip(AXES, resting, strict=True):
             id_ = f"coulomb_friction.{axis}"
             if share > thresholds.HELD_SHARE and id_ in self.kinds and id_ not in {*base.ids, *known}:
-                candidate = usual(self.kinds[id_])
+                candidate = typical_candidate(self.kinds[id_])
                 none = np.zeros(len(candidate.linear_parameters))
-                found.append(Scored(candidate, 0.0, none, none, 1))
-        return found
+                scored_.append(Scored(candidate, 0.0, none, none, 1))
+        return scored_
 
     def exchange(self, final: Hypothesis) -> Hypothesis:
         """Put wider laws in the place of those that they contain, where that is significant."""
@@ -243,14 +258,14 @@ class _Searcher:
             for kind in self.kinds.values():
                 if candidate.id not in kind.contains or kind.id in final.ids or not self.refits_left():
                     continue
-                rest = [one for one in final.candidates if one is not candidate]
-                if not all(_together(kind, self.kinds[one.id]) for one in rest if one.id in self.kinds):
+                rest = [other for other in final.candidates if other is not candidate]
+                if not all(_together(kind, self.kinds[other.id]) for other in rest if other.id in self.kinds):
                     continue
                 wider = Candidate(kind.id, kind.make(kind.from_contained(final.values)), (), {})
                 refit = self.comparison.refit([*rest, wider], wider.start_values(np.zeros(0)), final)
                 gain = refit.log_likelihood - final.log_likelihood
                 if gain - self.penalty(wider) + self.penalty(candidate) > thresholds.MIN_MARGIN and all(
-                    told_from_nothing(refit, wider, self.kinds, name) for name in kind.size
+                    is_significant(refit, wider, self.kinds, name) for name in kind.size
                 ):
                     return self.exchange(refit)
         return final
@@ -262,7 +277,7 @@ class _Searcher:
         against = min(held_out, key=lambda id_: held_out[id_], default=None)
         if against is not None and held_out[against] < thresholds.HELD_OUT_AGAINST:
             return self.backward(self._instead(final, against, without[against]))
-        found = [
+        causes = [
             Cause(
                 candidate,
                 final.log_likelihood - without[candidate.id].log_likelihood,
@@ -272,20 +287,22 @@ class _Searcher:
             )
             for candidate in final.candidates
         ]
-        return final, sorted(found, key=lambda one: -one.train)
+        return final, sorted(causes, key=lambda cause: -cause.train)
 
     def _instead(self, final: Hypothesis, against: str, less: Hypothesis) -> Hypothesis:
         """The model `less`, without a cause that the flights held out speak against. A spline may have
         followed one flight only: what it had displaced comes back, the causes before it and the best of its
         round.
         """
-        number = next((n for n, one in enumerate(self.rounds) if one.taken == against), None)
-        gone = next(one for one in final.candidates if one.id == against)
+        number = next((n for n, round_ in enumerate(self.rounds) if round_.taken == against), None)
+        gone = next(candidate for candidate in final.candidates if candidate.id == against)
         if not gone.is_spline or number is None:
             return less
         displaced = list(self.bases[number].candidates)
-        displaced += [one.candidate for one in self.rounds[number].refits if self._accepted(one)][:1]
-        back = [one for one in displaced if not one.is_spline and one.id not in less.ids]
+        displaced += [refit_.candidate for refit_ in self.rounds[number].refits if self._accepted(refit_)][:1]
+        back = [
+            candidate for candidate in displaced if not candidate.is_spline and candidate.id not in less.ids
+        ]
         if not back:
             return less
         start = {**self.bases[number].values, **less.values}
@@ -295,10 +312,10 @@ class _Searcher:
         """The model with the causes alone that are needed, and by each of their ids the model without it."""
         while True:
             every = final.candidates
-            rests = {one.id: [other for other in every if other is not one] for one in every}
+            rests = {cause.id: [other for other in every if other is not cause] for cause in every}
             without: dict[str, Hypothesis] = {}
             less = final
-            with self.comparison.ahead(Asked(rest, {}, final) for rest in rests.values() if rest):
+            with self.comparison.prefetch(RefitSpec(rest, {}, final) for rest in rests.values() if rest):
                 for number, candidate in enumerate(every):
                     share = 0.75 + 0.1 * number / len(every)
                     self.say(f"checking whether {candidate.id} is needed", share)
@@ -316,9 +333,9 @@ class _Searcher:
     def _held_out(self, final: Hypothesis, without: Mapping[str, Hypothesis]) -> dict[str, float]:
         if not self.comparison.held_out or not without:
             return {}
-        every = shared_out(self.comparison.held_out_estimate, [final, *without.values()])
-        whole, *less = (one.log_likelihood for one in every)
-        return {id_: whole - one for id_, one in zip(without, less, strict=True)}
+        every = parallel_map(self.comparison.held_out_estimate, [final, *without.values()])
+        whole, *less = (estimate.log_likelihood for estimate in every)
+        return {id_: whole - log_likelihood for id_, log_likelihood in zip(without, less, strict=True)}
 
     def alternatives(
         self, final: Hypothesis, candidate: Candidate, less: Hypothesis
@@ -338,7 +355,7 @@ class _Searcher:
             # A term of the baseline that was removed is no candidate.
             kind = self.kinds.get(refit.candidate.id)
             return kind is None or all(
-                _together(kind, self.kinds[one.id]) for one in rest if one.id in self.kinds
+                _together(kind, self.kinds[candidate.id]) for candidate in rest if candidate.id in self.kinds
             )
 
         likely = [
@@ -349,8 +366,8 @@ class _Searcher:
             and (not rest or beside_the_rest(refit))
         ]
         ratios: dict[str, float] = {}
-        asked = [Asked([*rest, one.candidate], one.hypothesis.values, less) for one in likely]
-        with self.comparison.ahead(asked[: thresholds.ALTERNATIVES] if rest else ()):
+        specs = [RefitSpec([*rest, refit_.candidate], refit_.hypothesis.values, less) for refit_ in likely]
+        with self.comparison.prefetch(specs[: thresholds.ALTERNATIVES] if rest else ()):
             for refit in likely:
                 if len(ratios) >= thresholds.ALTERNATIVES or (rest and not self.refits_left()):
                     break
@@ -361,38 +378,40 @@ class _Searcher:
                     continue
                 ahead = final.log_likelihood - other.log_likelihood
                 ratios[refit.candidate.id] = ahead + self.penalty(refit.candidate) - self.penalty(candidate)
-        return tuple(Alternative(id_, ratio) for id_, ratio in sorted(ratios.items(), key=lambda one: one[1]))
+        return tuple(
+            Alternative(id_, ratio) for id_, ratio in sorted(ratios.items(), key=lambda item: item[1])
+        )
 
     def run(self) -> Search:
         self.say("refitting the baseline", 0.02)
         self.baseline = self.comparison.refit([])
         reached, screening, complete = self.forward(self.baseline)
-        final, found = self.backward(self.exchange(reached))
+        final, causes = self.backward(self.exchange(reached))
         if final is not reached:
             screening = Screening(final.estimate)
-        return Search(self.baseline, final, tuple(found), tuple(self.rounds), screening, complete)
+        return Search(self.baseline, final, tuple(causes), tuple(self.rounds), screening, complete)
 
 
-def told_from_nothing(
+def is_significant(
     hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str, EffectKind], name: str | None = None
 ) -> bool:
     """Whether the size of an effect, or its parameter `name`, is told from nothing by two standard errors."""
     kind = kinds.get(candidate.id)
     if kind is None:
         return True
-    unknowns, estimate = hypothesis.estimate.unknowns, hypothesis.estimate
-    std = dict(zip(unknowns.names, np.sqrt(np.diag(estimate.covariance)), strict=True))
+    parameter_vector, estimate = hypothesis.estimate.parameter_vector, hypothesis.estimate
+    std = dict(zip(parameter_vector.names, np.sqrt(np.diag(estimate.covariance)), strict=True))
     values = hypothesis.values
-    sizes = [one for one in ([name] if name else kind.size) if one in values]
+    sizes = [size for size in ([name] if name else kind.size) if size in values]
     neutral = kind.neutral
     return not sizes or any(
-        abs(values[one] - neutral[one]) > thresholds.NOTHING_STD_ERRORS * std[one] for one in sizes
+        abs(values[size] - neutral[size]) > thresholds.NOTHING_STD_ERRORS * std[size] for size in sizes
     )
 
 
-def _together(one: EffectKind, other: EffectKind) -> bool:
+def _together(kind: EffectKind, other: EffectKind) -> bool:
     """Whether one model may have both: not two laws of how the rotors lag."""
-    return one.goes_with(other) and not (one.stage == other.stage == Stage.LAG)
+    return kind.goes_with(other) and not (kind.stage == other.stage == Stage.LAG)
 
 
 def _acts_on(kind: EffectKind, channel: str) -> bool:
@@ -400,7 +419,7 @@ def _acts_on(kind: EffectKind, channel: str) -> bool:
 
 
 def search(
-    comparison: Comparison,
+    comparison: ModelComparison,
     kinds: Mapping[str, EffectKind],
     *,
     removable: Sequence[EffectKind] = (),
@@ -426,7 +445,7 @@ def search(
             say(what, max(share, _SEARCH_SHARE * min(1.0, comparison.fits / max(refits, 1.0))))
 
     def left() -> bool:
-        return comparison.fits + sum(bool(one.taken) for one in searcher.rounds) < refits
+        return comparison.fits + sum(bool(round_.taken) for round_ in searcher.rounds) < refits
 
     searcher = _Searcher(comparison, kinds, tell, left, removable)
     return searcher.run()

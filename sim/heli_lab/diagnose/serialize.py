@@ -7,7 +7,7 @@ from typing import Any
 
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose.findings import causes, gains, unexplained, weather
+from heli_lab.diagnose.findings import causes, disturbances, gains, unexplained
 from heli_lab.diagnose.free_run import HORIZONS, FreeRun
 from heli_lab.diagnose.insufficient_excitation import InsufficientExcitation
 from heli_lab.diagnose.residual_analysis import ResidualAnalysis
@@ -22,32 +22,32 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
     """
     if isinstance(result, InsufficientExcitation):
         return _of_insufficient_excitation(result)
-    asked = result.next_flight
+    experiment = result.next_flight
     return {
         "verdict": result.label,
         "sentence": summary(result),
         "causes": causes(result),
         "rig": rig_numbers(result),
         "residual": _residual(result),
-        "weather": weather(result.residual_analysis),
+        "disturbances": disturbances(result.residual_analysis),
         "gain": _gain(result),
         "unexplained": unexplained(result),
-        "proposed_law": result.proposed_law.to_json() if result.proposed_law else None,
-        "where_the_model_fails": result.failing.to_json(),
-        "next_flight": {"why": asked.why, "plan": asked.plan} if asked else None,
+        "proposed_term": result.proposed_term.to_json() if result.proposed_term else None,
+        "failing_regions": result.failing.to_json(),
+        "next_flight": {"why": experiment.why, "plan": experiment.plan} if experiment else None,
         "undetectable": list(result.undetectable),
         "unidentifiable": list(result.unidentifiable),
-        "pulled": [
+        "prior_conflicts": [
             {
-                "parameter": one.name,
-                "value": one.value,
-                "std": one.std,
-                "prior": {"value": one.prior.mean, "std": one.prior.std},
-                "deviations": one.deviations,
-                "unit": one.unit,
-                "without_prior": asdict(one.freed) if one.freed else None,
+                "parameter": pull.name,
+                "value": pull.value,
+                "std": pull.std,
+                "prior": {"value": pull.prior.mean, "std": pull.prior.std},
+                "deviations": pull.deviations,
+                "unit": pull.unit,
+                "without_prior": asdict(pull.freed) if pull.freed else None,
             }
-            for one in result.pulled
+            for pull in result.prior_conflicts
         ],
         "cautions": result.cautions,
         "flights": _flights(result),
@@ -74,13 +74,13 @@ def _of_insufficient_excitation(result: InsufficientExcitation) -> dict[str, Any
             "calibration": [],
         },
         "unexplained": None,
-        "proposed_law": None,
-        "where_the_model_fails": None,
+        "proposed_term": None,
+        "failing_regions": None,
         "next_flight": {"why": result.next_flight.why, "plan": result.next_flight.plan},
         "why": result.why,
         "undetectable": list(result.undetectable),
         "unidentifiable": list(result.unidentifiable),
-        "pulled": [],
+        "prior_conflicts": [],
         "cautions": [],
         "flights": [],
         "ranking": [],
@@ -88,29 +88,31 @@ def _of_insufficient_excitation(result: InsufficientExcitation) -> dict[str, Any
     }
 
 
-def rig_numbers(found: Diagnosis) -> dict[str, Any]:
+def rig_numbers(result: Diagnosis) -> dict[str, Any]:
     """Numbers of the extended rig that all flights share, with what was known of each beforehand."""
-    estimate = found.extended.estimate
+    estimate = result.extended.estimate
     std = estimate.covariance.diagonal() ** 0.5
     return {
-        "name": estimate.unknowns.rig.name,
-        "model": estimate.unknowns.model.name,
+        "name": estimate.parameter_vector.rig.name,
+        "model": estimate.parameter_vector.model.name,
         "numbers": {
-            one.name: {
+            parameter.name: {
                 "value": float(value),
                 "std": float(error),
-                "prior": {"value": one.prior.mean, "std": one.prior.std},
-                "unit": one.unit,
+                "prior": {"value": parameter.prior.mean, "std": parameter.prior.std},
+                "unit": parameter.unit,
             }
-            for one, value, error in zip(estimate.unknowns.free, estimate.theta, std, strict=True)
-            if one.record is None
+            for parameter, value, error in zip(
+                estimate.parameter_vector.free, estimate.theta, std, strict=True
+            )
+            if parameter.record is None
         },
     }
 
 
-def _residual(found: Diagnosis) -> dict[str, Any]:
+def _residual(result: Diagnosis) -> dict[str, Any]:
     """Normalised errors before and after by axis and of all, and whether they are white."""
-    before, after = found.before, found.after
+    before, after = result.before, result.after
     white, correlation = {}, {}
     for role, before_fit, after_fit in (
         ("train", before.fit, after.fit),
@@ -118,8 +120,8 @@ def _residual(found: Diagnosis) -> dict[str, Any]:
     ):
         if before_fit is not None and after_fit is not None:
             checks = {"before": check(before_fit), "after": check(after_fit)}
-            white[role] = {when: one.white for when, one in checks.items()}
-            correlation[role] = {when: one.correlation for when, one in checks.items()}
+            white[role] = {when: whiteness.white for when, whiteness in checks.items()}
+            correlation[role] = {when: whiteness.correlation for when, whiteness in checks.items()}
     return {
         "axis": {
             axis: {
@@ -136,25 +138,25 @@ def _residual(found: Diagnosis) -> dict[str, Any]:
         },
         "white": white,
         "correlation": correlation,
-        "innovations": _innovations(found.residual_analysis),
+        "innovations": _innovations(result.residual_analysis),
     }
 
 
-def _innovations(left: ResidualAnalysis) -> dict[str, Any]:
+def _innovations(analysis: ResidualAnalysis) -> dict[str, Any]:
     """Autocorrelation of the innovations, its bound for white noise, and what foretells them."""
     return {
-        "lags_s": list(left.lags_s),
-        "autocorrelation": {axis: left.autocorrelation[:, i].tolist() for i, axis in enumerate(AXES)},
-        "bound": left.bound,
-        "foretold_by": [one.what for one in left.dependences],
+        "lags_s": list(analysis.lags_s),
+        "autocorrelation": {axis: analysis.autocorrelation[:, i].tolist() for i, axis in enumerate(AXES)},
+        "bound": analysis.bound,
+        "predicted_by": [dependence.what for dependence in analysis.dependences],
     }
 
 
-def _flights(found: Diagnosis) -> list[dict[str, Any]]:
+def _flights(result: Diagnosis) -> list[dict[str, Any]]:
     """Which parts of the flights were used."""
     flights = []
-    held_out = found.before.held_out_fit
-    for role, fit in (("train", found.before.fit), ("held_out", held_out)):
+    held_out = result.before.held_out_fit
+    for role, fit in (("train", result.before.fit), ("held_out", held_out)):
         for record in fit.problem.records if fit is not None else ():
             flights.append(
                 {
@@ -169,12 +171,12 @@ def _flights(found: Diagnosis) -> list[dict[str, Any]]:
     return flights
 
 
-def _ranking(found: Diagnosis) -> list[dict[str, Any]]:
+def _ranking(result: Diagnosis) -> list[dict[str, Any]]:
     """The candidates of each round with their scores."""
     rows = []
-    for number, one in enumerate(found.search.rounds, 1):
-        tried = {refit.candidate.id: refit for refit in one.refits}
-        for scored in (*one.screened[:8], *one.splines[:3]):
+    for number, round_ in enumerate(result.search.rounds, 1):
+        tried = {refit.candidate.id: refit for refit in round_.refits}
+        for scored in (*round_.screened[:8], *round_.splines[:3]):
             refit = tried.get(scored.candidate.id)
             rows.append(
                 {
@@ -183,24 +185,24 @@ def _ranking(found: Diagnosis) -> list[dict[str, Any]]:
                     "score": scored.log_likelihood_gain,
                     "train": refit.gain if refit else None,
                     "penalty": refit.penalty if refit else None,
-                    "taken": scored.candidate.id == one.taken,
+                    "taken": scored.candidate.id == round_.taken,
                 }
             )
     return rows
 
 
-def _gain(found: Diagnosis) -> dict[str, Any]:
+def _gain(result: Diagnosis) -> dict[str, Any]:
     """Free-run errors before and after at each horizon, and what was calibrated for them."""
-    judged = found.judgement
+    judged = result.judgement
     return {
-        "metric": found.metric,
-        "axis": gains(found.gains),
-        "horizons": {key: {"axis": gains(one)} for key, one in judged.horizons.items()},
+        "metric": result.metric,
+        "axis": gains(result.gains),
+        "horizons": {key: {"axis": gains(horizon)} for key, horizon in judged.horizons.items()},
         "calibration": [
             {
                 "flight": after.label,
                 "calibrated_s": after.calibrated_s,
-                "judged_s": after.judged_s,
+                "evaluated_s": after.evaluated_s,
                 "before": _constants(before),
                 "after": _constants(after),
             }

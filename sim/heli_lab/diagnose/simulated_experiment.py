@@ -22,7 +22,7 @@ from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.identify import Record, prepare
 from heli_lab.innovations import Estimate
 
@@ -43,14 +43,16 @@ def simulate_experiment(estimate: Estimate, plan: str, seed: int = 0) -> Record 
     seed : int
         Seed of where the encoders start.
     """
-    unknowns = estimate.unknowns
-    model = unknowns.model
+    parameter_vector = estimate.parameter_vector
+    model = parameter_vector.model
     values = {
-        one.quantity: float(value)
-        for one, value in zip(unknowns.free, estimate.theta, strict=True)
-        if one.record is None
+        parameter.quantity: float(value)
+        for parameter, value in zip(parameter_vector.free, estimate.theta, strict=True)
+        if parameter.record is None
     }
-    rig = unknowns.rig.replace(**{name: value for name, value in values.items() if name in unknowns.rig})
+    rig = parameter_vector.rig.replace(
+        **{name: value for name, value in values.items() if name in parameter_vector.rig}
+    )
     effects = tuple(
         replace(effect, values={name: values.get(name, was) for name, was in effect.values.items()})
         for effect in model.effects
@@ -78,7 +80,7 @@ def simulate_experiment(estimate: Estimate, plan: str, seed: int = 0) -> Record 
 
 
 def expected_log_likelihood_ratio(
-    truth: Hypothesis, alternative: Hypothesis, comparison: Comparison, plan: str, seed: int = 0
+    truth: Hypothesis, alternative: Hypothesis, comparison: ModelComparison, plan: str, seed: int = 0
 ) -> float | None:
     """Log-likelihood ratio [nats] of two hypotheses expected of a plan, with one of them true;
     None when the plan cannot be flown or fitted.
@@ -96,7 +98,7 @@ def expected_log_likelihood_ratio(
     record = simulate_experiment(truth.estimate, plan, seed)
     if record is None:
         return None
-    new = Comparison(comparison.model, comparison.rig, [record], (), seed=comparison.seed)
+    new = ModelComparison(comparison.model, comparison.rig, [record], (), seed=comparison.seed)
     try:
         more = new.refit(truth.candidates, truth.values)
         less = new.refit(alternative.candidates, alternative.values)

@@ -57,7 +57,7 @@ def spline_curve_of(effect: SplineTerm, estimate: Estimate) -> SplineCurve:
     weights = bspline_basis(place, low, step)
     # A constant torque, thrust or angle is a parameter of the rig: only what varies is the curve's own.
     weights -= weights.mean(axis=0)
-    names = list(estimate.unknowns.names)
+    names = list(estimate.parameter_vector.names)
     columns = [names.index(f"{effect.name}_{i}") for i in range(KNOTS)]
     covariance = estimate.covariance[np.ix_(columns, columns)]
     variance = np.einsum("ni,ij,nj->n", weights, covariance, weights)

@@ -20,7 +20,7 @@ from heli_sim.model.parts import thrust_N as static_thrust_N
 from heli_sim.rig.quantity import Prior, Quantity
 
 from heli_lab.identify.functions import Floats
-from heli_lab.innovations import AlongCourse, Trajectory
+from heli_lab.innovations import AlongTrajectory, Trajectory
 
 KNOTS: Final = 8
 """Basis functions of a curve. By judgement: fewer follow no kink or bump, more pay a higher penalty."""
@@ -124,8 +124,8 @@ def bspline(distance: ca.SX) -> ca.SX:
     distance 2 on.
     """
     far = ca.fmax(2.0 - ca.fabs(distance), 0.0)
-    near = ca.fmax(1.0 - ca.fabs(distance), 0.0)
-    return (far**3 - 4.0 * near**3) / 6.0
+    warm_start = ca.fmax(1.0 - ca.fabs(distance), 0.0)
+    return (far**3 - 4.0 * warm_start**3) / 6.0
 
 
 def spline_term(channel: str, on: str, low: float, step: float, number: int = 0) -> SplineTerm:
@@ -193,7 +193,7 @@ def quantity_values(model: Model, trajectory: Trajectory) -> dict[str, Floats]:
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
     at = model.operands(x, u, p, t)
     values = ca.vertcat(*(evaluation(at) for evaluation, _ in QUANTITIES.values()))
-    (result,) = AlongCourse(ca.Function("quantities", [x, u, t, p], [ca.densify(values)]))(trajectory)
+    (result,) = AlongTrajectory(ca.Function("quantities", [x, u, t, p], [ca.densify(values)]))(trajectory)
     return dict(zip(QUANTITIES, result[:, :, 0].T, strict=True))
 
 

@@ -19,7 +19,7 @@ _WEATHER_MIN: Final = 6.0
 
 def title(result: Diagnosis) -> str:
     """The verdict in a line, no surer than the sentence under it."""
-    named = [one["effect"] for one in findings.causes(result)]
+    named = [cause["effect"] for cause in findings.causes(result)]
     return {
         "explained": "Nothing is missing that these flights show",
         "cause_found": f"Cause{'s' if len(named) > 1 else ''} found: {', '.join(named)}",
@@ -40,17 +40,17 @@ def _found(result: Diagnosis) -> str:
     label = result.label
     causes = findings.causes(result)
     where = "flights that no fit saw" if result.after.held_out_fit else "the flights that were fitted"
-    weather = f" What remains is weather: {weather_of(result)}." if label != "unexplained" else ""
+    disturbances = f" What remains is weather: {weather_of(result)}." if label != "unexplained" else ""
     if label == "explained":
         return (
             "Nothing is missing that these flights could show: what the refitted baseline leaves on "
-            f"{where} cannot be foretold.{weather}"
+            f"{where} cannot be foretold.{disturbances}"
         )
     if label in ("cause_found", "ambiguous"):
-        text = "; ".join(one["sentence"] for one in causes)
-        others = sorted({other for one in causes for other in one["ambiguous_with"]})
+        text = "; ".join(cause["sentence"] for cause in causes)
+        others = sorted({other for cause in causes for other in cause["ambiguous_with"]})
         unclear = f" These flights do not tell it from {', '.join(others)}." if others else ""
-        return f"{text[:1].upper()}{text[1:]}.{unclear}{weather}"
+        return f"{text[:1].upper()}{text[1:]}.{unclear}{disturbances}"
     missing = findings.unexplained(result) or {}
     text = (
         "Something is missing that no effect of the catalogue explains: "
@@ -58,7 +58,7 @@ def _found(result: Diagnosis) -> str:
         f"(log-likelihood ratio {missing['log_likelihood_gain']:.0f} nats)."
     )
     if causes:
-        perhaps = "; ".join(f"{one['sentence']} (confidence {one['confidence']:.2f})" for one in causes)
+        perhaps = "; ".join(f"{cause['sentence']} (confidence {cause['confidence']:.2f})" for cause in causes)
         text += f" Beside it, perhaps: {perhaps}."
     return text
 
@@ -66,9 +66,10 @@ def _found(result: Diagnosis) -> str:
 def weather_of(result: Diagnosis) -> str:
     """The torques by chance about each axis in words."""
     parts = [
-        f"gusts of {1e3 * one['gust_Nm']:.2g} mN m about {axis} that last {one['memory_s']:.1g} s"
-        for axis, one in findings.weather(result.residual_analysis).items()
-        if one["log_likelihood_ratio"] > _WEATHER_MIN
+        f"gusts of {1e3 * values['fast_std_Nm']:.2g} mN m about {axis} "
+        f"that last {values['correlation_time_s']:.1g} s"
+        for axis, values in findings.disturbances(result.residual_analysis).items()
+        if values["log_likelihood_ratio"] > _WEATHER_MIN
     ]
     return ", ".join(parts) or "none that shows"
 
@@ -87,19 +88,21 @@ def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
         unclear = f"; could as well be {', '.join(others)}" if others else ""
         lines.append(f"{cause['effect']} (confidence {cause['confidence']:.2f}{unclear})")
     lines.append(f"{result.metric}, before and after, and their ratio:")
-    for axis, one in result.gains.items():
-        low, high = one.interval95
+    for axis, reduction in result.gains.items():
+        low, high = reduction.interval95
         lines.append(
-            f"  {axis:9}  {one.before_deg:<7.3g} {one.after_deg:<7.3g} {one.ratio:.2f} "
+            f"  {axis:9}  {reduction.before_deg:<7.3g} {reduction.after_deg:<7.3g} {reduction.ratio:.2f} "
             f"({low:.2f} to {high:.2f})"
         )
     for curve in result.curves:
         lines.append(f"a curve in its place: {curve.what}")
-    for axis, one in result.spline_gains.items():
-        if one.ratio < _WORTH_A_LINE:
-            lines.append(f"  with it {axis} is off by {one.after_deg:.3g} deg, ratio {one.ratio:.2f}")
-    if result.proposed_law is not None:
-        lines += result.proposed_law.lines()
+    for axis, reduction in result.spline_gains.items():
+        if reduction.ratio < _WORTH_A_LINE:
+            lines.append(
+                f"  with it {axis} is off by {reduction.after_deg:.3g} deg, ratio {reduction.ratio:.2f}"
+            )
+    if result.proposed_term is not None:
+        lines += result.proposed_term.lines()
     elif result.label == "unexplained":
         lines.append("no law of a few terms explains it so that another flight confirms it")
     if result.next_flight is not None:

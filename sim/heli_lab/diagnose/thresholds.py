@@ -61,7 +61,7 @@ NOTHING_STD_ERRORS: Final = 2.0
 """Standard errors within which an effect's size is nothing, and the effect is not named. By definition of the
 intervals given. Higher: weak causes are lost."""
 
-PLAIN_NATS: Final = 50.0
+WALD_OVERRIDE_NATS: Final = 50.0
 """Margin from which an effect is something whatever the standard error of its size: that of friction that
 holds an axis says how little the flights know of more of it, not of less (Hauck and Donner, J. Am. Stat.
 Assoc. 72 (1977) 851). By judgement; ten standard errors where both tests hold. Lower: sizes are named whose
@@ -214,7 +214,7 @@ frictions loosely."""
 LAW_TERMS: Final = 3
 """Terms of a proposed law. By judgement: a law of four is a curve by another name."""
 
-LAW_FINALISTS: Final = 4
+EQUATION_FINALISTS: Final = 4
 """Groups of terms that are refitted in a round. Fewer: one first-order score decides. More: time."""
 
 LAW_KEPT_SHARE: Final = 0.25
@@ -226,7 +226,7 @@ LAW_ALIKE: Final = 2
 """Of those, most of the same channel and quantities. By judgement. More: shapes of one dependence crowd out
 another quantity that is the true one."""
 
-LAW_NEAR_REST: Final = 20.0
+EQUATION_NEAR_REST: Final = 20.0
 """What a sign of an axis' own rate about that axis must gain more, nats: an encoder at rest repeats its
 count, and the filter takes that for a pull towards rest (`residual_analysis.py` has the counts)."""
 

@@ -26,7 +26,7 @@ class Verdict:
         ``explained``, ``cause_found``, ``ambiguous`` or ``unexplained``.
     causes : tuple of Cause
         Effects of the catalogue, strongest first.
-    off_list : tuple of Cause
+    unlisted : tuple of Cause
         Spline terms, in the place of causes that are not in the catalogue.
     gust : bool
         Whether chance pushes about one axis alone: a random torque, not the weather of every rig.
@@ -34,7 +34,7 @@ class Verdict:
 
     label: str
     causes: tuple[Cause, ...]
-    off_list: tuple[Cause, ...]
+    unlisted: tuple[Cause, ...]
     gust: bool
 
 
@@ -61,14 +61,14 @@ def judge(
     absent : bool
         Whether the fit estimated a term of the baseline as zero, which is a cause as well.
     """
-    causes = tuple(one for one in search.causes if not one.candidate.is_spline)
-    off_list = tuple(one for one in search.causes if one.candidate.is_spline)
+    causes = tuple(cause for cause in search.causes if not cause.candidate.is_spline)
+    unlisted = tuple(cause for cause in search.causes if cause.candidate.is_spline)
     shows = max(after.train.normalised, after.held_out.normalised) > thresholds.AT_NOISE_FLOOR
-    gust = shows and not off_list and not remaining.dependences and gust_alone(remaining, kinds)
-    if shows and (off_list or remaining.dependences):
-        return Verdict("unexplained", causes, off_list, False)
+    gust = shows and not unlisted and not remaining.dependences and gust_alone(remaining, kinds)
+    if shows and (unlisted or remaining.dependences):
+        return Verdict("unexplained", causes, unlisted, False)
     if causes:
-        unclear = any(ambiguous_with(one) for one in causes)
+        unclear = any(ambiguous_with(cause) for cause in causes)
         return Verdict("ambiguous" if unclear else "cause_found", causes, (), gust)
     return Verdict("cause_found" if gust or absent else "explained", (), (), gust)
 
@@ -81,36 +81,36 @@ def gust_alone(remaining: ResidualAnalysis, kinds: Mapping[str, EffectKind]) -> 
     return bool(
         order[-1] > thresholds.GUST_MIN
         and order[-2] < thresholds.GUST_BESIDE
-        and remaining.weather.gust_Nm[axis] > least_Nm
-        and remaining.weather.memory_s[axis] > thresholds.GUST_LEAST_s
+        and remaining.disturbances.fast_std_Nm[axis] > least_Nm
+        and remaining.disturbances.correlation_time_s[axis] > thresholds.GUST_LEAST_s
     )
 
 
-def ambiguous_with(found: Cause) -> list[str]:
+def ambiguous_with(cause: Cause) -> list[str]:
     """Ids of other effects that the flights do not tell from a cause, closest first."""
     return [
         alternative.id
-        for alternative in found.alternatives
+        for alternative in cause.alternatives
         if alternative.log_likelihood_ratio < thresholds.AMBIGUOUS
     ]
 
 
-def confidence(found: Cause, unexplained: bool = False) -> float:
+def confidence(cause: Cause, unexplained: bool = False) -> float:
     """How sure the name of a cause is, 0 to 1: how far it is ahead of nothing, of its closest alternative,
     and whether the flights held out confirm it; less where something `unexplained` remains that it may
     imitate.
     """
     margin = min(
         [
-            found.train - found.penalty,
-            *(alternative.log_likelihood_ratio for alternative in found.alternatives),
+            cause.train - cause.penalty,
+            *(alternative.log_likelihood_ratio for alternative in cause.alternatives),
         ]
     )
     sure = 1.0 - 0.5 * math.exp(-max(margin, 0.0) / thresholds.CONFIDENCE_NATS)
-    if found.held_out is not None:
+    if cause.held_out is not None:
         # A cause that foretells nothing on flights that had no part in its choice is as likely chance.
         sure *= 1.0 / (
-            1.0 + math.exp(-(found.held_out - thresholds.HELD_OUT_EVEN) / thresholds.HELD_OUT_NATS)
+            1.0 + math.exp(-(cause.held_out - thresholds.HELD_OUT_EVEN) / thresholds.HELD_OUT_NATS)
         )
     beside = thresholds.CONFIDENCE_BESIDE_UNKNOWN if unexplained else 1.0
     return float(min(thresholds.MAX_CONFIDENCE, sure) * beside)

@@ -10,8 +10,8 @@ from heli_sim.rig import Rig
 from heli_lab.guess import names, thresholds
 from heli_lab.guess.motion import Rest
 from heli_lab.guess.reference import Reference
-from heli_lab.guess.result import Doubt
-from heli_lab.guess.roles import Explained, Roles
+from heli_lab.guess.result import Ambiguity
+from heli_lab.guess.roles import ColumnAssignment, RegressionFit
 from heli_lab.guess.scales import AXES, Motion, Scale
 
 
@@ -33,15 +33,15 @@ class Signs:
     swapped: bool
 
 
-def role_doubts(ranked: list[Roles]) -> tuple[list[Doubt], list[str]]:
+def role_doubts(ranked: list[ColumnAssignment]) -> tuple[list[Ambiguity], list[str]]:
     """What is open about the columns, of all assignments, the likeliest first; and what they rest on."""
     best = ranked[0]
-    second = next((one for one in ranked if not one.same_as(best)), None)
-    by_physics = max(ranked, key=lambda one: one.physics)
+    second = next((roles for roles in ranked if not roles.same_as(best)), None)
+    by_physics = max(ranked, key=lambda roles: roles.physics)
     doubts = []
     if second is not None and best.nats - second.nats < thresholds.SURE_NATS:
         doubts.append(
-            Doubt(
+            Ambiguity(
                 "the columns",
                 _told(best),
                 _told(second),
@@ -50,7 +50,7 @@ def role_doubts(ranked: list[Roles]) -> tuple[list[Doubt], list[str]]:
         )
     elif not by_physics.same_as(best) and by_physics.physics - best.physics > thresholds.SURE_NATS:
         doubts.append(
-            Doubt(
+            Ambiguity(
                 "the columns",
                 f"{_told(best)}, as their names say",
                 _told(by_physics),
@@ -61,19 +61,19 @@ def role_doubts(ranked: list[Roles]) -> tuple[list[Doubt], list[str]]:
     return doubts, [f"columns: {_told(best)}; {margin:.0f} nats before anything else"]
 
 
-def _told(roles: Roles) -> str:
+def _told(roles: ColumnAssignment) -> str:
     kind = ("sum", "difference") if roles.summed else ("front", "back")
-    said = dict(zip((*AXES, *kind), roles.columns, strict=True))
-    return ", ".join(f"{role} is {column}" for role, column in said.items())
+    labels = dict(zip((*AXES, *kind), roles.columns, strict=True))
+    return ", ".join(f"{role} is {column}" for role, column in labels.items())
 
 
-def scale_doubts(possible: list[Scale], motion: Motion, reference: Reference, rig: Rig) -> list[Doubt]:
+def scale_doubts(possible: list[Scale], motion: Motion, reference: Reference, rig: Rig) -> list[Ambiguity]:
     """What is open about the units, of all choices, the likeliest first."""
     best, doubts = possible[0], []
-    second = next(one for one in possible if one.units != best.units)
+    second = next(scale for scale in possible if scale.units != best.units)
     if best.nats - second.nats < thresholds.SURE_NATS:
         doubts.append(
-            Doubt(
+            Ambiguity(
                 "the units",
                 _units(best),
                 _units(second),
@@ -84,7 +84,7 @@ def scale_doubts(possible: list[Scale], motion: Motion, reference: Reference, ri
     for what, off in best.off.items():
         if abs(off) > thresholds.MOST_OFF_STD:
             doubts.append(
-                Doubt(
+                Ambiguity(
                     f"the scale of {what}",
                     _units(best),
                     f"something that is {'larger' if off < 0 else 'smaller'} by far",
@@ -92,19 +92,23 @@ def scale_doubts(possible: list[Scale], motion: Motion, reference: Reference, ri
                 )
             )
     for axis in AXES:
-        said = motion.stated.get(axis, "")
-        if said and said != best.angles[axis]:
+        stated = motion.stated.get(axis, "")
+        if stated and stated != best.angles[axis]:
             doubts.append(
-                Doubt(f"{axis}'s unit", best.angles[axis], f"{said}, as the header says", "physics disagrees")
+                Ambiguity(
+                    f"{axis}'s unit", best.angles[axis], f"{stated}, as the header says", "physics disagrees"
+                )
             )
-    said = motion.stated.get("voltage", "")
-    if said and said != best.voltage:
+    stated = motion.stated.get("voltage", "")
+    if stated and stated != best.voltage:
         doubts.append(
-            Doubt("the voltages' unit", best.voltage, f"{said}, as the header says", "physics disagrees")
+            Ambiguity(
+                "the voltages' unit", best.voltage, f"{stated}, as the header says", "physics disagrees"
+            )
         )
     if best.biased:
         doubts.append(
-            Doubt(
+            Ambiguity(
                 "the sum's bias",
                 f"{reference.hover_V:.2f} V, the rig file's hover",
                 "another",
@@ -113,9 +117,9 @@ def scale_doubts(possible: list[Scale], motion: Motion, reference: Reference, ri
         )
     if best.voltage in SHARES:
         full = f" of {best.full:g}" if best.voltage == "pwm" else ""
-        if not said:
+        if not stated:
             doubts.append(
-                Doubt(
+                Ambiguity(
                     "the voltages' unit",
                     f"{best.voltage}{full}, a share of {reference.supply_V:g} V",
                     "a share of another supply",
@@ -137,17 +141,19 @@ def _units(scale: Scale) -> str:
     return f"angles in {shown}, voltages in {scale.voltage}{full}{halves}"
 
 
-def sign_doubts(found: dict[str, Explained], signs: Signs, roles: Roles) -> list[Doubt]:
+def sign_doubts(
+    explained: dict[str, RegressionFit], signs: Signs, roles: ColumnAssignment
+) -> list[Ambiguity]:
     """What is open about the signs: axes that answer too little, and which rotor is the front one."""
     doubts = []
     for axis in AXES:
-        if found[axis].nats < thresholds.SURE_NATS:
+        if explained[axis].nats < thresholds.SURE_NATS:
             doubts.append(
-                Doubt(
+                Ambiguity(
                     f"{axis}'s sign",
                     "as proposed",
                     "the other one",
-                    f"its cause explains {found[axis].nats:.1f} nats of it only; fly it more",
+                    f"its cause explains {explained[axis].nats:.1f} nats of it only; fly it more",
                 )
             )
     changed = signs.swapped or signs.pitch < 0.0 or signs.travel < 0.0
@@ -156,7 +162,7 @@ def sign_doubts(found: dict[str, Explained], signs: Signs, roles: Roles) -> list
     )
     motors = "the difference is back less front" if roles.summed else "the motors' names are exchanged"
     if changed or not stated:
-        one = {
+        doubt = {
             (False, 1.0, 1.0): "front and back as proposed",
             (False, 1.0, -1.0): "travel counts the other way",
             (False, -1.0, 1.0): "pitch counts the other way",
@@ -169,9 +175,9 @@ def sign_doubts(found: dict[str, Explained], signs: Signs, roles: Roles) -> list
             (True, 1.0, 1.0): "pitch and travel count the other way",
         }[signs.swapped, signs.pitch, signs.travel]
         doubts.append(
-            Doubt(
+            Ambiguity(
                 "which rotor is the front one",
-                one,
+                doubt,
                 two,
                 "these are mirror images of each other and fly alike: lift the front rotor by hand and look "
                 "whether pitch rises; if not, set mirrored = true",
@@ -180,7 +186,7 @@ def sign_doubts(found: dict[str, Explained], signs: Signs, roles: Roles) -> list
     return doubts
 
 
-def zero(rest: Rest, reference: Reference) -> tuple[float, list[Doubt]]:
+def zero(rest: Rest, reference: Reference) -> tuple[float, list[Ambiguity]]:
     """What to add to the elevation, deg, and whether that is sure."""
     table = reference.rest_deg
     far = thresholds.REST_DEG + reference.rest_tolerance_deg
@@ -188,7 +194,7 @@ def zero(rest: Rest, reference: Reference) -> tuple[float, list[Doubt]]:
         if abs(rest.usual_deg) < 0.5 * abs(table):
             return 0.0, []
         return 0.0, [
-            Doubt(
+            Ambiguity(
                 "the elevation's zero",
                 f"0 as it is, with {rest.usual_deg:.0f} deg in flight",
                 f"0 at rest, so {table:g} deg to add",
@@ -201,7 +207,7 @@ def zero(rest: Rest, reference: Reference) -> tuple[float, list[Doubt]]:
     if at_rest and rest.lowest and not level:
         return table - rest.deg, []
     return 0.0, [
-        Doubt(
+        Ambiguity(
             "the elevation's zero",
             f"as it is, at rest {rest.deg:.1f} deg",
             f"{table - rest.deg:.1f} deg to add, so that it rests at {table:g} deg",
@@ -210,15 +216,15 @@ def zero(rest: Rest, reference: Reference) -> tuple[float, list[Doubt]]:
     ]
 
 
-def lags(found: dict[str, Explained]) -> tuple[dict[str, float], list[Doubt], list[str]]:
+def lags(explained: dict[str, RegressionFit]) -> tuple[dict[str, float], list[Ambiguity], list[str]]:
     """By how much each column is late, what is open about that, and what to say."""
     late_s = dict.fromkeys((*AXES, "voltages"), 0.0)
     doubts = []
-    lag = {axis: found[axis].lag_s for axis in AXES}
+    lag = {axis: explained[axis].lag_s for axis in AXES}
     if abs(lag["travel"]) > thresholds.LATE_S:
         late_s["travel"] = lag["travel"]
         doubts.append(
-            Doubt(
+            Ambiguity(
                 "travel's time",
                 f"{lag['travel']:.2f} s late, taken out",
                 "not late",
@@ -226,9 +232,9 @@ def lags(found: dict[str, Explained]) -> tuple[dict[str, float], list[Doubt], li
             )
         )
     apart = lag["elevation"] - lag["pitch"]
-    if abs(apart) > thresholds.APART_S and found["elevation"].nats > thresholds.SURE_NATS:
+    if abs(apart) > thresholds.APART_S and explained["elevation"].nats > thresholds.SURE_NATS:
         doubts.append(
-            Doubt(
+            Ambiguity(
                 "elevation's time",
                 "logged with pitch",
                 f"{apart:.2f} s later than pitch",
@@ -238,7 +244,7 @@ def lags(found: dict[str, Explained]) -> tuple[dict[str, float], list[Doubt], li
     low, high = thresholds.OWN_LAG_S
     if not low <= lag["pitch"] <= high:
         doubts.append(
-            Doubt(
+            Ambiguity(
                 "the voltages' time",
                 "logged with the angles",
                 f"{'late' if lag['pitch'] < low else 'early'} by about "
@@ -246,9 +252,9 @@ def lags(found: dict[str, Explained]) -> tuple[dict[str, float], list[Doubt], li
                 "no rotor answers like that",
             )
         )
-    said = (
+    sentence = (
         f"pitch answers {lag['pitch']:.2f} s and elevation {lag['elevation']:.2f} s after the voltages "
         "(rotors, line and log together: a flight cannot tell these apart), travel follows pitch by "
         f"{lag['travel']:.2f} s"
     )
-    return late_s, doubts, [said]
+    return late_s, doubts, [sentence]

@@ -23,7 +23,7 @@ from heli_lab.identify.solve import solve
 
 PIECE_S: Final = 2.0
 """Pieces of which the liveliest are flown, s."""
-WINDOW_S: Final = 1.0
+TRIAL_WINDOW_S: Final = 1.0
 """Free runs, s: long enough for travel to follow pitch, short enough for a wrong choice not to diverge."""
 EVALUATIONS: Final = 8
 """Of the flights, with derivatives, for each choice: trim and gains come within these, and a wrong sign stays
@@ -77,7 +77,7 @@ def _part(record: Record) -> Record:
 
 
 def _error_deg(record: Record, rig: Rig) -> Floats:
-    problem = Problem(MultibodyModel(), rig, [record], window_s=WINDOW_S, step_s=0.02)
+    problem = Problem(MultibodyModel(), rig, [record], window_s=TRIAL_WINDOW_S, step_s=0.02)
     try:
         fit = solve(problem, budget=Budget(evaluations=EVALUATIONS), fine=False, scatter=False)
     except IdentifyError:

@@ -9,18 +9,18 @@ import numpy as np
 
 from heli_lab.guess import thresholds
 from heli_lab.guess.reference import Reference
-from heli_lab.guess.roles import Explained, Roles, explain, free_rows
+from heli_lab.guess.roles import ColumnAssignment, RegressionFit, explain, free_rows
 from heli_lab.guess.scales import AXES
 from heli_lab.guess.signals import Floats, Signals, filtered_signal, late
 
 
 def answers(
     signals: Signals,
-    roles: Roles,
+    roles: ColumnAssignment,
     reference: Reference,
     rad: Mapping[str, float] | None = None,
     bias: float = 0.0,
-) -> dict[str, Explained]:
+) -> dict[str, RegressionFit]:
     """Explain each axis by its cause at the lag at which that does best.
 
     Parameters
@@ -45,7 +45,7 @@ def answers(
     return {axis: _best(signals, columns[axis], axis, low[axis], reference) for axis in AXES}
 
 
-def voltages(signals: Signals, roles: Roles) -> tuple[Floats, Floats]:
+def voltages(signals: Signals, roles: ColumnAssignment) -> tuple[Floats, Floats]:
     """Both voltages, with their polarity."""
     return (
         roles.polarity[0] * signals.raw[roles.voltages[0]],
@@ -53,15 +53,17 @@ def voltages(signals: Signals, roles: Roles) -> tuple[Floats, Floats]:
     )
 
 
-def _best(signals: Signals, column: str, axis: str, cause: Floats, reference: Reference) -> Explained:
-    one = signals.filtered[column]
+def _best(signals: Signals, column: str, axis: str, cause: Floats, reference: Reference) -> RegressionFit:
+    signal = signals.filtered[column]
     rows = free_rows(signals, column) if axis == "elevation" else signals.inner
-    rest = one.value * 0.0 if axis == "travel" else one.value - one.value.mean()
+    rest = signal.value * 0.0 if axis == "travel" else signal.value - signal.value.mean()
     stiffness = reference.stiffness.get(axis, (0.0, 0.1))
     tried = []
     for lag_s in np.arange(*thresholds.LAGS_S):
-        found = explain(one.acceleration, (rest, one.rate), late(cause, float(lag_s)), stiffness, rows)
-        tried.append(Explained(found.nats, found.gain, float(lag_s)))
+        explained = explain(
+            signal.acceleration, (rest, signal.rate), late(cause, float(lag_s)), stiffness, rows
+        )
+        tried.append(RegressionFit(explained.nats, explained.gain, float(lag_s)))
     return max(tried, key=lambda each: each.nats)
 
 
@@ -89,7 +91,7 @@ def rest_of(signals: Signals, column: str, deg: float) -> Rest:
     elevation = deg * signals.raw[column]
     # A counter without a sign, or of a turn, is a whole turn off where it begins below 0.
     elevation = elevation - 360.0 * np.round(np.median(elevation) / 360.0)
-    rows = round(thresholds.REST_S / thresholds.STEP_S)
+    rows = round(thresholds.REST_S / thresholds.SAMPLE_STEP_s)
     begin = elevation[:rows]
     usual = float(np.median(elevation))
     start = float(np.median(begin))

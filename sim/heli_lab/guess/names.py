@@ -94,10 +94,10 @@ def role_of(name: str) -> str:
         return ""
     stated = {role for role, known in _WORDS.items() if any(word in known for word in words)}
     long = {role for role in stated if any(word in _WORDS[role] and _is_long(word) for word in words)}
-    found = long or stated
-    if "pitch" in found and len(found) > 1 and not long:
-        found.discard("pitch")
-    return found.pop() if len(found) == 1 else ""
+    candidates = long or stated
+    if "pitch" in candidates and len(candidates) > 1 and not long:
+        candidates.discard("pitch")
+    return candidates.pop() if len(candidates) == 1 else ""
 
 
 def is_half(name: str) -> bool:

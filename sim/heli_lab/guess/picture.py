@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from heli_lab.guess.result import Guess
 from heli_lab.guess.signals import Floats, filtered_signal, late
-from heli_lab.guess.thresholds import EDGE_S, STEP_S
+from heli_lab.guess.thresholds import EDGE_S, SAMPLE_STEP_s
 
 _LAG_S = 0.1
 """Voltages are drawn this late: what rotors usually take."""
@@ -23,10 +23,12 @@ def draw(guess: Guess, flight: Flight, path: Path) -> Path:
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    t_s = np.arange(flight.t_s[0], flight.t_s[-1], STEP_S)
-    angles = [filtered_signal(np.interp(t_s, flight.t_s, one)) for one in flight.angles_rad.T]
-    front, back = (filtered_signal(np.interp(t_s, flight.t_s, one)).value for one in flight.voltages_V.T)
-    edge = round(EDGE_S / STEP_S)
+    t_s = np.arange(flight.t_s[0], flight.t_s[-1], SAMPLE_STEP_s)
+    angles = [filtered_signal(np.interp(t_s, flight.t_s, values)) for values in flight.angles_rad.T]
+    front, back = (
+        filtered_signal(np.interp(t_s, flight.t_s, values)).value for values in flight.voltages_V.T
+    )
+    edge = round(EDGE_S / SAMPLE_STEP_s)
     # On the table the voltages move nothing.
     up = _up(np.interp(t_s, flight.t_s, flight.elevation_rad))
     rows = slice(edge, -edge, 5)
@@ -37,10 +39,10 @@ def draw(guess: Guess, flight: Flight, path: Path) -> Path:
     )
     figure, axes = plt.subplots(1, 4, figsize=(15.5, 3.9), width_ratios=(1, 1, 1, 1.25), layout="constrained")
     for axis, (label, cause, answer, name, seen) in zip(axes[:3], pairs, strict=True):
-        own = np.column_stack((answer.value, answer.rate, np.ones(t_s.size)))[rows][seen[rows]]
-        own = own[:, 1:] if name == "travel" else own
-        x = _beside(cause[rows][seen[rows]], own)
-        y = np.degrees(_beside(answer.acceleration[rows][seen[rows]], own))
+        regressors = np.column_stack((answer.value, answer.rate, np.ones(t_s.size)))[rows][seen[rows]]
+        regressors = regressors[:, 1:] if name == "travel" else regressors
+        x = _beside(cause[rows][seen[rows]], regressors)
+        y = np.degrees(_beside(answer.acceleration[rows][seen[rows]], regressors))
         axis.plot(x, y, ".", ms=2.5, alpha=0.5, color="tab:blue")
         if x.size > 2:
             slope, level = np.polyfit(x, y, 1)
@@ -52,8 +54,8 @@ def draw(guess: Guess, flight: Flight, path: Path) -> Path:
         axis.grid(alpha=0.3)
     last = axes[3]
     if guess.choices:
-        names = [one.name or "as proposed" for one in guess.choices]
-        ratios = [one.ratio for one in guess.choices]
+        names = [choice.name or "as proposed" for choice in guess.choices]
+        ratios = [choice.ratio for choice in guess.choices]
         last.barh(names[::-1], ratios[::-1], color=["tab:gray"] * (len(names) - 1) + ["tab:blue"])
         last.axvline(1.0, color="black", lw=0.8)
         last.set_xscale("log")
@@ -61,19 +63,19 @@ def draw(guess: Guess, flight: Flight, path: Path) -> Path:
         last.set_title("signs turned round, flown", fontsize=10)
     else:
         last.axis("off")
-    verdict = "sure" if guess.sure else f"unsure of {', '.join(one.what for one in guess.doubts)}"
+    verdict = "sure" if guess.sure else f"unsure of {', '.join(doubt.what for doubt in guess.doubts)}"
     figure.suptitle(f"{flight.meta.get('imported from', 'flight')}: {verdict}", fontsize=11)
     figure.savefig(path, dpi=110)
     plt.close(figure)
     return path
 
 
-def _beside(values: Floats, own: Floats) -> Floats:
+def _beside(values: Floats, regressors: Floats) -> Floats:
     """What the axis' own deflection and rate leave of a signal, about its mean."""
-    if len(values) < own.shape[1]:
+    if len(values) < regressors.shape[1]:
         return values
-    solution, *_ = np.linalg.lstsq(own, values, rcond=None)
-    rest: Floats = values - own @ solution + values.mean()
+    solution, *_ = np.linalg.lstsq(regressors, values, rcond=None)
+    rest: Floats = values - regressors @ solution + values.mean()
     return rest
 
 

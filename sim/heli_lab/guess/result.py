@@ -8,7 +8,7 @@ from heli_host.tables import Profile
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Ambiguity:
     """Something that the file does not settle.
 
     Parameters
@@ -56,7 +56,7 @@ class Guess:
 
     Parameters
     ----------
-    doubts : tuple of Doubt
+    doubts : tuple of Ambiguity
         What is open; none where the guess is sure.
     evidence : tuple of str
         What it rests on, a sentence each.
@@ -67,7 +67,7 @@ class Guess:
     """
 
     profile: Profile
-    doubts: tuple[Doubt, ...]
+    doubts: tuple[Ambiguity, ...]
     evidence: tuple[str, ...]
     choices: tuple[Choice, ...] = ()
     nats: float = 0.0

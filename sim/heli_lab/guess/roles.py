@@ -25,7 +25,7 @@ _RATE_SCALES: Final = (
 
 
 @dataclass(frozen=True)
-class Explained:
+class RegressionFit:
     """An axis' acceleration, explained by a cause.
 
     Parameters
@@ -44,7 +44,7 @@ class Explained:
 
 
 @dataclass(frozen=True)
-class Roles:
+class ColumnAssignment:
     """Columns by role.
 
     Parameters
@@ -77,7 +77,7 @@ class Roles:
         """All five columns."""
         return (self.elevation, self.pitch, self.travel, *self.voltages)
 
-    def same_as(self, other: Roles) -> bool:
+    def same_as(self, other: ColumnAssignment) -> bool:
         """Whether another assignment means the same, motors in either order."""
         pair = set if not self.summed else tuple
         return (self.columns[:3], self.summed, pair(self.voltages)) == (
@@ -89,18 +89,18 @@ class Roles:
 
 def explain(
     acceleration: Floats,
-    own: tuple[Floats, Floats],
+    own_terms: tuple[Floats, Floats],
     cause: Floats,
     stiffness: tuple[float, float],
     rows: NDArray[np.bool_],
-) -> Explained:
+) -> RegressionFit:
     """Explain an axis by a cause, beside its own stiffness and damping.
 
     Parameters
     ----------
     acceleration : ndarray (n,)
         Of the axis.
-    own : tuple of ndarray (n,)
+    own_terms : tuple of ndarray (n,)
         Its deflection and its rate.
     cause : ndarray (n,)
         What may move it.
@@ -109,11 +109,11 @@ def explain(
     rows : ndarray of bool (n,)
         Rows that count.
     """
-    y = acceleration[rows][::_EVERY] - stiffness[0] * own[0][rows][::_EVERY]
+    y = acceleration[rows][::_EVERY] - stiffness[0] * own_terms[0][rows][::_EVERY]
     if len(y) < 20:
-        return Explained(0.0, 0.0)
+        return RegressionFit(0.0, 0.0)
     columns = np.column_stack(
-        [own[0][rows][::_EVERY], own[1][rows][::_EVERY], np.ones(len(y)), cause[rows][::_EVERY]]
+        [own_terms[0][rows][::_EVERY], own_terms[1][rows][::_EVERY], np.ones(len(y)), cause[rows][::_EVERY]]
     )
     spread = np.maximum(columns.std(axis=0), 1e-12)
     spread[2] = 1.0
@@ -133,9 +133,11 @@ def explain(
             rests.append((power - float(solution @ moment[:count])) / len(y))
             gain = float(solution[-1] / spread[count - 1])
         noise = max(rests[1], 1e-12 * float(y.var()) + 1e-300)
-    seconds = len(y) * _EVERY * thresholds.STEP_S
+    seconds = len(y) * _EVERY * thresholds.SAMPLE_STEP_s
     independent = seconds * thresholds.INDEPENDENT_Hz
-    return Explained(0.5 * independent * float(np.log(max(rests[0], 1e-300) / max(rests[1], 1e-300))), gain)
+    return RegressionFit(
+        0.5 * independent * float(np.log(max(rests[0], 1e-300) / max(rests[1], 1e-300))), gain
+    )
 
 
 def free_rows(signals: Signals, name: str) -> NDArray[np.bool_]:
@@ -143,7 +145,7 @@ def free_rows(signals: Signals, name: str) -> NDArray[np.bool_]:
     begins at rest; all inner ones where it does not.
     """
     raw = signals.raw[name]
-    rest = round(thresholds.REST_S / thresholds.STEP_S)
+    rest = round(thresholds.REST_S / thresholds.SAMPLE_STEP_s)
     start, usual = float(raw[0]), float(np.median(raw))
     span = float(np.ptp(raw))
     if span == 0.0 or np.ptp(raw[:rest]) > 0.01 * span or abs(usual - start) < 0.2 * span:
@@ -157,7 +159,7 @@ def candidates(signals: Signals, encoders: Collection[str] = frozenset()) -> lis
     """Columns that may be an angle or a voltage: those that vary, without rates and doubles, of which
     one of `encoders` stays.
     """
-    moving = [name for name, one in signals.raw.items() if np.ptp(one) > 0.0]
+    moving = [name for name, values in signals.raw.items() if np.ptp(values) > 0.0]
     moving.sort(key=lambda name: (name not in encoders, not names.role_of(name), names.is_other(name)))
     kept: list[str] = []
     for name in moving:
@@ -171,24 +173,24 @@ def _rates(signals: Signals, columns: list[str]) -> set[str]:
     """Columns that are the rate of a column that is none itself: the rate of travel's rate looks like pitch,
     which moves it, and that of pitch's rate like a voltage.
     """
-    found = {}
+    pairs = {}
     for name, other in itertools.permutations(columns, 2):
         rate, value = signals.filtered[other].rate, signals.filtered[name].value
         likeness = _alike(rate, value)
         if not names.role_of(name) and likeness > thresholds.RATE_MATCH**0.5 and _unit_slope(rate, value):
-            found[name, other] = likeness
+            pairs[name, other] = likeness
     rates: set[str] = set()
     settled: set[str] = set()
-    left = set(columns)
-    while left:
-        open_ = {name for name in left if all(of in settled for one, of in found if one == name)}
+    remaining = set(columns)
+    while remaining:
+        open_ = {name for name in remaining if all(of in settled for first, of in pairs if first == name)}
         if not open_:  # each is the rate of another one, as sines are: the least alike is none
-            weakest = min((likeness, name) for (name, _), likeness in found.items() if name in left)[1]
+            weakest = min((likeness, name) for (name, _), likeness in pairs.items() if name in remaining)[1]
             open_ = {weakest}
-            found = {pair: one for pair, one in found.items() if pair[0] != weakest}
-        rates |= {name for name in open_ if any(one == name and of not in rates for one, of in found)}
+            pairs = {pair: similarity for pair, similarity in pairs.items() if pair[0] != weakest}
+        rates |= {name for name in open_ if any(first == name and of not in rates for first, of in pairs)}
         settled |= open_
-        left -= open_
+        remaining -= open_
     return rates
 
 
@@ -215,7 +217,7 @@ def polarity_of(values: Floats) -> float:
 
 def assignments(
     signals: Signals, reference: Reference, encoders: Collection[str] = frozenset()
-) -> list[Roles]:
+) -> list[ColumnAssignment]:
     """All assignments of columns to roles, the likeliest first.
 
     Parameters
@@ -227,13 +229,13 @@ def assignments(
     encoders : collection of str
         Columns in steps of an encoder: angles as measured, not as estimated or wanted.
     """
-    found = candidates(signals, encoders)
-    count = len(found)
+    candidates_ = candidates(signals, encoders)
+    count = len(candidates_)
     if count < 5:
         return []
-    filtered = [signals.filtered[name] for name in found]
-    rows = [free_rows(signals, name) for name in found]
-    polarity = np.array([polarity_of(signals.raw[name]) for name in found])
+    filtered = [signals.filtered[name] for name in candidates_]
+    rows = [free_rows(signals, name) for name in candidates_]
+    polarity = np.array([polarity_of(signals.raw[name]) for name in candidates_])
     level = [polarity[i] * filtered[i].value for i in range(count)]
     pairs = list(itertools.combinations(range(count), 2))
     sums: dict[tuple[int, ...], Floats] = {(i,): level[i] for i in range(count)}
@@ -244,21 +246,23 @@ def assignments(
     pitched = _table(differences, filtered, [signals.inner] * count, reference.stiffness["pitch"])
     turned = np.zeros((count, count))
     for p, t in itertools.permutations(range(count), 2):
-        own = (filtered[t].value * 0.0, filtered[t].rate)
+        own_terms = (filtered[t].value * 0.0, filtered[t].rate)
         turned[p, t] = explain(
-            filtered[t].acceleration, own, filtered[p].value, (0.0, 0.1), signals.inner
+            filtered[t].acceleration, own_terms, filtered[p].value, (0.0, 0.1), signals.inner
         ).nats
-    measured = thresholds.ENCODER_NATS * np.array([name in encoders for name in found], float)
+    measured = thresholds.ENCODER_NATS * np.array([name in encoders for name in candidates_], float)
     lifted = {key: nats + measured for key, nats in lifted.items()}
     pitched = {key: nats + measured for key, nats in pitched.items()}
     turned += measured
-    stated = _stated(found)
+    stated = _stated(candidates_)
     ranked = []
     for pair in pairs:
-        ranked += _best(found, lifted[pair], pitched[pair], turned, pair, False, polarity, stated)
+        ranked += _best(candidates_, lifted[pair], pitched[pair], turned, pair, False, polarity, stated)
     for pair in itertools.permutations(range(count), 2):
-        ranked += _best(found, lifted[pair[:1]], pitched[pair[1:]], turned, pair, True, polarity, stated)
-    return sorted(ranked, key=lambda one: -one.nats)
+        ranked += _best(
+            candidates_, lifted[pair[:1]], pitched[pair[1:]], turned, pair, True, polarity, stated
+        )
+    return sorted(ranked, key=lambda assignment: -assignment.nats)
 
 
 def _table(
@@ -268,31 +272,31 @@ def _table(
     stiffness: tuple[float, float],
 ) -> dict[tuple[int, ...], Floats]:
     """Nats of each column, explained by each cause at its best lag; none where a column is its own cause."""
-    found = {}
+    table = {}
     for key, cause in causes.items():
         lagged = [late(cause, lag_s) for lag_s in thresholds.ROLE_LAGS_S]
         nats = np.zeros(len(filtered))
-        for index, one in enumerate(filtered):
+        for index, signal in enumerate(filtered):
             if index in key:
                 continue
-            own = (one.value - one.value.mean(), one.rate)
+            own_terms = (signal.value - signal.value.mean(), signal.rate)
             nats[index] = max(
-                explain(one.acceleration, own, each, stiffness, rows[index]).nats for each in lagged
+                explain(signal.acceleration, own_terms, each, stiffness, rows[index]).nats for each in lagged
             )
-        found[key] = nats
-    return found
+        table[key] = nats
+    return table
 
 
-def _stated(found: list[str]) -> dict[str, Floats]:
+def _stated(columns: list[str]) -> dict[str, Floats]:
     """What names count for each role, by column."""
     stated = {}
     for role in names.ROLES:
-        worth = np.zeros(len(found))
-        for index, name in enumerate(found):
-            said = names.role_of(name)
-            if said == role:
+        worth = np.zeros(len(columns))
+        for index, name in enumerate(columns):
+            named_role = names.role_of(name)
+            if named_role == role:
                 worth[index] = thresholds.NAME_NATS
-            elif said:
+            elif named_role:
                 worth[index] = -thresholds.NAME_NATS
             elif names.is_other(name):
                 worth[index] = -thresholds.OTHER_NATS
@@ -301,7 +305,7 @@ def _stated(found: list[str]) -> dict[str, Floats]:
 
 
 def _best(
-    found: list[str],
+    columns: list[str],
     lifted: Floats,
     pitched: Floats,
     turned: Floats,
@@ -309,7 +313,7 @@ def _best(
     summed: bool,
     polarity: Floats,
     stated: dict[str, Floats],
-) -> list[Roles]:
+) -> list[ColumnAssignment]:
     """The three likeliest choices of angles for a pair of voltages."""
     physics = lifted[:, None, None] + pitched[None, :, None] + turned[None, :, :]
     words = (
@@ -324,22 +328,22 @@ def _best(
         if orders[1] > orders[0]:
             i, j = j, i
     total = physics + words
-    count = len(found)
+    count = len(columns)
     e, p, t = np.indices((count, count, count))
     total[(e == p) | (e == t) | (p == t)] = -np.inf
-    for taken in pair:
-        total[(e == taken) | (p == taken) | (t == taken)] = -np.inf
+    for column in pair:
+        total[(e == column) | (p == column) | (t == column)] = -np.inf
     ranked = []
     for flat in np.argsort(total.ravel())[::-1][:3]:
         a, b, c = (int(x) for x in np.unravel_index(flat, total.shape))
         if np.isfinite(total[a, b, c]):
             signs = (float(polarity[i]), 1.0 if summed else float(polarity[j]))
             ranked.append(
-                Roles(
-                    found[a],
-                    found[b],
-                    found[c],
-                    (found[i], found[j]),
+                ColumnAssignment(
+                    columns[a],
+                    columns[b],
+                    columns[c],
+                    (columns[i], columns[j]),
                     summed,
                     signs,
                     float(total[a, b, c]),

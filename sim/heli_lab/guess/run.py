@@ -18,8 +18,8 @@ from heli_lab.guess.doubts import Signs, lags, role_doubts, scale_doubts, sign_d
 from heli_lab.guess.flown import fly_choices
 from heli_lab.guess.motion import answers, rest_of, voltages
 from heli_lab.guess.reference import Reference, reference_of
-from heli_lab.guess.result import Doubt, Guess
-from heli_lab.guess.roles import Explained, Roles, assignments, free_rows
+from heli_lab.guess.result import Ambiguity, Guess
+from heli_lab.guess.roles import ColumnAssignment, RegressionFit, assignments, free_rows
 from heli_lab.guess.scales import AXES, Motion, Scale, is_encoder, rad_of, scales, step_of
 from heli_lab.guess.signals import Floats, Signals, signals_of
 from heli_lab.guess.times import Clock, clock_of, longest_run, times_in_s
@@ -74,23 +74,25 @@ def proposed(table: Table, rig: Rig, rate_Hz: float | None = None) -> tuple[Gues
     doubts, evidence = role_doubts(ranked)
     if not clock.sure:
         doubts.append(
-            Doubt("the time", f"{clock.column} in {clock.unit}", clock.other or "something else", _NO_RATE)
+            Ambiguity(
+                "the time", f"{clock.column} in {clock.unit}", clock.other or "something else", _NO_RATE
+            )
         )
     possible = scales(motion, reference)
     scale = possible[0]
     doubts += scale_doubts(possible, motion, reference, rig)
     rad = {axis: rad_of(scale.angles[axis], axis, reference) for axis in AXES}
     bias = reference.hover_V / scale.volts(reference) if scale.biased else 0.0
-    found = answers(signals, roles, reference, rad, bias)
-    signs = _signs(found, roles)
-    doubts += sign_doubts(found, signs, roles)
+    explained = answers(signals, roles, reference, rad, bias)
+    signs = _signs(explained, roles)
+    doubts += sign_doubts(explained, signs, roles)
     rest = rest_of(signals, roles.elevation, float(np.degrees(signs.elevation * rad["elevation"])))
     offset_deg, zero_doubts = zero(rest, reference)
     doubts += zero_doubts
-    late_s, lag_doubts, lag_notes = lags(found)
+    late_s, lag_doubts, lag_notes = lags(explained)
     doubts += lag_doubts
     profile = _profile(table, clock, rate_Hz, roles, scale, signs, reference, offset_deg, late_s)
-    evidence += [_answer_sentence(axis, found[axis]) for axis in AXES] + lag_notes
+    evidence += [_answer_sentence(axis, explained[axis]) for axis in AXES] + lag_notes
     evidence.append(
         f"hover: {abs(motion.level) * scale.volts(reference):.2f} V together, the "
         f"rig file says {reference.hover_V:.2f} V"
@@ -100,8 +102,8 @@ def proposed(table: Table, rig: Rig, rate_Hz: float | None = None) -> tuple[Gues
 
 
 def _fitting(
-    table: Table, signals: Signals, ranked: Sequence[Roles], reference: Reference
-) -> tuple[list[Roles], Motion]:
+    table: Table, signals: Signals, ranked: Sequence[ColumnAssignment], reference: Reference
+) -> tuple[list[ColumnAssignment], Motion]:
     """Of assignments that move alike, those first whose columns accelerate as a rig can in some unit.
 
     Returns
@@ -110,25 +112,25 @@ def _fitting(
         The likeliest assignments, the likeliest first, with what units say among their nats; how the axes of
         that one move.
     """
-    near = [one for one in ranked if ranked[0].nats - one.nats < thresholds.FITTING_NATS]
-    found = []
-    for one in near[: thresholds.MOST_FITTED]:
-        motion = _motion(table, signals, one, answers(signals, one, reference))
+    near = [roles for roles in ranked if ranked[0].nats - roles.nats < thresholds.FITTING_NATS]
+    fits = []
+    for roles in near[: thresholds.MOST_FITTED]:
+        motion = _motion(table, signals, roles, answers(signals, roles, reference))
         nats = scales(motion, reference)[0].nats
-        found.append((replace(one, nats=one.nats + nats, physics=one.physics + nats), motion))
-    found.sort(key=lambda each: -each[0].nats)
-    return [one for one, _ in found], found[0][1]
+        fits.append((replace(roles, nats=roles.nats + nats, physics=roles.physics + nats), motion))
+    fits.sort(key=lambda each: -each[0].nats)
+    return [roles_ for roles_, _ in fits], fits[0][1]
 
 
-def _clipped(table: Table, profile: Profile, reference: Reference) -> tuple[Profile, list[Doubt]]:
+def _clipped(table: Table, profile: Profile, reference: Reference) -> tuple[Profile, list[Ambiguity]]:
     """Limit the voltages where a few are beyond the supply, as commands are before a clip."""
     limit = reference.supply_V
-    sizes_V = [np.abs(one.voltages_V) for one in flights_of(table, profile)]
-    largest = max(float(one.max()) for one in sizes_V)
-    beyond = max(float(np.mean(one > limit)) for one in sizes_V)
+    sizes_V = [np.abs(flight.voltages_V) for flight in flights_of(table, profile)]
+    largest = max(float(size_V.max()) for size_V in sizes_V)
+    beyond = max(float(np.mean(size_V > limit)) for size_V in sizes_V)
     if largest < thresholds.CLIP_SHARE * limit or beyond > thresholds.MOST_CLIPPED:
         return profile, []
-    doubt = Doubt(
+    doubt = Ambiguity(
         "the voltages' limit",
         f"clipped to {limit:g} V, the rig file's supply",
         f"as logged, up to {largest:.1f} V",
@@ -146,13 +148,15 @@ def flown(guessed: Guess, table: Table, rig: Rig) -> Guess:
     doubts = list(guessed.doubts)
     if not choices:
         doubts.append(
-            Doubt("the signs", "as proposed", "any others", "too little of it is in the air to fly the model")
+            Ambiguity(
+                "the signs", "as proposed", "any others", "too little of it is in the air to fly the model"
+            )
         )
     else:
-        second = min(choices[1:], key=lambda one: one.ratio)
+        second = min(choices[1:], key=lambda choice: choice.ratio)
         if second.ratio < thresholds.FLOWN_RATIO:
             doubts.append(
-                Doubt(
+                Ambiguity(
                     "the signs",
                     "as proposed",
                     f"{second.name} the other way",
@@ -167,10 +171,14 @@ def flown(guessed: Guess, table: Table, rig: Rig) -> Guess:
     return replace(guessed, doubts=tuple(doubts), choices=choices)
 
 
-def _motion(table: Table, signals: Signals, roles: Roles, first: dict[str, Explained]) -> Motion:
-    one, two = voltages(signals, roles)
+def _motion(
+    table: Table, signals: Signals, roles: ColumnAssignment, first: dict[str, RegressionFit]
+) -> Motion:
+    first_V, second_V = voltages(signals, roles)
     rows = free_rows(signals, roles.elevation)
-    level = float(np.mean(one[rows] if roles.summed else (one + two)[rows])) if rows.any() else 0.0
+    level = (
+        float(np.mean(first_V[rows] if roles.summed else (first_V + second_V)[rows])) if rows.any() else 0.0
+    )
     columns = dict(zip(AXES, (roles.elevation, roles.pitch, roles.travel), strict=True))
     values = {axis: table.columns[column].values for axis, column in columns.items()}
     stated = {axis: _unit(table, column, _ANGLE_UNITS) for axis, column in columns.items()}
@@ -180,7 +188,7 @@ def _motion(table: Table, signals: Signals, roles: Roles, first: dict[str, Expla
     return Motion(
         {axis: first[axis].gain for axis in AXES},
         level,
-        _peak(one, two, roles.summed),
+        _peak(first_V, second_V, roles.summed),
         {axis: step_of(values[axis]) for axis in AXES},
         {axis: bool(np.all(np.mod(values[axis][np.isfinite(values[axis])], 1.0) == 0.0)) for axis in AXES},
         stated,
@@ -189,22 +197,22 @@ def _motion(table: Table, signals: Signals, roles: Roles, first: dict[str, Expla
     )
 
 
-def _peak(one: Floats, two: Floats, summed: bool) -> float:
+def _peak(first_V: Floats, second_V: Floats, summed: bool) -> float:
     """Largest voltage of a motor; of sum and difference half of what each reaches: a bias is not known."""
-    peaks = [float(np.quantile(np.abs(values), 0.995)) for values in (one, two)]
+    peaks = [float(np.quantile(np.abs(values), 0.995)) for values in (first_V, second_V)]
     return max(peaks) * (0.5 if summed else 1.0)
 
 
 def _unit(table: Table, column: str, known: frozenset[str]) -> str:
-    said = table.columns[column].unit or split_unit(column)[1]
-    return said if said in known else ""
+    unit = table.columns[column].unit or split_unit(column)[1]
+    return unit if unit in known else ""
 
 
-def _signs(found: dict[str, Explained], roles: Roles) -> Signs:
+def _signs(explained: dict[str, RegressionFit], roles: ColumnAssignment) -> Signs:
     """The fewest changes after which everything agrees."""
-    elevation = 1.0 if found["elevation"].gain >= 0.0 else -1.0
-    answers_difference = found["pitch"].gain >= 0.0
-    follows_pitch = found["travel"].gain >= 0.0
+    elevation = 1.0 if explained["elevation"].gain >= 0.0 else -1.0
+    answers_difference = explained["pitch"].gain >= 0.0
+    follows_pitch = explained["travel"].gain >= 0.0
     if answers_difference:
         return Signs(elevation, 1.0, 1.0 if follows_pitch else -1.0, False)
     if follows_pitch:
@@ -212,17 +220,17 @@ def _signs(found: dict[str, Explained], roles: Roles) -> Signs:
     return Signs(elevation, -1.0, 1.0, False)
 
 
-def _answer_sentence(axis: str, one: Explained) -> str:
+def _answer_sentence(axis: str, explained: RegressionFit) -> str:
     cause = {"elevation": "the sum of the voltages", "pitch": "their difference", "travel": "pitch"}[axis]
-    way = "with" if one.gain >= 0.0 else "against"
-    return f"{axis} goes {way} {cause}: {one.nats:.0f} nats"
+    way = "with" if explained.gain >= 0.0 else "against"
+    return f"{axis} goes {way} {cause}: {explained.nats:.0f} nats"
 
 
 def _profile(
     table: Table,
     clock: Clock,
     rate_Hz: float | None,
-    roles: Roles,
+    roles: ColumnAssignment,
     scale: Scale,
     signs: Signs,
     reference: Reference,

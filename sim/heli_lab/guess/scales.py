@@ -152,12 +152,12 @@ def scales(motion: Motion, reference: Reference) -> list[Scale]:
             }
             nats = base - 0.5 * sum(off[axis] ** 2 for axis in AXES)
             for axis in AXES:
-                said = motion.stated.get(axis, "")
-                nats += _said(said, angles[axis]) + _grid(motion, axis, angles[axis], rad[axis], reference)
-                if not said and angles[axis] != angles["elevation"]:
+                stated = motion.stated.get(axis, "")
+                nats += _said(stated, angles[axis]) + _grid(motion, axis, angles[axis], rad[axis], reference)
+                if not stated and angles[axis] != angles["elevation"]:
                     nats -= _MIXED
             ranked.append(Scale(angles, unit, full, factor, biased, nats, off))
-    return sorted(ranked, key=lambda one: -one.nats)
+    return sorted(ranked, key=lambda scale: -scale.nats)
 
 
 def volts_of(unit: str, full: float, reference: Reference) -> float:

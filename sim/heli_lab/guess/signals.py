@@ -11,13 +11,13 @@ import numpy as np
 from heli_host.tables import Table
 from numpy.typing import NDArray
 
-from heli_lab.guess.thresholds import EDGE_S, STEP_S, CUTOFF_Hz
+from heli_lab.guess.thresholds import EDGE_S, CUTOFF_Hz, SAMPLE_STEP_s
 
 Floats = NDArray[np.float64]
 
 _EXTENDED_ROWS: Final = 15
 """Rows by which a signal is continued at each end, turned about its last value."""
-_SETTLED_ROWS: Final = round(16.0 / (CUTOFF_Hz * STEP_S))
+_SETTLED_ROWS: Final = round(16.0 / (CUTOFF_Hz * SAMPLE_STEP_s))
 """Rows after which nothing is left of the low-pass filter's answer to one value: 1e-16 of it."""
 
 
@@ -58,14 +58,14 @@ def signals_of(table: Table, t_s: Floats, names: list[str]) -> Signals:
     """Bring the columns `names` of a table with times `t_s` to even times, and low-pass them."""
     usable = np.isfinite(t_s)
     usable[usable] = np.concatenate(([True], np.diff(t_s[usable]) > 0.0))
-    even_s = np.arange(t_s[usable][0], t_s[usable][-1], STEP_S)
+    even_s = np.arange(t_s[usable][0], t_s[usable][-1], SAMPLE_STEP_s)
     raw = {}
     for name in names:
         values = table.columns[name].values
         known = usable & np.isfinite(values)
         if known.sum() > 10:
             raw[name] = np.interp(even_s, t_s[known], unwrapped(values[known]))
-    filtered = {name: filtered_signal(one) for name, one in raw.items()}
+    filtered = {name: filtered_signal(samples) for name, samples in raw.items()}
     inner = (even_s > even_s[0] + EDGE_S) & (even_s < even_s[-1] - EDGE_S)
     return Signals(even_s, raw, filtered, inner)
 
@@ -74,8 +74,8 @@ def filtered_signal(values: Floats) -> Signal:
     """Low-pass a signal, `values`, without moving it in time, and take its derivatives."""
     extended = np.pad(values, _EXTENDED_ROWS, mode="reflect", reflect_type="odd")
     low = _butterworth(_butterworth(extended)[::-1])[::-1][_EXTENDED_ROWS:-_EXTENDED_ROWS]
-    rate = np.gradient(low, STEP_S)
-    return Signal(low, rate, np.gradient(rate, STEP_S))
+    rate = np.gradient(low, SAMPLE_STEP_s)
+    return Signal(low, rate, np.gradient(rate, SAMPLE_STEP_s))
 
 
 def _butterworth(values: Floats) -> Floats:
@@ -91,7 +91,7 @@ def _butterworth(values: Floats) -> Floats:
 
 @cache
 def _response(count: int) -> NDArray[np.complex128]:
-    warped = np.tan(np.pi * np.fft.rfftfreq(count)) / np.tan(np.pi * CUTOFF_Hz * STEP_S)
+    warped = np.tan(np.pi * np.fft.rfftfreq(count)) / np.tan(np.pi * CUTOFF_Hz * SAMPLE_STEP_s)
     poles = np.exp(1j * np.pi * np.array([5.0, 7.0, 9.0, 11.0]) / 8.0)
     response: NDArray[np.complex128] = 1.0 / np.prod(1j * warped[:, None] - poles, axis=1)
     return response
@@ -112,7 +112,7 @@ def unwrapped(values: Floats) -> Floats:
 
 def late(values: Floats, lag_s: float) -> Floats:
     """Make a signal, `values`, late by `lag_s`; its ends repeat."""
-    rows = round(lag_s / STEP_S)
+    rows = round(lag_s / SAMPLE_STEP_s)
     result: Floats = np.roll(values, rows)
     if rows > 0:
         result[:rows] = values[0]

@@ -16,7 +16,7 @@ from heli_lab.guess import thresholds
 from heli_lab.guess.flown import fly_choices
 from heli_lab.guess.motion import answers, rest_of
 from heli_lab.guess.reference import Reference, reference_of
-from heli_lab.guess.roles import Explained, Roles
+from heli_lab.guess.roles import ColumnAssignment, RegressionFit
 from heli_lab.guess.scales import AXES
 from heli_lab.guess.signals import signals_of
 
@@ -75,21 +75,23 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
     signals = signals_of(table, flight.t_s, list(_COLUMNS))
     if any(np.ptp(signals.raw[name]) == 0.0 for name in _COLUMNS):
         return ()
-    roles = Roles(
+    roles = ColumnAssignment(
         "elevation_rad", "pitch_rad", "travel_rad", ("front_V", "back_V"), False, (1.0, 1.0), 0.0, 0.0
     )
     # Sines of an angle in degrees would say nothing.
     degrees = _in_degrees(answers(signals, roles, reference), reference)
     if degrees is not None:
         return (degrees,)
-    found = answers(signals, roles, reference, dict.fromkeys(AXES, 1.0))
-    suspects = _suspects(found)
+    explained = answers(signals, roles, reference, dict.fromkeys(AXES, 1.0))
+    suspects = _suspects(explained)
     if suspects:
-        flown = {one.name: one.ratio for one in fly_choices(flight, rig)}
+        flown = {choice.name: choice.ratio for choice in fly_choices(flight, rig)}
         suspects = [
-            one for one in suspects if not flown or flown[" and ".join(one.turned)] < thresholds.CLEARLY_WORSE
+            sign
+            for sign in suspects
+            if not flown or flown[" and ".join(sign.turned)] < thresholds.CLEARLY_WORSE
         ]
-    up = 1.0 if found["elevation"].gain >= 0.0 else -1.0
+    up = 1.0 if explained["elevation"].gain >= 0.0 else -1.0
     rest = rest_of(signals, "elevation_rad", math.degrees(up))
     far = thresholds.REST_DEG + reference.rest_tolerance_deg
     if rest.deg is not None and rest.lowest and abs(rest.deg) < far < abs(reference.rest_deg) - far:
@@ -103,10 +105,10 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
     return tuple(suspects)
 
 
-def _in_degrees(found: dict[str, Explained], reference: Reference) -> WrongSign | None:
-    times = [abs(found[axis].gain / reference.gain[axis]) for axis in ("elevation", "pitch")]
-    sure = all(found[axis].nats > thresholds.SURE_NATS for axis in ("elevation", "pitch"))
-    if not sure or not all(_DEGREES[0] < one < _DEGREES[1] for one in times):
+def _in_degrees(explained: dict[str, RegressionFit], reference: Reference) -> WrongSign | None:
+    times = [abs(explained[axis].gain / reference.gain[axis]) for axis in ("elevation", "pitch")]
+    sure = all(explained[axis].nats > thresholds.SURE_NATS for axis in ("elevation", "pitch"))
+    if not sure or not all(_DEGREES[0] < ratio < _DEGREES[1] for ratio in times):
         return None
     return WrongSign(
         f"elevation and pitch accelerate {times[0]:.0f} and {times[1]:.0f} times as fast as the rig can: "
@@ -115,9 +117,11 @@ def _in_degrees(found: dict[str, Explained], reference: Reference) -> WrongSign 
     )
 
 
-def _suspects(found: dict[str, Explained]) -> list[WrongSign]:
+def _suspects(explained: dict[str, RegressionFit]) -> list[WrongSign]:
     """What the fewest changes would make agree."""
-    against = {axis: found[axis].gain < 0.0 and found[axis].nats > thresholds.SURE_NATS for axis in AXES}
+    against = {
+        axis: explained[axis].gain < 0.0 and explained[axis].nats > thresholds.SURE_NATS for axis in AXES
+    }
     suspects = []
     if against["elevation"]:
         suspects.append(

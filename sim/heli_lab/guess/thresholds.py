@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Final
 
-STEP_S: Final = 0.01
+SAMPLE_STEP_s: Final = 0.01
 """Step of the signals that are compared, s. Set by judgement: far below anything that the arm does."""
 CUTOFF_Hz: Final = 1.5
 """Corner of the low-pass before derivatives are taken, Hz. Set on measured flights: at 3 Hz quantisation at

@@ -43,7 +43,7 @@ class Clock:
 
 def clock_of(table: Table) -> Clock:
     """Find the time of a table."""
-    found: list[tuple[float, Clock]] = []
+    clocks: list[tuple[float, Clock]] = []
     for name, column in table.columns.items():
         values = column.values[np.isfinite(column.values)]
         if values.size < 10:
@@ -54,25 +54,28 @@ def clock_of(table: Table) -> Clock:
         typical = float(np.median(steps))
         even = float(np.mean(np.abs(steps / typical - 1.0) < 0.5))
         clock = _unit(name, column.unit, typical)
-        found.append((2.0 * names.is_time(name) + even + bool(clock.unit) + clock.sure, clock))
-    if not found:
+        clocks.append((2.0 * names.is_time(name) + even + bool(clock.unit) + clock.sure, clock))
+    if not clocks:
         return Clock("", "", False, "no column rises from row to row")
-    return max(found, key=lambda one: one[0])[1]
+    return max(clocks, key=lambda item: item[0])[1]
 
 
 def _unit(name: str, stated: str, step: float) -> Clock:
     possible = [unit for unit, s in TIME_UNITS.items() if _LEAST_STEP_S <= step * s <= _MOST_STEP_S]
-    said = stated or split_unit(name)[1]
-    if not said and set(names.words_of(name)) & {"millis"}:
-        said = "ms"
-    if not said and set(names.words_of(name)) & {"micros"}:
-        said = "us"
-    if said in TIME_UNITS and (said in possible or not possible):
+    stated_unit = stated or split_unit(name)[1]
+    if not stated_unit and set(names.words_of(name)) & {"millis"}:
+        stated_unit = "ms"
+    if not stated_unit and set(names.words_of(name)) & {"micros"}:
+        stated_unit = "us"
+    if stated_unit in TIME_UNITS and (stated_unit in possible or not possible):
         return Clock(
-            name, said if possible else "", bool(possible), f"steps of {step:g} {said} are none of a log"
+            name,
+            stated_unit if possible else "",
+            bool(possible),
+            f"steps of {step:g} {stated_unit} are none of a log",
         )
-    if said in TIME_UNITS:
-        return Clock(name, possible[0], False, f"in {said}, as its name says, with steps of {step:g}")
+    if stated_unit in TIME_UNITS:
+        return Clock(name, possible[0], False, f"in {stated_unit}, as its name says, with steps of {step:g}")
     counts = abs(step - 1.0) < 1e-6
     if counts and not (names.is_time(name) and possible):
         return Clock(name, possible[0] if possible else "ms", False, "it may count rows")
@@ -98,5 +101,5 @@ def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
     if len(edges) == 2:
         return table, t_s
     start, stop = max(itertools.pairwise(edges), key=lambda run: run[1] - run[0])
-    columns = {name: Column(one.values[start:stop], one.unit) for name, one in table.columns.items()}
+    columns = {name: Column(column.values[start:stop], column.unit) for name, column in table.columns.items()}
     return Table(table.source, columns, table.notes, table.named), t_s[start:stop]

@@ -42,4 +42,4 @@ def together(tables: Sequence[Table]) -> Table:
             if name != clock.column:
                 # By its place, not its file's name: a profile of one flight is that of the next.
                 columns[f"{number}: {name}"] = Column(column.values, column.unit, t_s)
-    return Table(tables[0].source, columns, " / ".join(filter(None, (one.notes for one in tables))))
+    return Table(tables[0].source, columns, " / ".join(filter(None, (part.notes for part in tables))))

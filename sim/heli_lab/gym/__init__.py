@@ -13,9 +13,11 @@ except ImportError as missing:
     raise LearningError("heli_lab.gym needs gymnasium", "pip install 'heli-host[gym]'") from missing
 
 from heli_lab.gym.domain import Domain
-from heli_lab.gym.environment import EPISODE_S, STEP_S, HoverEnv
+from heli_lab.gym.environment import EPISODE_S, ACTION_STEP_s, HoverEnv
 from heli_lab.gym.search import LinearPolicy, cross_entropy, mean_return
 
-__all__ = ["EPISODE_S", "STEP_S", "Domain", "HoverEnv", "LinearPolicy", "cross_entropy", "mean_return"]
+__all__ = ["EPISODE_S", "ACTION_STEP_s", "Domain", "HoverEnv", "LinearPolicy", "cross_entropy", "mean_return"]
 
-gymnasium.register("HeliHover-v0", "heli_lab.gym:HoverEnv", max_episode_steps=round(EPISODE_S / STEP_S))
+gymnasium.register(
+    "HeliHover-v0", "heli_lab.gym:HoverEnv", max_episode_steps=round(EPISODE_S / ACTION_STEP_s)
+)

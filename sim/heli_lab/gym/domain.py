@@ -93,9 +93,13 @@ class Domain:
             for name, (low, high) in self.effects.items()
             if random.random() < self.chance
         )
-        asked = parse_effects(texts)
-        names = {effect.name for effect in asked}
-        return Drawn(rig, (*(one for one in effects_of(rig) if one.name not in names), *asked), texts)
+        drawn_effects = parse_effects(texts)
+        names = {effect.name for effect in drawn_effects}
+        return Drawn(
+            rig,
+            (*(rig_effect for rig_effect in effects_of(rig) if rig_effect.name not in names), *drawn_effects),
+            texts,
+        )
 
     def _rig(self, random: np.random.Generator) -> Rig:
         rig = load_rig(self.rigs[int(random.integers(len(self.rigs)))])

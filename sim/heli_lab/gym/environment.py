@@ -18,7 +18,7 @@ from heli_lab.gym.simulator import BoardInLockstep, PlantAlone, Simulator
 Action = npt.NDArray[np.float32]
 Observation = npt.NDArray[np.float32]
 
-STEP_S: Final = 0.02
+ACTION_STEP_s: Final = 0.02
 EPISODE_S: Final = 10.0
 AUTHORITY_V: Final = 2.0
 """Voltage either side of hover that an action may ask for: room for the lift that arms need whose
@@ -120,7 +120,7 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
         return self._observation(seen.angles_rad, np.zeros(2)), {"rig": drawn.rig, "effects": drawn.effects}
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Hold two voltages for `STEP_S`.
+        """Hold two voltages for `ACTION_STEP_s`.
 
         Parameters
         ----------
@@ -147,15 +147,15 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
         """
         if self._ended:
             raise LearningError("the episode has ended", "call reset")
-        taken = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
-        volts_V = np.maximum(self.hover_V + AUTHORITY_V * taken, 0.0)
-        seen = self._simulator.step(volts_V, round(STEP_S * 1e3))
-        observation = self._observation(seen.angles_rad, taken)
+        clipped_action = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
+        volts_V = np.maximum(self.hover_V + AUTHORITY_V * clipped_action, 0.0)
+        seen = self._simulator.step(volts_V, round(ACTION_STEP_s * 1e3))
+        observation = self._observation(seen.angles_rad, clipped_action)
         self._before = seen.angles_rad
         if not seen.flying:
             self._ended = True
             return observation, 0.0, True, False, {"why": seen.why}
-        return observation, self._reward(seen.angles_rad - self._setpoint, taken), False, False, {}
+        return observation, self._reward(seen.angles_rad - self._setpoint, clipped_action), False, False, {}
 
     def close(self) -> None:
         """Let go of the simulation; a second call does nothing."""
@@ -163,13 +163,13 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
         self._simulator.close()
 
     def _observation(
-        self, angles_rad: npt.NDArray[np.float64], taken: npt.NDArray[np.float64]
+        self, angles_rad: npt.NDArray[np.float64], action: npt.NDArray[np.float64]
     ) -> Observation:
-        rates = (angles_rad - self._before) / STEP_S
-        seen = np.concatenate((angles_rad - self._setpoint, rates, taken))
+        rates = (angles_rad - self._before) / ACTION_STEP_s
+        seen = np.concatenate((angles_rad - self._setpoint, rates, action))
         return np.clip(seen, -_SIGHT, _SIGHT).astype(np.float32)
 
     @staticmethod
-    def _reward(error_rad: npt.NDArray[np.float64], taken: npt.NDArray[np.float64]) -> float:
+    def _reward(error_rad: npt.NDArray[np.float64], action: npt.NDArray[np.float64]) -> float:
         shares = np.minimum((error_rad / np.deg2rad([5.0, 30.0, 15.0])) ** 2, 1.0)
-        return float(1.0 - shares @ [0.5, 0.1, 0.3] - 0.1 * np.mean(taken**2))
+        return float(1.0 - shares @ [0.5, 0.1, 0.3] - 0.1 * np.mean(action**2))

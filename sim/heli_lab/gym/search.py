@@ -102,7 +102,7 @@ def cross_entropy(
     for generation in range(generations):
         drawn = mean + deviation * random.standard_normal((population, 6))
         seeds = range(1000 * generation, 1000 * generation + episodes)
-        returns = [mean_return(env, _policy(one), seeds) for one in drawn]
+        returns = [mean_return(env, _policy(weights), seeds) for weights in drawn]
         chosen = drawn[np.argsort(returns)[-best:]]
         mean = chosen.mean(axis=0)
         # Szita and Lorincz' noise, a tenth of the first spread at the beginning and none at the end.

@@ -152,11 +152,11 @@ class PlantAlone(Simulator):
         buffer, evaluate = run.buffer()
         given: tuple[Any, ...] = (self._state, volts_V, self._parameters)
         after, measured = np.empty(self._state.size), np.empty(3)
-        found: tuple[Any, ...] = (after, measured)
-        for place, one in enumerate(given):
-            buffer.set_arg(place, memoryview(one))
-        for place, one in enumerate(found):
-            buffer.set_res(place, memoryview(one))
+        outputs: tuple[Any, ...] = (after, measured)
+        for place, array in enumerate(given):
+            buffer.set_arg(place, memoryview(array))
+        for place, array in enumerate(outputs):
+            buffer.set_res(place, memoryview(array))
         evaluate()
         self._state = after
         return measured
@@ -165,14 +165,14 @@ class PlantAlone(Simulator):
         """So many milliseconds in one call; without a C compiler CasADi's virtual machine does them."""
         key = (self._key, ticks)
         if key not in self._run:
-            one = self._plant.function
-            library = compile_function(one)
+            step = self._plant.function
+            library = compile_function(step)
             if library is not None:
-                one = ca.external(one.name(), str(library))
-            x, u = ca.MX.sym("state", one.numel_in(0)), ca.MX.sym("volts_V", 2)
-            p, after, measured = ca.MX.sym("parameters", one.numel_in(3)), x, ca.MX.zeros(3)
+                step = ca.external(step.name(), str(library))
+            x, u = ca.MX.sym("state", step.numel_in(0)), ca.MX.sym("volts_V", 2)
+            p, after, measured = ca.MX.sym("parameters", step.numel_in(3)), x, ca.MX.zeros(3)
             for _ in range(ticks):
-                after, measured = one(after, u, ca.MX.zeros(3), p)
+                after, measured = step(after, u, ca.MX.zeros(3), p)
             self._run[key] = ca.Function("ticks", [x, u, p], [after, measured])
         return self._run[key]
 

@@ -127,9 +127,13 @@ def validate(fit: Fit, flights: Sequence[Flight | Record], labels: Sequence[str]
     """
     problem = fit.problem
     shared = {
-        one.quantity: float(v) for one, v in zip(problem.free, fit.theta, strict=True) if one.record is None
+        parameter.quantity: float(v)
+        for parameter, v in zip(problem.free, fit.theta, strict=True)
+        if parameter.record is None
     }
-    local = {one.quantity: one.prior for one in problem.free if one.record is not None}
+    local = {
+        parameter.quantity: parameter.prior for parameter in problem.free if parameter.record is not None
+    }
     held_out = Problem(
         problem.model,
         problem.rig,

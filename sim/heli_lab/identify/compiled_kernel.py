@@ -15,7 +15,7 @@ from typing_extensions import override
 
 from heli_lab.identify.functions import Floats, Functions, Inputs
 from heli_lab.identify.windows import Kernel
-from heli_lab.threads import shared_out
+from heli_lab.threads import parallel_map
 
 _WORTH_THREADS_ROWS: Final = 500
 """Steps from which on a second thread saves more than it costs to start."""
@@ -353,5 +353,5 @@ class CompiledKernel(Kernel):
         shares = inputs.rows * np.arange(1, self._threads) / self._threads
         inner = np.minimum(np.searchsorted(np.cumsum(steps), shares) + 1, windows)
         edges = [0, *(int(edge) for edge in np.unique(inner) if edge < windows), windows]
-        shared_out(lambda ends: part(*ends), list(itertools.pairwise(edges)), self._threads)
+        parallel_map(lambda ends: part(*ends), list(itertools.pairwise(edges)), self._threads)
         return angles, end

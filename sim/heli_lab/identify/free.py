@@ -101,7 +101,11 @@ def estimated_names(model: Model, rig: Rig, free: Sequence[str] | None, fixed: S
             raise _unknown(model, name)
         if name in (free or ()):
             raise IdentifyError(f"'{name}' is asked for and fixed at once", "leave one of them out")
-    names = [one.quantity for one in free_parameters(model, rig, free, {}) if one.quantity not in fixed]
+    names = [
+        parameter.quantity
+        for parameter in free_parameters(model, rig, free, {})
+        if parameter.quantity not in fixed
+    ]
     if not names:
         raise IdentifyError("every number is fixed", "free at least one")
     return names

@@ -45,7 +45,7 @@ class Grid:
         """Keep some windows alone, those of the numbers in `which`, in the order wanted."""
         inputs, slices = self.inputs, self.slices
         kept = np.concatenate([np.arange(slices[i].start, slices[i].stop) for i in which])
-        own = Inputs(
+        chosen = Inputs(
             inputs.steps[which],
             inputs.start_s[which],
             inputs.step_s,
@@ -54,7 +54,7 @@ class Grid:
             inputs.substeps,
             tuple((name, mean[kept], change[kept]) for name, mean, change in inputs.shaped_by),
         )
-        return Grid(self.record, own, self.rows[kept], self.every)
+        return Grid(self.record, chosen, self.rows[kept], self.every)
 
 
 def window_starts(record: Record, window_s: float, every: int, parts: int = 1) -> list[tuple[int, int]]:

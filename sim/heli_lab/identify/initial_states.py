@@ -17,7 +17,7 @@ _MECHANICAL: Final = 6
 """Three angles and their rates; the states of effects follow."""
 
 
-def first_states(problem: Problem, theta: Floats) -> list[Floats]:
+def initial_state_guess(problem: Problem, theta: Floats) -> list[Floats]:
     """Initial states of all windows with free parameters `theta`, shape (f,), as the angles around their
     beginnings suggest: shape (w, states) for each record, see `states_at`.
     """
@@ -73,13 +73,13 @@ def alternative_states(problem: Problem, index: int, theta: Floats, states: Floa
     grid = problem.grid(index, False, theta)
     parameters = problem.parameters(theta, index)
     ends = problem.kernel.end(grid.inputs, states, parameters)
-    before, near = states.copy(), states.copy()
-    near[:, :_MECHANICAL] = _parabolas(record, np.array([first for first, _ in windows]), SHORT_FIT_S)
+    before, warm_start = states.copy(), states.copy()
+    warm_start[:, :_MECHANICAL] = _parabolas(record, np.array([first for first, _ in windows]), SHORT_FIT_S)
     for number, (first, _) in enumerate(windows):
         if number and sum(windows[number - 1]) == first and np.isfinite(ends[number - 1]).all():
             before[number] = ends[number - 1]
     places = {state.name: place for place, state in enumerate(problem.model.states)}
-    values = dict(zip((one.name for one in problem.model.parameters), parameters, strict=True))
+    values = dict(zip((parameter.name for parameter in problem.model.parameters), parameters, strict=True))
     shifted = []
     for effect in problem.model.effects:
         for offsets in effect.alternative_starts(values):
@@ -87,7 +87,7 @@ def alternative_states(problem: Problem, index: int, theta: Floats, states: Floa
             for name, offset in offsets.items():
                 other[:, places[name]] += offset
             shifted.append(other)
-    return [before, near, *shifted]
+    return [before, warm_start, *shifted]
 
 
 def _beginnings(problem: Problem, index: int, theta: Floats) -> Integers:
@@ -102,7 +102,7 @@ def _after_run_in(problem: Problem, index: int, rows: Integers, states: Floats, 
     they drive are the same. Such a run starts with the angles of its end.
     """
     record, parameters = problem.records[index], problem.parameters(theta, index)
-    found = np.zeros((len(rows), problem.state_count - _MECHANICAL))
+    effect_states = np.zeros((len(rows), problem.state_count - _MECHANICAL))
     begun = np.array([0, *(gap + 1 for gap in record.gaps)])
     first = begun[np.searchsorted(begun, rows, side="right") - 1]
     back = np.minimum(rows - first, round(RUN_IN_S / record.step_s))
@@ -115,15 +115,15 @@ def _after_run_in(problem: Problem, index: int, rows: Integers, states: Floats, 
         start[:, _MECHANICAL:] = 0.0
         free = begun_at >= _segments_of(record, rows[some])[:, 0]
         start[free, :_MECHANICAL] = _parabolas(record, begun_at[free], STATE_FIT_S)
-        found[some] = problem.kernel.end(grid.inputs, start, parameters)[:, _MECHANICAL:]
-    return np.where(np.isfinite(found), found, 0.0)
+        effect_states[some] = problem.kernel.end(grid.inputs, start, parameters)[:, _MECHANICAL:]
+    return np.where(np.isfinite(effect_states), effect_states, 0.0)
 
 
 def _segments_of(record: Record, rows: Integers) -> Integers:
     """First row, and last row plus one, of the free segments that `rows` lie in, shape (w, 2)."""
     segments = np.array(record.segments)
-    found: Integers = segments[np.searchsorted(segments[:, 0], rows, side="right") - 1]
-    return found
+    starts: Integers = segments[np.searchsorted(segments[:, 0], rows, side="right") - 1]
+    return starts
 
 
 def _parabolas(record: Record, rows: Integers, reach_s: float) -> Floats:

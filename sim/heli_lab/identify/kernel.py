@@ -15,18 +15,18 @@ from heli_lab.identify.compiled_kernel import CompiledKernel, driver
 from heli_lab.identify.functions import Functions
 from heli_lab.identify.interpreted_kernel import InterpretedKernel
 from heli_lab.identify.windows import Kernel
-from heli_lab.threads import usual_threads
+from heli_lab.threads import default_thread_count
 
 __all__ = ["Kernel", "kernel"]
 
 
 def kernel(model: Model, free: tuple[str, ...], threads: int | None = None) -> Kernel:
     """Build or find the kernel of a model, with derivatives to the parameters `free`, in this order:
-    compiled, its windows shared out to `threads` (`usual_threads` where None), or interpreted where there is
+    compiled, its windows on `threads` (`default_thread_count` where None), or interpreted where there is
     no C compiler. A PlantError when the compiler fails.
     """
     functions = Functions(model, free)
     library = compile_source("identify", driver(functions))
     if library is None:
         return InterpretedKernel(functions)
-    return CompiledKernel(functions, str(library), usual_threads() if threads is None else threads)
+    return CompiledKernel(functions, str(library), default_thread_count() if threads is None else threads)

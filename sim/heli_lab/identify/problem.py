@@ -70,7 +70,7 @@ class Problem:
         Prior standard deviation of an effect's state at the beginning of a window about what a free run over
         the flight before it gives, in the state's unit; else that of `thresholds.STATE_STD`.
     threads : int, optional
-        Threads of the predictions; `usual_threads` where not given. The result does not depend on it.
+        Threads of the predictions; `default_thread_count` where not given. The result does not depend on it.
 
     Raises
     ------
@@ -107,17 +107,21 @@ class Problem:
             raise IdentifyError("there is no flight to identify from", "give at least one")
         if len({record.label for record in self.records}) < len(self.records):
             raise IdentifyError("two flights have the same label", "give each its own")
-        shared = [one for one in wanted if one.quantity not in per_flight]
-        local = [one for one in wanted if one.quantity in per_flight]
+        shared = [parameter for parameter in wanted if parameter.quantity not in per_flight]
+        local = [parameter for parameter in wanted if parameter.quantity in per_flight]
         several = len(self.records) > 1
-        own = [
-            replace(one, record=index, name=f"{one.name}[{record.label}]" if several else one.name)
+        flight_parameters = [
+            replace(
+                parameter,
+                record=index,
+                name=f"{parameter.name}[{record.label}]" if several else parameter.name,
+            )
             for index, record in enumerate(self.records)
-            for one in local
+            for parameter in local
         ]
-        self.free: tuple[FreeParameter, ...] = (*shared, *own)
+        self.free: tuple[FreeParameter, ...] = (*shared, *flight_parameters)
         self.columns = tuple(
-            np.array([i for i, one in enumerate(self.free) if one.record in (None, index)], int)
+            np.array([i for i, parameter in enumerate(self.free) if parameter.record in (None, index)], int)
             for index in range(len(self.records))
         )
         """For each record, which free parameters it depends on, in the order of the kernel."""
@@ -137,9 +141,9 @@ class Problem:
             if name not in names:
                 raise IdentifyError(f"the model has no parameter '{name}'", f"names are: {', '.join(names)}")
             self.base[names.index(name)] = value
-        self._place = np.array([names.index(one.quantity) for one in self.free], int)
+        self._place = np.array([names.index(parameter.quantity) for parameter in self.free], int)
         self._delay = names.index(model.delay) if model.delay else None
-        self._kernel_free = tuple(one.quantity for one in (*shared, *local))
+        self._kernel_free = tuple(parameter.quantity for parameter in (*shared, *local))
         self.threads = threads
         self.kernel = kernel(model, self._kernel_free, threads)
         self._one_way = "reverse_thrust" not in names or not self.base[names.index("reverse_thrust")]
@@ -166,24 +170,24 @@ class Problem:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters."""
-        return tuple(one.name for one in self.free)
+        return tuple(parameter.name for parameter in self.free)
 
     @property
     def prior_mean(self) -> Floats:
         """Means of the priors, shape (f,)."""
-        return np.array([one.prior.mean for one in self.free])
+        return np.array([parameter.prior.mean for parameter in self.free])
 
     @property
     def prior_std(self) -> Floats:
         """Standard deviations of the priors, shape (f,)."""
-        return np.array([one.prior.std for one in self.free])
+        return np.array([parameter.prior.std for parameter in self.free])
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
         """Lowest and highest values, each of shape (f,)."""
         return (
-            np.array([one.prior.low for one in self.free]),
-            np.array([one.prior.high for one in self.free]),
+            np.array([parameter.prior.low for parameter in self.free]),
+            np.array([parameter.prior.high for parameter in self.free]),
         )
 
     @property
@@ -208,10 +212,10 @@ class Problem:
         names = [quantity.name for quantity in self.model.parameters]
         other.free = tuple(free)
         other.columns = tuple(
-            np.array([i for i, one in enumerate(free) if one.record in (None, index)], int)
+            np.array([i for i, parameter in enumerate(free) if parameter.record in (None, index)], int)
             for index in range(len(self.records))
         )
-        other._place = np.array([names.index(one.quantity) for one in free], int)
+        other._place = np.array([names.index(parameter.quantity) for parameter in free], int)
         return other
 
     def with_split_windows(self, parts: int) -> Problem:

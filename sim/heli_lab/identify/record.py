@@ -216,7 +216,7 @@ def encoder_counts(angles_rad: Floats, rig: Rig) -> tuple[Floats, list[str]]:
 def _refuse_dead_columns(flight: Flight, label: str, count_rad: Floats) -> None:
     rows = len(flight)
     moved = np.ptp(flight.angles_rad, axis=0) / count_rad
-    if np.all(moved < thresholds.LEAST_COUNTS):
+    if np.all(moved < thresholds.MIN_MOTION_COUNTS):
         most = int(np.argmax(moved))
         raise NotExcited(
             f"{label}: the rig never moves: {AXES[most]}_rad varies by {moved[most]:.0f} counts "
@@ -306,7 +306,7 @@ def _last_descent(flight: Flight, near_table: npt.NDArray[np.bool_], step_s: flo
 
 
 def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, npt.NDArray[np.bool_], list[str]]]:
-    found: list[tuple[str, npt.NDArray[np.bool_], list[str]]] = []
+    reasons: list[tuple[str, npt.NDArray[np.bool_], list[str]]] = []
     around = round(thresholds.AROUND_STOP_S / step_s)
     names = ("elevation_max", "pitch_max", "travel_max")
     for index, (axis, name) in enumerate(zip(AXES, names, strict=True)):
@@ -319,11 +319,11 @@ def _stops(angles_rad: Floats, rig: Rig, step_s: float) -> list[tuple[str, npt.N
             continue
         if beyond.max() > stop.value + stop.tolerance + thresholds.BEYOND_STOP_DEG:
             note = f"{axis} reaches {beyond.max():.0f} degrees, beyond the rig's {name} of {stop.value:g}"
-            found.append((axis, np.zeros_like(at_stop), [f"{note}: taken to be free there"]))
+            reasons.append((axis, np.zeros_like(at_stop), [f"{note}: taken to be free there"]))
             continue
         wide = np.convolve(at_stop, np.ones(2 * around + 1), mode="same") > 0.5
-        found.append((axis, wide, []))
-    return found
+        reasons.append((axis, wide, []))
+    return reasons
 
 
 def _segments(

@@ -44,7 +44,7 @@ def write_report(identification: Identification, folder: str | Path, drawing: Dr
         flights=flights,
         parameters=_parameters(identification),
         parameters_figure=drawing.add(figure_of_parameters(identification), folder / "parameters.png"),
-        combinations=[_combination(one) for one in identification.combinations],
+        combinations=[_combination(combination) for combination in identification.combinations],
         pairs=[[a, b, f"{value:.3f}"] for a, b, value in identification.strong_correlations],
         correlations_figure=drawing.add(figure_of_correlations(identification), folder / "correlations.png"),
         used=_used(identification),
@@ -87,12 +87,12 @@ def _axis_cells(check: Check) -> list[str]:
 def _parameters(identification: Identification) -> dict[str, Any]:
     fit, problem = identification.fit, identification.fit.problem
     rows = []
-    for one, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True):
-        remark = "on its bound" if one.name in fit.at_bound else ""
-        remark = remark or ("uninformed" if one.name in identification.uninformed_parameters else "")
-        prior = f"{one.prior.mean:g} ± {2 * one.prior.std:g}"
-        found = f"{rounded(value, std)} ± {rounded(2 * std, std)}"
-        rows.append([one.name, found, one.unit, prior, f"{std / one.prior.std:.2g}", remark])
+    for parameter, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True):
+        remark = "on its bound" if parameter.name in fit.at_bound else ""
+        remark = remark or ("uninformed" if parameter.name in identification.uninformed_parameters else "")
+        prior = f"{parameter.prior.mean:g} ± {2 * parameter.prior.std:g}"
+        text = f"{rounded(value, std)} ± {rounded(2 * std, std)}"
+        rows.append([parameter.name, text, parameter.unit, prior, f"{std / parameter.prior.std:.2g}", remark])
     heads = ["parameter", "found ± 2 std", "unit", "prior ± 2 std", "std over prior's", ""]
     return {"heads": heads, "rows": rows}
 

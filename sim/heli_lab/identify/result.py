@@ -62,12 +62,14 @@ class Identification:
         labels = ", ".join(record.label for record in self.fit.problem.records)
         numbers = dict(old.numbers)
         several = len(self.fit.problem.records) > 1
-        found: dict[str, list[tuple[float, float]]] = {}
-        for one, value, std in zip(self.fit.problem.free, self.fit.theta, self.fit.std.values(), strict=True):
-            if one.quantity not in numbers or (several and one.quantity in PER_FLIGHT):
+        by_quantity: dict[str, list[tuple[float, float]]] = {}
+        for parameter, value, std in zip(
+            self.fit.problem.free, self.fit.theta, self.fit.std.values(), strict=True
+        ):
+            if parameter.quantity not in numbers or (several and parameter.quantity in PER_FLIGHT):
                 continue
-            found.setdefault(one.quantity, []).append((float(value), std))
-        for quantity, estimates in found.items():
+            by_quantity.setdefault(parameter.quantity, []).append((float(value), std))
+        for quantity, estimates in by_quantity.items():
             was = numbers[quantity]
             values, errors = np.array(estimates).T
             scatter = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
@@ -86,17 +88,19 @@ class Identification:
         """Effects of the model with the numbers found, as a rig holds them."""
         problem = self.fit.problem
         values = dict(zip((q.name for q in problem.model.parameters), problem.base, strict=True))
-        found = self.fit.values
+        estimates = self.fit.values
         labels = ", ".join(record.label for record in problem.records)
         effects: dict[str, dict[str, Number]] = {}
         for effect in problem.model.effects:
             numbers = effects.setdefault(effect.name, {})
-            for own in effect.parameters:
-                what = own.name.removeprefix(f"{effect.name.replace('.', '_')}_")
-                value = float(found.get(own.name, values[own.name]))
-                free = own.name in found
+            for parameter in effect.parameters:
+                what = parameter.name.removeprefix(f"{effect.name.replace('.', '_')}_")
+                value = float(estimates.get(parameter.name, values[parameter.name]))
+                free = parameter.name in estimates
                 source = f"identified from {labels}" if free else "not estimated"
-                numbers[what] = Number(value, own.unit, 2.0 * self.fit.std[own.name] if free else 0.0, source)
+                numbers[what] = Number(
+                    value, parameter.unit, 2.0 * self.fit.std[parameter.name] if free else 0.0, source
+                )
         return effects
 
     def json(self) -> dict[str, Any]:
@@ -111,14 +115,14 @@ class Identification:
             "effects": [effect.name for effect in problem.model.effects],
             "rig": problem.rig.name,
             "parameters": {
-                one.name: {
+                parameter.name: {
                     "value": float(value),
                     "std": std,
-                    "unit": one.unit,
-                    "prior": {"value": one.prior.mean, "std": one.prior.std},
-                    "at_bound": one.name in fit.at_bound,
+                    "unit": parameter.unit,
+                    "prior": {"value": parameter.prior.mean, "std": parameter.prior.std},
+                    "at_bound": parameter.name in fit.at_bound,
                 }
-                for one, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True)
+                for parameter, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True)
             },
             "normalised_residual": {
                 "train": _together([check.normalised for check in self.training], self.training),

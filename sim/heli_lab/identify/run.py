@@ -14,7 +14,7 @@ from heli_lab.errors import IdentifyError
 from heli_lab.identify.check import check, trace, validate
 from heli_lab.identify.fit import Budget, Progress
 from heli_lab.identify.free import estimated_names
-from heli_lab.identify.initial_states import first_states
+from heli_lab.identify.initial_states import initial_state_guess
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.record import Record, prepare
 from heli_lab.identify.result import Identification
@@ -95,7 +95,7 @@ def identify(
 
 def _start_values(problem: Problem) -> dict[str, float] | None:
     """Start values from short windows, where those of the rig file are so far off that long ones diverge."""
-    evaluations = zip(problem.records, first_states(problem, problem.start), strict=True)
+    evaluations = zip(problem.records, initial_state_guess(problem, problem.start), strict=True)
     for index, (record, states) in enumerate(evaluations):
         evaluation = problem.evaluation(index, problem.start, states, derivatives=False)
         with np.errstate(all="ignore"):

@@ -63,9 +63,9 @@ def add_state_prior(
         What the diagonal of the states grows by, as a share of itself.
     """
     nx = problem.state_count
-    diagonal, own = np.arange(nx), np.arange(6, nx)
+    diagonal, effect_rows = np.arange(nx), np.arange(6, nx)
     precision = 1.0 / problem.state_std**2
-    normal[:, own, own] += precision
+    normal[:, effect_rows, effect_rows] += precision
     pull = precision * (reference - states)[:, 6:]
     normal[:, 6:nx, -1] += pull
     normal[:, -1, 6:nx] += pull

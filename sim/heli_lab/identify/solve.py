@@ -10,9 +10,9 @@ import numpy as np
 
 from heli_lab.errors import IdentifyError
 from heli_lab.identify import thresholds
-from heli_lab.identify.descent import Descent, Point
 from heli_lab.identify.fit import Budget, Fit, Progress
 from heli_lab.identify.functions import Floats
+from heli_lab.identify.levenberg_marquardt import LevenbergMarquardt, Point
 from heli_lab.identify.problem import Problem
 from heli_lab.identify.uncertainty import quantisation_scatter, timing_variance
 
@@ -25,7 +25,7 @@ def solve(
     robust: bool = True,
     fine: bool = True,
     scatter: bool = True,
-    near: bool = False,
+    warm_start: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Fit:
     """Fit the free parameters and the windows' initial states; there is a result also when the budget ran
@@ -46,7 +46,7 @@ def solve(
         Finish on every sample, not on the coarse grid.
     scatter : bool
         Widen standard errors by the effect of quantisation, which takes as long as two steps.
-    near : bool
+    warm_start : bool
         The start is near, as where constants and initial states alone are free: one round on the coarse grid
         is enough.
     on_progress : callable, optional
@@ -57,9 +57,9 @@ def solve(
     IdentifyError
         When the model cannot predict the flights at all from the start values.
     """
-    solver = Descent(problem, budget or Budget(), robust, on_progress)
+    solver = LevenbergMarquardt(problem, budget or Budget(), robust, on_progress)
     theta, states = _start(solver, start)
-    solver.reference = solver.first_states(theta)
+    solver.reference = solver.initial_state_guess(theta)
     point = solver.evaluate(theta, states)
     solver.reweight(point)
     if not math.isfinite(point.cost):
@@ -72,7 +72,7 @@ def solve(
     for number in range(rounds):
         # While amplitudes are still wrong, a frequency or a moment would leave its basin of attraction.
         rough = number < thresholds.ROUGH_ROUNDS
-        solver.frozen[:] = [rough and one.quantity in multimodal for one in problem.free]
+        solver.frozen[:] = [rough and parameter.quantity in multimodal for parameter in problem.free]
         share = (0.6 * number / rounds, 0.6 * (number + 1) / rounds)
         # Far from the solution the weights are rough: only later rounds need small steps.
         most = thresholds.ROUGH_STEPS if rough else thresholds.COARSE_STEPS
@@ -83,7 +83,7 @@ def solve(
         change = solver.reweight(point)
         solver.damping = 0.0
         enough = number >= thresholds.ROUGH_ROUNDS - 1 + bool(multimodal)
-        if near or not finished or (enough and change < thresholds.SETTLED_CHANGE and not restarted):
+        if warm_start or not finished or (enough and change < thresholds.SETTLED_CHANGE and not restarted):
             break
     if fine and not solver.out_of_budget():
         solver.fine = True
@@ -101,7 +101,9 @@ def solve(
     return _result(solver, point, converged, scatter)
 
 
-def _start(solver: Descent, start: Fit | Mapping[str, float] | None) -> tuple[Floats, list[Floats]]:
+def _start(
+    solver: LevenbergMarquardt, start: Fit | Mapping[str, float] | None
+) -> tuple[Floats, list[Floats]]:
     problem = solver.problem
     theta = problem.start
     given = start.values if isinstance(start, Fit) else start or {}
@@ -109,20 +111,20 @@ def _start(solver: Descent, start: Fit | Mapping[str, float] | None) -> tuple[Fl
         if name in given:
             theta[index] = given[name]
     theta = np.clip(theta, *problem.bounds).astype(np.float64)
-    states = solver.first_states(theta)
+    states = solver.initial_state_guess(theta)
     if isinstance(start, Fit) and len(start.states) == len(states):
         # An effect's state and the rates beside it compensate for each other: one without the other is worse
         # than neither.
         places = {state.name: i for i, state in enumerate(start.problem.model.states)}
         known = [(i, places[s.name]) for i, s in enumerate(problem.model.states) if s.name in places]
-        for own, old in zip(states, start.states, strict=True):
-            if len(own) == len(old):
+        for new, old in zip(states, start.states, strict=True):
+            if len(new) == len(old):
                 for new_place, old_place in known:
-                    own[:, new_place] = old[:, old_place]
+                    new[:, new_place] = old[:, old_place]
     return theta, states
 
 
-def _result(solver: Descent, point: Point, converged: bool, scatter: bool) -> Fit:
+def _result(solver: LevenbergMarquardt, point: Point, converged: bool, scatter: bool) -> Fit:
     problem = solver.problem
     information, *_ = solver.reduced(point)
     weight = np.diag(1.0 / problem.prior_std**2)

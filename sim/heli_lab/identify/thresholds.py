@@ -44,7 +44,7 @@ BEYOND_STOP_DEG: Final = 5.0
 Set by judgement."""
 AROUND_STOP_S: Final = 0.3
 """Cut on either side of a contact with a stop, s. Set by judgement: several times the rotors' lag."""
-LEAST_COUNTS: Final = 10
+MIN_MOTION_COUNTS: Final = 10
 """Encoder counts an axis must span to have moved. Set by judgement: noise and drift give one or two."""
 LEAST_SEGMENT_S: Final = 1.0
 """Shortest stretch of free flight that is fitted, s. Set by judgement: a shorter one has more unknown

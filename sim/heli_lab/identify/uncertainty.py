@@ -71,9 +71,9 @@ def timing_variance(problem: Problem) -> Floats:
     differ in this by half a tick, as do explicit and exact steps of a lag, and a fit finds the time to a
     fiftieth of a tick.
     """
-    own = {name for effect in problem.model.effects for name in effect.priors}
+    effect_names = {name for effect in problem.model.effects for name in effect.priors}
     tick_s = max(record.step_s for record in problem.records)
-    late = [one.unit == "s" and one.quantity in own for one in problem.free]
+    late = [parameter.unit == "s" and parameter.quantity in effect_names for parameter in problem.free]
     result: Floats = np.where(late, tick_s**2 / 12.0, 0.0)
     return result
 
@@ -110,7 +110,7 @@ def combinations(names: Sequence[str], information: Floats, prior_std: Floats) -
     """
     whitened = information * np.outer(prior_std, prior_std)
     strength, directions = np.linalg.eigh(0.5 * (whitened + whitened.T))
-    found = []
+    result = []
     for value, direction in zip(np.maximum(strength, 0.0), directions.T, strict=True):
         if value >= 1.0:
             break
@@ -119,8 +119,8 @@ def combinations(names: Sequence[str], information: Floats, prior_std: Floats) -
         order = [i for i in np.argsort(-size) if size[i] >= COMBINATION_WEIGHT * size.max()]
         sign = math.copysign(1.0, direction[order[0]])
         change = {names[i]: float(sign * direction[i] * prior_std[i] * shrunk) for i in order}
-        found.append(Combination(change, shrunk))
-    return found
+        result.append(Combination(change, shrunk))
+    return result
 
 
 def uninformed_parameters(names: Sequence[str], covariance: Floats, prior_std: Floats) -> list[str]:

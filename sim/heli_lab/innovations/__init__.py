@@ -1,28 +1,34 @@
 """The prediction error method along a measured course: likelihood of a model of a rig in weather."""
 
-from heli_lab.innovations.course import Course, follow
+from heli_lab.innovations.disturbances import DisturbanceModel
 from heli_lab.innovations.estimate import Estimate, estimate
-from heli_lab.innovations.evaluate import OWN_SUBSTEPS, AlongCourse, OwnStates, Trajectory
-from heli_lab.innovations.filtered import Filtered
-from heli_lab.innovations.linear import BLOCK_s, Derivatives, Linear, ModelFunctions, known_directions
-from heli_lab.innovations.unknowns import Unknowns
-from heli_lab.innovations.weather import Weather
+from heli_lab.innovations.evaluate import EFFECT_SUBSTEPS, AlongTrajectory, EffectStates, Trajectory
+from heli_lab.innovations.innovations_model import InnovationsModel
+from heli_lab.innovations.linearised_flight import (
+    BLOCK_s,
+    Derivatives,
+    LinearisedFlight,
+    ModelFunctions,
+    known_directions,
+)
+from heli_lab.innovations.parameter_vector import ParameterVector
+from heli_lab.innovations.reference_trajectory import ReferenceTrajectory, kinematic_filter
 
 __all__ = [
-    "OWN_SUBSTEPS",
-    "AlongCourse",
+    "EFFECT_SUBSTEPS",
+    "AlongTrajectory",
     "BLOCK_s",
-    "Course",
     "Derivatives",
+    "DisturbanceModel",
+    "EffectStates",
     "Estimate",
-    "Filtered",
-    "Linear",
+    "InnovationsModel",
+    "LinearisedFlight",
     "ModelFunctions",
-    "OwnStates",
+    "ParameterVector",
+    "ReferenceTrajectory",
     "Trajectory",
-    "Unknowns",
-    "Weather",
     "estimate",
-    "follow",
+    "kinematic_filter",
     "known_directions",
 ]

@@ -34,7 +34,7 @@ class CourseIntegrator:
     ) -> None: ...
     def run(
         self,
-        course: Sequence[_Floats],
+        reference: Sequence[_Floats],
         t_s: _Floats,
         shared: _Floats,
         step_s: float,

@@ -1,6 +1,7 @@
 """Maximum likelihood in innovations form: parameters of a model and the weather, estimated together.
 
-The Kalman filter of a linearised model (`linear.py`) under weather (`weather.py`) turns measured angles into
+The Kalman filter of a model linearised along a flight (`linearised_flight.py`) with random disturbances
+(`disturbances.py`) turns measured angles into
 innovations, which are white where the model is right, also in closed loop. It is linear in what drives it:
 derivatives by the parameters are filtered beside the measurement, and the parameters follow by weighted least
 squares with the rig's priors. The weather's numbers maximise the same likelihood. After Kristensen, Madsen
@@ -16,12 +17,12 @@ from typing import Final
 import numpy as np
 
 from heli_lab.identify.functions import Floats
-from heli_lab.innovations.bordered import inverse_bordered, solve_bordered
-from heli_lab.innovations.course import Course
-from heli_lab.innovations.filtered import Filtered, Innovations
-from heli_lab.innovations.linear import Linear, ModelFunctions
-from heli_lab.innovations.unknowns import Unknowns
-from heli_lab.innovations.weather import Weather, maximise
+from heli_lab.innovations.arrowhead import invert_arrowhead, solve_arrowhead
+from heli_lab.innovations.disturbances import DisturbanceModel, maximise
+from heli_lab.innovations.innovations_model import Innovations, InnovationsModel
+from heli_lab.innovations.linearised_flight import LinearisedFlight, ModelFunctions
+from heli_lab.innovations.parameter_vector import ParameterVector
+from heli_lab.innovations.reference_trajectory import ReferenceTrajectory
 
 _MAX_MOVES: Final = 15
 _HALVINGS: Final = 4
@@ -50,42 +51,44 @@ class Estimate:
         In nats, up to a constant that all models of the same courses share; priors included.
     converged : bool
         Whether the last move promised next to nothing.
-    courses : tuple of Course
+    references : tuple of ReferenceTrajectory
         The flights.
     functions : ModelFunctions
         The model's equations.
     """
 
-    unknowns: Unknowns
+    parameter_vector: ParameterVector
     theta: Floats
     covariance: Floats
     log_likelihood: float
-    weather: Weather
+    disturbances: DisturbanceModel
     converged: bool
-    courses: tuple[Course, ...]
+    references: tuple[ReferenceTrajectory, ...]
     functions: ModelFunctions
 
-    def filtered(self) -> Filtered:
+    def filtered(self) -> InnovationsModel:
         """Linearise the model at `theta`; not kept, because of every flight it takes megabytes a minute."""
-        return _linearised(self.unknowns, self.courses, self.functions, self.theta)
+        return _linearised(self.parameter_vector, self.references, self.functions, self.theta)
 
-    def other_weather(self) -> Weather | None:
+    def other_disturbances(self) -> DisturbanceModel | None:
         """Look for the weather afresh with the parameters as they are; None where it is none that is likelier
         than what was found.
         """
         filtered = self.filtered()
-        error = filtered.moved(np.zeros(len(self.theta)))
-        other = estimate_weather(filtered, error, Weather.start())
-        now, then = filtered.log_likelihoods([self.weather, other], error).sum(axis=1)
+        error = filtered.perturbed_residual(np.zeros(len(self.theta)))
+        other = estimate_disturbances(filtered, error, DisturbanceModel.start())
+        now, then = filtered.log_likelihoods([self.disturbances, other], error).sum(axis=1)
         return other if then > now + _TURN_NATS else None
 
 
-def solve(unknowns: Unknowns, theta: Floats, innovations: Innovations) -> tuple[Floats, Floats, float]:
+def solve(
+    parameter_vector: ParameterVector, theta: Floats, innovations: Innovations
+) -> tuple[Floats, Floats, float]:
     """Solve for the move of the parameters that maximises the posterior.
 
     Parameters
     ----------
-    unknowns : Unknowns
+    parameter_vector : ParameterVector
         Priors and bounds.
     theta : ndarray (f,)
         Parameters at which the model is linearised.
@@ -99,48 +102,58 @@ def solve(unknowns: Unknowns, theta: Floats, innovations: Innovations) -> tuple[
     value : float
         Logarithm of the posterior at `theta`, nats.
     """
-    precision, own = unknowns.std**-2.0, innovations.own
-    offset = theta - unknowns.mean
+    precision, per_flight = parameter_vector.std**-2.0, innovations.own
+    offset = theta - parameter_vector.mean
     information = innovations.information() + np.diag(precision)
     gradient = innovations.score() - precision * offset
     value = innovations.log_likelihoods.sum() - 0.5 * (offset @ (precision * offset))
-    low, high = unknowns.bounds
+    low, high = parameter_vector.bounds
     move = np.zeros(len(theta))
     free = np.ones(len(theta), bool)
     for _ in range(len(theta) + 1):
         rest = gradient - information[:, ~free] @ move[~free]
         # What is held meets nothing, and moves by nothing.
         held = np.where(free[:, None] & free, information, np.diag(np.where(free, 0.0, 1.0)))
-        move[free] = solve_bordered(held, np.where(free, rest, 0.0), own)[free]
+        move[free] = solve_arrowhead(held, np.where(free, rest, 0.0), per_flight)[free]
         over = free & ((theta + move < low) | (theta + move > high))
         if not over.any():
             break
         move[over] = (np.clip(theta + move, low, high) - theta)[over]
         free &= ~over
-    covariance = inverse_bordered(information, own)
+    covariance = invert_arrowhead(information, per_flight)
     return move, covariance, float(value)
 
 
-def estimate_weather(
-    filtered: Filtered,
+def estimate_disturbances(
+    filtered: InnovationsModel,
     error: Sequence[Sequence[tuple[Floats, Floats]]],
-    start: Weather,
+    start: DisturbanceModel,
     enough_nats: float = _CONVERGED_NATS,
     known: Floats | None = None,
-) -> Weather:
-    """Maximise the likelihood of the innovations of an `error`, as `Filtered.moved` gives it, over the
-    weather, from `start` on, whose log-likelihoods by axis may be `known`, shape (3,), to `enough_nats`.
+) -> DisturbanceModel:
+    """Maximise the likelihood of the innovations of an `error`, as `InnovationsModel.perturbed_residual`
+    gives it, over the disturbances, from `start` on to `enough_nats`. The log-likelihoods of `start` by axis,
+    shape (3,), may be `known`.
     """
-    return maximise(lambda weathers: filtered.log_likelihoods(weathers, error), start, enough_nats, known)
+    return maximise(
+        lambda disturbance_models: filtered.log_likelihoods(disturbance_models, error),
+        start,
+        enough_nats,
+        known,
+    )
 
 
 def _linearised(
-    unknowns: Unknowns, courses: Sequence[Course], functions: ModelFunctions, theta: Floats
-) -> Filtered:
-    linears = [
-        Linear(course, functions, unknowns.parameters(theta, index)) for index, course in enumerate(courses)
+    parameter_vector: ParameterVector,
+    references: Sequence[ReferenceTrajectory],
+    functions: ModelFunctions,
+    theta: Floats,
+) -> InnovationsModel:
+    linearised_flights = [
+        LinearisedFlight(reference, functions, parameter_vector.parameters(theta, index))
+        for index, reference in enumerate(references)
     ]
-    return Filtered(linears, unknowns.columns, len(theta))
+    return InnovationsModel(linearised_flights, parameter_vector.columns, len(theta))
 
 
 @dataclass
@@ -150,8 +163,8 @@ class _Point:
     """
 
     theta: Floats
-    weather: Weather
-    filtered: Filtered | None
+    disturbances: DisturbanceModel
+    filtered: InnovationsModel | None
     move: Floats
     covariance: Floats
     value: float
@@ -163,35 +176,42 @@ class _Point:
 class _Ascent:
     """Parameters by Gauss-Newton steps and weather by Newton steps in turn, neither ever downhill."""
 
-    def __init__(self, unknowns: Unknowns, courses: Sequence[Course], functions: ModelFunctions) -> None:
-        self.unknowns, self.courses, self.functions = unknowns, courses, functions
+    def __init__(
+        self,
+        parameter_vector: ParameterVector,
+        references: Sequence[ReferenceTrajectory],
+        functions: ModelFunctions,
+    ) -> None:
+        self.parameter_vector, self.references, self.functions = parameter_vector, references, functions
 
-    def linearised(self, theta: Floats) -> Filtered:
-        return _linearised(self.unknowns, self.courses, self.functions, theta)
+    def linearised(self, theta: Floats) -> InnovationsModel:
+        return _linearised(self.parameter_vector, self.references, self.functions, theta)
 
-    def at(self, theta: Floats, weather: Weather, filtered: Filtered) -> _Point:
-        innovations = filtered.innovations_by_flight(weather)
-        move, covariance, value = solve(self.unknowns, theta, innovations)
-        squares = sum(float(left @ left) for left in innovations.left(move))
-        offset = theta + move - self.unknowns.mean
-        prior = offset @ (self.unknowns.std**-2.0 * offset)
+    def at(self, theta: Floats, disturbances: DisturbanceModel, filtered: InnovationsModel) -> _Point:
+        innovations = filtered.innovations_by_flight(disturbances)
+        move, covariance, value = solve(self.parameter_vector, theta, innovations)
+        squares = sum(float(residual @ residual) for residual in innovations.left(move))
+        offset = theta + move - self.parameter_vector.mean
+        prior = offset @ (self.parameter_vector.std**-2.0 * offset)
         after = -0.5 * (squares + prior + innovations.log_variances.sum())
         promised = float(after) - value
         return _Point(
-            theta, weather, filtered, move, covariance, value, promised, innovations.log_likelihoods
+            theta, disturbances, filtered, move, covariance, value, promised, innovations.log_likelihoods
         )
 
-    def begun(self, theta: Floats, weather: Weather | None) -> _Point:
+    def begun(self, theta: Floats, disturbances: DisturbanceModel | None) -> _Point:
         """Where to begin; without weather it is estimated at once, parameters following to first order."""
         filtered = self.linearised(theta)
-        point = self.at(theta, weather or Weather.start(), filtered)
-        if weather is None:
+        point = self.at(theta, disturbances or DisturbanceModel.start(), filtered)
+        if disturbances is None:
             for _ in range(_FIRST_TURNS):
-                found = estimate_weather(filtered, filtered.moved(point.move), point.weather)
-                point = self.at(theta, found, filtered)
+                weather_ = estimate_disturbances(
+                    filtered, filtered.perturbed_residual(point.move), point.disturbances
+                )
+                point = self.at(theta, weather_, filtered)
         return point
 
-    def moved(self, point: _Point) -> _Point | None:
+    def perturbed_residual(self, point: _Point) -> _Point | None:
         """Move the parameters, half as far where that leads down; None where nothing leads up. The point lets
         go of the model linearised there: two at once are hardly ever needed.
         """
@@ -199,7 +219,7 @@ class _Ascent:
         share = 1.0
         for _ in range(_HALVINGS):
             theta = point.theta + share * point.move
-            after = self.at(theta, point.weather, self.linearised(theta))
+            after = self.at(theta, point.disturbances, self.linearised(theta))
             if after.value > point.value + _LEAST_GAIN * share * point.promised:
                 return after
             after.filtered = None
@@ -209,15 +229,15 @@ class _Ascent:
     def weathered(self, point: _Point, enough_nats: float) -> _Point:
         """The weather as likely as it can be, to `enough_nats`."""
         filtered = point.filtered or self.linearised(point.theta)
-        own = filtered.moved(np.zeros(len(point.theta)))
-        weather = estimate_weather(filtered, own, point.weather, enough_nats, point.by_axis)
-        return self.at(point.theta, weather, filtered)
+        error = filtered.perturbed_residual(np.zeros(len(point.theta)))
+        disturbances = estimate_disturbances(filtered, error, point.disturbances, enough_nats, point.by_axis)
+        return self.at(point.theta, disturbances, filtered)
 
     def run(self, point: _Point) -> tuple[_Point, bool]:
         last = -np.inf
         for _ in range(_MAX_MOVES):
             if point.promised > _CONVERGED_NATS:
-                after = self.moved(point)
+                after = self.perturbed_residual(point)
                 if after is None:
                     return self.weathered(point, _CONVERGED_NATS), False
                 point = after
@@ -230,36 +250,36 @@ class _Ascent:
 
 
 def estimate(
-    unknowns: Unknowns,
-    courses: Sequence[Course],
+    parameter_vector: ParameterVector,
+    references: Sequence[ReferenceTrajectory],
     functions: ModelFunctions,
     theta: Floats,
-    weather: Weather | None = None,
+    disturbances: DisturbanceModel | None = None,
 ) -> Estimate:
     """Estimate parameters and weather.
 
     Parameters
     ----------
-    unknowns : Unknowns
+    parameter_vector : ParameterVector
         Free parameters of the model in these flights.
-    courses : sequence of Course
+    references : sequence of ReferenceTrajectory
         The flights.
     functions : ModelFunctions
-        The model's equations, with derivatives by `unknowns.quantities`.
+        The model's equations, with derivatives by `parameter_vector.quantities`.
     theta : ndarray (f,)
         Parameters to start from.
-    weather : Weather, optional
+    disturbances : DisturbanceModel, optional
         Weather to start from; what comes out is never less likely than this and `theta`.
     """
-    ascent = _Ascent(unknowns, courses, functions)
-    point, converged = ascent.run(ascent.begun(theta, weather))
+    ascent = _Ascent(parameter_vector, references, functions)
+    point, converged = ascent.run(ascent.begun(theta, disturbances))
     return Estimate(
-        unknowns,
+        parameter_vector,
         point.theta,
         point.covariance,
         point.value,
-        point.weather,
+        point.disturbances,
         converged,
-        tuple(courses),
+        tuple(references),
         functions,
     )

@@ -23,7 +23,7 @@ _BY_CASADI: Final = {
 _INPUT: Final = _straight_line.OPERATIONS.index("INPUT")
 _CONST: Final = _straight_line.OPERATIONS.index("CONST")
 
-OWN_SUBSTEPS: Final = 4
+EFFECT_SUBSTEPS: Final = 4
 """Runge-Kutta steps of an effect's own states in each step of 10 ms: lags of a few milliseconds stay
 stable."""
 
@@ -121,7 +121,7 @@ def _table(values: Floats) -> Floats:
     return table[:, None] if table.ndim == 1 else table
 
 
-class AlongCourse:
+class AlongTrajectory:
     """Evaluates a `function` of state, voltages, time and all parameters in each step of a trajectory; its
     inputs and outputs are dense.
     """
@@ -132,21 +132,21 @@ class AlongCourse:
         self._shapes = [function.size_out(i) for i in range(function.n_out())]
         self._program = _straight_line.TableProgram(*listing.arguments, listing.outputs)
 
-    def __reduce__(self) -> tuple[type[AlongCourse], tuple[ca.Function]]:
+    def __reduce__(self) -> tuple[type[AlongTrajectory], tuple[ca.Function]]:
         # Programs are compiled in; they are made again.
-        return AlongCourse, (self._function,)
+        return AlongTrajectory, (self._function,)
 
     def __call__(self, trajectory: Trajectory) -> list[Floats]:
         """Evaluate: one array an output, shape (n, rows, columns)."""
-        inputs = [_table(one) for one in (trajectory.state, trajectory.volts_V, trajectory.t_s)]
-        found = self._program.evaluate(inputs, np.ascontiguousarray(trajectory.parameters, float))
+        inputs = [_table(array) for array in (trajectory.state, trajectory.volts_V, trajectory.t_s)]
+        values = self._program.evaluate(inputs, np.ascontiguousarray(trajectory.parameters, float))
         return [
             table.reshape(len(table), rows, columns)
-            for table, (rows, columns) in zip(found, self._shapes, strict=True)
+            for table, (rows, columns) in zip(values, self._shapes, strict=True)
         ]
 
 
-class OwnStates:
+class EffectStates:
     """Integrates states of effects along a course that they are not supposed to change.
 
     Parameters
@@ -166,12 +166,12 @@ class OwnStates:
         self._size = both.numel_in(0)
         self._integrator = _straight_line.CourseIntegrator(*listing.arguments, *listing.outputs)
 
-    def __reduce__(self) -> tuple[type[OwnStates], tuple[ca.Function, ca.Function, int]]:
-        return OwnStates, self._made_of
+    def __reduce__(self) -> tuple[type[EffectStates], tuple[ca.Function, ca.Function, int]]:
+        return EffectStates, self._made_of
 
     def integrate(
         self,
-        course: Sequence[Floats],
+        reference: Sequence[Floats],
         t_s: Floats,
         parameters: Floats,
         step_s: float,
@@ -182,7 +182,7 @@ class OwnStates:
 
         Parameters
         ----------
-        course : sequence of ndarray (n, width)
+        reference : sequence of ndarray (n, width)
             Inputs of each step.
         t_s : ndarray (n,)
             Middle of each step.
@@ -199,8 +199,8 @@ class OwnStates:
         -------
         ndarray (n, z)
         """
-        own: Floats = self._integrator.run(
-            [_table(one) for one in course],
+        states: Floats = self._integrator.run(
+            [_table(array) for array in reference],
             np.ascontiguousarray(t_s, float),
             np.ascontiguousarray(parameters, float),
             step_s,
@@ -208,4 +208,4 @@ class OwnStates:
             substeps - 1 if seen is None else seen,
             np.zeros(self._size),
         )
-        return own
+        return states

@@ -126,9 +126,9 @@ def _without_dead_ends(program: Program, outputs: list[int]) -> tuple[Program, l
             moved[place] = kept.constant(program.constants[value.place])
         else:
             moved[place] = kept.put(
-                Value(value.kind, value.place, tuple(moved[one] for one in value.operands))
+                Value(value.kind, value.place, tuple(moved[operand] for operand in value.operands))
             )
-    return kept, [moved[one] for one in outputs]
+    return kept, [moved[operand] for operand in outputs]
 
 
 def _allot(law: Source, program: Program, outputs: list[int]) -> tuple[list[Instruction], list[int]]:
@@ -172,4 +172,4 @@ def _allot(law: Source, program: Program, outputs: list[int]) -> tuple[list[Inst
         else:
             first, second = (*operands, 0)[:2]
             instructions.append(Instruction(CODE[value.kind], cell[place], first, second))
-    return instructions, [cell[one] for one in outputs]
+    return instructions, [cell[output] for output in outputs]

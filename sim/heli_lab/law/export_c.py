@@ -25,7 +25,7 @@ def c_source(law: Law) -> str:
         f"   arg[0], inputs: {', '.join(LAW_INPUTS)}",
         f"   arg[1], states, first values: {_listed(law.states)}",
         f"   arg[2], parameters: {_listed(law.parameters)}",
-        f"   res[0]: front_V, back_V, three setpoints in rad{''.join(f', {one}' for one in law.signals)}",
+        f"   res[0]: front_V, back_V, three setpoints in rad{''.join(f', {name}' for name in law.signals)}",
         "   res[1]: new states */",
     ]
     generator = ca.CodeGenerator("law.c", {"casadi_real": "float", "with_header": False})

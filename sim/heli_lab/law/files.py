@@ -40,7 +40,9 @@ def load_law(path: Path) -> Law:
     # SystemExit: a file that ends the program would otherwise end with its own code, and no word.
     except (Exception, SystemExit) as error:
         text = str(error).split("\n")[0]
-        lines = [one.lineno for one in traceback.extract_tb(error.__traceback__) if one.filename == str(path)]
+        lines = [
+            frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)
+        ]
         raise BadLaw(
             f"{path.name} fails: {type(error).__name__}: {text}{_at(lines[-1] if lines else None)}",
             "correct it; run alone with python, it says more",
@@ -48,10 +50,10 @@ def load_law(path: Path) -> Law:
     law = held.get("LAW")
     if isinstance(law, Law):
         return law
-    own = next((name for name, value in held.items() if isinstance(value, Law)), "")
+    variable = next((name for name, value in held.items() if isinstance(value, Law)), "")
     if law is not None:
-        raise BadLaw(f"the LAW of {path.name} is a {type(law).__name__}", _remedy(own))
-    raise BadLaw(f"{path.name} has no LAW", _remedy(own))
+        raise BadLaw(f"the LAW of {path.name} is a {type(law).__name__}", _remedy(variable))
+    raise BadLaw(f"{path.name} has no LAW", _remedy(variable))
 
 
 def load_tape(path: Path) -> Tape:
@@ -70,9 +72,9 @@ def load_tape(path: Path) -> Tape:
     return load_law(path).tape
 
 
-def _remedy(own: str) -> str:
-    if own:
-        return f"end it with LAW = {own}"
+def _remedy(name: str) -> str:
+    if name:
+        return f"end it with LAW = {name}"
     return "end it with LAW = ..., what @control_law or from_gain of heli_lab.law makes"
 
 

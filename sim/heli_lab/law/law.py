@@ -87,12 +87,12 @@ class Law:
         divisor_of(self.rate_Hz)
         if len(self.signals) > LAW_SIGNALS:
             raise BadLaw(f"{len(self.signals)} signals are too many", f"give at most {LAW_SIGNALS}")
-        taken = {spec.column for spec in CHANNELS} | {"t_s", "tick"}
+        reserved = {spec.column for spec in CHANNELS} | {"t_s", "tick"}
         for signal in self.signals:
             if (
                 not (signal.isidentifier() and signal.isascii())
                 or len(signal) > _LONGEST_NAME
-                or signal in taken
+                or signal in reserved
             ):
                 raise BadLaw(
                     f"a signal cannot be named {signal[:_LONGEST_NAME]!r}",
@@ -233,16 +233,16 @@ def control_law(
         called = name or function.__name__
         inputs = ca.SX.sym("inputs", len(LAW_INPUTS))
         state, parameter = ca.SX.sym("states", len(first)), ca.SX.sym("parameters", len(values))
-        now = SimpleNamespace(**{one: inputs[k] for k, one in enumerate(LAW_INPUTS)})
-        own = SimpleNamespace(**{one: state[k] for k, one in enumerate(first)})
-        may_change = SimpleNamespace(**{one: parameter[k] for k, one in enumerate(values)})
+        now = SimpleNamespace(**{key: inputs[k] for k, key in enumerate(LAW_INPUTS)})
+        states = SimpleNamespace(**{key: state[k] for k, key in enumerate(first)})
+        may_change = SimpleNamespace(**{key: parameter[k] for k, key in enumerate(values)})
         if not _takes_three(function):
             raise BadLaw(
                 f"the law {called} does not take three arguments",
                 f"write def {called}(now, state, parameter):",
             )
         try:
-            command = function(now, own, may_change)
+            command = function(now, states, may_change)
         except BadLaw:
             raise
         except Exception as error:
@@ -257,14 +257,14 @@ def control_law(
             raise BadLaw(
                 f"the law {called} has no state {unknown[0]}", "name it in states=, with its first value"
             )
-        given = {one: getattr(command, one) for one in SETPOINTS}
+        given = {key: getattr(command, key) for key in SETPOINTS}
         default = dict(
             zip(SETPOINTS, (now.elevation_setpoint_rad, now.pitch_rad, now.travel_setpoint_rad), strict=True)
         )
         outputs = [command.front_V, command.back_V]
-        outputs += [default[one] if given[one] is None else given[one] for one in SETPOINTS]
+        outputs += [default[key] if given[key] is None else given[key] for key in SETPOINTS]
         outputs += [*command.signals.values()]
-        new = [command.states.get(one, getattr(own, one)) for one in first]
+        new = [command.states.get(key, getattr(states, key)) for key in first]
         graph = ca.Function(
             "law", [inputs, state, parameter], [_column(outputs, called), _column(new, called)],
             ["inputs", "states", "parameters"], ["outputs", "new_states"],
@@ -304,7 +304,7 @@ def _column(values: list[Any], name: str) -> ca.SX:
 
 
 def _explained(error: Exception, name: str) -> BadLaw:
-    frames = [one for one in traceback.extract_tb(error.__traceback__) if "casadi" not in one.filename]
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "casadi" not in frame.filename]
     last = frames[-1] if frames else None
     where = f"line {last.lineno} of the law {name}" if last is not None else f"the law {name}"
     source = linecache.getline(last.filename, last.lineno or 0).strip() if last is not None else ""

@@ -15,11 +15,11 @@ from heli_lab.law.law import Law
 from heli_lab.tune.plants import LinearPlant
 
 Floats = npt.NDArray[np.float64]
-FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 300.0, 4000)
+BODE_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.05, 300.0, 4000)
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearisedLaw:
     """What a law is near hover.
 
     Parameters
@@ -40,7 +40,7 @@ class Linear:
         return bool((self.poles.real < 1e-3).all())
 
 
-def linearised(law: Law, plant: LinearPlant) -> Linear:
+def linearised(law: Law, plant: LinearPlant) -> LinearisedLaw:
     """Linearise a law at level hover, and close the loop around a linear rig, both at the law's rate.
 
     Parameters
@@ -51,7 +51,7 @@ def linearised(law: Law, plant: LinearPlant) -> Linear:
         The rig.
     """
     angles = ["elevation_rad", "pitch_rad", "travel_rad"]
-    rates = [f"{one}_s" for one in angles]
+    rates = [f"{angle}_s" for angle in angles]
     x0 = ca.DM([*law.states.values()])
     p0 = ca.DM([*law.parameters.values()])
     u0 = np.zeros(len(LAW_INPUTS))
@@ -61,8 +61,8 @@ def linearised(law: Law, plant: LinearPlant) -> Linear:
         "j", [inputs, states],
         [ca.jacobian(given, by) for given in (new, outputs) for by in (states, inputs)],
     )  # fmt: skip
-    A, B, C, D = (np.asarray(ca.DM(one)) for one in jacobian(u0, x0))
-    seen = [LAW_INPUTS.index(one) for one in (*angles, *rates)]
+    A, B, C, D = (np.asarray(ca.DM(matrix)) for matrix in jacobian(u0, x0))
+    seen = [LAW_INPUTS.index(name) for name in (*angles, *rates)]
     mix = np.array([[1.0, 1.0], [1.0, -1.0]])
     regulator = control.ss(A, B[:, seen], mix @ C[:2], mix @ D[:2][:, seen], law.dt_s)
     rig = control.append(
@@ -74,17 +74,17 @@ def linearised(law: Law, plant: LinearPlant) -> Linear:
     loop = regulator * (order * rig)
     closed = control.feedback(loop, control.ss([], [], [], np.eye(2), law.dt_s), sign=1)
     poles = np.log(np.maximum(np.abs(closed.poles()), 1e-12)) + 1j * np.angle(closed.poles())
-    found = [_margins(loop, one) for one in (0, 1)]
-    return Linear(poles / law.dt_s, (found[0][0], found[1][0]), (found[0][1], found[1][1]))
+    margins = [_margins(loop, motor) for motor in (0, 1)]
+    return LinearisedLaw(poles / law.dt_s, (margins[0][0], margins[1][0]), (margins[0][1], margins[1][1]))
 
 
-def _margins(loop: control.StateSpace, own: int) -> tuple[float, float]:
+def _margins(loop: control.StateSpace, motor: int) -> tuple[float, float]:
     """Gain and phase margin at one input, the other loop closed."""
-    other = 1 - own
-    A, B, C, D = (np.asarray(one) for one in (loop.A, loop.B, loop.C, loop.D))
+    other = 1 - motor
+    A, B, C, D = (np.asarray(matrix) for matrix in (loop.A, loop.B, loop.C, loop.D))
     around = A + B[:, [other]] @ C[[other]] / (1.0 - D[other, other])
-    alone = control.ss(around, B[:, [own]], -C[[own]], -D[own, own], loop.dt)
-    response = np.asarray(control.frequency_response(alone, FREQUENCY_rad_s, squeeze=True).complex)
+    alone = control.ss(around, B[:, [motor]], -C[[motor]], -D[motor, motor], loop.dt)
+    response = np.asarray(control.frequency_response(alone, BODE_FREQUENCY_rad_s, squeeze=True).complex)
     phase_deg = np.degrees(np.angle(-response))  # from -180 degrees
     turns = (
         (np.diff(np.sign(response.imag)) != 0) & (response.real[:-1] < 0.0) & (np.abs(response[:-1]) < 1.0)

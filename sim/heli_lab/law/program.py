@@ -16,8 +16,8 @@ import casadi as ca
 from heli_host.declaration import OPERATIONS
 from heli_host.errors import BadLaw
 
-CODE: Final = {one.name: one.code for one in OPERATIONS}
-BINARY: Final = frozenset(one.code for one in OPERATIONS if one.operands == 2)
+CODE: Final = {operation.name: operation.code for operation in OPERATIONS}
+BINARY: Final = frozenset(operation.code for operation in OPERATIONS if operation.operands == 2)
 _MOST_POWER: Final = 16
 
 _SAME: Final = {
@@ -126,16 +126,16 @@ class Program:
         *operands : int
             Places of its operands.
         """
-        numbers = [self.number(one) for one in operands]
+        numbers = [self.number(operand) for operand in operands]
         folded = _FOLDED.get(name)
         if folded is not None and None not in numbers:
             result = folded(*numbers)
             if math.isfinite(result):
                 return self.constant(result)
         simpler = _SIMPLER.get(name)
-        found = simpler(self, operands, numbers) if simpler is not None else None
-        if found is not None:
-            return found
+        simplified = simpler(self, operands, numbers) if simpler is not None else None
+        if simplified is not None:
+            return simplified
         if name in _COMMUTATIVE:
             operands = tuple(sorted(operands))
         return self.put(Value(name, 0, operands))

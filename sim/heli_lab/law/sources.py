@@ -23,8 +23,8 @@ ERRORS = (*(f"{axis}_rad" for axis in AXES), *(f"{axis}_rad_s" for axis in AXES)
 
 def _errors(now: Any) -> Any:
     level = {"pitch_rad": 0.0, "pitch_rad_s": 0.0}
-    wanted = [level.get(one, getattr(now, one.replace("_rad", "_setpoint_rad", 1), 0.0)) for one in ERRORS]
-    return ca.vertcat(*(getattr(now, one) - r for one, r in zip(ERRORS, wanted, strict=True)))
+    wanted = [level.get(name, getattr(now, name.replace("_rad", "_setpoint_rad", 1), 0.0)) for name in ERRORS]
+    return ca.vertcat(*(getattr(now, name) - r for name, r in zip(ERRORS, wanted, strict=True)))
 
 
 def from_gain(
@@ -109,19 +109,19 @@ def from_state_space(
         system = system.sample(1.0 / rate_Hz, method="bilinear")
     elif abs(float(system.dt) * rate_Hz - 1.0) > 1e-6 and system.dt is not True:
         raise BadLaw(f"the system was sampled every {system.dt:g} s", f"give rate_Hz={1.0 / system.dt:g}")
-    A, B, C, D = (ca.DM(np.asarray(one)) for one in (system.A, system.B, system.C, system.D))
+    A, B, C, D = (ca.DM(np.asarray(matrix)) for matrix in (system.A, system.B, system.C, system.D))
     names = [f"x{k}" for k in range(system.nstates)]
 
     @control_law(
         rate_Hz=rate_Hz, name=name, states=dict.fromkeys(names, 0.0), parameters={"hover_V": hover_V}
     )
     def law(now: Any, state: Any, parameter: Any) -> Command:
-        x = ca.vertcat(*(getattr(state, one) for one in names)) if names else ca.SX(0, 1)
+        x = ca.vertcat(*(getattr(state, key) for key in names)) if names else ca.SX(0, 1)
         errors = _errors(now)
         wanted = ca.mtimes(C, x) + ca.mtimes(D, errors)
         new = ca.mtimes(A, x) + ca.mtimes(B, errors)
         volts = motor_volts(parameter.hover_V + wanted[0], wanted[1], dead_zone_V)
-        return Command(*volts, states={one: new[k] for k, one in enumerate(names)})
+        return Command(*volts, states={key: new[k] for k, key in enumerate(names)})
 
     return law
 
@@ -171,12 +171,12 @@ def from_function(
     @control_law(rate_Hz=rate_Hz, name=name or function.name(), states=first, parameters=values)
     def law(now: Any, state: Any, parameter: Any) -> Command:
         arguments = [
-            ca.vertcat(*(getattr(now, one) for one in LAW_INPUTS)),
-            ca.vertcat(*(getattr(state, one) for one in names)) if names else ca.SX(0, 1),
-            ca.vertcat(*(getattr(parameter, one) for one in values)) if values else ca.SX(0, 1),
+            ca.vertcat(*(getattr(now, key) for key in LAW_INPUTS)),
+            ca.vertcat(*(getattr(state, key) for key in names)) if names else ca.SX(0, 1),
+            ca.vertcat(*(getattr(parameter, key) for key in values)) if values else ca.SX(0, 1),
         ]
-        found = function.call(arguments[: len(sizes)])
-        new = {one: found[1][k] for k, one in enumerate(names)} if names else {}
-        return Command(found[0][0], found[0][1], states=new)
+        results = function.call(arguments[: len(sizes)])
+        new = {key: results[1][k] for k, key in enumerate(names)} if names else {}
+        return Command(results[0][0], results[0][1], states=new)
 
     return law

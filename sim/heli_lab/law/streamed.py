@@ -125,8 +125,8 @@ class Streamed:
             rate = values[f"{axis}_setpoint_rad_s"] = self._setpoint[axis](wanted, passed_s)
             values[f"{axis}_setpoint_rad_s2"] = self._rate[axis](rate, passed_s)
         values["front_V"], values["back_V"] = sample.front_V, sample.back_V
-        inputs = np.array([values[one] for one in LAW_INPUTS])
+        inputs = np.array([values[name] for name in LAW_INPUTS])
         for _ in range(max(1, round(passed_s / self._dt_s))):
             outputs = self._runner(inputs)
-        self.setpoints_rad = dict(zip(AXES, (float(one) for one in outputs[2:5]), strict=True))
+        self.setpoints_rad = dict(zip(AXES, (float(value) for value in outputs[2:5]), strict=True))
         return float(outputs[0]), float(outputs[1])

@@ -53,7 +53,7 @@ def with_sums(program: Program, outputs: list[int]) -> tuple[Program, list[int]]
         if value.kind in _LINEAR:
             parts[place] = _merged(program, _gathered(program, uses, place, 1.0, root=True))
             for part in parts[place]:
-                needed.update(one for one in (part.first, part.second) if one is not None)
+                needed.update(place_ for place_ in (part.first, part.second) if place_ is not None)
         else:
             needed.update(value.operands)
     kept = Program(program.name)
@@ -65,8 +65,10 @@ def with_sums(program: Program, outputs: list[int]) -> tuple[Program, list[int]]
         elif value.kind == "constant":
             moved[place] = kept.constant(program.constants[value.place])
         else:
-            moved[place] = kept.put(replace(value, operands=tuple(moved[one] for one in value.operands)))
-    return kept, [moved[one] for one in outputs]
+            moved[place] = kept.put(
+                replace(value, operands=tuple(moved[source] for source in value.operands))
+            )
+    return kept, [moved[output] for output in outputs]
 
 
 def _moved(part: _Part, moved: dict[int, int]) -> _Part:
@@ -98,17 +100,17 @@ def _gathered(
 def _merged(program: Program, parts: list[_Part]) -> list[_Part]:
     """Each product once, all constants as one."""
     factors: dict[tuple[int, int | None], float] = {}
-    offset, one = 0.0, -1
+    offset, first = 0.0, -1
     for part in parts:
         number = program.number(part.first)
         if number is not None and part.second is None:
-            offset, one = offset + part.factor * number, part.first
+            offset, first = offset + part.factor * number, part.first
             continue
         key = (part.first, part.second)
         factors[key] = factors.get(key, 0.0) + part.factor
     merged = [_Part(factor, *key) for key, factor in factors.items() if factor != 0.0]
-    number = program.number(one) if offset != 0.0 else None
-    return [*merged, _Part(offset / number, one)] if number else merged
+    number = program.number(first) if offset != 0.0 else None
+    return [*merged, _Part(offset / number, first)] if number else merged
 
 
 def _cost(name: str) -> int:
@@ -154,7 +156,7 @@ def _put_sum(program: Program, parts: list[_Part]) -> int:
 def _one_by_one(program: Program, parts: list[_Part]) -> int:
     total: int | None = None
     # What is added first, so that there is something to take the rest from.
-    for part in sorted(parts, key=lambda one: one.factor == -1.0):
+    for part in sorted(parts, key=lambda part_: part_.factor == -1.0):
         negative = part.factor == -1.0
         if part.second is not None:
             value = program.do("multiply", part.first, part.second)

@@ -174,7 +174,7 @@ def _read(pipe: IO[bytes]) -> bytes:
     return content if len(content) == size else b""
 
 
-def serve(figures: IO[bytes], pictures: IO[bytes]) -> None:
+def serve_drawings(figures: IO[bytes], pictures: IO[bytes]) -> None:
     """Draw `figures`, each pickled, into `pictures`, until nobody gives any."""
     from matplotlib.backends import backend_agg
     from matplotlib.figure import Figure
@@ -190,4 +190,4 @@ def serve(figures: IO[bytes], pictures: IO[bytes]) -> None:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for whoever gives the figures
-    serve(sys.stdin.buffer, sys.stdout.buffer)
+    serve_drawings(sys.stdin.buffer, sys.stdout.buffer)

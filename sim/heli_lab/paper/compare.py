@@ -42,6 +42,6 @@ def distances(models: Sequence[Model], rig: Rig, flight: Flight, window_s: float
     record = prepare(flight, rig)
     out = []
     for model in models:
-        found = check(solve(Problem(model, rig, [record], free=[], window_s=window_s)))
-        out.append(Distance(model.name, found.rms_deg, found.normalised))
+        checked = check(solve(Problem(model, rig, [record], free=[], window_s=window_s)))
+        out.append(Distance(model.name, checked.rms_deg, checked.normalised))
     return out

@@ -26,7 +26,7 @@ _SETTLE_S = 1.0
 _FREE_TICKS = 20
 """Left out after the release and before the end, where locks and voltages change at once."""
 _ALL_LOCKED = [True, True, True]
-TABLE_DEG = -25.0
+
 
 _START = """
 [start]
@@ -153,9 +153,9 @@ def read_thrust(plant: Plant, seed: int = 1) -> ThrustCurve:
     from heli_sim.bench.thrust_curve import ThrustCurve
 
     from heli_lab.paper.bench_tests import THRUST_V
-    from heli_lab.paper.thrust import Scale
+    from heli_lab.paper.thrust import ThrustScale
 
-    scale = Scale(plant)
+    scale = ThrustScale(plant)
     points = []
     with board_on(plant, seed, 0.0) as (heli, world):
         heli.params["motor_max_V"] = max(THRUST_V)
@@ -198,7 +198,8 @@ def fly_plan(
     from heli_host.log.reader import read_log
     from heli_host.published_gains import load_gains
 
-    from heli_lab.paper.figures_flight import flown
+    from heli_lab.paper.bench_tests import TABLE_DEG
+    from heli_lab.paper.figures_flight import flown_by
 
     plan = Plan.parse(PLANS[name], f"plan {name}", name)
     length_s = plan.duration_s + plan.start.settle_s
@@ -221,4 +222,4 @@ def fly_plan(
         flight = read_log(path).flight()
     closed = np.flatnonzero(flight.state == State.CLOSED_LOOP)
     start_s = float(flight.t_s[closed[0]]) if closed.size else 0.0
-    return flown(label, flight, route.evaluate(flight.t_s - start_s), summary.outcome)
+    return flown_by(label, flight, route.evaluate(flight.t_s - start_s), summary.outcome)

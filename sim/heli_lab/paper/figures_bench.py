@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
-MEASURED: Final = "#222222"
-MODEL: Final = "#d1495b"
-PRINTED: Final = "#0b5fa5"
-GREY: Final = "#8a8a8a"
+MEASURED_COLOUR: Final = "#222222"
+MODEL_COLOUR: Final = "#d1495b"
+PRINTED_COLOUR: Final = "#0b5fa5"
+GREY_COLOUR: Final = "#8a8a8a"
 _SHOWN: Final = {3: "pitch", 4: "elevation", 5: "travel"}
 _NUMBERS: Final = {3: "16", 4: "17", 5: "18"}
 _PANEL_SIZE: Final = (6.4, 3.4)
@@ -48,7 +48,7 @@ def thrust_figure(curve: ThrustCurve) -> Figure:
             curve.volts_V[:, index],
             curve.thrust_N[:, index],
             marker,
-            color=MEASURED,
+            color=MEASURED_COLOUR,
             mfc="none",
             label=f"{name} motor, simulated scale",
         )
@@ -57,10 +57,10 @@ def thrust_figure(curve: ThrustCurve) -> Figure:
     panel.plot(
         volts,
         np.maximum(0.0, line.gain_N_per_V * (volts - line.dead_zone_V)),
-        color=MODEL,
+        color=MODEL_COLOUR,
         label=fitted,
     )
-    panel.plot(volts, 0.5839 * (volts - 1.0), "--", color=PRINTED, lw=1.0, label="(31) as printed")
+    panel.plot(volts, 0.5839 * (volts - 1.0), "--", color=PRINTED_COLOUR, lw=1.0, label="(31) as printed")
     panel.set_xlabel("voltage of the motor [V]")
     panel.set_ylabel("thrust [N]")
     panel.grid(alpha=0.25)
@@ -81,13 +81,21 @@ def bench_figure(table: Table, records: Sequence[Record], rig: Rig) -> Figure:
     for panel, test, record in zip(panels, tests, records, strict=True):
         run = _whole_run(table, record, rig)
         column = AXES.index(axis)
-        panel.plot(run.t_s, np.rad2deg(run.measured_rad[:, column]), color=MEASURED, label="measured")
+        panel.plot(run.t_s, np.rad2deg(run.measured_rad[:, column]), color=MEASURED_COLOUR, label="measured")
         panel.plot(
-            run.t_s, np.rad2deg(run.predicted_rad[:, column]), "--", color=MODEL, label="(30), identified"
+            run.t_s,
+            np.rad2deg(run.predicted_rad[:, column]),
+            "--",
+            color=MODEL_COLOUR,
+            label="(30), identified",
         )
         if table.number == 5:
             panel.plot(
-                run.t_s, np.rad2deg(run.measured_rad[:, 1]), color=GREY, lw=0.8, label="pitch, measured"
+                run.t_s,
+                np.rad2deg(run.measured_rad[:, 1]),
+                color=GREY_COLOUR,
+                lw=0.8,
+                label="pitch, measured",
             )
         error_deg = np.rad2deg(run.measured_rad[:, column] - run.predicted_rad[:, column])
         rms_deg = float(np.sqrt(np.mean(error_deg**2)))
@@ -110,7 +118,7 @@ def sensitivity_figure(rig: Rig) -> Figure:
     base = analytic(rig)
     figure = Figure(figsize=(7.4, 4.6), layout="constrained")
     panel = figure.subplots()
-    colours = (MEASURED, MODEL, PRINTED, "#157a4a", "#c98a00", "#6b3fa0")
+    colours = (MEASURED_COLOUR, MODEL_COLOUR, PRINTED_COLOUR, "#157a4a", "#c98a00", "#6b3fa0")
     for case, colour in zip(CASES, colours, strict=True):
         changed = base | {name: factor * base[name] for name, factor in case.changes.items()}
         width = 1.8 if not case.changes else 1.1
@@ -129,11 +137,11 @@ def sensitivity_figure(rig: Rig) -> Figure:
 def _whole_run(table: Table, record: Record, rig: Rig) -> Trace:
     """Predict a test from its beginning to its end in one run, with what the table found."""
     fit = table.fit
-    index = next(i for i, own in enumerate(fit.problem.records) if own.label == record.label)
+    index = next(i for i, record_ in enumerate(fit.problem.records) if record_.label == record.label)
     values = {
-        one.quantity: float(value)
-        for one, value in zip(fit.problem.free, fit.theta, strict=True)
-        if one.record in (None, index)
+        parameter.quantity: float(value)
+        for parameter, value in zip(fit.problem.free, fit.theta, strict=True)
+        if parameter.record in (None, index)
     }
     problem = Problem(fit.problem.model, rig, [record], free=[], window_s=_WHOLE_s, values=values)
     return trace(solve(problem))

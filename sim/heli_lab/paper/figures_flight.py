@@ -12,7 +12,7 @@ from heli_host.flight import Flight
 from heli_sim.model.parts import AXES
 
 from heli_lab.errors import IdentifyError
-from heli_lab.paper.figures_bench import GREY, MEASURED, MODEL, PRINTED
+from heli_lab.paper.figures_bench import GREY_COLOUR, MEASURED_COLOUR, MODEL_COLOUR, PRINTED_COLOUR
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
-_COLOURS: Final = (PRINTED, MODEL)
+_COLOURS: Final = (PRINTED_COLOUR, MODEL_COLOUR)
 _WIDTH, _HEIGHT, _SMALL = 7.0, 2.7, 8
 # A path that the host streams is on board a little later; and the last tick before a landing is no flight.
 _END_S: Final = 0.1
@@ -54,7 +54,7 @@ class Flown:
         return result
 
 
-def flown(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> Flown:
+def flown_by(label: str, flight: Flight, desired_deg: Floats, outcome: str) -> Flown:
     """Cut the closed-loop part, from take-off to the end of the plan, out of a log.
 
     Parameters
@@ -113,26 +113,26 @@ def performance_figure(flights: Sequence[Flown], path: str, number: int) -> Figu
         2, f"Tracking performance along the {path} (after Fig. {number})", "; take-off left out"
     )
     for letter, panel, axis in zip("ab", panels, (2, 0), strict=True):
-        for one, colour in zip(flights, _COLOURS, strict=False):
-            error = one.error_deg[:, axis]
-            aloft = one.flight.t_s > aloft_s(one)
+        for flight, colour in zip(flights, _COLOURS, strict=False):
+            error = flight.error_deg[:, axis]
+            aloft = flight.flight.t_s > aloft_s(flight)
             rms = float(np.sqrt(np.mean(error[aloft] ** 2))) if aloft.any() else float("nan")
-            label = f"{one.label}: {rms:.2f} deg rms"
-            panel.plot(one.flight.t_s[aloft], error[aloft], color=colour, lw=0.9, label=label)
-        panel.axhline(0.0, color=GREY, lw=0.8)
+            label = f"{flight.label}: {rms:.2f} deg rms"
+            panel.plot(flight.flight.t_s[aloft], error[aloft], color=colour, lw=0.9, label=label)
+        panel.axhline(0.0, color=GREY_COLOUR, lw=0.8)
         panel.set_title(f"({letter}) {AXES[axis]}", fontsize=9)
         _finish(panel, "error [deg]")
     return figure
 
 
-def aloft_s(one: Flown) -> float:
+def aloft_s(flight: Flown) -> float:
     """When the take-off is over [s]: the elevation has first reached what is desired within half a degree,
     and a second has passed.
     """
-    level = np.abs(one.error_deg[:, 0]) < _THERE_DEG
-    up = level & (one.desired_deg[:, 0] > _ALOFT_DEG)
+    level = np.abs(flight.error_deg[:, 0]) < _THERE_DEG
+    up = level & (flight.desired_deg[:, 0] > _ALOFT_DEG)
     first = np.flatnonzero(up)
-    return float(one.flight.t_s[first[0]]) + _SETTLE_S if first.size else 0.0
+    return float(flight.flight.t_s[first[0]]) + _SETTLE_S if first.size else 0.0
 
 
 _THERE_DEG: Final = 0.5
@@ -160,12 +160,18 @@ def _finish(panel: Axes, label: str) -> None:
 def _response(panel: Axes, flights: Sequence[Flown], axis: int, *, desired: bool) -> None:
     if desired:
         first = flights[0]
-        panel.plot(first.flight.t_s, first.desired_deg[:, axis], "--", c=MEASURED, lw=1.0, label="desired")
-    for one, colour in zip(flights, _COLOURS, strict=False):
-        label = one.label if one.outcome == "completed" else f"{one.label}: {one.outcome.split(';')[0]}"
-        angle_deg = np.rad2deg(one.flight.angles_rad[:, axis])
-        panel.plot(one.flight.t_s, angle_deg, color=colour, lw=0.9, label=label)
+        panel.plot(
+            first.flight.t_s, first.desired_deg[:, axis], "--", c=MEASURED_COLOUR, lw=1.0, label="desired"
+        )
+    for flight, colour in zip(flights, _COLOURS, strict=False):
+        label = (
+            flight.label
+            if flight.outcome == "completed"
+            else f"{flight.label}: {flight.outcome.split(';')[0]}"
+        )
+        angle_deg = np.rad2deg(flight.flight.angles_rad[:, axis])
+        panel.plot(flight.flight.t_s, angle_deg, color=colour, lw=0.9, label=label)
         if axis == 1:
-            label = f"{one.label}, setpoint"
-            panel.plot(one.flight.t_s, one.desired_deg[:, 1], ":", color=colour, lw=0.7, label=label)
+            label = f"{flight.label}, setpoint"
+            panel.plot(flight.flight.t_s, flight.desired_deg[:, 1], ":", color=colour, lw=0.7, label=label)
     _finish(panel, f"{AXES[axis]} [deg]")

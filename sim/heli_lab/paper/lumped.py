@@ -42,8 +42,12 @@ class Coefficients(Effect):
         super().__init__(
             "coefficients",
             parameters=tuple(
-                Quantity(one.name, _UNITS.get(one.name, "rad/s2"), f"factor of {one.term} in (30)")
-                for one in PRINTED
+                Quantity(
+                    coefficient.name,
+                    _UNITS.get(coefficient.name, "rad/s2"),
+                    f"factor of {coefficient.term} in (30)",
+                )
+                for coefficient in PRINTED
             ),
             values=dict(values),
             priors={name: Prior(values[name], std) for name, std in prior_std.items()},

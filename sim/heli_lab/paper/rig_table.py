@@ -24,7 +24,7 @@ from heli_lab.paper.tables import TESTS_OF_TABLE, WINDOW_S, free_axes_normalised
 _IDENTIFIED: Final = 0.5
 """A number counts as identified when the tests leave less than this share of its tolerance."""
 
-PRINTED: Final[Mapping[str, float]] = {
+PRINTED_TABLE_2: Final[Mapping[str, float]] = {
     "L_h": 0.275,
     "L_a": 0.64,
     "L_b": 0.45,
@@ -56,7 +56,7 @@ class RigRow:
         As Table 2 prints it; None for what it does not hold.
     value, tolerance : float
         What the rig file says.
-    found, half : float or None
+    estimate, half : float or None
         From the tests that identify it best, with half its 95 % interval; None when none does.
     note : str
         Which tests, or what the number should be.
@@ -67,7 +67,7 @@ class RigRow:
     printed: float | None
     value: float
     tolerance: float
-    found: float | None
+    estimate: float | None
     half: float | None
     note: str = ""
 
@@ -130,12 +130,13 @@ def fit_rig(
     upright = printed_inertias_kg_m2(rig, pitch_rad=math.pi / 2)["J_theta"]
     notes = {"J_theta": f"(27); at most {upright:.4f}, at 90 deg of pitch", "J_phi": "(28)", "J_psi": "(29)"}
     rows += [
-        RigRow(name, "kg m2", PRINTED[name], inertia[name], 0.0, None, None, notes[name]) for name in inertia
+        RigRow(name, "kg m2", PRINTED_TABLE_2[name], inertia[name], 0.0, None, None, notes[name])
+        for name in inertia
     ]
     return RigTable(tuple(rows), normalised)
 
 
-_IN_TABLE: Final = tuple(name for name in PRINTED if not name.startswith("J_"))
+_IN_TABLE: Final = tuple(name for name in PRINTED_TABLE_2 if not name.startswith("J_"))
 _BESIDE: Final = ("dead_zone", "friction_elevation", "friction_pitch", "friction_travel")
 
 
@@ -153,5 +154,9 @@ def _row(name: str, rig: Rig, best: Mapping[str, tuple[float, float, str]]) -> R
     if name in best and best[name][1] < _IDENTIFIED * number.tolerance:
         value, half, source = best[name]
         text = ", ".join(filter(None, (note, source)))
-        return RigRow(name, number.unit, PRINTED.get(name), number.value, number.tolerance, value, half, text)
-    return RigRow(name, number.unit, PRINTED.get(name), number.value, number.tolerance, None, None, note)
+        return RigRow(
+            name, number.unit, PRINTED_TABLE_2.get(name), number.value, number.tolerance, value, half, text
+        )
+    return RigRow(
+        name, number.unit, PRINTED_TABLE_2.get(name), number.value, number.tolerance, None, None, note
+    )

@@ -21,20 +21,20 @@ _NAMES: Final = ("P_1", "P_2", "P_3", "P_4", "P_6")
 
 
 @dataclass(frozen=True)
-class Case:
+class SensitivityCase:
     """One curve of the figure: its `label`, and the `changes`, factors on coefficients; 0 neglects one."""
 
     label: str
     changes: Mapping[str, float]
 
 
-CASES: Final[tuple[Case, ...]] = (
-    Case("as in Table 2", {}),
-    Case("case 1: gravity moment P_2 + 10 %", {"P_2": 1.1}),
-    Case("case 2: thrust P_6 + 10 %", {"P_6": 1.1}),
-    Case("pendulum P_3 neglected", {"P_3": 0.0}),
-    Case("friction P_4 neglected", {"P_4": 0.0}),
-    Case("dead zone P_1 neglected", {"P_1": 0.0}),
+CASES: Final[tuple[SensitivityCase, ...]] = (
+    SensitivityCase("as in Table 2", {}),
+    SensitivityCase("case 1: gravity moment P_2 + 10 %", {"P_2": 1.1}),
+    SensitivityCase("case 2: thrust P_6 + 10 %", {"P_6": 1.1}),
+    SensitivityCase("pendulum P_3 neglected", {"P_3": 0.0}),
+    SensitivityCase("friction P_4 neglected", {"P_4": 0.0}),
+    SensitivityCase("dead zone P_1 neglected", {"P_1": 0.0}),
 )
 """The paper's text speaks of small changes in its cases 1 and 2, and of parameters neglected."""
 
@@ -112,4 +112,4 @@ def sensitivities(rig: Rig, test: BenchTest = ELEVATION_STEPS[0]) -> list[Sensit
         out.append(
             Sensitivity(name, equilibrium_deg(changed, test) - rest, float(np.sqrt(np.mean(moved**2))))
         )
-    return sorted(out, key=lambda one: -one.rms_deg)
+    return sorted(out, key=lambda row: -row.rms_deg)

@@ -33,14 +33,14 @@ LONGEST_LAG_s: Final = 0.4
 """Longest thrust lag that is tried: several times what any rotor of this size shows."""
 _LAGS_s: Final = np.arange(0.001, LONGEST_LAG_s, 0.001)
 _DEG: Final = math.degrees(1.0)
-STEP_DEG: Final = 15.0
+SETTLING_STEP_DEG: Final = 15.0
 """Step of travel's setpoint."""
 _BAND_DEG: Final = 0.5
 _STEP_s, _STEPS = 0.01, 30_000
 
 
 @dataclass(frozen=True)
-class Verdict:
+class LoopVerdict:
     """How pitch and travel behave under one reading of Table 6.
 
     Parameters
@@ -58,7 +58,7 @@ class Verdict:
     lag_s : float
         Longest thrust lag that is stable; 0 when none is.
     peak_deg : float
-        Peak of travel after a step of its setpoint to `STEP_DEG`, without limits; infinite when unstable.
+        Peak of travel after a setpoint step of `SETTLING_STEP_DEG`, without limits; infinite when unstable.
     settling_time_s : float
         From then until travel stays within half a degree of it; infinite when unstable.
     """
@@ -73,7 +73,7 @@ class Verdict:
     settling_time_s: float
 
 
-def verdicts(model: Model, rig: Rig) -> list[Verdict]:
+def verdicts(model: Model, rig: Rig) -> list[LoopVerdict]:
     """Close pitch and travel with Table 6 around a linearised rig, a `model` without any effect, in every
     reading, printed gains first. A PlantError when the rig cannot hover.
     """
@@ -85,7 +85,7 @@ def verdicts(model: Model, rig: Rig) -> list[Verdict]:
         slowest = _slowest(closed)
         peak_deg, settling_time_s = _step(closed) if slowest.real < 0.0 else (math.inf, math.inf)
         out.append(
-            Verdict(
+            LoopVerdict(
                 gains,
                 reading,
                 derivative,
@@ -140,24 +140,26 @@ class _Tilt:
     def closed(self, law: _Law, lag_s: float) -> Floats:
         """State matrix: the plant, integrals of travel and of pitch's error, thrust behind a lag."""
         kp, ki, kd = law.travel
-        one = np.eye(7)
+        unit_rows = np.eye(7)
         # x[:4] the plant, x[4] the integral of travel, x[5] of pitch's error, x[6] U- as thrust follows it.
-        setpoint = -(kp * one[1] + ki * one[4] + kd * one[3])
-        error = setpoint - one[0]
+        setpoint = -(kp * unit_rows[1] + ki * unit_rows[4] + kd * unit_rows[3])
+        error = setpoint - unit_rows[0]
         A = np.zeros((7, 7))
         A[:4, :4], A[:4, 6] = self.A, self.B
-        A[4], A[5] = one[1], error
-        asked = law.pitch[0] * error + law.pitch[1] * one[5] - law.pitch[2] * one[2]
+        A[4], A[5] = unit_rows[1], error
+        differential_V = law.pitch[0] * error + law.pitch[1] * unit_rows[5] - law.pitch[2] * unit_rows[2]
         share = 0.0
         if law.of_error:
             # The setpoint's own rate holds travel's acceleration, A[3], thrust included.
-            asked = asked - law.pitch[2] * (kp * one[3] + ki * one[1] + kd * A[3])
-            share = float(asked[6])
+            differential_V = differential_V - law.pitch[2] * (
+                kp * unit_rows[3] + ki * unit_rows[1] + kd * A[3]
+            )
+            share = float(differential_V[6])
         if lag_s > 0.0:
-            A[6] = (asked - one[6]) / lag_s
+            A[6] = (differential_V - unit_rows[6]) / lag_s
             return A
         # Without lag, U- = asked, in which U- itself may appear once more.
-        direct = (asked - share * one[6])[:6] / (1.0 - share)
+        direct = (differential_V - share * unit_rows[6])[:6] / (1.0 - share)
         return A[:6, :6] + np.outer(A[:6, 6], direct)
 
 
@@ -169,14 +171,14 @@ def _slowest(A: Floats) -> complex:
 def _step(A: Floats) -> tuple[float, float]:
     """Highest travel, deg, and settling time after a step, the derivative's kick left out."""
     state = np.zeros(len(A))
-    state[1] = -STEP_DEG  # travel, as a deviation from where it is to go
+    state[1] = -SETTLING_STEP_DEG  # travel, as a deviation from where it is to go
     forward, off_deg = expm(_STEP_s * A), np.empty(_STEPS)
     for row in range(_STEPS):
         off_deg[row] = state[1]
         state = forward @ state
     outside = np.flatnonzero(np.abs(off_deg) > _BAND_DEG)
     settled = math.inf if outside[-1] == _STEPS - 1 else float(outside[-1] + 1) * _STEP_s
-    return float(off_deg.max()) + STEP_DEG, settled
+    return float(off_deg.max()) + SETTLING_STEP_DEG, settled
 
 
 def _longest_lag_s(plant: _Tilt, law: _Law) -> float:

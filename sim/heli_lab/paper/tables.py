@@ -76,7 +76,7 @@ _PLANS: Final[Mapping[int, _Plan]] = {
 
 
 @dataclass(frozen=True)
-class Row:
+class TableRow:
     """A coefficient, or a sum of some, in the unit of its table.
 
     Parameters
@@ -89,7 +89,7 @@ class Row:
         As printed; None for what the table does not hold.
     analytic : float
         From the rig's masses, lengths and friction, by the formulas below (30).
-    found, half : float or None
+    estimate, half : float or None
         From the bench tests, with half its 95 % interval; None where they cannot identify it.
     note : str
         Why not, or where it comes from.
@@ -100,7 +100,7 @@ class Row:
     printed: float | None
     tolerance: float | None
     analytic: float
-    found: float | None
+    estimate: float | None
     half: float | None
     note: str = ""
 
@@ -113,7 +113,7 @@ class Table:
     ----------
     number : int
         3, 4 or 5.
-    rows : tuple of Row
+    rows : tuple of TableRow
         Its coefficients, then what is identified instead of those that are not.
     normalised : float
         Root mean square error of (30) over windows of four seconds, free axes only, in standard deviations of
@@ -121,7 +121,7 @@ class Table:
     """
 
     number: int
-    rows: tuple[Row, ...]
+    rows: tuple[TableRow, ...]
     normalised: float
     fit: Fit
 
@@ -172,44 +172,50 @@ def free_axes_normalised(fit: Fit, locked: tuple[bool, bool, bool]) -> float:
     """
     free = [axis for axis, held in zip(AXES, locked, strict=True) if not held]
     checks = [check(fit, index) for index in range(len(fit.problem.records))]
-    return math.sqrt(float(np.mean([one.axis_normalised[axis] ** 2 for one in checks for axis in free])))
+    return math.sqrt(
+        float(np.mean([check_.axis_normalised[axis] ** 2 for check_ in checks for axis in free]))
+    )
 
 
-def _printed_rows(number: int, plan: _Plan, fit: Fit, by_masses: Mapping[str, float]) -> list[Row]:
+def _printed_rows(number: int, plan: _Plan, fit: Fit, by_masses: Mapping[str, float]) -> list[TableRow]:
     rows = []
-    for one in PRINTED:
-        if one.table != number:
+    for coefficient in PRINTED:
+        if coefficient.table != number:
             continue
-        value, half = (None, None) if one.name in plan.unidentified else _found(fit, one.name, one.per_si)
+        value, half = (
+            (None, None)
+            if coefficient.name in plan.unidentified
+            else _found(fit, coefficient.name, coefficient.per_si)
+        )
         rows.append(
-            Row(
-                one.name,
-                one.unit,
-                one.value,
-                one.tolerance,
-                one.per_si * by_masses[one.name],
+            TableRow(
+                coefficient.name,
+                coefficient.unit,
+                coefficient.value,
+                coefficient.tolerance,
+                coefficient.per_si * by_masses[coefficient.name],
                 value,
                 half,
-                plan.unidentified.get(one.name, ""),
+                plan.unidentified.get(coefficient.name, ""),
             )
         )
     return rows
 
 
-def _extra_rows(number: int, fit: Fit, by_masses: Mapping[str, float]) -> list[Row]:
-    printed = {one.name: one for one in PRINTED}
+def _extra_rows(number: int, fit: Fit, by_masses: Mapping[str, float]) -> list[TableRow]:
+    printed = {coefficient.name: coefficient for coefficient in PRINTED}
     if number == 4:
-        one, other = printed["P_1"], printed["P_5"]
-        total = one.per_si * (by_masses["P_1"] + by_masses["P_5"])
-        spread = math.hypot(one.tolerance, other.tolerance)
-        found = _found(fit, "P_1", one.per_si)
-        return [Row("P_1 + P_5", one.unit, one.value + other.value, spread, total, *found)]
+        first, other = printed["P_1"], printed["P_5"]
+        total = first.per_si * (by_masses["P_1"] + by_masses["P_5"])
+        spread = math.hypot(first.tolerance, other.tolerance)
+        value = _found(fit, "P_1", first.per_si)
+        return [TableRow("P_1 + P_5", first.unit, first.value + other.value, spread, total, *value)]
     if number == 5:
         rows = [
-            Row(
+            TableRow(
                 f"sin phi at {test.front_V:g}, {test.back_V:g} V",
                 "rad/s2",
-                _sine_factor({name: one.value for name, one in printed.items()}, test),
+                _sine_factor({name: coefficient.value for name, coefficient in printed.items()}, test),
                 None,
                 _sine_factor(by_masses, test),
                 *_found(fit, f"P_15[{test.name}]", 1.0),
@@ -217,12 +223,20 @@ def _extra_rows(number: int, fit: Fit, by_masses: Mapping[str, float]) -> list[R
             )
             for test in TRAVEL_STEPS
         ]
-        one = printed["P_11"]
+        first = printed["P_11"]
         note = "of Table 3; here the motors run"
-        gain = _found(fit, "P_11", one.per_si)
+        gain = _found(fit, "P_11", first.per_si)
         return [
             *rows,
-            Row("P_11", one.unit, one.value, one.tolerance, one.per_si * by_masses["P_11"], *gain, note),
+            TableRow(
+                "P_11",
+                first.unit,
+                first.value,
+                first.tolerance,
+                first.per_si * by_masses["P_11"],
+                *gain,
+                note,
+            ),
         ]
     return []
 

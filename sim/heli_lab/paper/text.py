@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
     from heli_lab.paper.compare import Distance
     from heli_lab.paper.rig_table import RigTable
-    from heli_lab.paper.table6 import Verdict
+    from heli_lab.paper.table6 import LoopVerdict
     from heli_lab.paper.tables import Table
 
 
-def table_lines(line: Line, by_rig: RigTable, found: Sequence[Table]) -> list[str]:
+def table_lines(line: Line, by_rig: RigTable, tables: Sequence[Table]) -> list[str]:
     """Format Tables 2 to 5 for a terminal."""
     out = [
         f"Fig. 15: F = {line.gain_N_per_V:.4f} +- {line.gain_half:.4f} N/V "
@@ -29,11 +29,11 @@ def table_lines(line: Line, by_rig: RigTable, found: Sequence[Table]) -> list[st
         f"  {'':19} {'printed':>8} {'rig file':>18} {'bench tests':>23}",
     ]
     for row in by_rig.rows:
-        told = _interval(row.found, row.half) if row.found is not None else "-"
+        estimate = _interval(row.estimate, row.half) if row.estimate is not None else "-"
         printed = "-" if row.printed is None else f"{row.printed:g}"
         was = f"{row.value:.4g} +- {row.tolerance:g}" if row.tolerance else f"{row.value:.4f}"
-        out.append(f"  {row.name:19} {printed:>8} {was:>18} {told:>23} {row.unit:9} {row.note}".rstrip())
-    for table in found:
+        out.append(f"  {row.name:19} {printed:>8} {was:>18} {estimate:>23} {row.unit:9} {row.note}".rstrip())
+    for table in tables:
         error = by_rig.normalised[table.number]
         out += [
             "",
@@ -41,12 +41,14 @@ def table_lines(line: Line, by_rig: RigTable, found: Sequence[Table]) -> list[st
             "bench tests: by (30))",
             f"  {'':22} {'printed':>18} {'by masses':>10} {'bench tests':>23}",
         ]
-        for own in table.rows:
-            tolerance = "" if own.tolerance is None else f" +- {own.tolerance:.3g}"
-            printed = "-" if own.printed is None else f"{own.printed:.5g}{tolerance}"
-            told = "-" if own.found is None or own.half is None else _interval(own.found, own.half)
-            numbers = f"{printed:>18} {own.analytic:>10.4g} {told:>23}"
-            out.append(f"  {own.name:22} {numbers} {own.unit:14} {own.note}".rstrip())
+        for row_ in table.rows:
+            tolerance = "" if row_.tolerance is None else f" +- {row_.tolerance:.3g}"
+            printed = "-" if row_.printed is None else f"{row_.printed:.5g}{tolerance}"
+            estimate = (
+                "-" if row_.estimate is None or row_.half is None else _interval(row_.estimate, row_.half)
+            )
+            numbers = f"{printed:>18} {row_.analytic:>10.4g} {estimate:>23}"
+            out.append(f"  {row_.name:22} {numbers} {row_.unit:14} {row_.note}".rstrip())
         out.append(
             f"  error of a 4 s prediction over the encoder's quantisation: (30) {table.normalised:.2f}, "
             f"multibody {error:.2f}"
@@ -54,37 +56,41 @@ def table_lines(line: Line, by_rig: RigTable, found: Sequence[Table]) -> list[st
     return out
 
 
-def model_lines(found: Sequence[Distance]) -> list[str]:
+def model_lines(distances: Sequence[Distance]) -> list[str]:
     """Format the models' errors for a terminal."""
     out = [
         "Free runs of 2 s over a multibody rig's sines, rig file's numbers, rms error",
         f"  {'model':14} {' '.join(f'{axis:>10}' for axis in AXES)}      over the encoder's quantisation",
     ]
-    for one in found:
-        errors = " ".join(f"{one.rms_deg[axis]:>10.3f}" for axis in AXES)
-        out.append(f"  {one.model:14} {errors} deg  {one.normalised:.2f}")
+    for distance in distances:
+        errors = " ".join(f"{distance.rms_deg[axis]:>10.3f}" for axis in AXES)
+        out.append(f"  {distance.model:14} {errors} deg  {distance.normalised:.2f}")
     return out
 
 
-def gain_lines(found: dict[str, list[Verdict]]) -> list[str]:
+def gain_lines(verdicts: dict[str, list[LoopVerdict]]) -> list[str]:
     """Format the readings of Table 6 for a terminal."""
     reading = {"degrees": "pitch in deg", "u3": "u3 in V"}
     out = ["Table 6 on the linearised rig: are pitch and travel stable, and up to which lag (399 ms: any)?"]
-    for model, rows in found.items():
+    for model, rows in verdicts.items():
         out += ["", f"model {model}"]
-        for one in rows:
-            if one.growth_1_per_s < 0.0:
-                step = f"15 deg step peaks at {one.peak_deg:.1f}, settles in {one.settling_time_s:.0f} s"
-                lag = f"to {1e3 * one.lag_s:3.0f} ms of thrust lag"
-                text = f"stable,   decays at {-one.growth_1_per_s:.3f} 1/s, {lag}; {step}"
+        for verdict in rows:
+            if verdict.growth_1_per_s < 0.0:
+                step = (
+                    f"15 deg step peaks at {verdict.peak_deg:.1f}, settles in {verdict.settling_time_s:.0f} s"
+                )
+                lag = f"to {1e3 * verdict.lag_s:3.0f} ms of thrust lag"
+                text = f"stable,   decays at {-verdict.growth_1_per_s:.3f} 1/s, {lag}; {step}"
             else:
-                text = f"unstable, grows at {one.growth_1_per_s:5.3f} 1/s, period {one.period_s:.2f} s"
-            law = f"{one.gains:10} {reading[one.reading]:13} derivative of {one.derivative:12}"
+                text = (
+                    f"unstable, grows at {verdict.growth_1_per_s:5.3f} 1/s, period {verdict.period_s:.2f} s"
+                )
+            law = f"{verdict.gains:10} {reading[verdict.reading]:13} derivative of {verdict.derivative:12}"
             out.append(f"  {law} {text}")
     return out
 
 
-def tables_json(plant: Plant, line: Line, by_rig: RigTable, found: Sequence[Table]) -> dict[str, Any]:
+def tables_json(plant: Plant, line: Line, by_rig: RigTable, tables: Sequence[Table]) -> dict[str, Any]:
     """Tables 2 to 5 as JSON has them: rig, model, thrust, table_2, table_3, table_4, table_5, each with its
     rows and errors.
     """
@@ -101,7 +107,7 @@ def tables_json(plant: Plant, line: Line, by_rig: RigTable, found: Sequence[Tabl
                     "multibody": by_rig.normalised[table.number],
                 },
             }
-            for table in found
+            for table in tables
         },
     }
 

@@ -15,7 +15,7 @@ from heli_sim.plant import Plant
 Floats = npt.NDArray[np.float64]
 
 
-class Scale:
+class ThrustScale:
     """A scale under each rotor of a rig that stands still, in steps of a gram."""
 
     def __init__(self, plant: Plant) -> None:

@@ -20,7 +20,7 @@ machine to have a say: below it their own estimate is a difference of nearly equ
 
 
 @dataclass(frozen=True)
-class Estimate:
+class NumberEstimate:
     """A number of a machine by its flights alone.
 
     Parameters
@@ -46,9 +46,9 @@ class Machine:
         For messages.
     rig, model : str
         Name of the rig that was known beforehand, and of the model.
-    numbers : Mapping of str to Estimate
+    numbers : Mapping of str to NumberEstimate
         Numbers that its flights tell something of.
-    priors : Mapping of str to Estimate
+    priors : Mapping of str to NumberEstimate
         What was known of each number beforehand.
     causes : Mapping of str to float
         Causes that were named, with their confidence.
@@ -59,8 +59,8 @@ class Machine:
     label: str
     rig: str
     model: str
-    numbers: Mapping[str, Estimate]
-    priors: Mapping[str, Estimate]
+    numbers: Mapping[str, NumberEstimate]
+    priors: Mapping[str, NumberEstimate]
     causes: Mapping[str, float]
     hidden: tuple[str, ...]
 
@@ -90,19 +90,21 @@ def read_machine(path: Path) -> Machine:
 
 def _machine(path: Path, content: Mapping[str, Any]) -> Machine:
     numbers, priors = {}, {}
-    for name, one in content["rig"]["numbers"].items():
-        prior = Estimate(float(one["prior"]["value"]), float(one["prior"]["std"]), str(one["unit"]))
+    for name, number in content["rig"]["numbers"].items():
+        prior = NumberEstimate(
+            float(number["prior"]["value"]), float(number["prior"]["std"]), str(number["unit"])
+        )
         priors[name] = prior
-        alone = by_flights_alone(float(one["value"]), float(one["std"]), prior)
+        alone = by_flights_alone(float(number["value"]), float(number["std"]), prior)
         if alone is not None:
             numbers[name] = alone
-    causes = {str(one["effect"]): float(one["confidence"]) for one in content["causes"]}
+    causes = {str(cause["effect"]): float(cause["confidence"]) for cause in content["causes"]}
     rig = content["rig"]
     hidden = tuple(map(str, content["undetectable"]))
     return Machine(path.stem, str(rig["name"]), str(rig["model"]), numbers, priors, causes, hidden)
 
 
-def by_flights_alone(value: float, std: float, prior: Estimate) -> Estimate | None:
+def by_flights_alone(value: float, std: float, prior: NumberEstimate) -> NumberEstimate | None:
     """Take the prior out of an estimate: machines share it, and their flights do not.
 
     The estimate's density is the prior's times the flights' likelihood, everything else integrated out: of
@@ -112,7 +114,7 @@ def by_flights_alone(value: float, std: float, prior: Estimate) -> Estimate | No
     ----------
     value, std : float
         Estimate with its standard error, in the prior's unit.
-    prior : Estimate
+    prior : NumberEstimate
         What was known before the flights.
 
     Returns
@@ -124,4 +126,4 @@ def by_flights_alone(value: float, std: float, prior: Estimate) -> Estimate | No
     precision = std**-2.0 - before
     if precision < _LEAST_SHARE * before:
         return None
-    return Estimate((value * std**-2.0 - prior.value * before) / precision, precision**-0.5, prior.unit)
+    return NumberEstimate((value * std**-2.0 - prior.value * before) / precision, precision**-0.5, prior.unit)

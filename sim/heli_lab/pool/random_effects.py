@@ -99,9 +99,9 @@ class Share:
     interval: tuple[float, float]
 
 
-def share(found: int, seen: int) -> Share:
-    """Estimate a share from `found` of `seen` machines, one at least."""
+def share(count: int, seen: int) -> Share:
+    """Estimate a share from `count` of `seen` machines, one at least."""
     from scipy.stats import binomtest
 
-    interval = binomtest(found, seen).proportion_ci(CONFIDENCE, method="exact")
-    return Share(found, seen, found / seen, (float(interval.low), float(interval.high)))
+    interval = binomtest(count, seen).proportion_ci(CONFIDENCE, method="exact")
+    return Share(count, seen, count / seen, (float(interval.low), float(interval.high)))

@@ -24,14 +24,14 @@ from heli_sim.rig import Rig
 from heli_sim.rig.inertia import inertias_kg_m2
 
 from heli_lab.tune import loops
-from heli_lab.tune.loops import Law, Pid
+from heli_lab.tune.loops import CascadeGains, Pid
 from heli_lab.tune.plants import Known, LinearPlant, Spread, spread_plants
 from heli_lab.tune.shaping import shaped_step
-from heli_lab.tune.simulate import Sampled, STEP_s, sampled
+from heli_lab.tune.simulate import Sampled, SIMULATION_STEP_s, sampled
 
 Floats = npt.NDArray[np.float64]
 
-STEP_DEG: Final = 15.0
+TRAVEL_STEP_DEG: Final = 15.0
 PITCH_SETPOINT_MAX_DEG: Final = 30.0
 MOTOR_MAX_V: Final = 10.0
 ELEVATION_SLEW_DEG_S: Final = 15.0
@@ -60,7 +60,7 @@ class Design:
 
     Parameters
     ----------
-    law : Law
+    law : CascadeGains
         Gains in the law's own units.
     plants : sequence of LinearPlant
         The rig first, then the corners of its spread.
@@ -70,7 +70,7 @@ class Design:
         The board's parameters, by their declared names and in their declared units.
     """
 
-    law: Law
+    law: CascadeGains
     plants: Sequence[LinearPlant]
     sensitivity: float
     parameters: Mapping[str, float]
@@ -112,7 +112,7 @@ def find_gains(
     elevation, elevation_path = _design_elevation(rig, plants, sensitivity)
     say("pitch and travel: step")
     pitch, travel, pitch_hold, tilt_path = _design_tilt(rig, plants, spread, sensitivity)
-    law = Law(elevation, pitch, travel, pitch_hold)
+    law = CascadeGains(elevation, pitch, travel, pitch_hold)
     parameters = _of_rig(rig) | elevation_path | tilt_path | _of_law(law)
     return Design(law, plants, sensitivity, parameters)
 
@@ -153,7 +153,7 @@ def _of_rig(rig: Rig) -> dict[str, float]:
     }
 
 
-def _of_law(law: Law) -> dict[str, float]:
+def _of_law(law: CascadeGains) -> dict[str, float]:
     in_degrees = {"elevation": law.elevation, "pitch": law.pitch}
     values: dict[str, float] = {}
     for axis, pid in in_degrees.items():
@@ -168,18 +168,20 @@ def _of_law(law: Law) -> dict[str, float]:
 def _design_elevation(
     rig: Rig, plants: Sequence[LinearPlant], sensitivity: float
 ) -> tuple[Pid, dict[str, float]]:
-    own, own_count = plants[0], _count_own(plants)
-    gain = own.elevation_gain
+    nominal, nominal_count = plants[0], _count_own(plants)
+    gain = nominal.elevation_gain
     # The hover voltage rises with elevation: masses that hang below the axis pull back to level.
-    slope_V_rad = -float(own.elevation_A[1, 0]) / gain
+    slope_V_rad = -float(nominal.elevation_A[1, 0]) / gain
     acceleration_ff = 1.0 / gain
-    spare_V = min(own.hover_V, _lift_max_V(rig) - own.hover_V)
+    spare_V = min(nominal.hover_V, _lift_max_V(rig) - nominal.hover_V)
     acceleration_deg_s2 = min(_MOST_ELEVATION_DEG_S2, float(np.degrees(_COLLECTIVE_SHARE * spare_V * gain)))
     rise_deg = -rig["elevation_min"].value
-    path = shaped_step(rise_deg, ELEVATION_SLEW_DEG_S, acceleration_deg_s2, 8.0, STEP_s)
+    path = shaped_step(rise_deg, ELEVATION_SLEW_DEG_S, acceleration_deg_s2, 8.0, SIMULATION_STEP_s)
     forward_V = slope_V_rad * path[:, 0] + acceleration_ff * path[:, 2]
     # The other plants hover at other voltages than the one that is fed forward.
-    missing_deg_s2 = np.degrees([(own.hover_V - plant.hover_V) * plant.elevation_gain for plant in plants])
+    missing_deg_s2 = np.degrees(
+        [(nominal.hover_V - plant.hover_V) * plant.elevation_gain for plant in plants]
+    )
 
     def error_deg(pid: Pid, closed: Floats) -> Floats:
         given = np.zeros((len(plants), 6, 3))
@@ -199,15 +201,17 @@ def _design_elevation(
             return _UNSTABLE + slowest_1_s
         response = pid.response(loops.FREQUENCY_rad_s)
         peak = float(np.max(1.0 / np.abs(1.0 + response * bare)))
-        return _measure(np.mean(error_deg(pid, closed) ** 2, axis=0), own_count) + _excess(peak, sensitivity)
+        return _measure(np.mean(error_deg(pid, closed) ** 2, axis=0), nominal_count) + _excess(
+            peak, sensitivity
+        )
 
-    unit = Law(Pid(1.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0))
+    unit = CascadeGains(Pid(1.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0))
     bare = np.array([loops.open_loops(plant, unit)["elevation"] for plant in plants])
     crossover = _first_guess_rad_s(plants)
     start = np.array([0.5 * crossover**2, 0.1 * crossover**3, crossover]) / gain
     pid = _pid(_least(cost, start), _FILTERS_Hz[0])
     return pid, {
-        "hover_V": own.hover_V,
+        "hover_V": nominal.hover_V,
         "hover_slope": float(np.radians(slope_V_rad)),
         "elevation_rate_ff": 1.0,
         "elevation_acceleration_ff": float(np.radians(acceleration_ff)),
@@ -219,19 +223,21 @@ def _design_elevation(
 def _design_tilt(
     rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensitivity: float
 ) -> tuple[Pid, Pid, float, dict[str, float]]:
-    own, own_count = plants[0], _count_own(plants)
+    nominal, nominal_count = plants[0], _count_own(plants)
     # Masses that hang below the pitch axis pull every tilt back: held by feed-forward, its gain need not.
-    hold = -float(own.tilt_A[2, 0]) / own.pitch_gain
-    acceleration_deg_s2 = min(_MOST_TRAVEL_DEG_S2, _PITCH_SHARE * PITCH_SETPOINT_MAX_DEG * own.travel_gain)
-    path = shaped_step(STEP_DEG, TRAVEL_SLEW_DEG_S, acceleration_deg_s2, 10.0, STEP_s)
-    after = round(2.0 * np.sqrt(STEP_DEG / acceleration_deg_s2) / STEP_s)
+    hold = -float(nominal.tilt_A[2, 0]) / nominal.pitch_gain
+    acceleration_deg_s2 = min(
+        _MOST_TRAVEL_DEG_S2, _PITCH_SHARE * PITCH_SETPOINT_MAX_DEG * nominal.travel_gain
+    )
+    path = shaped_step(TRAVEL_STEP_DEG, TRAVEL_SLEW_DEG_S, acceleration_deg_s2, 10.0, SIMULATION_STEP_s)
+    after = round(2.0 * np.sqrt(TRAVEL_STEP_DEG / acceleration_deg_s2) / SIMULATION_STEP_s)
     loads_deg_s2 = _constant_loads_deg_s2(rig, spread)
     unloaded = np.zeros((len(path), len(loads_deg_s2)))
-    differential_max_V = _differential_max_V(rig, own.hover_V)
-    unit = Law(Pid(0.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0))
+    differential_max_V = _differential_max_V(rig, nominal.hover_V)
+    unit = CascadeGains(Pid(0.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0), Pid(1.0, 0.0, 0.0, 1.0))
     bare = [loops.open_loops(plant, unit) for plant in plants]
-    to_pitch = np.array([one["pitch"] for one in bare])
-    to_travel = np.array([one["differential"] - one["pitch"] for one in bare])
+    to_pitch = np.array([response["pitch"] for response in bare])
+    to_travel = np.array([response["differential"] - response["pitch"] for response in bare])
 
     def pids(numbers: Floats) -> tuple[Pid, Pid, float]:
         return _pid(numbers[0:3], _FILTERS_Hz[1]), _pid(numbers[3:6], _FILTERS_Hz[2]), float(numbers[6])
@@ -250,16 +256,18 @@ def _design_tilt(
         setpoint = travel.kp * path[:, 0] + travel.kd * path[:, 1] + acceleration_ff * path[:, 2]
         states = points.along(np.column_stack((setpoint, path[:, 0], unloaded)))
         error = states[:, :, 1] - path[:, :1]
-        asked = np.einsum("tpn,n->tp", states[:, :own_count], loops.tilt_output(11, pitch, travel, hold))
-        largest_V = float(np.radians(np.abs(asked + (pitch.kp + hold) * setpoint[:, None]).max()))
+        setpoints = np.einsum(
+            "tpn,n->tp", states[:, :nominal_count], loops.tilt_output(11, pitch, travel, hold)
+        )
+        largest_V = float(np.radians(np.abs(setpoints + (pitch.kp + hold) * setpoint[:, None]).max()))
         step = np.mean(error**2, axis=0)
         step = step + _LATE_WEIGHT * np.mean(error[after:] ** 2, axis=0)
         step = step + _OVERSHOOT_WEIGHT * np.maximum(error[after:].max(axis=0), 0.0) ** 2
-        corners = Sampled(points.transition[own_count:], points.inputs[own_count:, :, 2:])
-        trimmed = round(_HOVER_s / STEP_s)
-        left = corners.step_response(trimmed + len(path) // 2)[:, 1, :, trimmed:]
+        corners = Sampled(points.transition[nominal_count:], points.inputs[nominal_count:, :, 2:])
+        trimmed = round(_HOVER_s / SIMULATION_STEP_s)
+        remaining = corners.step_response(trimmed + len(path) // 2)[:, 1, :, trimmed:]
         for number, (_, weight) in enumerate(loads_deg_s2.values()):
-            step[own_count:] += weight * np.mean(left[:, number] ** 2, axis=1)
+            step[nominal_count:] += weight * np.mean(remaining[:, number] ** 2, axis=1)
         return np.asarray(step), largest_V
 
     def cost(numbers: Floats) -> float:
@@ -276,14 +284,14 @@ def _design_tilt(
         ]
         squares, largest_V = flown(pitch, travel, acceleration_ff, closed)
         beyond = sum(_excess(peak, sensitivity) for peak in peaks) + _excess(largest_V, differential_max_V)
-        return _measure(squares, own_count) + beyond
+        return _measure(squares, nominal_count) + beyond
 
     inner_rad_s = _first_guess_rad_s(plants)
     outer_rad_s = inner_rad_s / 2.0
-    pitch_kp = (0.5 * inner_rad_s**2 - 0.5 * own.tilt_A[2, 0]) / own.pitch_gain
-    travel_kp = 0.5 * outer_rad_s**2 / own.travel_gain
-    start = [pitch_kp, 0.2 * pitch_kp, inner_rad_s / own.pitch_gain]
-    start += [travel_kp, 0.1 * travel_kp, outer_rad_s / own.travel_gain, 1.0 / own.travel_gain]
+    pitch_kp = (0.5 * inner_rad_s**2 - 0.5 * nominal.tilt_A[2, 0]) / nominal.pitch_gain
+    travel_kp = 0.5 * outer_rad_s**2 / nominal.travel_gain
+    start = [pitch_kp, 0.2 * pitch_kp, inner_rad_s / nominal.pitch_gain]
+    start += [travel_kp, 0.1 * travel_kp, outer_rad_s / nominal.travel_gain, 1.0 / nominal.travel_gain]
     pitch, travel, acceleration_ff = pids(_least(cost, np.array(start)))
     return (
         pitch,
@@ -367,7 +375,7 @@ def _least(cost: Callable[[Floats], float], start: Floats) -> Floats:
     best, best_cost = np.log(start), np.inf
     for spread in (0.4, 0.3, 0.2, 0.2):
         simplex = np.vstack([best, *(best + spread * row for row in np.eye(len(best)))])
-        found = minimize(
+        optimum = minimize(
             lambda logs: cost(np.exp(logs)),
             best,
             method="Nelder-Mead",
@@ -379,8 +387,8 @@ def _least(cost: Callable[[Floats], float], start: Floats) -> Floats:
                 "adaptive": True,
             },
         )
-        gained = best_cost - found.fun
-        best, best_cost = found.x, found.fun
+        gained = best_cost - optimum.fun
+        best, best_cost = optimum.x, optimum.fun
         if gained < 0.01:
             break
     return np.asarray(np.exp(best), float)

@@ -22,7 +22,7 @@ _REACH: Final = 2.2
 _SMALL: Final = 8
 
 
-def figure_of(design: Design, flights: Sequence[tuple[str, Flight]]) -> Figure:
+def figure_of_design(design: Design, flights: Sequence[tuple[str, Flight]]) -> Figure:
     """Draw a `design` with the plants that it was found on, as Nyquist plots on the right; on the left angles
     and voltages over time of `flights`, each with a label.
     """
@@ -56,8 +56,8 @@ def _draw_flights(panels: Sequence[Axes], flights: Sequence[tuple[str, Flight]])
             axes.plot(flight.t_s, angles_deg[:, index], color=colour, lw=0.9, label=label)
         panels[3].plot(flight.t_s, flight.front_V, color=colour, lw=0.5)
     _, first = flights[0]
-    asked = (first.elevation_setpoint_rad, None, first.travel_setpoint_rad)
-    for index, setpoint_rad in enumerate(asked):
+    setpoints = (first.elevation_setpoint_rad, None, first.travel_setpoint_rad)
+    for index, setpoint_rad in enumerate(setpoints):
         if setpoint_rad is not None:
             label = "setpoint"
             panels[index].plot(
@@ -74,11 +74,11 @@ def _draw_flights(panels: Sequence[Axes], flights: Sequence[tuple[str, Flight]])
 
 def _draw_loop(axes: Axes, loop: str, design: Design) -> None:
     frequency = np.geomspace(0.05, 200.0, 600)
-    own = [plant for plant in design.plants if plant.thrust == plant.counterweight == 1.0]
+    nominal = [plant for plant in design.plants if plant.thrust == plant.counterweight == 1.0]
     for plant in design.plants:
         gain = open_loops(plant, design.law, frequency)[loop]
-        if plant in own:
-            colour = _COLOURS[own.index(plant) % len(_COLOURS)]
+        if plant in nominal:
+            colour = _COLOURS[nominal.index(plant) % len(_COLOURS)]
             axes.plot(
                 gain.real, gain.imag, color=colour, lw=1.2, zorder=3, label=f"lag {1e3 * plant.lag_s:.0f} ms"
             )

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from heli_lab.tune.loops import Law, Pid
+from heli_lab.tune.loops import CascadeGains, Pid
 
 
-def law_of(parameters: Mapping[str, float]) -> Law:
+def cascade_gains_of(parameters: Mapping[str, float]) -> CascadeGains:
     """Gains in V/rad and rad/rad, as the analysis of loops takes them, of `parameters` in declared units: kp,
     ki, kd and the filter of each axis, and maybe pitch_hold_ff.
     """
@@ -19,7 +19,7 @@ def law_of(parameters: Mapping[str, float]) -> Law:
         return Pid(kp, ki, kd, parameters[f"{axis}_filter_Hz"])
 
     per_rad = 180.0 / np.pi
-    return Law(
+    return CascadeGains(
         pid("elevation", per_rad),
         pid("pitch", per_rad),
         pid("travel", 1.0),

@@ -58,7 +58,7 @@ class Pid:
 
 
 @dataclass(frozen=True)
-class Law:
+class CascadeGains:
     """The whole cascade; `pitch_hold` is the feed-forward from pitch's setpoint to the differential, V/rad,
     which holds a tilt against masses that hang below the axis.
     """
@@ -110,7 +110,7 @@ def elevation_closed(plant: LinearPlant, pid: Pid) -> Floats:
 def tilt_closed(plant: LinearPlant, pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> Floats:
     """State matrix (11, 11) of pitch and travel closed: the plant's five states, two of each rate filter
     (pitch first), the integrals of pitch's and of travel's error, both for setpoints of zero; `pitch_hold` as
-    in `Law`.
+    in `CascadeGains`.
     """
     closed = _with_filters(plant.tilt_A, (0, 1), (pitch, travel))
     size = closed.shape[0]
@@ -121,7 +121,7 @@ def tilt_closed(plant: LinearPlant, pitch: Pid, travel: Pid, pitch_hold: float =
 
 def tilt_output(size: int, pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> Floats:
     """Row, shape (`size`,), from the states of the closed loops, those of `tilt_closed` first, to the
-    differential, V for each unit, setpoints being zero; `pitch_hold` as in `Law`.
+    differential, V for each unit, setpoints being zero; `pitch_hold` as in `CascadeGains`.
     """
     row = (pitch.kp + pitch_hold) * _pitch_error(size, travel)
     row[0] += pitch_hold
@@ -131,7 +131,7 @@ def tilt_output(size: int, pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> 
 
 
 def open_loops(
-    plant: LinearPlant, law: Law, frequency_rad_s: Floats = FREQUENCY_rad_s
+    plant: LinearPlant, law: CascadeGains, frequency_rad_s: Floats = FREQUENCY_rad_s
 ) -> dict[str, Complexes]:
     """Loop gain L of every loop, shape (n,), at each `frequency_rad_s`, cut as `LOOPS` says; a Nyquist curve
     through -1 is marginally stable.
@@ -165,12 +165,12 @@ def peak_sensitivity(loop: Complexes) -> float:
     return float(np.max(1.0 / np.abs(1.0 + loop)))
 
 
-def margins(plant: LinearPlant, law: Law) -> dict[str, Margin]:
+def margins(plant: LinearPlant, law: CascadeGains) -> dict[str, Margin]:
     """Margins of every loop under a `law` that stabilises it; without that no margin means anything."""
     grid = open_loops(plant, law, MARGIN_FREQUENCY_rad_s)
     at_180 = _crossings(plant, law, grid, _sine)
     at_1 = _crossings(plant, law, grid, _log_gain)
-    found = {}
+    result = {}
     for name, loop in grid.items():
         crossed = at_180[name][1].real
         gains = -1.0 / crossed[crossed < 0.0]
@@ -178,7 +178,7 @@ def margins(plant: LinearPlant, law: Law) -> dict[str, Margin]:
         phases_deg = np.mod(np.degrees(np.angle(responses)), 360.0) - 180.0
         # A phase margin is to the nearest side; what a delay costs is the way round to -180.
         lost_deg = np.mod(phases_deg, 360.0)
-        found[name] = Margin(
+        result[name] = Margin(
             gain_up=float(np.min(gains[gains > 1.0], initial=np.inf)),
             gain_down=float(np.max(gains[gains < 1.0], initial=0.0)),
             phase_deg=float(np.min(np.abs(phases_deg), initial=np.inf)),
@@ -186,7 +186,7 @@ def margins(plant: LinearPlant, law: Law) -> dict[str, Margin]:
             sensitivity=peak_sensitivity(loop),
             crossover_rad_s=float(np.max(crossings, initial=0.0)),
         )
-    return found
+    return result
 
 
 def _sine(loop: Complexes) -> Floats:
@@ -199,7 +199,7 @@ def _log_gain(loop: Complexes) -> Floats:
 
 
 def _crossings(
-    plant: LinearPlant, law: Law, grid: dict[str, Complexes], value: Callable[[Complexes], Floats]
+    plant: LinearPlant, law: CascadeGains, grid: dict[str, Complexes], value: Callable[[Complexes], Floats]
 ) -> dict[str, tuple[Floats, Complexes]]:
     """Where a value of each loop gain changes its sign, rad/s, and the loop gain there.
 
@@ -222,7 +222,7 @@ def _crossings(
     return {name: (middle[owner == i], response[owner == i]) for i, name in enumerate(grid)}
 
 
-def is_stable(plant: LinearPlant, law: Law) -> bool:
+def is_stable(plant: LinearPlant, law: CascadeGains) -> bool:
     """Whether every closed loop of a plant decays."""
     both = (elevation_closed(plant, law.elevation), tilt_closed(plant, law.pitch, law.travel, law.pitch_hold))
     return all(float(np.linalg.eigvals(closed).real.max()) < 0.0 for closed in both)

@@ -38,8 +38,12 @@ def shaped_step(
     near = change_max / _CLOSE_IN**2
     for row in rows:
         row[:] = angle, step / _TICK_s, smooth / _TICK_s**2
-        left = abs(distance - angle)
-        fastest = left * _CLOSE_IN if left <= near else math.sqrt(2.0 * change_max * (left - 0.5 * near))
+        distance_left = abs(distance - angle)
+        fastest = (
+            distance_left * _CLOSE_IN
+            if distance_left <= near
+            else math.sqrt(2.0 * change_max * (distance_left - 0.5 * near))
+        )
         wanted = math.copysign(min(fastest, step_max), distance - angle)
         change = max(-change_max, min(change_max, wanted - step))
         step += change

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 
-STEP_s: Final = 0.04
+SIMULATION_STEP_s: Final = 0.04
 """Between two points of a path; inputs are held as long."""
 _BLOCK: Final = 16
 """Points of a block: all blocks are simulated from rest at once, then one after the other from the end of the
@@ -24,7 +24,7 @@ class Sampled:
     Parameters
     ----------
     transition : ndarray (plants, n, n)
-        State transition matrices over `STEP_s`.
+        State transition matrices over `SIMULATION_STEP_s`.
     inputs : ndarray (plants, n, m)
         Input matrices.
     """
@@ -38,7 +38,7 @@ class Sampled:
         Parameters
         ----------
         inputs : ndarray (times, m)
-            The same for all plants, `STEP_s` apart.
+            The same for all plants, `SIMULATION_STEP_s` apart.
         """
         count, size = self.transition.shape[:2]
         blocks = -(-len(inputs) // _BLOCK)
@@ -66,7 +66,7 @@ class Sampled:
         Parameters
         ----------
         times : int
-            Number of points, `STEP_s` apart; at the first the step has only begun, and all states are 0.
+            Number of points, `SIMULATION_STEP_s` apart; at the first, all states are 0.
         """
         count, size, width = self.inputs.shape
         # What m steps have made, and m steps later: as much again, and what became of it meanwhile.
@@ -92,7 +92,7 @@ def sampled(closed: Floats, given: Floats) -> Sampled:
     count, size, width = given.shape
     both = np.zeros((count, size + width, size + width))
     both[:, :size, :size], both[:, :size, size:] = closed, given
-    step = _exponential(both * STEP_s)
+    step = _exponential(both * SIMULATION_STEP_s)
     return Sampled(step[:, :size, :size], step[:, :size, size:])
 
 

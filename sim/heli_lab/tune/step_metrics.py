@@ -8,16 +8,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 from heli_host.flight import Flight
 from heli_host.flight.response import Answer, answer_of, rms
 
-Floats = npt.NDArray[np.float64]
+from heli_lab.tune.design import TRAVEL_STEP_DEG
 
-STEP_DEG: Final = 15.0
+Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -83,15 +82,15 @@ def step_metrics(
     rise, there = _between(t_s, phases.take_off_s, phases.step_s), _between(t_s, phases.step_s, phases.back_s)
     back, sine = _between(t_s, phases.back_s, phases.sine_s), _between(t_s, phases.sine_s, phases.end_s)
     error_deg = angles_deg[sine] - path_deg(t_s[sine])
-    asked = ((there, phases.step_s, 0.0, STEP_DEG), (back, phases.back_s, STEP_DEG, 0.0))
-    answers = [answer_of(t_s[rows] - at_s, travel[rows], *ends) for rows, at_s, *ends in asked]
+    steps = ((there, phases.step_s, 0.0, TRAVEL_STEP_DEG), (back, phases.back_s, TRAVEL_STEP_DEG, 0.0))
+    answers = [answer_of(t_s[rows] - at_s, travel[rows], *ends) for rows, at_s, *ends in steps]
     start_deg = float(elevation[rise][0]) if rise.any() else 0.0
     take_off = answer_of(t_s[rise] - phases.take_off_s, elevation[rise], start_deg, 0.0)
     return StepMetrics(
         outcome=outcome,
         take_off_s=_settling_s(take_off),
-        overshoot_percent=max(_or_infinite(one.overshoot_percent) for one in answers),
-        settling_time_s=max(_settling_s(one) for one in answers),
+        overshoot_percent=max(_or_infinite(answer.overshoot_percent) for answer in answers),
+        settling_time_s=max(_settling_s(answer) for answer in answers),
         travel_rms_deg=_or_infinite(rms(error_deg[:, 2])),
         elevation_rms_deg=_or_infinite(rms(error_deg[:, 0])),
         pitch_max_deg=float(np.abs(pitch).max(initial=0.0)),

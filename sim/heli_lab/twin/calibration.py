@@ -12,7 +12,7 @@ import numpy as np
 
 from heli_lab.errors import TwinError
 from heli_lab.identify.functions import Floats
-from heli_lab.innovations import Weather
+from heli_lab.innovations import DisturbanceModel
 from heli_lab.twin.likelihood_ratio import WINDOW_s
 
 SEGMENT_s: Final = 5.0
@@ -25,7 +25,7 @@ _LEAST_SCALE_nats: Final = 1.0
 _AXES: Final = 3
 
 
-QUIET: Final = replace(Weather.start(), quantisation=np.ones(3))
+QUIET: Final = replace(DisturbanceModel.start(), quantisation=np.ones(3))
 """Weather of a rig of which no flight is given: gusts of a quiet room, encoders that round."""
 
 
@@ -69,7 +69,7 @@ def segment_maxima(course: Sequence[tuple[float, float]]) -> list[float]:
     if not len(times):
         return []
     number = ((times - times[0]) // SEGMENT_s).astype(int)
-    return [float(evidence[number == one].max()) for one in np.unique(number)]
+    return [float(evidence[number == segment].max()) for segment in np.unique(number)]
 
 
 def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], taught_s: float = math.inf) -> Tail:
@@ -92,14 +92,14 @@ def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], taught_s: float =
     TwinError
         There are too few.
     """
-    maxima = [one for course in flights for one in segment_maxima(course)]
+    maxima = [maximum for course in flights for maximum in segment_maxima(course)]
     if len(maxima) < 10:
         raise TwinError(
             f"{len(maxima)} segments of {SEGMENT_s:g} s of healthy flight are too few to tell what is normal",
             "give a longer flight",
         )
     level = float(np.quantile(maxima, _LEVEL))
-    over = np.array([one - level for one in maxima if one > level])
+    over = np.array([maximum - level for maximum in maxima if maximum > level])
     scale = max(float(over.mean()), _LEAST_SCALE_nats)
     hours = len(maxima) * SEGMENT_s / 3600.0
     wider = 1.0 + WINDOW_s / taught_s
@@ -112,7 +112,7 @@ class Calibration:
 
     Parameters
     ----------
-    weather : Weather
+    disturbances : DisturbanceModel
         Torques by chance that the rig meets.
     tail : Tail
         Of the evidence in healthy flights.
@@ -120,7 +120,7 @@ class Calibration:
         Where they come from.
     """
 
-    weather: Weather
+    disturbances: DisturbanceModel
     tail: Tail
     source: str = ""
 
@@ -131,7 +131,7 @@ class Calibration:
 
 def calibration_text(calibration: Calibration, rig: str) -> str:
     """Write a calibration as the text of a twin's file, TOML; `rig` is the name or the path of its rig."""
-    weather, tail = calibration.weather, calibration.tail
+    disturbances, tail = calibration.disturbances, calibration.tail
 
     def listed(values: Floats) -> str:
         return "[" + ", ".join(f"{value:.6g}" for value in values) + "]"
@@ -141,11 +141,11 @@ def calibration_text(calibration: Calibration, rig: str) -> str:
         "# Written by heli-host twin; order of the axes: elevation, pitch, travel.\n"
         f"rig = {_quoted(rig)}\n"
         f"source = {_quoted(calibration.source)}\n\n"
-        "[weather]\n"
-        f"gust_Nm = {listed(weather.gust_Nm)}\n"
-        f"memory_s = {listed(weather.memory_s)}\n"
-        f"drift_Nm = {listed(weather.drift_Nm)}\n"
-        f"quantisation = {listed(weather.quantisation)}\n\n"
+        "[disturbances]\n"
+        f"fast_std_Nm = {listed(disturbances.fast_std_Nm)}\n"
+        f"correlation_time_s = {listed(disturbances.correlation_time_s)}\n"
+        f"slow_std_Nm = {listed(disturbances.slow_std_Nm)}\n"
+        f"quantisation = {listed(disturbances.quantisation)}\n\n"
         "[tail]\n"
         f"level_nats = {tail.level_nats:.6g}\n"
         f"per_hour = {tail.per_hour:.6g}\n"
@@ -175,10 +175,10 @@ def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
         Something is missing, or no number.
     """
     numbers = {}
-    for key in ("gust_Nm", "memory_s", "drift_Nm", "quantisation"):
-        values = _table(data, "weather", name).get(key)
+    for key in ("fast_std_Nm", "correlation_time_s", "slow_std_Nm", "quantisation"):
+        values = _table(data, "disturbances", name).get(key)
         if not isinstance(values, list) or len(values) != _AXES or not all(map(_is_positive, values)):
-            raise TwinError(f"{name}: weather.{key} is not three positive numbers", _AGAIN)
+            raise TwinError(f"{name}: disturbances.{key} is not three positive numbers", _AGAIN)
         numbers[key] = np.array(values, float)
     excesses = _table(data, "tail", name).get("excesses")
     if not isinstance(excesses, int) or isinstance(excesses, bool) or excesses < 1:
@@ -189,7 +189,9 @@ def parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
         if value is None or not _is_number(value):
             raise TwinError(f"{name}: tail.{key} is no number", _AGAIN)
         tail[key] = float(value)
-    return Calibration(Weather(**numbers), Tail(**tail, excesses=excesses), str(data.get("source", "")))
+    return Calibration(
+        DisturbanceModel(**numbers), Tail(**tail, excesses=excesses), str(data.get("source", ""))
+    )
 
 
 _AGAIN: Final = "write it again with heli-host twin --learn"

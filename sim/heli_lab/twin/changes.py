@@ -28,7 +28,7 @@ class Change:
         voltages. Of several in one entry, joined by ``+``, each changes alike.
     grows : bool
         Whether it grows with the time since its onset, at a constant rate.
-    one_way : bool
+    non_negative : bool
         Whether its first number cannot be negative.
     sizes : tuple of float
         Prior standard deviation of each number, SI: what such changes usually are. It is what a size that
@@ -46,7 +46,7 @@ class Change:
     loses: str
     gains: str
     grows: bool = False
-    one_way: bool = False
+    non_negative: bool = False
 
     def words(self, size: float, std: float) -> str:
         """Describe it in words, with the `size` of its first number and its standard error `std`."""
@@ -74,7 +74,7 @@ def _all() -> tuple[Change, ...]:
             "N m",
             f"the {axis} axis has {{}} more dry friction",
             f"the {axis} axis has {{}} less dry friction",
-            one_way=True,
+            non_negative=True,
         )
         for axis, typical_Nm in zip(AXES, (0.03, 0.01, 0.02), strict=True)
     )

@@ -12,24 +12,24 @@ if TYPE_CHECKING:
     from heli_lab.twin.follow import Followed
 
 
-def draw_evidence(found: Sequence[Followed], path: Path) -> None:
+def draw_evidence(flights: Sequence[Followed], path: Path) -> None:
     """Draw the evidence of some flights below each other, into a .png, .pdf or .svg file at `path`."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.0, 0.6 + 2.2 * len(found)), layout="constrained")
-    axes = figure.subplots(len(found), 1, squeeze=False)[:, 0]
-    for ax, one in zip(axes, found, strict=True):
-        times, evidence = np.array(one.evidence_nats, float).reshape(-1, 2).T
+    figure = Figure(figsize=(9.0, 0.6 + 2.2 * len(flights)), layout="constrained")
+    axes = figure.subplots(len(flights), 1, squeeze=False)[:, 0]
+    for ax, flight in zip(axes, flights, strict=True):
+        times, evidence = np.array(flight.evidence_nats, float).reshape(-1, 2).T
         known = np.isfinite(evidence)
         ax.plot(
             times[known], np.maximum(evidence[known], 0.0), color="#0b5394", lw=1.2, label="likeliest change"
         )
-        ax.axhline(one.threshold_nats, color="#b45f06", ls="--", lw=1.0, label="alarm")
-        for event in one.events:
+        ax.axhline(flight.threshold_nats, color="#b45f06", ls="--", lw=1.0, label="alarm")
+        for event in flight.events:
             if event.kind == "parted":
                 ax.axvline(event.t_s, color="#990000", lw=1.0)
-        words = "; ".join(one.sentences())
-        ax.set_title(f"{one.label}: {words}"[:140], fontsize=8, loc="left")
+        words = "; ".join(flight.sentences())
+        ax.set_title(f"{flight.label}: {words}"[:140], fontsize=8, loc="left")
         ax.set_ylabel("evidence, nats")
         ax.legend(loc="upper left", fontsize=7)
     axes[-1].set_xlabel("time, s")

@@ -60,7 +60,7 @@ def open_rig(name: str) -> TwinRig:
     rig_name = name
     if path.suffix == ".toml" and path.is_file():
         data = _parsed(path)
-        if "tail" in data and "weather" in data:
+        if "tail" in data and "disturbances" in data:
             calibration = parse_calibration(data, name)
             stated = data.get("rig")
             if not isinstance(stated, str) or not stated:

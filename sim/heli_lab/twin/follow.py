@@ -50,9 +50,11 @@ class Followed:
     flown_rig: str = ""
 
     @property
-    def most_nats(self) -> float:
+    def max_evidence_nats(self) -> float:
         """Largest evidence of any change, before an alarm or ever."""
-        return max((one for _, one in self.evidence_nats if math.isfinite(one)), default=-math.inf)
+        return max(
+            (evidence for _, evidence in self.evidence_nats if math.isfinite(evidence)), default=-math.inf
+        )
 
     @property
     def alarms(self) -> tuple[TwinEvent, ...]:
@@ -64,7 +66,7 @@ class Followed:
         if not self.free_s:
             return ["no free flight to compare"]
         if not self.alarms:
-            return [f"the rig is the rig ({self.free_s:.0f} s compared, at most {self.most_nats:.1f} nats)"]
+            return [f"no change of the rig ({self.free_s:.0f} s, at most {self.max_evidence_nats:.1f} nats)"]
         return [event.text for event in self.alarms]
 
 
@@ -110,13 +112,13 @@ def follow_file(
     """
     if path.suffix.lower() != ".mcap":
         flight = read_flight(path, allow_gaps=True)
-        found = follow_flight(chosen, flight, path.name, hours, start_s, stop_s)
-        return replace(found, flown_rig=str(flight.meta.get("rig") or ""))
+        followed = follow_flight(chosen, flight, path.name, hours, start_s, stop_s)
+        return replace(followed, flown_rig=str(flight.meta.get("rig") or ""))
     log = read_log(path)
     samples, zero_s = samples_of_log(log)
     count_rad = rad_per_count(log.parameters)
-    found = _follow(chosen, samples, count_rad, TICK_S, zero_s, path.name, hours, (start_s, stop_s))
-    return replace(found, flown_rig=log.metadata.get("session", {}).get("rig", ""))
+    followed = _follow(chosen, samples, count_rad, TICK_S, zero_s, path.name, hours, (start_s, stop_s))
+    return replace(followed, flown_rig=log.metadata.get("session", {}).get("rig", ""))
 
 
 def _follow(
@@ -140,5 +142,5 @@ def _follow(
     twin = Twin(model, chosen.calibration, count_rad, sample_s, hours, zero_s=zero_s)
     twin.keeps = True
     events = twin.take(part) + twin.finish()
-    compared = len(twin.most_nats) * twin.block_s
-    return Followed(label, tuple(events), tuple(twin.most_nats), twin.threshold_nats, compared)
+    compared = len(twin.evidence_history) * twin.block_s
+    return Followed(label, tuple(events), tuple(twin.evidence_history), twin.threshold_nats, compared)

@@ -27,9 +27,9 @@ from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
-from heli_lab.innovations import Weather
-from heli_lab.innovations.unknowns import TORQUE_STD_Nm
-from heli_lab.innovations.weather import DRIFT_MEMORY_s
+from heli_lab.innovations import DisturbanceModel
+from heli_lab.innovations.disturbances import SLOW_CORRELATION_TIME_s
+from heli_lab.innovations.parameter_vector import TORQUE_STD_Nm
 
 _CALM: Final = 0.5
 """Share of `TORQUE_STD_Nm` that the constant torques of simulated flights have: a rig that was identified
@@ -84,7 +84,7 @@ def random_plan(seed: int, seconds: float = 60.0) -> Plan:
     return Plan.parse(text, f"healthy-{seed}.toml")
 
 
-def in_weather(model: Model, weather: Weather) -> Model:
+def in_weather(model: Model, disturbances: DisturbanceModel) -> Model:
     """Add gusts and a slow drift about each axis to a model, drawn by its simulation."""
     kinds = catalogue()
     effects: list[Effect] = [effect for effect in model.effects if not effect.noise_inputs]
@@ -92,28 +92,28 @@ def in_weather(model: Model, weather: Weather) -> Model:
         kind = kinds[f"random_torque.{name}"]
         gusts = kind.make(
             {
-                kind.full("Nm"): float(weather.gust_Nm[axis]),
-                kind.full("s"): float(np.clip(weather.memory_s[axis], 0.02, 20.0)),
+                kind.full("Nm"): float(disturbances.fast_std_Nm[axis]),
+                kind.full("s"): float(np.clip(disturbances.correlation_time_s[axis], 0.02, 20.0)),
             }
         )
-        drift_Nm = float(weather.drift_Nm[axis])
-        effects += [gusts, _renamed(gusts, f"slow_drift.{name}", drift_Nm, DRIFT_MEMORY_s)]
+        slow_std_Nm = float(disturbances.slow_std_Nm[axis])
+        effects += [gusts, _renamed(gusts, f"slow_drift.{name}", slow_std_Nm, SLOW_CORRELATION_TIME_s)]
     return type(model)(tuple(effects))
 
 
-def _renamed(gusts: Effect, name: str, std_Nm: float, memory_s: float) -> Effect:
+def _renamed(gusts: Effect, name: str, std_Nm: float, correlation_time_s: float) -> Effect:
     """The same process with another name, size and memory."""
     old, new = gusts.prefix, name.replace(".", "_")
 
-    def quantity(one: Quantity) -> Quantity:
-        return replace(one, name=one.name.replace(old, new))
+    def quantity(original: Quantity) -> Quantity:
+        return replace(original, name=original.name.replace(old, new))
 
     return replace(
         gusts,
         name=name,
-        parameters=tuple(quantity(one) for one in gusts.parameters),
-        states=tuple(quantity(one) for one in gusts.states),
-        values={f"{new}_Nm": std_Nm, f"{new}_s": memory_s},
+        parameters=tuple(quantity(item) for item in gusts.parameters),
+        states=tuple(quantity(item) for item in gusts.states),
+        values={f"{new}_Nm": std_Nm, f"{new}_s": correlation_time_s},
         priors={},
         multimodal=(),
     )
@@ -144,8 +144,10 @@ def fly_simulated(
     """
     rng = np.random.default_rng(seed)
     if torques:
-        own = {name: rig[name].value + _CALM * std * rng.normal() for name, std in TORQUE_STD_Nm.items()}
-        flown = rig.replace(**own)
+        constant_torques = {
+            name: rig[name].value + _CALM * std * rng.normal() for name, std in TORQUE_STD_Nm.items()
+        }
+        flown = rig.replace(**constant_torques)
     else:
         flown = rig
     calm = type(model)(tuple(effect for effect in model.effects if not effect.noise_inputs))

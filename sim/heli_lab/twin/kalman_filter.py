@@ -25,13 +25,13 @@ from scipy.special import erf
 
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import (
-    AlongCourse,
+    AlongTrajectory,
+    DisturbanceModel,
     ModelFunctions,
     Trajectory,
-    Weather,
     _kalman,
 )
-from heli_lab.innovations.unknowns import TORQUE_STD_Nm
+from heli_lab.innovations.parameter_vector import TORQUE_STD_Nm
 from heli_lab.twin.changes import SUPPLY, Change, changes_of, extended, free_numbers
 from heli_lab.twin.likelihood_ratio import ONSETS, Innovation
 
@@ -87,8 +87,8 @@ class TwinModel:
         names = self.functions.names
         self.delay_s = float(self.parameters[names.index(more.delay)]) if more.delay else 0.0
         pushes = any(effect.pushes_below_dead_zone for effect in more.effects)
-        one_way = not self.parameters[names.index("reverse_thrust")] and not pushes
-        self.least_V = float(self.parameters[names.index("dead_zone")]) if one_way else -np.inf
+        non_negative = not self.parameters[names.index("reverse_thrust")] and not pushes
+        self.least_V = float(self.parameters[names.index("dead_zone")]) if non_negative else -np.inf
         """Voltage below which a motor does nothing."""
         self.states = len(more.states)
         self.frictions = [
@@ -124,16 +124,16 @@ class TwinModel:
             ca.SX.sym("p", len(model.parameters)),
         )
 
-    def _measurement(self, model: Model) -> AlongCourse:
+    def _measurement(self, model: Model) -> AlongTrajectory:
         x, u, t, p = self._symbols(model)
         angles = model.measurement(x, u, p, t)
         by = ca.vertcat(*(p[i] for i in self.functions.places))
         wanted = [angles, ca.jacobian(angles, x), ca.jacobian(angles, by)]
-        return AlongCourse(ca.Function("measure", [x, u, t, p], [ca.densify(w) for w in wanted]))
+        return AlongTrajectory(ca.Function("measure", [x, u, t, p], [ca.densify(w) for w in wanted]))
 
-    def _resets(self, model: Model) -> AlongCourse:
+    def _resets(self, model: Model) -> AlongTrajectory:
         x, u, t, p = self._symbols(model)
-        return AlongCourse(ca.Function("resets", [x, u, t, p], [ca.densify(model.reset_map(x, u, p, t))]))
+        return AlongTrajectory(ca.Function("resets", [x, u, t, p], [ca.densify(model.reset_map(x, u, p, t))]))
 
     def at(self, t_s: float, state: Floats, volts_V: Floats, step_s: float) -> Trajectory:
         """Make the point of a course at which functions are evaluated: time `t_s`, `state` of shape (n,) or
@@ -156,7 +156,7 @@ class KalmanFilter:
     ----------
     twin : TwinModel
         Equations.
-    weather : Weather
+    disturbances : DisturbanceModel
         Torques by chance and quantisation.
     count_rad : ndarray (3,)
         One count of each encoder.
@@ -177,13 +177,13 @@ class KalmanFilter:
     def __init__(
         self,
         twin: TwinModel,
-        weather: Weather,
+        disturbances: DisturbanceModel,
         count_rad: Floats,
         step_s: float,
         block: int,
         state: Floats,
     ) -> None:
-        self.twin, self.weather, self.step_s = twin, weather, step_s
+        self.twin, self.disturbances, self.step_s = twin, disturbances, step_s
         nx = self._nx = twin.states
         order = self._order = nx + 9 + len(ZEROS)
         self.mean: Floats = np.concatenate((state, np.zeros(9 + len(ZEROS))))
@@ -194,20 +194,20 @@ class KalmanFilter:
                 [_ANGLE_STD_rad] * 3,
                 [_RATE_STD_rad_s] * 3,
                 [_OWN_STD] * (nx - 6),
-                weather.gust_Nm,
-                weather.drift_Nm,
+                disturbances.fast_std_Nm,
+                disturbances.slow_std_Nm,
                 constant,
                 zeros,
             )
         )
         self.covariance: Floats = np.diag(initial**2)
-        memory = weather.memory(step_s)
+        memory = disturbances.memory(step_s)
         self._memory: Floats = np.ones(order)
         self._memory[nx : nx + 6] = memory
         self._noise: Floats = np.zeros(order)
-        self._noise[nx : nx + 6] = (1.0 - memory**2) * weather.variance_N2m2
+        self._noise[nx : nx + 6] = (1.0 - memory**2) * disturbances.variance_N2m2
         self._count_rad = count_rad
-        self._variance_rad2: Floats = count_rad**2 / 12.0 * weather.quantisation
+        self._variance_rad2: Floats = count_rad**2 / 12.0 * disturbances.quantisation
         self.moved: Floats = np.zeros((order, twin.weights.shape[1], ONSETS))
         self._transition: Floats = np.eye(order)
         self._drive: Floats = np.zeros((order, twin.weights.shape[0]))
@@ -326,11 +326,11 @@ class KalmanFilter:
             total = float(row @ gain) + variance[axis]
             scale = total**-0.5
             value[axis] = (surprise[axis] - row @ change) * scale
-            told = (row @ moved).reshape(columns, onsets) + shown[axis][:, None] * amount
-            told *= scale
-            sensitivity[axis] = told
+            projection = (row @ moved).reshape(columns, onsets) + shown[axis][:, None] * amount
+            projection *= scale
+            sensitivity[axis] = projection
             change += gain * (scale * value[axis])
-            moved -= np.outer(gain * scale, told)
+            moved -= np.outer(gain * scale, projection)
             self.covariance -= np.outer(gain, gain) / total
         self.mean += change
         return Innovation(value, sensitivity)

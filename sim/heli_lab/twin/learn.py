@@ -17,8 +17,8 @@ from heli_sim.rig import Rig
 
 from heli_lab.identify import Record, prepare
 from heli_lab.identify.functions import Floats
-from heli_lab.innovations import ModelFunctions, Unknowns, Weather, estimate, follow
-from heli_lab.innovations.linear import BLOCK_s
+from heli_lab.innovations import DisturbanceModel, ModelFunctions, ParameterVector, estimate, kinematic_filter
+from heli_lab.innovations.linearised_flight import BLOCK_s
 from heli_lab.twin.calibration import QUIET, Calibration, Tail, fit_tail
 from heli_lab.twin.flights import count_rad_of, samples_of
 from heli_lab.twin.healthy_flights import fly_simulated, in_weather, random_plan
@@ -43,20 +43,28 @@ NEVER: Final = Tail(np.inf, 0.0, 0.0, 1)
 Say = Callable[[str, float], None]
 
 
-def weather_of(model: Model, rig: Rig, records: Sequence[Record]) -> Weather:
+def learn_disturbances(model: Model, rig: Rig, records: Sequence[Record]) -> DisturbanceModel:
     """Estimate the weather of healthy flights; the rig's numbers stay, zeros and constant torques are each
     flight's own.
     """
-    shared = Unknowns(model, rig, records)
+    shared = ParameterVector(model, rig, records)
     values = dict(zip((q.name for q in model.parameters), model.parameter_values(rig), strict=True))
-    fixed = {one.quantity: float(values[one.quantity]) for one in shared.free if one.record is None}
-    unknowns = Unknowns(model, rig, records, fixed)
-    functions = ModelFunctions(model, unknowns.quantities)
-    found = estimate(unknowns, [follow(record) for record in records], functions, unknowns.start)
-    return found.weather
+    fixed = {
+        parameter.quantity: float(values[parameter.quantity])
+        for parameter in shared.free
+        if parameter.record is None
+    }
+    parameter_vector = ParameterVector(model, rig, records, fixed)
+    functions = ModelFunctions(model, parameter_vector.quantities)
+    estimate_ = estimate(
+        parameter_vector, [kinematic_filter(record) for record in records], functions, parameter_vector.start
+    )
+    return estimate_.disturbances
 
 
-def at_least_rounding(weather: Weather, model: Model, rig: Rig, count_rad: Floats) -> Weather:
+def at_least_rounding(
+    disturbances: DisturbanceModel, model: Model, rig: Rig, count_rad: Floats
+) -> DisturbanceModel:
     """Raise a weather to the least that encoders can show.
 
     A gust that moves an axis within `SHOWS_s` by less than the standard deviation of the rounding, a count
@@ -64,7 +72,7 @@ def at_least_rounding(weather: Weather, model: Model, rig: Rig, count_rad: Float
 
     Parameters
     ----------
-    weather : Weather
+    disturbances : DisturbanceModel
         As estimated.
     model : Model
         Equations.
@@ -81,23 +89,25 @@ def at_least_rounding(weather: Weather, model: Model, rig: Rig, count_rad: Float
     rounding_rad = count_rad / 12.0**0.5
     least_Nm = 2.0 * rounding_rad / (np.abs(np.diagonal(by_torque)) * SHOWS_s**2)
     # A gust that is shorter moves an axis less: as the root of the impulses that add up.
-    share = np.minimum(np.sqrt(8.0 * weather.memory_s / (3.0 * SHOWS_s)), 1.0)
-    small = weather.gust_Nm * share < least_Nm
+    share = np.minimum(np.sqrt(8.0 * disturbances.correlation_time_s / (3.0 * SHOWS_s)), 1.0)
+    small = disturbances.fast_std_Nm * share < least_Nm
     return replace(
-        weather,
-        gust_Nm=np.where(small, least_Nm, weather.gust_Nm),
-        memory_s=np.where(small, SHOWS_s, weather.memory_s),
-        quantisation=np.maximum(weather.quantisation, 1.0),
+        disturbances,
+        fast_std_Nm=np.where(small, least_Nm, disturbances.fast_std_Nm),
+        correlation_time_s=np.where(small, SHOWS_s, disturbances.correlation_time_s),
+        quantisation=np.maximum(disturbances.quantisation, 1.0),
         curvature=None,
     )
 
 
-def is_calm(weather: Weather) -> bool:
+def is_calm(disturbances: DisturbanceModel) -> bool:
     """Whether about some axis there was so little weather that that of an ordinary day will be an alarm."""
-    return bool(np.any(weather.gust_Nm < _CALM * QUIET.gust_Nm))
+    return bool(np.any(disturbances.fast_std_Nm < _CALM * QUIET.fast_std_Nm))
 
 
-def weather_of_flights(model: Model, rig: Rig, healthy: Sequence[Flight], labels: Sequence[str]) -> Weather:
+def learn_disturbances_of_flights(
+    model: Model, rig: Rig, healthy: Sequence[Flight], labels: Sequence[str]
+) -> DisturbanceModel:
     """Prepare healthy flights, called `labels`, and estimate their weather, `at_least_rounding`.
 
     Raises
@@ -108,7 +118,7 @@ def weather_of_flights(model: Model, rig: Rig, healthy: Sequence[Flight], labels
     calm = TwinModel(model, rig).model
     records = [prepare(flight, rig, label) for flight, label in zip(healthy, labels, strict=True)]
     count_rad = np.min([count_rad_of(flight, rig) for flight in healthy], axis=0)
-    return at_least_rounding(weather_of(calm, rig, records), calm, rig, count_rad)
+    return at_least_rounding(learn_disturbances(calm, rig, records), calm, rig, count_rad)
 
 
 def learn(
@@ -147,40 +157,40 @@ def learn(
         A flight is not sound, or nothing flies in it.
     """
     twin = TwinModel(model, rig)
-    weather = QUIET
+    disturbances = QUIET
     if healthy:
         say("weather of the healthy flights", 0.0)
-        weather = weather_of_flights(model, rig, healthy, labels)
-    courses = []
+        disturbances = learn_disturbances_of_flights(model, rig, healthy, labels)
+    references = []
     for flight, label in zip(healthy, labels, strict=True):
         say(f"evidence in {label}", 0.1)
-        courses.append(evidence(twin, weather, flight))
-    taught_s = BLOCK_s * sum(map(len, courses)) if courses else math.inf
-    flown = in_weather(twin.model, weather)
+        references.append(evidence(twin, disturbances, flight))
+    taught_s = BLOCK_s * sum(map(len, references)) if references else math.inf
+    flown = in_weather(twin.model, disturbances)
     done = 0
     for number in range(_TRIES * flights):
         if done == flights:
             break
         say(f"simulated flight {done + 1} of {flights}", 0.1 + 0.9 * done / flights)
         # Seeds of flights that somebody else simulates are small numbers.
-        own = 1_000_000 * seed + number
+        flight_seed = 1_000_000 * seed + number
         try:
-            flight = fly_simulated(flown, rig, random_plan(own), own)
+            flight = fly_simulated(flown, rig, random_plan(flight_seed), flight_seed)
         except FlightAborted:
             continue
-        courses.append(evidence(twin, weather, flight))
+        references.append(evidence(twin, disturbances, flight))
         done += 1
     own_text = f"{', '.join(labels)} and " if labels else ""
     return Calibration(
-        weather, fit_tail(courses, taught_s), f"{own_text}{flights} simulated flights, seed {seed}"
+        disturbances, fit_tail(references, taught_s), f"{own_text}{flights} simulated flights, seed {seed}"
     )
 
 
-def evidence(twin: TwinModel, weather: Weather, flight: Flight) -> list[tuple[float, float]]:
+def evidence(twin: TwinModel, disturbances: DisturbanceModel, flight: Flight) -> list[tuple[float, float]]:
     """Times and evidence of a flight in which nothing is called an alarm."""
     samples, sample_s = samples_of(flight)
-    never = Calibration(weather, NEVER)
+    never = Calibration(disturbances, NEVER)
     follower = Twin(twin, never, count_rad_of(flight, twin.rig), sample_s)
     follower.keeps = True
     follower.take(samples)
-    return follower.most_nats
+    return follower.evidence_history

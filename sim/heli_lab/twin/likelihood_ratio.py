@@ -21,7 +21,7 @@ from heli_sim.model.parts import AXES
 from scipy.special import log_ndtr, logsumexp
 
 from heli_lab.identify.functions import Floats, Integers
-from heli_lab.innovations.linear import BLOCK_s
+from heli_lab.innovations.linearised_flight import BLOCK_s
 from heli_lab.twin.changes import Change
 
 RECENT: Final = 12
@@ -33,13 +33,13 @@ for as much more time. Shorter: a size has no time to become known."""
 ONSETS: Final = RECENT + KEPT
 WINDOW_s: Final = (KEPT + 1) * RECENT * BLOCK_s
 """How far back the window reaches, s."""
-LEAST_COUNTS: Final = 2.0
+MIN_ZERO_SHIFT_COUNTS: Final = 2.0
 """Jump of an encoder's zero from which on it is believed, counts. Smaller: an angle that dwells at the
 border of a count looks like a jump by one. Larger: lost edges stay unseen."""
 
 
 @dataclass(frozen=True)
-class Candidate:
+class ChangeCandidate:
     """A change at its likeliest onset.
 
     Parameters
@@ -90,7 +90,10 @@ class LikelihoodRatio:
 
     def __init__(self, changes: Sequence[Change], count_rad: Floats) -> None:
         self.changes = tuple(changes)
-        least = {f"zero_offset.{axis}": LEAST_COUNTS * one for axis, one in zip(AXES, count_rad, strict=True)}
+        least = {
+            f"zero_offset.{axis}": MIN_ZERO_SHIFT_COUNTS * count
+            for axis, count in zip(AXES, count_rad, strict=True)
+        }
         self._least: Floats = np.array([[least.get(change.id, 0.0)] for change in changes])
         firsts = np.cumsum([0, *(len(change.numbers) for change in changes)])
         self._first: Integers = firsts[:-1].astype(np.int64)
@@ -98,7 +101,7 @@ class LikelihoodRatio:
         self._second: Integers = np.where(pairs, self._first + 1, self._first)
         self._pairs = pairs[:, None]
         self._precision = np.array([[size**-2.0 for size in (*c.sizes, 1.0)[:2]] for c in changes]).T
-        self._one_way = np.array([change.one_way for change in changes])
+        self._one_way = np.array([change.non_negative for change in changes])
         columns = [change.grows for change in changes for _ in change.numbers]
         self.grows: npt.NDArray[np.bool_] = np.array(columns)
         shape = (len(self.changes), ONSETS)
@@ -140,12 +143,12 @@ class LikelihoodRatio:
 
     def take(self, innovation: Innovation) -> float:
         """Add an innovation; returns the evidence of the likeliest change at its likeliest onset, nats."""
-        one = innovation.sensitivity[:, self._first]
+        direction = innovation.sensitivity[:, self._first]
         two = innovation.sensitivity[:, self._second]
         value = innovation.value
-        self._s11 += np.einsum("aho,aho->ho", one, one)
-        self._b1 += np.einsum("aho,a->ho", one, value)
-        self._s12 += np.where(self._pairs, np.einsum("aho,aho->ho", one, two), 0.0)
+        self._s11 += np.einsum("aho,aho->ho", direction, direction)
+        self._b1 += np.einsum("aho,a->ho", direction, value)
+        self._s12 += np.where(self._pairs, np.einsum("aho,aho->ho", direction, two), 0.0)
         self._s22 += np.where(self._pairs, np.einsum("aho,aho->ho", two, two), 0.0)
         self._b2 += np.where(self._pairs, np.einsum("aho,a->ho", two, value), 0.0)
         size, std, gain, determinant = self._solved()
@@ -176,19 +179,19 @@ class LikelihoodRatio:
         onset_block : float
             Number of the block whose nearest onset is meant.
         """
-        row = [one.id for one in self.changes].index(change)
+        row = [change_.id for change_ in self.changes].index(change)
         away = np.abs(self._onset[row] - onset_block)
         nearest = int(np.argmin(away))
         return float(self._solved()[1][row, nearest]) if np.isfinite(away[nearest]) else None
 
-    def ranking(self) -> list[Candidate]:
+    def ranking(self) -> list[ChangeCandidate]:
         """Changes, the likeliest first; each onset is as probable as another."""
         size, std, _, _ = self._solved()
         best = np.argmax(self.evidence, axis=1)
         used = max(1, int(np.isfinite(self._onset[0]).sum()))
         together = logsumexp(self.evidence, axis=1) - np.log(used)
-        found = [
-            Candidate(
+        candidates = [
+            ChangeCandidate(
                 change,
                 int(self._onset[i, best[i]]) if np.isfinite(self._onset[i, best[i]]) else 0,
                 float(size[i, best[i]]),
@@ -197,4 +200,4 @@ class LikelihoodRatio:
             )
             for i, change in enumerate(self.changes)
         ]
-        return sorted(found, key=lambda one: -one.log_evidence)
+        return sorted(candidates, key=lambda candidate: -candidate.log_evidence)

@@ -32,10 +32,10 @@ class TickTwin:
 
     def take(self, tick: Integers, raw: npt.NDArray[np.int32]) -> list[TwinNews]:
         """Take times `tick`, (n,), and `raw` numbers, (n, channels), in, and say what there is to say."""
-        found = self._twin.take(samples_of_ticks(tick, raw, self._count_rad))
-        for event in found:
+        alarm = self._twin.take(samples_of_ticks(tick, raw, self._count_rad))
+        for event in alarm:
             self._said = event.text if event.ranking else "" if event.kind == "free" else self._said
-        return [TwinNews(event.kind, round(event.t_s / TICK_S), event.text) for event in found]
+        return [TwinNews(event.kind, round(event.t_s / TICK_S), event.text) for event in alarm]
 
     def ghost_rad(self) -> tuple[float, float, float] | None:
         """Elevation, pitch and travel of the ghost."""

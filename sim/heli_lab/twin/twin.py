@@ -11,12 +11,12 @@ from typing import Final
 import numpy as np
 
 from heli_lab.identify.functions import Floats
-from heli_lab.innovations.linear import BLOCK_s
+from heli_lab.innovations.linearised_flight import BLOCK_s
 from heli_lab.twin.calibration import Calibration
 from heli_lab.twin.free_flight import FreeFlight
 from heli_lab.twin.ghost import Ghost
 from heli_lab.twin.kalman_filter import ZEROS, KalmanFilter, TwinModel, start_state
-from heli_lab.twin.likelihood_ratio import RECENT, Candidate, LikelihoodRatio
+from heli_lab.twin.likelihood_ratio import RECENT, ChangeCandidate, LikelihoodRatio
 from heli_lab.twin.samples import Samples, Step, Stepper
 
 NAMED_AFTER_s: Final = 3.0
@@ -48,7 +48,7 @@ class TwinEvent:
         When, on the clock of the samples less its zero.
     text : str
         For a person.
-    ranking : tuple of Candidate
+    ranking : tuple of ChangeCandidate
         With ``parted`` and ``named``: what may have changed, the likeliest first.
     onset_s : float
         When the likeliest began; nan for the other kinds.
@@ -57,7 +57,7 @@ class TwinEvent:
     kind: str
     t_s: float
     text: str
-    ranking: tuple[Candidate, ...] = ()
+    ranking: tuple[ChangeCandidate, ...] = ()
     onset_s: float = math.nan
 
 
@@ -92,7 +92,7 @@ class Twin:
         Whether it compares now.
     parted : bool
         Whether there was an alarm since the flight was free.
-    most_nats : list of (float, float)
+    evidence_history : list of (float, float)
         Times and evidence of every block, where `keeps` is set.
     """
 
@@ -112,7 +112,7 @@ class Twin:
         self.evidence_nats = -math.inf
         self.free = self.parted = False
         self.keeps = False
-        self.most_nats: list[tuple[float, float]] = []
+        self.evidence_history: list[tuple[float, float]] = []
         self._count_rad, self._zero_s = count_rad, zero_s
         self._stepper = Stepper(sample_s)
         self.step_s = self._stepper.step_s
@@ -193,10 +193,10 @@ class Twin:
         kalman.predict(since_s, acting_V)
 
     def _begin(self, index: int) -> KalmanFilter:
-        times, angles, volts = (np.array(one) for one in zip(*self._history, strict=True))
+        times, angles, volts = (np.array(values) for values in zip(*self._history, strict=True))
         state = start_state(self.model, times, angles, volts, self.step_s)
         self._kalman = KalmanFilter(
-            self.model, self.calibration.weather, self._count_rad, self.step_s, self._block, state
+            self.model, self.calibration.disturbances, self._count_rad, self.step_s, self._block, state
         )
         self._ratio = LikelihoodRatio(self.model.changes, self._count_rad)
         self._latest_nats.extend([-math.inf] * LASTS_BLOCKS)
@@ -222,7 +222,7 @@ class Twin:
             self._latest_nats.append(ratio.take(innovation))
             self.evidence_nats = min(self._latest_nats)
         if self.keeps:
-            self.most_nats.append((t_s, self.evidence_nats))
+            self.evidence_history.append((t_s, self.evidence_nats))
         if self._alarm_block is None:
             if self.evidence_nats > self.threshold_nats:
                 self._alarm_block, self.parted = block, True
@@ -257,7 +257,7 @@ class Twin:
         return TwinEvent(kind, t_s, words, ranking, onset_s)
 
 
-def said(ranking: Sequence[Candidate], onset_s: float) -> str:
+def said(ranking: Sequence[ChangeCandidate], onset_s: float) -> str:
     """Say what changed by a `ranking`, since when (`onset_s`, s), and how surely."""
     first, second = ranking[:2]
     odds = math.exp(min(first.log_evidence - second.log_evidence, 50.0))

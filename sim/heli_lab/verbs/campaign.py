@@ -58,7 +58,7 @@ def campaign(
 
     if scheduler is not None and workers is not None:
         raise typer.BadParameter("--workers is of this machine; a cluster has its own")
-    asked = load_campaign(file)
+    loaded = load_campaign(file)
     folder = out or Path(file.stem)
     check_result_places(report=folder)
     store = Store(folder)
@@ -77,7 +77,7 @@ def campaign(
 
         try:
             rows = run_campaign(
-                asked,
+                loaded,
                 store,
                 scheduler=scheduler,
                 processes=workers or _cores(),
@@ -86,14 +86,14 @@ def campaign(
             )
         except KeyboardInterrupt:
             raise CampaignError(
-                f"stopped; {ended} of {len(asked.cases)} cases have ended and are kept",
+                f"stopped; {ended} of {len(loaded.cases)} cases have ended and are kept",
                 "the same command goes on with the others",
             ) from None
-    found = summarise(asked, rows)
-    page = write_summary(asked, found, folder)
-    _print(found, len(asked.cases))
+    summary = summarise(loaded, rows)
+    page = write_summary(loaded, summary, folder)
+    _print(summary, len(loaded.cases))
     say_files([page, folder / TABLE])
-    if found.failed:
+    if summary.failed:
         raise typer.Exit(1)
 
 
@@ -102,14 +102,17 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _print(found: Summary, cases: int) -> None:
-    say(f"{found.cases} of {cases} cases have ended, {len(found.failed)} of them without a result")
-    for one in found.columns:
-        if len(one.values):
-            say(f"  {one.name:28s} median {one.median:.4g}, 5 to 95 % {one.low:.4g} to {one.high:.4g}")
-    for name, counts in found.words.items():
-        said = ", ".join(f"{value} {count}" for value, count in list(counts.items())[:6])
-        say(f"  {name:28s} {said}")
+def _print(summary: Summary, cases: int) -> None:
+    say(f"{summary.cases} of {cases} cases have ended, {len(summary.failed)} of them without a result")
+    for column in summary.columns:
+        if len(column.values):
+            say(
+                f"  {column.name:28s} median {column.median:.4g}, "
+                f"5 to 95 % {column.low:.4g} to {column.high:.4g}"
+            )
+    for name, counts in summary.words.items():
+        text = ", ".join(f"{value} {count}" for value, count in list(counts.items())[:6])
+        say(f"  {name:28s} {text}")
 
 
 VERB = Verb(campaign, "Laboratory")

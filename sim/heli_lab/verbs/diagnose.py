@@ -96,19 +96,19 @@ def diagnose(
     from heli_lab.errors import NotExcited
     from heli_lab.fit_inputs import fit_inputs, part_of, parts, read_flights, refuse_wrong_signs
     from heli_lab.page.drawing import Drawing
-    from heli_lab.threads import one_heap, usual_threads
+    from heli_lab.threads import default_thread_count, limit_malloc_arenas
 
     # What libraries keep is no garbage: to look through it again and again took 8 % of a diagnosis.
     gc.freeze()
-    one_heap()
+    limit_malloc_arenas()
     others = validate or []
     data_on_stdout(json)
     check_result_places(out, json, resume, report=report)
     given = fit_inputs(flights, others, rig, model, effects or ())
     kinds = catalogue(effects or ())
-    found: Diagnosis | InsufficientExcitation
+    result: Diagnosis | InsufficientExcitation
     written: list[Path | None] = []
-    beside = report is not None and usual_threads() > 1
+    beside = report is not None and default_thread_count() > 1
     with WorkBar() as bar, Drawing(beside) as drawing:
         bar.show("reading", 0.0)
         spans = parts(start_s or (), stop_s or (), len(flights), len(others))
@@ -123,7 +123,7 @@ def diagnose(
             for label, span in zip(given.labels, spans, strict=True)
         )
         try:
-            found = find(
+            result = find(
                 given.model,
                 given.rig,
                 itertools.islice(used, len(flights)),
@@ -137,35 +137,35 @@ def diagnose(
                 say=bar.show,
             )
         except NotExcited as nothing:
-            found = insufficient_excitation(str(nothing), given.model, given.rig, kinds)
-        if out is not None and not isinstance(found, InsufficientExcitation):
+            result = insufficient_excitation(str(nothing), given.model, given.rig, kinds)
+        if out is not None and not isinstance(result, InsufficientExcitation):
             write_rig(
-                found.rig(out.stem, with_law),
+                result.rig(out.stem, with_law),
                 out,
-                f"Found by heli-host diagnose, model {given.model.name}. {summary(found)}",
+                f"Found by heli-host diagnose, model {given.model.name}. {summary(result)}",
             )
             written.append(out)
         if report is not None:
             bar.show("drawing", 0.95)
-            if isinstance(found, InsufficientExcitation):
-                written.append(write_insufficient_excitation(found, report))
+            if isinstance(result, InsufficientExcitation):
+                written.append(write_insufficient_excitation(result, report))
             else:
-                written.append(write_report(found, report, drawing))
-        if not isinstance(found, InsufficientExcitation) and found.proposed_law is not None:
+                written.append(write_report(result, report, drawing))
+        if not isinstance(result, InsufficientExcitation) and result.proposed_term is not None:
             place = report or (out.parent if out is not None and with_law else None)
             if place is not None:
-                written.append(write_effect_file(found, place))
-        write_numbers(json, to_json(found))
+                written.append(write_effect_file(result, place))
+        write_numbers(json, to_json(result))
         written.append(json)
-    _print(found)
+    _print(result)
     say_files(written)
 
 
-def _print(found: Diagnosis | InsufficientExcitation) -> None:
+def _print(result: Diagnosis | InsufficientExcitation) -> None:
     """Print the verdict, the causes and the gain."""
     from heli_lab.diagnose.summary import lines, summary
 
-    say(f"{found.label}: {summary(found)}", *(f"  {line}" for line in lines(found)))
+    say(f"{result.label}: {summary(result)}", *(f"  {line}" for line in lines(result)))
 
 
 VERB = Verb(diagnose, "Laboratory", variadic=True)

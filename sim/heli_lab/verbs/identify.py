@@ -59,13 +59,13 @@ def identify(
     from heli_lab.identify.report import verdict, write_report
     from heli_lab.identify.run import identify as find
     from heli_lab.page.drawing import Drawing
-    from heli_lab.threads import usual_threads
+    from heli_lab.threads import default_thread_count
 
     others = validate or []
     data_on_stdout(json)
     check_result_places(out, json, report=report)
     given = fit_inputs(flights, others, rig, model, effects or (), effect or ())
-    beside = report is not None and usual_threads() > 1
+    beside = report is not None and default_thread_count() > 1
     with WorkBar() as bar, Drawing(beside) as drawing:
         bar.show("reading", 0.0)
         spans = parts(start_s or (), stop_s or (), len(flights), len(others))
@@ -77,7 +77,7 @@ def identify(
             part_of(flight, given.rig, label, span)
             for flight, label, span in zip(read, given.labels, spans, strict=True)
         ]
-        found = find(
+        identification = find(
             given.model,
             given.rig,
             used[: len(flights)],
@@ -91,30 +91,32 @@ def identify(
         )
         written: list[Path | None] = []
         if out is not None:
-            new = found.rig(out.stem)
-            write_rig(new, out, f"Found by heli-host identify. {verdict(found)}")
+            new = identification.rig(out.stem)
+            write_rig(new, out, f"Found by heli-host identify. {verdict(identification)}")
             written.append(out)
         if report is not None:
             bar.show("drawing", 0.9)
-            written.append(write_report(found, report, drawing))
-        write_numbers(json, found.json())
+            written.append(write_report(identification, report, drawing))
+        write_numbers(json, identification.json())
         written.append(json)
-    _print(found)
-    say(verdict(found))
+    _print(identification)
+    say(verdict(identification))
     say_files(written)
 
 
-def _print(found: Identification) -> None:
+def _print(identification: Identification) -> None:
     """Print estimates beside priors."""
     from heli_lab.identify.result import rounded
 
-    fit = found.fit
+    fit = identification.fit
     rows = [("parameter", "found", "+- 2 std", "prior", "+- 2 std", "unit", "")]
-    for one, value, std in zip(fit.problem.free, fit.theta, fit.std.values(), strict=True):
-        remark = "uninformed" if one.name in found.uninformed_parameters else ""
-        remark = "on its bound" if one.name in fit.at_bound else remark
-        known = f"{one.prior.mean:g}", f"{2 * one.prior.std:g}"
-        rows.append((one.name, rounded(value, std), rounded(2 * std, std), *known, one.unit, remark))
+    for parameter, value, std in zip(fit.problem.free, fit.theta, fit.std.values(), strict=True):
+        remark = "uninformed" if parameter.name in identification.uninformed_parameters else ""
+        remark = "on its bound" if parameter.name in fit.at_bound else remark
+        known = f"{parameter.prior.mean:g}", f"{2 * parameter.prior.std:g}"
+        rows.append(
+            (parameter.name, rounded(value, std), rounded(2 * std, std), *known, parameter.unit, remark)
+        )
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     for row in rows:
         name, *numbers = (cell.rjust(width) for cell, width in zip(row[:5], widths, strict=False))

@@ -74,15 +74,15 @@ def import_(
     if profile is not None:
         _write_flights(tables, read_profile(profile), out)
         return
-    found = _guesses(tables, known, rate)
-    best = min(found, key=lambda one: len(one.doubts))
-    doubts = {doubt.what: doubt.sentence() for one in found for doubt in one.doubts}
-    doubts |= _differing(found, best, files)
+    guesses = _guesses(tables, known, rate)
+    best = min(guesses, key=lambda candidate: len(candidate.doubts))
+    doubts = {doubt.what: doubt.sentence() for candidate in guesses for doubt in candidate.doubts}
+    doubts |= _differing(guesses, best, files)
     written = _write_profile(best, list(doubts.values()), out)
-    for path, one, table in zip(files, found, tables, strict=True):
-        written.append(_draw(one, table, out / f"{_stem(path)}.png"))
-        say(f"{path.name}: {'sure' if one.sure else 'unsure'}")
-        for sentence in one.evidence:
+    for path, file_guess, table in zip(files, guesses, tables, strict=True):
+        written.append(_draw(file_guess, table, out / f"{_stem(path)}.png"))
+        say(f"{path.name}: {'sure' if file_guess.sure else 'unsure'}")
+        for sentence in file_guess.evidence:
             say(f"  {sentence}")
     for sentence in doubts.values():
         say(sentence)
@@ -106,13 +106,13 @@ def _guesses(tables: Sequence[Table], rig: Rig | None, rate_Hz: float | None) ->
         return guess_by_rigs(tables, rig, rate_Hz, lambda share: bar.show("guessing", share)).guesses
 
 
-def _differing(found: Sequence[Guess], best: Guess, files: Sequence[Path]) -> dict[str, str]:
+def _differing(guesses: Sequence[Guess], best: Guess, files: Sequence[Path]) -> dict[str, str]:
     """Where files of one import do not agree on one profile."""
     from dataclasses import replace
 
     differing = {}
-    for one, path in zip(found, files, strict=True):
-        if replace(one.profile, about="") != replace(best.profile, about=""):
+    for guess, path in zip(guesses, files, strict=True):
+        if replace(guess.profile, about="") != replace(best.profile, about=""):
             differing[f"one profile for all: {path.name}"] = (
                 f"unsure of one profile for all: {path.name} by itself would have another one; "
                 "import it alone to see which"
@@ -124,17 +124,17 @@ def _write_profile(best: Guess, doubts: Sequence[str], out: Path) -> list[Path]:
     from heli_host.tables import profile_text
 
     target = out / "profile.toml"
-    lines = [f"# {line}\n" for line in (*(f"UNSURE: {one}" for one in doubts), *best.evidence)]
+    lines = [f"# {line}\n" for line in (*(f"UNSURE: {doubt}" for doubt in doubts), *best.evidence)]
     target.write_text("".join(lines) + "\n" + profile_text(best.profile), encoding="utf-8")
     return [target]
 
 
-def _draw(one: Guess, table: Table, path: Path) -> Path:
+def _draw(guess: Guess, table: Table, path: Path) -> Path:
     from heli_host.tables import flights_of
 
     from heli_lab.guess.picture import draw
 
-    return draw(one, max(flights_of(table, one.profile), key=len), path)
+    return draw(guess, max(flights_of(table, guess.profile), key=len), path)
 
 
 def _write_flights(tables: Sequence[Table], profile: Profile, out: Path) -> None:

@@ -42,12 +42,12 @@ def check(
 
     from heli_lab.law.files import load_law
 
-    found = load_law(law)
-    tape = found.tape
+    loaded = load_law(law)
+    tape = loaded.tape
     spread = f", over {tape.ticks} ticks" if tape.ticks > 1 else ""
     say(
-        f"{found.name}: {found.rate_Hz:g} Hz, {len(tape.instructions)} operations, "
-        f"{len(found.states)} states, {len(tape.words)} words; at most {tape.cost} instructions "
+        f"{loaded.name}: {loaded.rate_Hz:g} Hz, {len(tape.instructions)} operations, "
+        f"{len(loaded.states)} states, {len(tape.words)} words; at most {tape.cost} instructions "
         f"a call{spread} (a tick has {LAW_TICK_COST})"
     )
     # What a bad law need not wait for.
@@ -57,7 +57,7 @@ def check(
     from heli_lab.law.linear import linearised
     from heli_lab.tune.plants import linear_plant
 
-    linear = linearised(found, linear_plant(load_rig(rig)))
+    linear = linearised(loaded, linear_plant(load_rig(rig)))
     slow = sorted(linear.poles, key=lambda pole: -pole.real)[:_MOST_POLES]
     poles = ", ".join(f"{pole.real:.2f}{pole.imag:+.2f}j" for pole in slow)
     say(f"{'stable' if linear.stable else 'UNSTABLE'} around level; slowest poles {poles} 1/s")
@@ -71,7 +71,7 @@ def check(
         off = ";".join(f"thrust_step.{motor}={thrust:.3f}@0.001" for motor in ("front", "back"))
         address = f"sil://?rig={rig}&seed={seed + number}&effect=rotor_lag={lag_s:.3f};{off}"
         what = f"thrust {100 * thrust:+.0f} %, lag {1e3 * lag_s:.0f} ms"
-        say(f"rig {number + 1} ({what}): {_flown(found, address, 15.0)}")
+        say(f"rig {number + 1} ({what}): {_flown(loaded, address, 15.0)}")
 
 
 @app.command()
@@ -95,8 +95,8 @@ def fly(
     from heli_lab.law.files import load_law
 
     address = port or f"sil://?board={board or 'native'}&seed={seed}"
-    found = load_law(law)
-    say(_planned(found, address, plan, log) if plan else _flown(found, address, seconds, log))
+    loaded = load_law(law)
+    say(_planned(loaded, address, plan, log) if plan else _flown(loaded, address, seconds, log))
 
 
 @app.command()

@@ -55,19 +55,19 @@ def tables(
         bar.show("bench tests", 0.0)
         records = _records(plant, seed)
         line = read_thrust(plant, seed).line()
-        found = []
+        tables_ = []
         for place, number in enumerate(records):
             share = 0.1 + 0.1 * place
 
             def tell(done: float, share: float = share, number: int = number) -> None:
                 bar.show(f"fitting Table {number}", share + 0.1 * done)
 
-            found.append(fit_table(number, plant.rig, records[number], tell))
+            tables_.append(fit_table(number, plant.rig, records[number], tell))
         by_rig = fit_rig(plant.rig, records, line, lambda done: bar.show("fitting Table 2", 0.4 + 0.6 * done))
-    for text in table_lines(line, by_rig, found):
+    for text in table_lines(line, by_rig, tables_):
         say(text)
     if json is not None:
-        write_json(json, tables_json(plant, line, by_rig, found))
+        write_json(json, tables_json(plant, line, by_rig, tables_))
 
 
 @app.command("gains")
@@ -86,11 +86,11 @@ def gains(rig: RigName = DEFAULT_RIG, json: JsonFile = None) -> None:
 
     check_result_places(json)
     loaded = load_rig(rig)
-    found = {name: verdicts(model_named(name), loaded) for name in ("paper", "multibody")}
-    for text in gain_lines(found):
+    by_model = {name: verdicts(model_named(name), loaded) for name in ("paper", "multibody")}
+    for text in gain_lines(by_model):
         say(text)
     if json is not None:
-        write_json(json, {name: [asdict(one) for one in rows] for name, rows in found.items()})
+        write_json(json, {name: [asdict(verdict) for verdict in rows] for name, rows in by_model.items()})
 
 
 @app.command("models")
@@ -115,11 +115,11 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonFile = No
     with WorkBar() as bar:
         flown = fly_plan("sine", plant, "sine", None, seed, lambda done: bar.show("flying", 0.5 * done))
         bar.show("predicting", 0.5)
-        found = distances([model_named(name) for name in sorted(MODELS)], plant.rig, flown.flight)
-    for text in model_lines(found):
+        distances_ = distances([model_named(name) for name in sorted(MODELS)], plant.rig, flown.flight)
+    for text in model_lines(distances_):
         say(text)
     if json is not None:
-        write_json(json, {one.model: asdict(one) for one in found})
+        write_json(json, {distance.model: asdict(distance) for distance in distances_})
 
 
 @app.command("equations")
@@ -185,8 +185,8 @@ def figures(
             write(f"fig{number + 1}.png", flight.performance_figure(flights[name], path, number + 1))
     say_files(folder / name for name in written)
     for name, flown in flights.items():
-        for one in flown:
-            say(f"{name}, {one.label}: {one.outcome}{_errors_text(one)}")
+        for flight_ in flown:
+            say(f"{name}, {flight_.label}: {flight_.outcome}{_errors_text(flight_)}")
 
 
 def _plant(rig: str, model: str) -> Plant:
@@ -235,12 +235,12 @@ def _flights(plant: Plant, seed: int, on_progress: Callable[[str, float], None])
     return out
 
 
-def _errors_text(one: Flown) -> str:
+def _errors_text(flight: Flown) -> str:
     import numpy as np
 
     from heli_lab.paper.figures_flight import aloft_s
 
-    error = one.error_deg[one.flight.t_s > aloft_s(one)]
+    error = flight.error_deg[flight.flight.t_s > aloft_s(flight)]
     if not len(error):
         return ""
     rms = np.sqrt(np.mean(error**2, axis=0))

@@ -12,7 +12,7 @@ from heli_host.cli.verb import Verb
 from heli_lab.fit_options import NumbersOption
 
 if TYPE_CHECKING:
-    from heli_lab.pool import Make
+    from heli_lab.pool import RigPopulation
 
 
 def pool(
@@ -51,38 +51,43 @@ def pool(
     from heli_lab.pool import read_machine
 
     check_result_places(out, json)
-    make = pooled([read_machine(path) for path in diagnoses])
-    say(*_lines(make))
+    population = pooled([read_machine(path) for path in diagnoses])
+    say(*_lines(population))
     written = []
     if out is not None:
-        base = load_rig(rig or make.machines[0].rig)
-        comment = f"Found by heli-host pool from {len(make.machines)} machines."
-        write_rig(make.prior(base, out.stem), out, comment)
+        base = load_rig(rig or population.machines[0].rig)
+        comment = f"Found by heli-host pool from {len(population.machines)} machines."
+        write_rig(population.prior(base, out.stem), out, comment)
         written.append(out)
     if json is not None:
         content = {
-            "machines": [one.label for one in make.machines],
-            "numbers": {name: asdict(one) for name, one in make.numbers.items()},
-            "causes": {name: asdict(one) for name, one in make.causes.items()},
+            "machines": [machine.label for machine in population.machines],
+            "numbers": {name: asdict(number) for name, number in population.numbers.items()},
+            "causes": {name: asdict(cause) for name, cause in population.causes.items()},
         }
         write_json(json, content)
         written.append(json)
     say_files(written)
 
 
-def _lines(make: Make) -> list[str]:
-    units = {name: one.unit for machine in make.machines for name, one in machine.numbers.items()}
-    lines = [f"{len(make.machines)} machines of {make.machines[0].rig}, model {make.machines[0].model}"]
-    if not make.causes:
+def _lines(population: RigPopulation) -> list[str]:
+    units = {
+        name: quantity.unit for machine in population.machines for name, quantity in machine.numbers.items()
+    }
+    lines = [
+        f"{len(population.machines)} machines of {population.machines[0].rig}, "
+        f"model {population.machines[0].model}"
+    ]
+    if not population.causes:
         lines.append("  no cause on any of them")
-    for name, one in make.causes.items():
-        low, high = one.interval
+    for name, cause in population.causes.items():
+        low, high = cause.interval
         lines.append(
-            f"  {name}: on {one.found} of {one.seen} machines that would show it; "
+            f"  {name}: on {cause.found} of {cause.seen} machines that would show it; "
             f"of all {100 * low:.0f} to {100 * high:.0f} %"
         )
     lines.append(f"  {'number':32}{'mean':>10}{'std error':>11}{'from machine to machine':>25}  unit")
-    for name, number in make.numbers.items():
+    for name, number in population.numbers.items():
         tau = f"{number.tau:.2g}" if number.machines > 1 else "unknown"
         lines.append(f"  {name:32}{number.mean:>10.4g}{number.std:>11.2g}{tau:>25}  {units[name]}")
     return lines

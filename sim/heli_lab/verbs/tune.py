@@ -83,9 +83,12 @@ def tune(
     data_on_stdout(json)
     check_result_places(out, json, figure=figure)
     loaded = load_rig(rig)
-    asked = parse_effects(effect or (), effects or ())
-    names = {one.name for one in asked}
-    all_effects = (*(one for one in effects_of(loaded, effects or ()) if one.name not in names), *asked)
+    given_effects = parse_effects(effect or (), effects or ())
+    names = {effect_.name for effect_ in given_effects}
+    all_effects = (
+        *(effect_ for effect_ in effects_of(loaded, effects or ()) if effect_.name not in names),
+        *given_effects,
+    )
     name = model or loaded.model or DEFAULT_MODEL
     equations = model_named(name, all_effects)
     known = known_of(all_effects)
@@ -99,7 +102,7 @@ def tune(
             model=MODELS[name],
             known=known,
         )
-        parameters = rounded(design.parameters)
+        parameters = rounded_parameters(design.parameters)
         for parameter, value in parameters.items():
             checked(parameter, value)
         trials: list[tuple[str, Model]] = [(_label(known), equations)]
@@ -127,16 +130,16 @@ def tune(
     write_numbers(json, _numbers(loaded, name, design, of_plants, known, parameters, tried))
     written.append(json)
     if figure is not None:
-        from heli_lab.tune.figures import figure_of
+        from heli_lab.tune.figures import figure_of_design
 
-        figure_of(design, [(one.label, one.flight) for one in tried]).savefig(figure, dpi=120)
+        figure_of_design(design, [(trial.label, trial.flight) for trial in tried]).savefig(figure, dpi=120)
         written.append(figure)
     say_files(written)
     if out is not None:
         say(f"fly them: heli-host params restore {out}, or heli-host fly hover --params {out}")
 
 
-def rounded(parameters: Mapping[str, float]) -> dict[str, float]:
+def rounded_parameters(parameters: Mapping[str, float]) -> dict[str, float]:
     """Round `parameters` to the four digits that are worth writing."""
     return {name: float(f"{value:.{_DIGITS}g}") for name, value in parameters.items()}
 
@@ -157,21 +160,24 @@ def _head(rig: Rig, model: str, design: Design, known: Known) -> list[str]:
     return lines
 
 
-def _margin_lines(design: Design, found: Sequence[Mapping[str, Margin]]) -> list[str]:
+def _margin_lines(design: Design, margins_: Sequence[Mapping[str, Margin]]) -> list[str]:
     from heli_lab.tune import LOOPS
 
-    own = [index for index, plant in enumerate(design.plants) if plant.thrust == plant.counterweight == 1.0]
-    chosen = [(f"lag {1e3 * design.plants[index].lag_s:.0f} ms", [found[index]]) for index in own]
-    chosen.append(("worst of all", list(found)))
+    nominal = [
+        index for index, plant in enumerate(design.plants) if plant.thrust == plant.counterweight == 1.0
+    ]
+    chosen = [(f"lag {1e3 * design.plants[index].lag_s:.0f} ms", [margins_[index]]) for index in nominal]
+    chosen.append(("worst of all", list(margins_)))
     lines = [f"{'loop':13}{'plant':13}{'gain up':>9}{'down':>8}{'phase':>9}{'delay':>10}{'peak S':>8}"]
     for loop in LOOPS:
         for place, (label, margins) in enumerate(chosen):
-            some = [one[loop] for one in margins]
+            some = [margin[loop] for margin in margins]
             lines.append(
-                f"{loop if place == 0 else '':13}{label:13}{min(one.gain_up for one in some):>9.2f}"
-                f"{max(one.gain_down for one in some):>8.2f}{min(one.phase_deg for one in some):>5.0f} deg"
-                f"{1e3 * min(one.delay_s for one in some):>7.0f} ms"
-                f"{max(one.sensitivity for one in some):>8.2f}"
+                f"{loop if place == 0 else '':13}{label:13}{min(margin.gain_up for margin in some):>9.2f}"
+                f"{max(margin.gain_down for margin in some):>8.2f}"
+                f"{min(margin.phase_deg for margin in some):>5.0f} deg"
+                f"{1e3 * min(margin.delay_s for margin in some):>7.0f} ms"
+                f"{max(margin.sensitivity for margin in some):>8.2f}"
             )
     return lines
 
@@ -184,13 +190,13 @@ def _margins(design: Design) -> list[dict[str, Margin]]:
 
 def _flight_lines(tried: Sequence[Trial]) -> list[str]:
     lines = ["flown by the flight code, encoders and drivers included:"]
-    for one in tried:
-        metrics = one.metrics
+    for trial in tried:
+        metrics = trial.metrics
         if metrics.outcome != "completed":
-            lines.append(f"  {one.label}: {metrics.outcome}")
+            lines.append(f"  {trial.label}: {metrics.outcome}")
             continue
         lines.append(
-            f"  {one.label}: level after {metrics.take_off_s:.1f} s; step of travel overshoots by "
+            f"  {trial.label}: level after {metrics.take_off_s:.1f} s; step of travel overshoots by "
             f"{metrics.overshoot_percent:.0f} %, settles in {metrics.settling_time_s:.1f} s; "
             "sines followed to "
             f"{metrics.travel_rms_deg:.2f} deg of travel, {metrics.elevation_rms_deg:.2f} of elevation, rms"
@@ -215,9 +221,9 @@ def _numbers(
             "delay_s": plant.delay_s,
             "thrust": plant.thrust,
             "counterweight": plant.counterweight,
-            "margins": {loop: asdict(margin) for loop, margin in found.items()},
+            "margins": {loop: asdict(margin) for loop, margin in plant_margins.items()},
         }
-        for plant, found in zip(design.plants, of_plants, strict=True)
+        for plant, plant_margins in zip(design.plants, of_plants, strict=True)
     ]
     return {
         "rig": rig.name,
@@ -226,7 +232,7 @@ def _numbers(
         "sensitivity": design.sensitivity,
         "parameters": dict(parameters),
         "plants": plants,
-        "flights": [{"on": one.label, **asdict(one.metrics)} for one in tried],
+        "flights": [{"on": trial.label, **asdict(trial.metrics)} for trial in tried],
     }
 
 

@@ -79,7 +79,7 @@ def twin(
     from heli_lab.twin.figure import draw_evidence
     from heli_lab.twin.files import open_rig
     from heli_lab.twin.follow import follow_file
-    from heli_lab.twin.learn import is_calm, weather_of_flights
+    from heli_lab.twin.learn import is_calm, learn_disturbances_of_flights
     from heli_lab.twin.learn import learn as learn_calibration
 
     if not flights and learn is None:
@@ -89,7 +89,7 @@ def twin(
     check_result_places(learn, json, figure=figure)
     chosen = open_rig(rig)
     others = healthy or []
-    found: list[Followed] = []
+    followed: list[Followed] = []
     with WorkBar() as bar:
         bar.show("reading", 0.0)
         read = [read_flight(path, allow_gaps=True) for path in others]
@@ -99,25 +99,28 @@ def twin(
             write_calibration(learn, calibration, chosen.name)
             chosen = replace(chosen, calibration=calibration)
         elif others:
-            weather = weather_of_flights(chosen.model, chosen.rig, read, labels)
-            chosen = replace(chosen, calibration=replace(chosen.calibration, weather=weather))
+            disturbances = learn_disturbances_of_flights(chosen.model, chosen.rig, read, labels)
+            chosen = replace(chosen, calibration=replace(chosen.calibration, disturbances=disturbances))
         for path in flights or ():
             bar.show(f"beside {path.name}", 0.9)
-            found.append(follow_file(chosen, path, hours, start_s, stop_s))
+            followed.append(follow_file(chosen, path, hours, start_s, stop_s))
     written = [learn] if learn is not None else []
-    for one in found:
-        say(*(f"{one.label}: {text}" for text in one.sentences()))
-        if one.flown_rig not in ("", chosen.rig.name, Path(chosen.name).stem):
-            say(f"{one.label} is a flight of {one.flown_rig}, the twin one of {chosen.rig.name}: see --rig")
-    if others and is_calm(chosen.calibration.weather):
+    for flight in followed:
+        say(*(f"{flight.label}: {text}" for text in flight.sentences()))
+        if flight.flown_rig not in ("", chosen.rig.name, Path(chosen.name).stem):
+            say(
+                f"{flight.label} is a flight of {flight.flown_rig}, "
+                f"the twin one of {chosen.rig.name}: see --rig"
+            )
+    if others and is_calm(chosen.calibration.disturbances):
         say("the healthy flights are calmer than a quiet room: any draught will be an alarm; give others too")
     threshold_nats = chosen.calibration.threshold_nats(hours)
     say(f"alarm from {threshold_nats:.1f} nats on, {_rate(hours)}; {_source(chosen)}")
     if json is not None:
-        write_json(json, _numbers(chosen, found, hours))
+        write_json(json, _numbers(chosen, followed, hours))
         written.append(json)
-    if figure is not None and found:
-        draw_evidence(found, figure)
+    if figure is not None and followed:
+        draw_evidence(followed, figure)
         written.append(figure)
     say_files(written)
 
@@ -130,23 +133,23 @@ def _source(chosen: TwinRig) -> str:
     return f"weather and alarm from {chosen.calibration.source}" if chosen.calibration.source else "as given"
 
 
-def _numbers(chosen: TwinRig, found: list[Followed], hours: float) -> dict[str, Any]:
-    weather = chosen.calibration.weather
+def _numbers(chosen: TwinRig, flights: list[Followed], hours: float) -> dict[str, Any]:
+    disturbances = chosen.calibration.disturbances
     return {
         "rig": chosen.name,
         "hours": hours,
         "threshold_nats": chosen.calibration.threshold_nats(hours),
-        "weather": {
-            "gust_Nm": weather.gust_Nm.tolist(),
-            "memory_s": weather.memory_s.tolist(),
-            "drift_Nm": weather.drift_Nm.tolist(),
-            "quantisation": weather.quantisation.tolist(),
+        "disturbances": {
+            "fast_std_Nm": disturbances.fast_std_Nm.tolist(),
+            "correlation_time_s": disturbances.correlation_time_s.tolist(),
+            "slow_std_Nm": disturbances.slow_std_Nm.tolist(),
+            "quantisation": disturbances.quantisation.tolist(),
         },
         "flights": [
             {
-                "flight": one.label,
-                "free_s": one.free_s,
-                "most_nats": one.most_nats,
+                "flight": flight.label,
+                "free_s": flight.free_s,
+                "max_evidence_nats": flight.max_evidence_nats,
                 "events": [
                     {
                         "kind": event.kind,
@@ -164,10 +167,10 @@ def _numbers(chosen: TwinRig, found: list[Followed], hours: float) -> dict[str, 
                             for candidate in event.ranking
                         ],
                     }
-                    for event in one.events
+                    for event in flight.events
                 ],
             }
-            for one in found
+            for flight in flights
         ],
     }
 

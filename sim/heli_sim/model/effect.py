@@ -191,7 +191,7 @@ class Effect:
         """Time derivatives of the effect's own states: one for each of `states`, in its unit per second."""
         return ca.SX.zeros(len(self.states))
 
-    def along_measured(self) -> Effect:
+    def with_measured_angles(self) -> Effect:
         """The same effect where the angles of a flight have been measured; one that such angles make simpler
         returns another effect with the same parameters.
         """

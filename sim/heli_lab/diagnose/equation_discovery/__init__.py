@@ -2,7 +2,7 @@
 
 from heli_lab.diagnose.equation_discovery.discover import discover
 from heli_lab.diagnose.equation_discovery.discovery import Discovery
-from heli_lab.diagnose.equation_discovery.law import NAME
-from heli_lab.diagnose.equation_discovery.proposal import ProposedLaw, propose_law
+from heli_lab.diagnose.equation_discovery.equation import NAME
+from heli_lab.diagnose.equation_discovery.proposal import ProposedTerm, propose_term
 
-__all__ = ["NAME", "Discovery", "ProposedLaw", "discover", "propose_law"]
+__all__ = ["NAME", "Discovery", "ProposedTerm", "discover", "propose_term"]

@@ -9,9 +9,9 @@ from functools import cached_property
 
 from heli_sim.model.effects import EffectKind
 
-from heli_lab.diagnose.candidate import Candidate, usual
-from heli_lab.diagnose.equation_discovery.law import Law
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.candidate import Candidate, typical_candidate
+from heli_lab.diagnose.equation_discovery.equation import Equation
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.screening import Screening
 from heli_lab.diagnose.thresholds import (
     AMBIGUOUS,
@@ -29,7 +29,7 @@ class Catalogue:
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ModelComparison
         The flights.
     base : Hypothesis
         The model with the causes that were named.
@@ -41,67 +41,70 @@ class Catalogue:
 
     def __init__(
         self,
-        comparison: Comparison,
+        comparison: ModelComparison,
         base: Hypothesis,
         kinds: Mapping[str, EffectKind],
         say: Callable[[str], None],
     ) -> None:
         self.comparison, self.base, self.kinds, self.say = comparison, base, kinds, say
 
-    def as_good(self, law: Law, near: Hypothesis, penalty: float) -> str | None:
-        """Name an effect of the list that does as well in the place of a `law` on all flights, and that the
-        law does not encompass; None where none does. `near` is the model with the law, `penalty` what the law
+    def equivalent_effect(self, equation: Equation, warm_start: Hypothesis, penalty: float) -> str | None:
+        """Name a listed effect that fits all flights as well as the `equation` does, and that the equation
+        does not encompass; None where none does. `warm_start` is the model with it, `penalty` what it
         pays.
 
         While the weather stood for what is missing, the search could not see it.
         """
         # As a spline has to, a law has to be better by a share of what it gains.
-        margin = near.log_likelihood - penalty + self.held_out(near)
+        margin = warm_start.log_likelihood - penalty + self.held_out(warm_start)
         enough = margin - max(AMBIGUOUS, SPLINE_MARGIN * (margin - self.base.log_likelihood))
-        screening = Screening(replace(self.base.estimate, weather=near.estimate.weather))
-        left = [
+        screening = Screening(replace(self.base.estimate, disturbances=warm_start.estimate.disturbances))
+        remaining = [
             kind
             for kind in self.kinds.values()
             if kind.id not in self.base.ids and not kind.baseline and not kind.noise_inputs
         ]
 
         def does(listed: Candidate, start: Mapping[str, float]) -> tuple[bool, float]:
-            made = self.refit(listed, start, near)
+            made = self.refit(listed, start, warm_start)
             value = self.margin(made, listed) + self.held_out(made)
             equal = value > enough and self.comparison.in_flight(made)
-            return equal and not self.encompasses(near, made, listed, penalty), value
+            return equal and not self.encompasses(warm_start, made, listed, penalty), value
 
         # A score is taken where an axis creeps, and does not see one that sticks.
-        dry = {f"coulomb_friction.{axis}" for axis in _axes(law)}
-        for kind in left:
-            if kind.id in dry and does(usual(kind), kind.typical)[0]:
+        dry = {f"coulomb_friction.{axis}" for axis in _axes(equation)}
+        for kind in remaining:
+            if kind.id in dry and does(typical_candidate(kind), kind.typical)[0]:
                 return kind.id
         kept = 0
-        for one in screening.effects(left)[: 2 * SHORTLIST]:
-            price = self.price(one.candidate)
-            if kept >= SHORTLIST or EXPECTED_REFIT_GAIN * one.log_likelihood_gain <= price + MIN_MARGIN:
+        for scored in screening.effects(remaining)[: 2 * SHORTLIST]:
+            complexity_penalty = self.complexity_penalty(scored.candidate)
+            if (
+                kept >= SHORTLIST
+                or EXPECTED_REFIT_GAIN * scored.log_likelihood_gain <= complexity_penalty + MIN_MARGIN
+            ):
                 break
-            instead, value = does(one.candidate, one.candidate.start_values(one.coefficients))
+            instead, value = does(scored.candidate, scored.candidate.start_values(scored.coefficients))
             if instead:
-                return one.candidate.id
-            gain = value + price - self.base.log_likelihood
-            kept += gain >= LAW_KEPT_SHARE * one.log_likelihood_gain
+                return scored.candidate.id
+            gain = value + complexity_penalty - self.base.log_likelihood
+            kept += gain >= LAW_KEPT_SHARE * scored.log_likelihood_gain
         return None
 
-    def refit(self, listed: Candidate, start: Mapping[str, float], near: Hypothesis) -> Hypothesis:
-        """Estimate the base with one more effect, `listed`, from `start` and the weather of `near`."""
+    def refit(self, listed: Candidate, start: Mapping[str, float], warm_start: Hypothesis) -> Hypothesis:
+        """Estimate the base with one more effect, `listed`, from `start` and the weather of `warm_start`."""
         self.say(f"trying {listed.id} in its place")
-        return self.comparison.refit([*self.base.candidates, listed], start, near)
+        return self.comparison.refit([*self.base.candidates, listed], start, warm_start)
 
     def margin(self, made: Hypothesis, listed: Candidate) -> float:
         """Log-likelihood of a model `made` with an effect, less its price; that the effect's numbers are
         unusual counts for nothing, as a law's may have any size.
         """
-        own = [
+        parameters = [
             (made.values[name], prior) for name, prior in listed.effect.priors.items() if name in made.values
         ]
-        unusual = sum(0.5 * ((value - prior.mean) / prior.std) ** 2 for value, prior in own)
-        return made.log_likelihood + unusual - self.price(listed)
+        unusual = sum(0.5 * ((value - prior.mean) / prior.std) ** 2 for value, prior in parameters)
+        return made.log_likelihood + unusual - self.complexity_penalty(listed)
 
     def held_out(self, made: Hypothesis) -> float:
         """What a model gains over the base on the flights held out, nats; 0 without any."""
@@ -113,38 +116,40 @@ class Catalogue:
     def _base_held_out(self) -> float:
         return self.comparison.held_out_estimate(self.base).log_likelihood
 
-    def encompasses(self, near: Hypothesis, made: Hypothesis, listed: Candidate, penalty: float) -> bool:
+    def encompasses(
+        self, warm_start: Hypothesis, made: Hypothesis, listed: Candidate, penalty: float
+    ) -> bool:
         """Whether a law is worth its `penalty` beside an effect, `listed`, that does as well in its place,
         and more than the effect is worth beside the law: Davidson and MacKinnon, Econometrica 49 (1981) 781,
-        by likelihoods. `near` is the model with the law, `made` the one with the effect.
+        by likelihoods. `warm_start` is the model with the law, `made` the one with the effect.
         """
-        law = near.candidates[-1]
+        equation = warm_start.candidates[-1]
         start = {name: made.values[name] for name in listed.effect.priors if name in made.values}
-        both = self.comparison.refit([*self.base.candidates, listed, law], start, near)
+        both = self.comparison.refit([*self.base.candidates, listed, equation], start, warm_start)
         of_law, of_effect = (
-            both.log_likelihood - one.log_likelihood + self.held_out(both) - self.held_out(one)
-            for one in (made, near)
+            both.log_likelihood - hypothesis.log_likelihood + self.held_out(both) - self.held_out(hypothesis)
+            for hypothesis in (made, warm_start)
         )
-        return of_law - penalty > max(AMBIGUOUS, of_effect - self.price(listed))
+        return of_law - penalty > max(AMBIGUOUS, of_effect - self.complexity_penalty(listed))
 
-    def price(self, listed: Candidate) -> float:
+    def complexity_penalty(self, listed: Candidate) -> float:
         """What an effect of the catalogue pays: BIC for its numbers, and for the list."""
         return 0.5 * len(listed.effect.priors) * math.log(self.comparison.rows) + math.log(CANDIDATES_TRIED)
 
     def without_superfluous(self, with_law: Hypothesis) -> tuple[Hypothesis, tuple[str, ...]]:
         """The model `with_law`, without causes that the likelihood does not miss beside it; their ids."""
         final, gone = with_law, list[str]()
-        for one in self.base.candidates:
-            rest = [other for other in final.candidates[:-1] if other.id != one.id]
+        for candidate in self.base.candidates:
+            rest = [other for other in final.candidates[:-1] if other.id != candidate.id]
             less = self.comparison.refit([*rest, final.candidates[-1]], None, final)
-            if final.log_likelihood - less.log_likelihood - self.price(one) <= MIN_MARGIN:
+            if final.log_likelihood - less.log_likelihood - self.complexity_penalty(candidate) <= MIN_MARGIN:
                 final = less
-                gone.append(one.id)
+                gone.append(candidate.id)
         return final, tuple(gone)
 
 
-def _axes(law: Law) -> set[str]:
+def _axes(equation: Equation) -> set[str]:
     """Axes about which a law acts first."""
     by_rotors = {"both": "elevation", "difference": "pitch", "front": "pitch", "back": "pitch"}
-    places = (channel.partition(".")[2] for channel in law.channels)
+    places = (channel.partition(".")[2] for channel in equation.channels)
     return {by_rotors.get(place, place) for place in places}

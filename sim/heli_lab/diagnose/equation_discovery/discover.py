@@ -20,25 +20,25 @@ from heli_sim.model.effects import EffectKind
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.diagnose.equation_discovery.catalogue import Catalogue
 from heli_lab.diagnose.equation_discovery.discovery import Discovery, Rival
+from heli_lab.diagnose.equation_discovery.equation import NAME, Equation, equation_effect
 from heli_lab.diagnose.equation_discovery.grammar import Group, groups, tried_up_to
-from heli_lab.diagnose.equation_discovery.law import NAME, Law, law_effect
 from heli_lab.diagnose.equation_discovery.scoring import Courses, ScoredGroup, coefficient_std, score
-from heli_lab.diagnose.model_comparison import Asked, Comparison, Hypothesis
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison, RefitSpec
 from heli_lab.diagnose.screening import Screening
 from heli_lab.diagnose.thresholds import (
     AMBIGUOUS,
+    EQUATION_FINALISTS,
+    EQUATION_NEAR_REST,
     EXPECTED_REFIT_GAIN,
     LAW_ALIKE,
     LAW_CONFIRMED,
     LAW_CURVE_SHARE,
-    LAW_FINALISTS,
     LAW_KEPT_SHARE,
-    LAW_NEAR_REST,
     LAW_TERMS,
     MIN_MARGIN,
     NOTHING_STD_ERRORS,
 )
-from heli_lab.innovations import Weather
+from heli_lab.innovations import DisturbanceModel
 
 _NO_DRIFT_Nm: Final = 2e-5
 """As good as none, while covariances stay regular."""
@@ -48,7 +48,7 @@ _WHOLE: Final = 2.0
 
 @dataclass(frozen=True)
 class _Tried:
-    law: Law
+    equation: Equation
     hypothesis: Hypothesis
     penalty: float
     group: Group
@@ -60,198 +60,218 @@ class _Tried:
 
 
 class _Discoverer:
-    def __init__(self, comparison: Comparison, base: Hypothesis, say: Callable[[str], None]) -> None:
+    def __init__(self, comparison: ModelComparison, base: Hypothesis, say: Callable[[str], None]) -> None:
         self.comparison, self.base, self.say = comparison, base, say
         # A law that was proposed before may be in the rig or among the causes, from its own effect file.
         self.name = free_name({*base.ids, *(effect.name for effect in comparison.model.effects)})
         self.tried: dict[int, int] = {}
         self.rivals: dict[str, float] = {}
 
-    def penalty(self, group: Group, law: Law, held: frozenset[str]) -> float:
+    def penalty(self, group: Group, equation: Equation, held: frozenset[str]) -> float:
         """What a group pays: BIC for its numbers, and for the size of the search."""
         free = len(group.terms) + sum(
             1
-            for i, j, own, name, _, _ in law.inner()
+            for i, j, inner_name, name, _, _ in equation.inner()
             if name not in held
-            and law.terms[i] in group.terms
-            and not (own == "width" and law.terms[i].term.factors[j].form == "sign")
+            and equation.terms[i] in group.terms
+            and not (inner_name == "width" and equation.terms[i].term.factors[j].form == "sign")
         )
-        rest = sum(LAW_NEAR_REST for one in group.terms if _on_own_rate(one.channel, one.term.key))
+        rest = sum(EQUATION_NEAR_REST for term in group.terms if _on_own_rate(term.channel, term.term.key))
         return 0.5 * free * math.log(self.comparison.rows) + math.log(self.tried[group.size]) + rest
 
-    def asked(
+    def refit_spec(
         self,
-        law: Law,
-        stds: Mapping[str, float],
+        equation: Equation,
+        reported_std: Mapping[str, float],
         start: Mapping[str, float],
-        near: Hypothesis,
+        warm_start: Hypothesis,
         held: frozenset[str] = frozenset(),
-    ) -> Asked:
+    ) -> RefitSpec:
         """The refit of a law beside the causes that were named."""
-        effect = law_effect(law, stds, dict.fromkeys(held), self.name)
+        effect = equation_effect(equation, reported_std, dict.fromkeys(held), self.name)
         values = {f"{effect.prefix}_{name}": value for name, value in start.items()}
         fixed = {n: v for n, v in values.items() if n in effect.values and n not in effect.priors}
         effect = replace(effect, values={**effect.values, **fixed})
-        linear = tuple(f"{effect.prefix}_{name}" for name in law.coefficients)
-        text = f"law:{law.key}" + "".join(f" [{n}={start[n]:g}]" for n in sorted(held))
+        linear = tuple(f"{effect.prefix}_{name}" for name in equation.coefficients)
+        text = f"law:{equation.key}" + "".join(f" [{n}={start[n]:g}]" for n in sorted(held))
         candidate = Candidate(text, effect, linear)
-        return Asked([*self.base.candidates, candidate], values, near)
+        return RefitSpec([*self.base.candidates, candidate], values, warm_start)
 
-    def refit(self, asked: Asked) -> Hypothesis:
+    def refit(self, spec: RefitSpec) -> Hypothesis:
         """Estimate the model with a law."""
-        return self.comparison.refit(asked.candidates, asked.start, asked.near)
+        return self.comparison.refit(spec.candidates, spec.start, spec.warm_start)
 
-    def round(self, known: _Tried | None, weather: Weather) -> _Tried | None:
+    def round(self, known: _Tried | None, disturbances: DisturbanceModel) -> _Tried | None:
         """One more group of terms beside those known; None where none is worth what it pays."""
-        near = known.hypothesis if known else self.base
-        screening = Screening(replace(near.estimate, weather=weather))
-        courses = Courses(screening)
-        every = groups(courses.spans)
+        warm_start = known.hypothesis if known else self.base
+        screening = Screening(replace(warm_start.estimate, disturbances=disturbances))
+        references = Courses(screening)
+        every = groups(references.spans)
         self.tried = tried_up_to(every)
         best: _Tried | None = None
         rivals = dict[str, float]()
         kept = 0
         scored: dict[str, ScoredGroup] = {}
-        for one in (
-            *self.slow(near, weather, courses, every),
-            *self.finalists(score(screening, courses, every)),
+        for scored_group in (
+            *self.slow(warm_start, disturbances, references, every),
+            *self.finalists(score(screening, references, every)),
         ):
-            scored.setdefault(one.group.key, one)
+            scored.setdefault(scored_group.group.key, scored_group)
         likely = [
-            (one, law, self.begun(one, law, known, courses))
-            for one in scored.values()
-            if (law := self.law_of(one, known)) is not None
+            (scored_group, equation, self.begun(scored_group, equation, known, references))
+            for scored_group in scored.values()
+            if (equation := self.law_of(scored_group, known)) is not None
         ]
-        with self.comparison.ahead(asked for *_, asked in likely[:LAW_FINALISTS]):
-            for one, law, asked in likely:
-                if kept >= LAW_FINALISTS:
+        with self.comparison.prefetch(spec for *_, spec in likely[:EQUATION_FINALISTS]):
+            for scored_group, equation, spec in likely:
+                if kept >= EQUATION_FINALISTS:
                     break
-                self.say(f"trying {one.group.key}")
-                made = self.tried_one(one, law, asked, known)
-                gain = made.hypothesis.log_likelihood - near.log_likelihood
-                kept += gain >= LAW_KEPT_SHARE * one.log_likelihood_gain
-                rivals[one.group.key] = gain - (made.penalty - (known.penalty if known else 0.0))
+                self.say(f"trying {scored_group.group.key}")
+                made = self.tried_one(scored_group, equation, spec, known)
+                gain = made.hypothesis.log_likelihood - warm_start.log_likelihood
+                kept += gain >= LAW_KEPT_SHARE * scored_group.log_likelihood_gain
+                rivals[scored_group.group.key] = gain - (made.penalty - (known.penalty if known else 0.0))
                 if best is None or made.margin > best.margin:
                     best = made
-        before = near.log_likelihood - (known.penalty if known else 0.0)
+        before = warm_start.log_likelihood - (known.penalty if known else 0.0)
         if best is None or best.margin - before <= MIN_MARGIN:
             return None
         chosen = rivals.pop(best.group.key)
         self.rivals |= {key: chosen - margin for key, margin in rivals.items()}
-        return self.tidied(best, known, courses)
+        return self.tidied(best, known, references)
 
     def slow(
-        self, near: Hypothesis, weather: Weather, courses: Courses, every: Sequence[Group]
+        self,
+        warm_start: Hypothesis,
+        disturbances: DisturbanceModel,
+        references: Courses,
+        every: Sequence[Group],
     ) -> list[ScoredGroup]:
         """The best where drift stands for what is missing: a law of slow quantities, such as travel, is worth
         next to nothing beside a drift as large as itself. They are those of a weather without that drift.
         """
-        drifts = weather.drift_Nm > weather.gust_Nm
+        drifts = disturbances.slow_std_Nm > disturbances.fast_std_Nm
         if not drifts.any():
             return []
-        still = replace(weather, drift_Nm=np.where(drifts, _NO_DRIFT_Nm, weather.drift_Nm), curvature=None)
-        acting = [one for one in every if not one.terms[0].channel.startswith("measurement")]
-        scored = score(Screening(replace(near.estimate, weather=still)), courses, acting)
+        still = replace(
+            disturbances, slow_std_Nm=np.where(drifts, _NO_DRIFT_Nm, disturbances.slow_std_Nm), curvature=None
+        )
+        acting = [group for group in every if not group.terms[0].channel.startswith("measurement")]
+        scored = score(Screening(replace(warm_start.estimate, disturbances=still)), references, acting)
         return self.finalists(scored)[:LAW_ALIKE]
 
     def finalists(self, scored: Sequence[ScoredGroup]) -> list[ScoredGroup]:
         """The best by what they promise less what they pay, twice as many as are wanted."""
 
-        def worth(one: ScoredGroup) -> float:
-            return one.log_likelihood_gain - self.penalty(one.group, Law(one.group.terms), frozenset())
+        def worth(scored_group: ScoredGroup) -> float:
+            return scored_group.log_likelihood_gain - self.penalty(
+                scored_group.group, Equation(scored_group.group.terms), frozenset()
+            )
 
         chosen: list[ScoredGroup] = []
-        for one in sorted(scored, key=worth, reverse=True):
-            gain = one.log_likelihood_gain
-            paid = gain - worth(one)
-            if EXPECTED_REFIT_GAIN * gain <= paid + MIN_MARGIN or len(chosen) >= 2 * LAW_FINALISTS:
+        for scored_group in sorted(scored, key=worth, reverse=True):
+            gain = scored_group.log_likelihood_gain
+            paid = gain - worth(scored_group)
+            if EXPECTED_REFIT_GAIN * gain <= paid + MIN_MARGIN or len(chosen) >= 2 * EQUATION_FINALISTS:
                 continue
-            like = [other for other in chosen if _place(other.group) == _place(one.group)]
+            like = [other for other in chosen if _place(other.group) == _place(scored_group.group)]
             if len(like) < LAW_ALIKE:
-                chosen.append(one)
+                chosen.append(scored_group)
         return chosen
 
     @staticmethod
-    def law_of(one: ScoredGroup, known: _Tried | None) -> Law | None:
+    def law_of(scored_group: ScoredGroup, known: _Tried | None) -> Equation | None:
         """The law with one more group of terms; None where it has one twice."""
-        terms = (*(known.law.terms if known else ()), *one.group.terms)
-        return Law(terms) if len(set(terms)) == len(terms) else None
+        terms = (*(known.equation.terms if known else ()), *scored_group.group.terms)
+        return Equation(terms) if len(set(terms)) == len(terms) else None
 
-    def begun(self, one: ScoredGroup, law: Law, known: _Tried | None, courses: Courses) -> Asked:
+    def begun(
+        self, scored_group: ScoredGroup, equation: Equation, known: _Tried | None, references: Courses
+    ) -> RefitSpec:
         """The refit of a law, from what the score says of its last group of terms."""
         start = _values(known) if known else {}
-        first = len(law.terms) - len(one.group.terms)
-        for i, value in enumerate(one.coefficients):
-            start[law.coefficient(first + i)] = float(value)
+        first = len(equation.terms) - len(scored_group.group.terms)
+        for i, value in enumerate(scored_group.coefficients):
+            start[equation.coefficient(first + i)] = float(value)
         held = known.held if known else frozenset()
         # From the weather that the known terms leave: beside them that of the base stands for them once more.
-        near = known.hypothesis if known else self.base
-        return self.asked(law, self.stds(law, courses), start, near, held)
+        warm_start = known.hypothesis if known else self.base
+        return self.refit_spec(equation, self.reported_std(equation, references), start, warm_start, held)
 
-    def tried_one(self, one: ScoredGroup, law: Law, asked: Asked, known: _Tried | None) -> _Tried:
+    def tried_one(
+        self, scored_group: ScoredGroup, equation: Equation, spec: RefitSpec, known: _Tried | None
+    ) -> _Tried:
         held = known.held if known else frozenset()
-        penalty = self.penalty(one.group, law, held) + (known.penalty if known else 0.0)
-        return _Tried(law, self.refit(asked), penalty, one.group, held)
+        penalty = self.penalty(scored_group.group, equation, held) + (known.penalty if known else 0.0)
+        return _Tried(equation, self.refit(spec), penalty, scored_group.group, held)
 
-    def stds(self, law: Law, courses: Courses) -> dict[str, float]:
+    def reported_std(self, equation: Equation, references: Courses) -> dict[str, float]:
         """Prior standard deviations of a law's coefficients."""
-        found = {}
-        for name, one in zip(law.coefficients, law.terms, strict=True):
-            values = np.concatenate([courses.values(i, one) for i in range(len(courses.linears))])
-            found[name] = coefficient_std(one, max(float(np.sqrt(np.mean(values**2))), 1e-9))
-        return found
+        errors = {}
+        for name, term in zip(equation.coefficients, equation.terms, strict=True):
+            values = np.concatenate(
+                [references.values(i, term) for i in range(len(references.linearised_flights))]
+            )
+            errors[name] = coefficient_std(term, max(float(np.sqrt(np.mean(values**2))), 1e-9))
+        return errors
 
-    def tidied(self, best: _Tried, known: _Tried | None, courses: Courses) -> _Tried:
+    def tidied(self, best: _Tried, known: _Tried | None, references: Courses) -> _Tried:
         """Without coefficients that are not told from nothing, and with whole multiplicities."""
-        best = self.whole(best, courses)
-        while len(best.law.terms) > 1:
+        best = self.whole(best, references)
+        while len(best.equation.terms) > 1:
             numbers = _numbers(best.hypothesis)
             worst = min(
-                range(len(best.law.terms)),
-                key=lambda i: abs(numbers[best.law.coefficient(i)][0]) / numbers[best.law.coefficient(i)][1],
+                range(len(best.equation.terms)),
+                key=lambda i: (
+                    abs(numbers[best.equation.coefficient(i)][0]) / numbers[best.equation.coefficient(i)][1]
+                ),
             )
-            value, std = numbers[best.law.coefficient(worst)]
+            value, std = numbers[best.equation.coefficient(worst)]
             if abs(value) > NOTHING_STD_ERRORS * std:
                 break
-            less = self.without(best, worst, courses)
+            less = self.without(best, worst, references)
             if less.margin <= best.margin:
                 break
-            best = self.whole(less, courses)
+            best = self.whole(less, references)
         return best
 
-    def without(self, of: _Tried, number: int, courses: Courses) -> _Tried:
+    def without(self, of: _Tried, number: int, references: Courses) -> _Tried:
         """The law without one of its terms, its other numbers renamed to their new places."""
-        gone = of.law.terms[number]
-        law = Law(tuple(one for i, one in enumerate(of.law.terms) if i != number))
+        gone = of.equation.terms[number]
+        equation = Equation(tuple(term for i, term in enumerate(of.equation.terms) if i != number))
         values, held = _values(of), set[str]()
         renamed = dict[str, float]()
-        for i in range(len(law.terms)):
+        for i in range(len(equation.terms)):
             old = i + (i >= number)
-            renamed[law.coefficient(i)] = values[of.law.coefficient(old)]
-            for j in range(len(law.terms[i].term.factors)):
-                for own, name in of.law.numbers_of(old, j).items():
-                    new = law.numbers_of(i, j)[own]
+            renamed[equation.coefficient(i)] = values[of.equation.coefficient(old)]
+            for j in range(len(equation.terms[i].term.factors)):
+                for inner_name, name in of.equation.numbers_of(old, j).items():
+                    new = equation.numbers_of(i, j)[inner_name]
                     renamed[new] = values[name]
                     held |= {new} if name in of.held else set()
         group = of.group
         penalty = of.penalty - 0.5 * math.log(self.comparison.rows)
         if gone in group.terms:
-            group = Group(tuple(one for one in group.terms if one != gone), group.size)
-        hypothesis = self.refit(self.asked(law, self.stds(law, courses), renamed, self.base, frozenset(held)))
-        return _Tried(law, hypothesis, penalty, group, frozenset(held))
+            group = Group(tuple(term for term in group.terms if term != gone), group.size)
+        hypothesis = self.refit(
+            self.refit_spec(
+                equation, self.reported_std(equation, references), renamed, self.base, frozenset(held)
+            )
+        )
+        return _Tried(equation, hypothesis, penalty, group, frozenset(held))
 
-    def whole(self, of: _Tried, courses: Courses) -> _Tried:
+    def whole(self, of: _Tried, references: Courses) -> _Tried:
         """Multiplicities at whole numbers where these are as likely; sine and cosine share theirs."""
         numbers = _numbers(of.hypothesis)
         waves = dict[tuple[str, str, float], list[str]]()
-        for i, j, own, name, begun, _ in of.law.inner():
-            if own == "k" and name not in of.held:
-                one = of.law.terms[i]
-                waves.setdefault((one.channel, one.term.factors[j].quantity, begun), []).append(name)
+        for i, j, inner_name, name, begun, _ in of.equation.inner():
+            if inner_name == "k" and name not in of.held:
+                term = of.equation.terms[i]
+                waves.setdefault((term.channel, term.term.factors[j].quantity, begun), []).append(name)
         fixed = dict[str, float]()
         for names in waves.values():
-            values, stds = np.array([numbers[name] for name in names]).T
-            weight = stds**-2.0
+            values, reported_std = np.array([numbers[name] for name in names]).T
+            weight = reported_std**-2.0
             value, std = float(values @ weight / weight.sum()), float(weight.sum() ** -0.5)
             if round(value) >= 1 and abs(value - round(value)) < max(_WHOLE * std, 0.02):
                 fixed |= dict.fromkeys(names, float(round(value)))
@@ -259,9 +279,11 @@ class _Discoverer:
             return of
         held = of.held | frozenset(fixed)
         start = {**_values(of), **fixed}
-        hypothesis = self.refit(self.asked(of.law, self.stds(of.law, courses), start, self.base, held))
+        hypothesis = self.refit(
+            self.refit_spec(of.equation, self.reported_std(of.equation, references), start, self.base, held)
+        )
         penalty = of.penalty - 0.5 * len(fixed) * math.log(self.comparison.rows)
-        made = _Tried(of.law, hypothesis, penalty, of.group, held)
+        made = _Tried(of.equation, hypothesis, penalty, of.group, held)
         return made if made.margin > of.margin - AMBIGUOUS else of
 
 
@@ -272,7 +294,7 @@ def free_name(used: Collection[str]) -> str:
 
 
 def discover(
-    comparison: Comparison,
+    comparison: ModelComparison,
     base: Hypothesis,
     *,
     curve: Hypothesis | None = None,
@@ -284,7 +306,7 @@ def discover(
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ModelComparison
         The flights; those held out confirm the law.
     base : Hypothesis
         The model with the causes that were named.
@@ -305,41 +327,41 @@ def discover(
         than what is on the list.
     """
     work = _Discoverer(comparison, base, say or (lambda _what: None))
-    weather = (curve or base).estimate.weather
+    disturbances = (curve or base).estimate.disturbances
     known: _Tried | None = None
     confirmed: tuple[_Tried, float | None, dict[str, float]] | None = None
     without = comparison.held_out_estimate(base) if comparison.held_out else None
     before = 0.0
-    while comparison.fits < refits and (known is None or len(known.law.terms) < LAW_TERMS):
-        found = work.round(known, weather if known is None else known.hypothesis.estimate.weather)
-        if found is None or (known is not None and len(found.law.terms) <= len(known.law.terms)):
+    while comparison.fits < refits and (known is None or len(known.equation.terms) < LAW_TERMS):
+        result = work.round(known, disturbances if known is None else known.hypothesis.estimate.disturbances)
+        if result is None or (known is not None and len(result.equation.terms) <= len(known.equation.terms)):
             break
         held_out = None
         if without is not None:
-            beside = comparison.held_out_estimate(found.hypothesis)
+            beside = comparison.held_out_estimate(result.hypothesis)
             held_out = beside.log_likelihood - without.log_likelihood
             # Each term has to stand on the flights that had no part in its choice.
             if held_out - before < LAW_CONFIRMED:
                 break
             before = held_out
-        known, confirmed = found, (found, held_out, dict(work.rivals))
+        known, confirmed = result, (result, held_out, dict(work.rivals))
     if confirmed is None:
         return None
-    law, held_out, others = confirmed
-    gained = law.hypothesis.log_likelihood - base.log_likelihood
+    equation, held_out, others = confirmed
+    gained = equation.hypothesis.log_likelihood - base.log_likelihood
     by_curve = curve.log_likelihood - base.log_likelihood if curve is not None and curve is not base else None
     if by_curve is not None and gained < LAW_CURVE_SHARE * by_curve:
         return None
     listed = Catalogue(comparison, base, kinds or {}, work.say)
-    if listed.as_good(law.law, law.hypothesis, law.penalty) is not None:
+    if listed.equivalent_effect(equation.equation, equation.hypothesis, equation.penalty) is not None:
         return None
-    hypothesis, superfluous = listed.without_superfluous(law.hypothesis)
-    rivals = sorted((Rival(*one) for one in others.items()), key=lambda one: one.log_likelihood_ratio)
+    hypothesis, superfluous = listed.without_superfluous(equation.hypothesis)
+    rivals = sorted((Rival(*item) for item in others.items()), key=lambda item: item.log_likelihood_ratio)
     return Discovery(
-        law.law,
+        equation.equation,
         base,
         hypothesis,
-        law.penalty,
+        equation.penalty,
         held_out,
         by_curve,
         tuple(rivals),
@@ -361,7 +383,7 @@ def _place(group: Group) -> tuple[str, frozenset[str]]:
     channel = group.terms[0].channel
     if channel.startswith("measurement"):
         return "measurement", frozenset()
-    return channel, frozenset(q for one in group.terms for q in one.term.quantities)
+    return channel, frozenset(q for term in group.terms for q in term.term.quantities)
 
 
 def _numbers(hypothesis: Hypothesis) -> dict[str, tuple[float, float]]:
@@ -371,7 +393,7 @@ def _numbers(hypothesis: Hypothesis) -> dict[str, tuple[float, float]]:
     prefix = f"{hypothesis.candidates[-1].effect.prefix}_"
     return {
         name.removeprefix(prefix): (float(value), float(error))
-        for name, value, error in zip(estimate.unknowns.names, estimate.theta, std, strict=True)
+        for name, value, error in zip(estimate.parameter_vector.names, estimate.theta, std, strict=True)
         if name.startswith(prefix)
     }
 

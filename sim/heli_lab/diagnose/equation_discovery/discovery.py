@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from heli_lab.diagnose.equation_discovery.law import Law, LawEffect, LawTerm
+from heli_lab.diagnose.equation_discovery.equation import Equation, EquationEffect, EquationTerm
 from heli_lab.diagnose.equation_discovery.terms import Term
 from heli_lab.diagnose.model_comparison import Hypothesis
 from heli_lab.innovations import Estimate
@@ -34,7 +34,7 @@ class Discovery:
 
     Parameters
     ----------
-    law : Law
+    equation : Equation
         Its terms.
     base, hypothesis : Hypothesis
         The model without the law and with it, each with the weather that suits it best.
@@ -54,7 +54,7 @@ class Discovery:
         The flights held out without the law and with it; None without any.
     """
 
-    law: Law
+    equation: Equation
     base: Hypothesis
     hypothesis: Hypothesis
     penalty: float
@@ -66,10 +66,10 @@ class Discovery:
     elsewhere: tuple[Estimate, Estimate] | None = None
 
     @property
-    def effect(self) -> LawEffect:
+    def effect(self) -> EquationEffect:
         """The law as an effect of the model."""
         effect = self.hypothesis.candidates[-1].effect
-        assert isinstance(effect, LawEffect)
+        assert isinstance(effect, EquationEffect)
         return effect
 
     @property
@@ -81,25 +81,28 @@ class Discovery:
     def values(self) -> dict[str, tuple[float, float, str]]:
         """Numbers of the law by name without prefix: value, standard error (0 where fixed) and unit."""
         estimate = self.hypothesis.estimate
-        std = dict(zip(estimate.unknowns.names, np.sqrt(np.diag(estimate.covariance)), strict=True))
-        found = self.hypothesis.values
+        std = dict(zip(estimate.parameter_vector.names, np.sqrt(np.diag(estimate.covariance)), strict=True))
+        estimates = self.hypothesis.values
         return {
             q.name.removeprefix(f"{self.effect.prefix}_"): (
-                float(found.get(q.name, self.effect.values[q.name])),
+                float(estimates.get(q.name, self.effect.values[q.name])),
                 float(std.get(q.name, 0.0)),
                 q.unit,
             )
             for q in self.effect.parameters
         }
 
-    def with_numbers(self, number: int) -> LawTerm:
+    def with_numbers(self, number: int) -> EquationTerm:
         """Term `number` of the law with the inner numbers that the refit found."""
-        one, values = self.law.terms[number], self.values
+        term, values = self.equation.terms[number], self.values
         factors = tuple(
             replace(
                 factor,
-                numbers=tuple((own, values[name][0]) for own, name in self.law.numbers_of(number, j).items()),
+                numbers=tuple(
+                    (inner_name, values[name][0])
+                    for inner_name, name in self.equation.numbers_of(number, j).items()
+                ),
             )
-            for j, factor in enumerate(one.term.factors)
+            for j, factor in enumerate(term.term.factors)
         )
-        return LawTerm(one.channel, Term(factors))
+        return EquationTerm(term.channel, Term(factors))

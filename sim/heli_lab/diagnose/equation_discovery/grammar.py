@@ -13,7 +13,7 @@ from typing import Final
 
 from heli_sim.model.parts import AXES
 
-from heli_lab.diagnose.equation_discovery.law import CHANNELS, LawTerm
+from heli_lab.diagnose.equation_discovery.equation import CHANNELS, EquationTerm
 from heli_lab.diagnose.equation_discovery.terms import QUANTITIES, Factor, Term
 
 _MULTIPLICITIES: Final[Mapping[str, tuple[float, ...]]] = {
@@ -40,19 +40,19 @@ class Group:
 
     Parameters
     ----------
-    terms : tuple of LawTerm
+    terms : tuple of EquationTerm
         One, or sine and cosine of one angle: a wave of any phase.
     size : int
         Complexity: factors, and functions other than the quantity itself.
     """
 
-    terms: tuple[LawTerm, ...]
+    terms: tuple[EquationTerm, ...]
     size: int
 
     @property
     def key(self) -> str:
         """The group as text."""
-        return "; ".join(one.key for one in self.terms)
+        return "; ".join(term.key for term in self.terms)
 
 
 def _one(form: str, quantity: str, memory: str = "", **numbers: float) -> Factor:
@@ -83,21 +83,21 @@ def groups(spans: Mapping[str, tuple[float, float]]) -> list[Group]:
     singles = list(_singles(spans))
     pairs = list(_pairs())
     triples = list(_triples())
-    found: list[Group] = []
+    result: list[Group] = []
     for axis in AXES:
         channel = f"torque.{axis}"
-        found += [_group(channel, one) for one in (*singles, *pairs, *triples)]
+        result += [_group(channel, terms) for terms in (*singles, *pairs, *triples)]
     for channel in CHANNELS:
         if channel.startswith("thrust") or channel == "voltage.both":
-            found += [_group(channel, one) for one in _of_rotors(channel, singles)]
+            result += [_group(channel, terms) for terms in _of_rotors(channel, singles)]
         if channel.startswith("measurement"):
-            found += [_group(channel, one) for one in _of_encoder(channel.partition(".")[2], singles)]
-    return found
+            result += [_group(channel, terms) for terms in _of_encoder(channel.partition(".")[2], singles)]
+    return result
 
 
 def _group(channel: str, products: Sequence[tuple[Factor, ...]]) -> Group:
     size = sum(1 + (factor.form != "linear") + bool(factor.memory) for factor in products[0])
-    return Group(tuple(LawTerm(channel, Term(factors)) for factors in products), size)
+    return Group(tuple(EquationTerm(channel, Term(factors)) for factors in products), size)
 
 
 _Products = tuple[tuple[Factor, ...], ...]
@@ -112,8 +112,8 @@ def _singles(spans: Mapping[str, tuple[float, float]]) -> Iterator[_Products]:
         if quantity in AXES:
             for k in _MULTIPLICITIES[quantity]:
                 yield (_one("sin", quantity, k=k),), (_one("cos", quantity, k=k),)
-            yield from (((one,),) for one in _bumps(quantity, spans))
-            furthest = max(abs(one) for one in spans[quantity])
+            yield from (((bump,),) for bump in _bumps(quantity, spans))
+            furthest = max(abs(bound) for bound in spans[quantity])
             for share in _SLACKS:
                 yield ((_one("beyond", quantity, slack=round(share * furthest, 3)),),)
         for s in _LAGS_s:
@@ -144,8 +144,8 @@ def _simple(quantity: str) -> list[tuple[Factor, ...]]:
 
 
 def _pairs() -> Iterator[_Products]:
-    for one, other in itertools.combinations(_TOGETHER, 2):
-        for first, second in itertools.product(_simple(one), _simple(other)):
+    for factor, other in itertools.combinations(_TOGETHER, 2):
+        for first, second in itertools.product(_simple(factor), _simple(other)):
             yield tuple((a, b) for a in first for b in second)
 
 
@@ -163,20 +163,20 @@ def _triples() -> Iterator[_Products]:
 
 def _of_rotors(channel: str, singles: Sequence[_Products]) -> Iterator[_Products]:
     """Changes of a rotor's own thrust or voltage: a share of it, or of the other's."""
-    own = "own_thrust" if channel.startswith("thrust") else "own_voltage"
-    share = _one("linear", own)
+    rotor_quantity = "own_thrust" if channel.startswith("thrust") else "own_voltage"
+    share = _one("linear", rotor_quantity)
     for products in singles:
         # Thrust that depends on thrust is what follows.
         if not any(QUANTITIES[f.quantity].kind == "thrust" for factors in products for f in factors):
             yield tuple((share, *factors) for factors in products)
-    yield ((_one("square", own),),)
-    yield ((share, _one("linear", "voltage" if own == "own_voltage" else "thrust")),)
-    if own == "own_voltage":
+    yield ((_one("square", rotor_quantity),),)
+    yield ((share, _one("linear", "voltage" if rotor_quantity == "own_voltage" else "thrust")),)
+    if rotor_quantity == "own_voltage":
         return
     yield ((_one("linear", "other_thrust"),),)
     for s in _LAGS_s:
-        yield ((_one("linear", own, "washout", s=s),),)
-        yield ((_sign(own, "washout", s=s),),)
+        yield ((_one("linear", rotor_quantity, "washout", s=s),),)
+        yield ((_sign(rotor_quantity, "washout", s=s),),)
         yield ((_one("linear", "other_thrust", "lag", s=s),),)
 
 
@@ -185,7 +185,7 @@ def _of_encoder(axis: str, singles: Sequence[_Products]) -> Iterator[_Products]:
     because the controller feeds the quantisation error back; and half a sample of the own rate is in any log.
     """
     for products in singles:
-        factors = [factor for one in products for factor in one]
+        factors = [factor for product in products for factor in product]
         angles = all(QUANTITIES[f.quantity].kind == "angle" and not f.memory for f in factors)
         if angles and (factors[0].quantity == axis or factors[0].form in ("sin", "linear")):
             yield products
@@ -193,5 +193,5 @@ def _of_encoder(axis: str, singles: Sequence[_Products]) -> Iterator[_Products]:
 
 def tried_up_to(every: Sequence[Group]) -> dict[int, int]:
     """Number of groups of each size and of all smaller ones."""
-    sizes = sorted({one.size for one in every})
-    return {size: sum(one.size <= size for one in every) for size in sizes}
+    sizes = sorted({group.size for group in every})
+    return {size: sum(group.size <= size for group in every) for size in sizes}

@@ -8,11 +8,11 @@ from typing import Final
 from heli_sim.model.parts import AXES
 from heli_sim.rig.quantity import Prior
 
-from heli_lab.diagnose.equation_discovery.law import (
+from heli_lab.diagnose.equation_discovery.equation import (
     CHANNELS,
-    Law,
-    LawEffect,
-    LawTerm,
+    Equation,
+    EquationEffect,
+    EquationTerm,
     memory_name,
     rotor_signs,
 )
@@ -30,42 +30,47 @@ _CHANNEL_LATEX: Final = {
 _ACTS_ON: Final = {"thrust": "thrust", "voltage": "input"}
 
 
-def expression(law: Law, channel: str, numbers: Mapping[str, float] | None = None) -> str:
-    """Write what a `law` adds to a `channel` for SymPy, by the names of its numbers, or with the values that
+def expression(equation: Equation, channel: str, numbers: Mapping[str, float] | None = None) -> str:
+    """Write what an `equation` adds to a `channel` for SymPy, by names of its numbers or with the values that
     `numbers` has by those names.
     """
-    return _sum(law, channel, "sympy", {n: _digits(v) for n, v in numbers.items()} if numbers else None)
+    return _sum(equation, channel, "sympy", {n: _digits(v) for n, v in numbers.items()} if numbers else None)
 
 
-def latex(law: Law, numbers: Mapping[str, float] | None = None) -> str:
-    """Write a `law` in LaTeX, a comma between channels, by the names of its numbers, or with the values that
+def latex(equation: Equation, numbers: Mapping[str, float] | None = None) -> str:
+    """Write an `equation` in LaTeX, commas between channels, by names of its numbers or with the values that
     `numbers` has by those names.
     """
     if numbers is not None:
         texts = {name: _latex_number(value) for name, value in numbers.items()}
     else:
-        texts = {name: _latex_name(name) for name in _names(law)}
-    parts = [f"{_CHANNEL_LATEX[one]} = {_sum(law, one, 'latex', texts)}" for one in law.channels]
+        texts = {name: _latex_name(name) for name in _names(equation)}
+    parts = [
+        f"{_CHANNEL_LATEX[channel]} = {_sum(equation, channel, 'latex', texts)}"
+        for channel in equation.channels
+    ]
     return r",\quad ".join(parts)
 
 
-def _sum(law: Law, channel: str, notation: str, texts: Mapping[str, str] | None) -> str:
-    texts = texts or {name: name for name in _names(law)}
+def _sum(equation: Equation, channel: str, notation: str, texts: Mapping[str, str] | None) -> str:
+    texts = texts or {name: name for name in _names(equation)}
     times = {"sympy": "*", "latex": r"\,"}[notation]
     parts = []
-    for i, one in enumerate(law.terms):
-        if one.channel != channel:
+    for i, term in enumerate(equation.terms):
+        if term.channel != channel:
             continue
         factors = [
-            factor.written(notation, {own: texts[name] for own, name in law.numbers_of(i, j).items()})
-            for j, factor in enumerate(one.term.factors)
+            factor.written(
+                notation, {inner_name: texts[name] for inner_name, name in equation.numbers_of(i, j).items()}
+            )
+            for j, factor in enumerate(term.term.factors)
         ]
-        parts.append(times.join((texts[law.coefficient(i)], *factors)))
+        parts.append(times.join((texts[equation.coefficient(i)], *factors)))
     return " + ".join(parts).replace("+ -", "- ")
 
 
-def _names(law: Law) -> list[str]:
-    return [*law.coefficients, *(name for _, _, _, name, _, _ in law.inner())]
+def _names(equation: Equation) -> list[str]:
+    return [*equation.coefficients, *(name for _, _, _, name, _, _ in equation.inner())]
 
 
 def _digits(value: float) -> str:
@@ -87,45 +92,48 @@ def _latex_name(name: str) -> str:
     return f"{symbol}_{{{head[len(letters) :]}}}"
 
 
-def sentence(law: Law, numbers: Mapping[str, float]) -> str:
-    """Say what a `law` adds to each channel, with the values that `numbers` has by name."""
-    return " and ".join(f"{one} = {expression(law, one, numbers)} {CHANNELS[one][0]}" for one in law.channels)
+def sentence(equation: Equation, numbers: Mapping[str, float]) -> str:
+    """Say what a `equation` adds to each channel, with the values that `numbers` has by name."""
+    return " and ".join(
+        f"{channel} = {expression(equation, channel, numbers)} {CHANNELS[channel][0]}"
+        for channel in equation.channels
+    )
 
 
-def effect_file(effect: LawEffect, numbers: Mapping[str, tuple[float, float, str]], head: str) -> str:
+def effect_file(effect: EquationEffect, numbers: Mapping[str, tuple[float, float, str]], head: str) -> str:
     """Write a law as an effect file that `heli-host fly --effects` flies.
 
     Parameters
     ----------
-    effect : LawEffect
+    effect : EquationEffect
         The law as it was refitted, with the priors of its numbers.
     numbers : Mapping[str, (float, float, str)]
         Value, standard error and unit of each, by name without prefix.
     head : str
         First lines of the file: where the law comes from.
     """
-    law = effect.law
+    equation = effect.equation
     values = {name: value for name, (value, _, _) in numbers.items()}
-    said = sentence(law, values)
-    body = [*_methods(law)]
+    formula = sentence(equation, values)
+    body = [*_methods(equation)]
     states = "".join(
         f'        Quantity("{state.name.removeprefix(effect.prefix + "_")}", "{state.unit}", '
         '"a copy behind a first-order lag"),\n'
         for state in effect.states
     )
     stage = effect.stage.name
-    acts_on = _ACTS_ON.get(law.channels[0].partition(".")[0], law.channels[0])
+    acts_on = _ACTS_ON.get(equation.channels[0].partition(".")[0], equation.channels[0])
     parameters = "".join(
         _parameter(
-            name, *numbers[name], effect.priors.get(f"{effect.prefix}_{name}"), name in law.coefficients
+            name, *numbers[name], effect.priors.get(f"{effect.prefix}_{name}"), name in equation.coefficients
         )
-        for name in _names(law)
+        for name in _names(equation)
     )
     quantity = ", Quantity" if states else ""
     docstring = "\n".join(line.replace("\\", "").replace('"""', "'") for line in head.splitlines())
     return f'''"""{docstring}
 
-{said}
+{formula}
 """
 
 import casadi as ca
@@ -135,15 +143,15 @@ from heli_sim.rig import Prior{quantity}
 from typing_extensions import override
 
 
-class ProposedLaw(Effect):
-    """{said}"""
+class ProposedTerm(Effect):
+    """{formula}"""
 {"".join(body)}
 
-PROPOSED_LAW = EffectKind(
+PROPOSED_TERM = EffectKind(
     id="{effect.name}",
-    effect=ProposedLaw,
-    sentence="{_sentence(law)}",
-    equation=r"{latex(law)}",
+    effect=ProposedTerm,
+    sentence="{_sentence(equation)}",
+    equation=r"{latex(equation)}",
     acts_on="{acts_on}",
     stage=Stage.{stage},
     numbers=(
@@ -152,17 +160,17 @@ PROPOSED_LAW = EffectKind(
 '''
 
 
-def _sentence(law: Law) -> str:
+def _sentence(equation: Equation) -> str:
     """The sentence of the effect, its numbers in braces as the table of effects wants them."""
     parts = []
-    for channel in law.channels:
-        texts = {name: f"[{{{name}}}]" for name in _names(law)}
-        parts.append(f"{channel} = {_sum(law, channel, 'sympy', texts)}")
+    for channel in equation.channels:
+        texts = {name: f"[{{{name}}}]" for name in _names(equation)}
+        parts.append(f"{channel} = {_sum(equation, channel, 'sympy', texts)}")
     return " and ".join(parts)
 
 
 def _parameter(name: str, value: float, std: float, unit: str, prior: Prior | None, size: bool) -> str:
-    said = f"{value:.4g} +- {std:.2g} {unit}" if std else "set"
+    source = f"{value:.4g} +- {std:.2g} {unit}" if std else "set"
     known = ""
     if prior is not None:
         bounds = "" if size else f", {prior.low:.6g}, {prior.high:.6g}"
@@ -170,38 +178,41 @@ def _parameter(name: str, value: float, std: float, unit: str, prior: Prior | No
     return f'''        Parameter(
             "{name}",
             "{unit}",
-            "found: {said}",
+            "found: {source}",
             typical={value:.8g},{known}
             size={size},
         ),
 '''
 
 
-def _methods(law: Law) -> Iterator[str]:
-    kinds = {one.partition(".")[0] for one in law.channels}
+def _methods(equation: Equation) -> Iterator[str]:
+    kinds = {channel.partition(".")[0] for channel in equation.channels}
     if "torque" in kinds:
-        lines = [_plus(law, f"torque.{axis}") if f"torque.{axis}" in law.channels else "0" for axis in AXES]
-        yield _method("torque_Nm", "", law, "torque", f"ca.vertcat({', '.join(lines)})")
+        lines = [
+            _plus(equation, f"torque.{axis}") if f"torque.{axis}" in equation.channels else "0"
+            for axis in AXES
+        ]
+        yield _method("torque_Nm", "", equation, "torque", f"ca.vertcat({', '.join(lines)})")
     for kind, name, before in (("thrust", "thrust_N", "thrust_N"), ("voltage", "voltage_V", "volts_V")):
         if kind in kinds:
             parts = [
-                f"ca.DM({list(rotor_signs(one))}) * ({_plus(law, one)})"
-                for one in law.channels
-                if one.startswith(kind)
+                f"ca.DM({list(rotor_signs(channel))}) * ({_plus(equation, channel)})"
+                for channel in equation.channels
+                if channel.startswith(kind)
             ]
-            yield _method(name, before, law, kind, " + ".join((before, *parts)))
+            yield _method(name, before, equation, kind, " + ".join((before, *parts)))
     if "measurement" in kinds:
         lines = [
-            _plus(law, f"measurement.{axis}") if f"measurement.{axis}" in law.channels else "0"
+            _plus(equation, f"measurement.{axis}") if f"measurement.{axis}" in equation.channels else "0"
             for axis in AXES
         ]
         value = f"angles_rad + ca.vertcat({', '.join(lines)})"
-        yield _method("measured_rad", "angles_rad", law, "measurement", value)
+        yield _method("measured_rad", "angles_rad", equation, "measurement", value)
     rates = [
         f"({QUANTITIES[factor.quantity].python} - {_memory(i, j, factor)})"
-        f' / self.own(at, "{law.numbers_of(i, j)["s"]}")'
-        for i, one in enumerate(law.terms)
-        for j, factor in enumerate(one.term.factors)
+        f' / self.own(at, "{equation.numbers_of(i, j)["s"]}")'
+        for i, term in enumerate(equation.terms)
+        for j, factor in enumerate(term.term.factors)
         if factor.memory
     ]
     if rates:
@@ -209,23 +220,25 @@ def _methods(law: Law) -> Iterator[str]:
         yield f"\n    @override\n    def state_rates(self, at):\n        return {value}\n"
 
 
-def _method(name: str, argument: str, law: Law, kind: str, value: str) -> str:
+def _method(name: str, argument: str, equation: Equation, kind: str, value: str) -> str:
     lines = []
-    for i, one in enumerate(law.terms):
-        if one.channel.startswith(kind):
-            lines.append(f"        term_{i + 1} = {_python(law, i, one)}\n")
+    for i, term in enumerate(equation.terms):
+        if term.channel.startswith(kind):
+            lines.append(f"        term_{i + 1} = {_python(equation, i, term)}\n")
     given = f", {argument}" if argument else ""
     return f"\n    @override\n    def {name}(self, at{given}):\n{''.join(lines)}        return {value}\n"
 
 
-def _plus(law: Law, channel: str) -> str:
-    return " + ".join(f"term_{i + 1}" for i, one in enumerate(law.terms) if one.channel == channel)
+def _plus(equation: Equation, channel: str) -> str:
+    return " + ".join(f"term_{i + 1}" for i, term in enumerate(equation.terms) if term.channel == channel)
 
 
-def _python(law: Law, i: int, one: LawTerm) -> str:
-    parts = [f'self.own(at, "{law.coefficient(i)}")']
-    for j, factor in enumerate(one.term.factors):
-        texts = {own: f'self.own(at, "{name}")' for own, name in law.numbers_of(i, j).items()}
+def _python(equation: Equation, i: int, term: EquationTerm) -> str:
+    parts = [f'self.own(at, "{equation.coefficient(i)}")']
+    for j, factor in enumerate(term.term.factors):
+        texts = {
+            inner_name: f'self.own(at, "{name}")' for inner_name, name in equation.numbers_of(i, j).items()
+        }
         x = None
         if factor.memory:
             x = _memory(i, j, factor)

@@ -14,13 +14,13 @@ from heli_sim.model.parts import AXES
 from heli_lab.diagnose.effect_contribution import accelerations
 from heli_lab.diagnose.equation_discovery.discover import discover
 from heli_lab.diagnose.equation_discovery.discovery import Discovery
-from heli_lab.diagnose.equation_discovery.law import CHANNELS, Law
+from heli_lab.diagnose.equation_discovery.equation import CHANNELS, Equation
 from heli_lab.diagnose.equation_discovery.notation import effect_file, expression, latex, sentence
 from heli_lab.diagnose.equation_discovery.scoring import Courses
 from heli_lab.diagnose.equation_discovery.terms import QUANTITIES
 from heli_lab.diagnose.error_reduction import ErrorReduction, judgement
 from heli_lab.diagnose.free_run import FreeRun, free_runs
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.prediction import Prediction, predict
 from heli_lab.diagnose.screening import Screening
 from heli_lab.diagnose.thresholds import (
@@ -36,7 +36,7 @@ _MATTERS: Final = 0.5
 
 
 @dataclass(frozen=True)
-class Matters:
+class SupportedRange:
     """Where in the flights a law matters.
 
     Parameters
@@ -60,7 +60,7 @@ class Matters:
 
 
 @dataclass(frozen=True)
-class LawCourse:
+class TermTrace:
     """A law along a flight, beside what the model without it lacks.
 
     Parameters
@@ -90,7 +90,7 @@ class LawCourse:
 
 
 @dataclass(frozen=True)
-class ProposedLaw:
+class ProposedTerm:
     """The law of what is on no list, proposed.
 
     Parameters
@@ -101,22 +101,22 @@ class ProposedLaw:
         Free runs of the model with it.
     gains : Mapping[str, ErrorReduction]
         Errors over 2 s of the baseline and with the law, by axis, on the flights held out.
-    matters : tuple of Matters
+    matters : tuple of SupportedRange
         Where it matters, for each channel.
-    course : LawCourse
+    reference : TermTrace
         The law along the first flight held out, or where none was the first one fitted.
     """
 
     discovery: Discovery
     prediction: Prediction
     gains: Mapping[str, ErrorReduction]
-    matters: tuple[Matters, ...]
-    course: LawCourse
+    matters: tuple[SupportedRange, ...]
+    reference: TermTrace
 
     @property
-    def law(self) -> Law:
+    def equation(self) -> Equation:
         """Its terms."""
-        return self.discovery.law
+        return self.discovery.equation
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -128,13 +128,13 @@ class ProposedLaw:
         """How sure the form is, 0 to 1: how far the law is ahead of nothing and of its closest rival, and
         whether the flights held out confirm it.
         """
-        found = self.discovery
-        rivals = [one.log_likelihood_ratio for one in found.rivals]
-        margin = max(0.0, min([found.train - found.penalty, *rivals]))
+        discovery = self.discovery
+        rivals = [rival.log_likelihood_ratio for rival in discovery.rivals]
+        margin = max(0.0, min([discovery.train - discovery.penalty, *rivals]))
         sure = 1.0 - 0.5 * math.exp(-margin / CONFIDENCE_NATS)
-        if found.held_out is None:
+        if discovery.held_out is None:
             return min(LAW_UNCONFIRMED, sure)
-        sure /= 1.0 + math.exp(-found.held_out / HELD_OUT_NATS)
+        sure /= 1.0 + math.exp(-discovery.held_out / HELD_OUT_NATS)
         return float(min(MAX_CONFIDENCE, sure))
 
     def effect_file(self, head: str) -> str:
@@ -144,94 +144,97 @@ class ProposedLaw:
     @property
     def sentence(self) -> str:
         """What it adds to each channel, with its numbers."""
-        return sentence(self.law, self.numbers)
+        return sentence(self.equation, self.numbers)
 
     def lines(self) -> list[str]:
         """The law for a terminal, a line each."""
-        found = self.discovery
+        discovery = self.discovery
         confirmed = (
-            "no other flight confirms it" if found.held_out is None else f"{found.held_out:.0f} held out"
+            "no other flight confirms it"
+            if discovery.held_out is None
+            else f"{discovery.held_out:.0f} held out"
         )
         lines = [
             f"proposed law: {self.sentence} (confidence {self.confidence:.2f}; "
-            f"{found.train:.0f} nats on the flights fitted, {confirmed})"
+            f"{discovery.train:.0f} nats on the flights fitted, {confirmed})"
         ]
-        for name, (value, std, unit) in found.values.items():
+        for name, (value, std, unit) in discovery.values.items():
             error = f" +- {std:.2g}" if std else ""
             lines.append(f"  {name} = {value:.4g}{error} {'' if unit == '1' else unit}".rstrip())
-        close = [one.key for one in found.rivals if one.log_likelihood_ratio < CONFIDENCE_NATS]
+        close = [rival.key for rival in discovery.rivals if rival.log_likelihood_ratio < CONFIDENCE_NATS]
         if close:
             lines.append(f"  nearly as likely on these flights: {'; '.join(close)}")
-        for axis, one in self.gains.items():
-            if one.ratio < 0.9:
-                lines.append(f"  with it {axis} is off by {one.after_deg:.3g} deg, ratio {one.ratio:.2f}")
-        if found.superfluous:
-            lines.append(f"  beside it nothing needs {', '.join(found.superfluous)}")
+        for axis, gain in self.gains.items():
+            if gain.ratio < 0.9:
+                lines.append(f"  with it {axis} is off by {gain.after_deg:.3g} deg, ratio {gain.ratio:.2f}")
+        if discovery.superfluous:
+            lines.append(f"  beside it nothing needs {', '.join(discovery.superfluous)}")
         return lines
 
     def to_json(self) -> dict[str, Any]:
         """The law for other programs; docs/diagnosing.md describes the keys."""
-        found, law = self.discovery, self.law
-        symbols = {q for one in law.terms for q in one.term.quantities}
-        channel = law.channels[0]
+        discovery, equation = self.discovery, self.equation
+        symbols = {q for term in equation.terms for q in term.term.quantities}
+        channel = equation.channels[0]
         return {
-            "effect": found.effect.name,
+            "effect": discovery.effect.name,
             "channel": channel,
             "unit": CHANNELS[channel][0],
-            "expression": expression(law, channel),
-            "expression_with_numbers": expression(law, channel, self.numbers),
+            "expression": expression(equation, channel),
+            "expression_with_numbers": expression(equation, channel, self.numbers),
             "further_channels": [
                 {
-                    "channel": one,
-                    "unit": CHANNELS[one][0],
-                    "expression": expression(law, one),
-                    "expression_with_numbers": expression(law, one, self.numbers),
+                    "channel": further,
+                    "unit": CHANNELS[further][0],
+                    "expression": expression(equation, further),
+                    "expression_with_numbers": expression(equation, further, self.numbers),
                 }
-                for one in law.channels[1:]
+                for further in equation.channels[1:]
             ],
             "symbols": {name: str(QUANTITIES[name].unit) for name in sorted(symbols)},
-            "latex": latex(law),
+            "latex": latex(equation),
             "numbers": {
                 name: {"value": value, "std": std, "unit": unit}
-                for name, (value, std, unit) in found.values.items()
+                for name, (value, std, unit) in discovery.values.items()
             },
             "confidence": round(self.confidence, 3),
             "sentence": self.sentence,
             "evidence": {
-                "log_likelihood_ratio_train": found.train,
-                "log_likelihood_ratio_held_out": found.held_out,
-                "log_likelihood_ratio_of_curves": found.curve,
-                "penalty": found.penalty,
-                "terms_tried": found.tried,
+                "log_likelihood_ratio_train": discovery.train,
+                "log_likelihood_ratio_held_out": discovery.held_out,
+                "log_likelihood_ratio_of_curves": discovery.curve,
+                "penalty": discovery.penalty,
+                "terms_tried": discovery.tried,
             },
             "rivals": [
-                {"term": one.key, "log_likelihood_ratio": one.log_likelihood_ratio} for one in found.rivals
+                {"term": rival.key, "log_likelihood_ratio": rival.log_likelihood_ratio}
+                for rival in discovery.rivals
             ],
-            "superfluous": list(found.superfluous),
+            "superfluous": list(discovery.superfluous),
             "matters": [
                 {
-                    "channel": one.channel,
-                    "rms": one.rms,
-                    "largest": one.largest,
-                    "share_of_time": one.share,
-                    "ranges": {name: list(span) for name, span in one.ranges.items()},
+                    "channel": supported.channel,
+                    "rms": supported.rms,
+                    "largest": supported.largest,
+                    "share_of_time": supported.share,
+                    "ranges": {name: list(span) for name, span in supported.ranges.items()},
                 }
-                for one in self.matters
+                for supported in self.matters
             ],
             "gain": {
                 axis: {
-                    "before": one.before_deg,
-                    "after": one.after_deg,
-                    "ratio": one.ratio,
-                    "interval95": list(one.interval95),
+                    "before": gain.before_deg,
+                    "after": gain.after_deg,
+                    "ratio": gain.ratio,
+                    "interval95": list(gain.interval95),
                 }
-                for axis, one in self.gains.items()
+                for axis, gain in self.gains.items()
             },
         }
 
 
-def propose_law(
-    comparison: Comparison,
+def propose_term(
+    comparison: ModelComparison,
     base: Hypothesis,
     curve: Hypothesis | None,
     kinds: Mapping[str, EffectKind],
@@ -240,12 +243,12 @@ def propose_law(
     seed: int,
     refits: float,
     say: Callable[[str, float], None],
-) -> ProposedLaw | None:
+) -> ProposedTerm | None:
     """Look for a law, and measure what it gains on the flights held out; None where there is none.
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ModelComparison
         The flights.
     base : Hypothesis
         The model with the causes that were named.
@@ -264,37 +267,39 @@ def propose_law(
     say : callable
         Called with what is being done, and the share of the work that is done.
     """
-    found = discover(
+    discovery = discover(
         comparison, base, curve=curve, kinds=kinds, refits=refits, say=lambda what: say(what, 0.94)
     )
-    if found is None:
+    if discovery is None:
         return None
-    estimate = found.hypothesis.estimate
-    prediction = predict(found.hypothesis.candidates, estimate, comparison.train, comparison.held_out)
+    estimate = discovery.hypothesis.estimate
+    prediction = predict(discovery.hypothesis.candidates, estimate, comparison.train, comparison.held_out)
     runs = free_runs(prediction.fit, comparison.held_out, calibrate_s)
     gains = judgement(runs_before, runs, seed).horizons["2"]
-    return ProposedLaw(found, prediction, gains, where(found), course_of(found))
+    return ProposedTerm(discovery, prediction, gains, where(discovery), course_of(discovery))
 
 
-def course_of(found: Discovery) -> LawCourse:
+def course_of(discovery: Discovery) -> TermTrace:
     """Follow a law along a flight."""
-    without, beside = found.elsewhere or (found.base.estimate, found.hypothesis.estimate)
-    label = beside.courses[0].record.label
-    law_s, change = accelerations(beside, found.effect.name)
-    courses = Courses(Screening(beside))
-    linear = courses.linears[0]
+    without, beside = discovery.elsewhere or (discovery.base.estimate, discovery.hypothesis.estimate)
+    label = beside.references[0].record.label
+    law_s, change = accelerations(beside, discovery.effect.name)
+    references = Courses(Screening(beside))
+    linear = references.linearised_flights[0]
     torque = linear.torque_for(change)
     axis = int(np.argmax(torque.std(axis=0)))
-    t_s, missing, std = without.filtered().smoothed_torques(without.weather, np.zeros(len(without.theta)))[0]
-    law = np.interp(t_s, law_s, torque[:, axis])
-    on = found.law.terms[0].term.quantities[-1]
-    value = courses.quantity(0, on)
+    t_s, missing, std = without.filtered().smoothed_torques(
+        without.disturbances, np.zeros(len(without.theta))
+    )[0]
+    equation = np.interp(t_s, law_s, torque[:, axis])
+    on = discovery.equation.terms[0].term.quantities[-1]
+    value = references.quantity(0, on)
     value = value if value.ndim == 1 else value.mean(axis=1)
-    return LawCourse(
+    return TermTrace(
         label,
         AXES[axis],
         t_s,
-        law - law.mean(),
+        equation - equation.mean(),
         missing[:, axis] - missing[:, axis].mean(),
         std[:, axis],
         on,
@@ -303,38 +308,38 @@ def course_of(found: Discovery) -> LawCourse:
     )
 
 
-def where(found: Discovery) -> tuple[Matters, ...]:
+def where(discovery: Discovery) -> tuple[SupportedRange, ...]:
     """Where in the flights fitted a law matters, channel by channel."""
-    courses = Courses(Screening(found.hypothesis.estimate))
-    flights = range(len(courses.linears))
+    references = Courses(Screening(discovery.hypothesis.estimate))
+    flights = range(len(references.linearised_flights))
     result = []
-    for channel in found.law.channels:
-        size = np.concatenate([np.abs(along(found, courses, i, channel)).max(axis=1) for i in flights])
+    for channel in discovery.equation.channels:
+        size = np.concatenate([np.abs(along(discovery, references, i, channel)).max(axis=1) for i in flights])
         largest = float(np.quantile(size, 0.99))
         there = size >= _MATTERS * largest
         names = dict.fromkeys(
-            q for one in found.law.terms if one.channel == channel for q in one.term.quantities
+            q for term in discovery.equation.terms if term.channel == channel for q in term.term.quantities
         )
         ranges = {}
         for name in names:
-            every = [courses.quantity(i, name) for i in flights]
-            values = np.concatenate([one if one.ndim == 1 else one.mean(axis=1) for one in every])
+            every = [references.quantity(i, name) for i in flights]
+            values = np.concatenate([value if value.ndim == 1 else value.mean(axis=1) for value in every])
             low, high = np.quantile(values[there], [0.05, 0.95])
             ranges[name] = (float(low), float(high))
         result.append(
-            Matters(channel, float(np.sqrt(np.mean(size**2))), largest, ranges, float(there.mean()))
+            SupportedRange(channel, float(np.sqrt(np.mean(size**2))), largest, ranges, float(there.mean()))
         )
     return tuple(result)
 
 
-def along(found: Discovery, courses: Courses, index: int, channel: str) -> Floats:
-    """What a law adds to a `channel` along the flight of number `index` of the `courses`, about its mean,
+def along(discovery: Discovery, references: Courses, index: int, channel: str) -> Floats:
+    """What a law adds to a `channel` along the flight of number `index` of the `references`, about its mean,
     (n, 1), or (n, 2) rotor by rotor.
     """
     total: Floats = np.zeros((1, 1))
-    values = found.values
-    for i, one in enumerate(found.law.terms):
-        if one.channel == channel:
-            term = courses.values(index, found.with_numbers(i))
-            total = total + values[found.law.coefficient(i)][0] * term
+    values = discovery.values
+    for i, law_term in enumerate(discovery.equation.terms):
+        if law_term.channel == channel:
+            term = references.values(index, discovery.with_numbers(i))
+            total = total + values[discovery.equation.coefficient(i)][0] * term
     return np.asarray(total - total.mean(axis=0), float)

@@ -13,13 +13,13 @@ import numpy as np
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose.candidate import ExtendedModel
+from heli_lab.diagnose.equation_discovery.equation import Equation, EquationTerm, equation_effect, rotor_signs
 from heli_lab.diagnose.equation_discovery.grammar import Group
-from heli_lab.diagnose.equation_discovery.law import Law, LawTerm, law_effect, rotor_signs
 from heli_lab.diagnose.equation_discovery.terms import QUANTITIES, Factor, Term
 from heli_lab.diagnose.screening import Screening, score_of
 from heli_lab.identify.functions import Floats
-from heli_lab.innovations import AlongCourse, Linear, Trajectory
-from heli_lab.threads import shared_out
+from heli_lab.innovations import AlongTrajectory, LinearisedFlight, Trajectory
+from heli_lab.threads import parallel_map
 
 _LARGEST: Final[Mapping[str, float]] = {
     "torque.elevation": 0.3,
@@ -45,23 +45,23 @@ class ScoredGroup:
         Gain that the score test promises, nats.
     coefficients : ndarray (g,)
         Of its terms.
-    stds : tuple of float
+    reported_std : tuple of float
         Prior standard deviations of the coefficients.
     """
 
     group: Group
     log_likelihood_gain: float
     coefficients: Floats
-    stds: tuple[float, ...]
+    reported_std: tuple[float, ...]
 
 
 class Courses:
     """Quantities along the flights of a screening, and what each channel does to the rig there."""
 
     def __init__(self, screening: Screening) -> None:
-        self.linears = screening.filtered.linears
-        self._middle = [_quantities(one, one.trajectory) for one in self.linears]
-        self._nodes = [_quantities(one, one.nodes) for one in self.linears]
+        self.linearised_flights = screening.filtered.linearised_flights
+        self._middle = [_quantities(linear, linear.trajectory) for linear in self.linearised_flights]
+        self._nodes = [_quantities(linear, linear.nodes) for linear in self.linearised_flights]
         self._factors: dict[tuple[int, Factor, bool], Floats] = {}
         self._influences: dict[tuple[int, str], Floats] = {}
         self._extended: dict[str, ExtendedModel] = {}
@@ -69,8 +69,11 @@ class Courses:
     @property
     def spans(self) -> dict[str, tuple[float, float]]:
         """Lowest and highest value of each quantity."""
-        every = {name: np.concatenate([one[name] for one in self._middle]) for name in self._middle[0]}
-        return {name: (float(one.min()), float(one.max())) for name, one in every.items()}
+        every = {
+            name: np.concatenate([quantities[name] for quantities in self._middle])
+            for name in self._middle[0]
+        }
+        return {name: (float(values.min()), float(values.max())) for name, values in every.items()}
 
     def quantity(self, index: int, name: str) -> Floats:
         """The quantity `name` in the middle of each step of the flight `index`, (n,), or (n, 2) where each
@@ -78,11 +81,11 @@ class Courses:
         """
         return self._middle[index][name]
 
-    def values(self, index: int, one: LawTerm) -> Floats:
+    def values(self, index: int, term: EquationTerm) -> Floats:
         """A term along the flight `index`, shape (n, 1), or (n, 2) where it is each rotor's own."""
-        nodes = one.channel.startswith("measurement")
+        nodes = term.channel.startswith("measurement")
         value = np.ones((len(self._middle[index]["time"]), 1))
-        for factor in one.term.factors:
+        for factor in term.term.factors:
             value = value * self._factor(index, factor, nodes)
         return value
 
@@ -100,7 +103,7 @@ class Courses:
         # Most of a second to import, and few diagnoses look for a law.
         from scipy.signal import lfilter
 
-        linear = self.linears[index]
+        linear = self.linearised_flights[index]
         keep = math.exp(-linear.trajectory.step_s / dict(factor.numbers)["s"])
         late = np.empty_like(x)
         for window in linear.windows:
@@ -108,30 +111,32 @@ class Courses:
             late[window] = lfilter([1.0 - keep], [1.0, -keep], part, axis=0, zi=keep * part[:1])[0]
         return late if factor.memory == "lag" else late - x
 
-    def signal(self, index: int, one: LawTerm, value: Floats) -> Floats:
+    def signal(self, index: int, term: EquationTerm, value: Floats) -> Floats:
         """What one unit of the coefficient of a term changes on the flight `index`, by its `value` as
         `values` gives it: of rates, (n, states, 1), or where it acts on an encoder of the measured angles,
         (n, 3, 1).
         """
-        if one.channel.startswith(("torque", "measurement")):
-            influence = self._influence(index, one.channel)
+        if term.channel.startswith(("torque", "measurement")):
+            influence = self._influence(index, term.channel)
             return influence * value[:, None, :]
-        kind = one.channel.partition(".")[0]
-        total = np.zeros((len(value), self.linears[index].states))
-        for rotor, sign in enumerate(rotor_signs(one.channel)):
+        kind = term.channel.partition(".")[0]
+        total = np.zeros((len(value), self.linearised_flights[index].states))
+        for rotor, sign in enumerate(rotor_signs(term.channel)):
             if sign:
-                own = value[:, min(rotor, value.shape[1] - 1)]
+                rotor_value = value[:, min(rotor, value.shape[1] - 1)]
                 influence = self._influence(index, f"{kind}.{('front', 'back')[rotor]}")
-                total += sign * influence[:, :, 0] * own[:, None]
+                total += sign * influence[:, :, 0] * rotor_value[:, None]
         return total[:, :, None]
 
     def _influence(self, index: int, channel: str) -> Floats:
         """Change of the rates (of the angles on an encoder) by one unit on a channel, (n, states, 1)."""
         if (index, channel) not in self._influences:
-            linear = self.linears[index]
+            linear = self.linearised_flights[index]
             if channel not in self._extended:
-                law = Law((LawTerm(channel, Term(())),))
-                effect = law_effect(law, dict.fromkeys(law.coefficients, 1.0), name="unit_term")
+                equation = Equation((EquationTerm(channel, Term(())),))
+                effect = equation_effect(
+                    equation, dict.fromkeys(equation.coefficients, 1.0), name="unit_term"
+                )
                 self._extended[channel] = ExtendedModel(linear.model, effect, tuple(effect.priors))
             extended = self._extended[channel]
             rates, angles = extended.run(linear.trajectory, extended.effect.values)
@@ -139,7 +144,7 @@ class Courses:
         return self._influences[index, channel]
 
 
-def score(screening: Screening, courses: Courses, groups: Sequence[Group]) -> list[ScoredGroup]:
+def score(screening: Screening, references: Courses, groups: Sequence[Group]) -> list[ScoredGroup]:
     """Score groups of terms, each by itself, the highest score first; those that are constant along the
     flights are left out.
     """
@@ -148,48 +153,52 @@ def score(screening: Screening, courses: Courses, groups: Sequence[Group]) -> li
         for channel, some in itertools.groupby(groups, lambda group: group.terms[0].channel)
         for batch in _batches(list(some), screening.batch)
     ]
-    scored = shared_out(lambda one: _scored(screening, courses, *one), batches, screening.threads)
-    return sorted((one for some in scored for one in some), key=lambda one: -one.log_likelihood_gain)
+    scored = parallel_map(
+        lambda arguments: _scored(screening, references, *arguments), batches, screening.threads
+    )
+    return sorted((group for some in scored for group in some), key=lambda group: -group.log_likelihood_gain)
 
 
 def _scored(
-    screening: Screening, courses: Courses, channel: str, batch: Sequence[Group]
+    screening: Screening, references: Courses, channel: str, batch: Sequence[Group]
 ) -> list[ScoredGroup]:
     """Scores of groups of terms of one channel, filtered together."""
-    flights = range(len(courses.linears))
-    kept, stds, values = [], [], []
+    flights = range(len(references.linearised_flights))
+    kept, reported_std, values = [], [], []
     for group in batch:
-        own = [[courses.values(i, one) for i in flights] for one in group.terms]
-        together = [np.concatenate(one) for one in own]
-        if any(float(np.ptp(one)) <= _STEADY * float(np.abs(one).max()) for one in together):
+        by_term = [[references.values(i, term) for i in flights] for term in group.terms]
+        together = [np.concatenate(by_flight) for by_flight in by_term]
+        if any(
+            float(np.ptp(term_value)) <= _STEADY * float(np.abs(term_value).max()) for term_value in together
+        ):
             continue
         kept.append(group)
-        values += own
-        stds.append(
+        values += by_term
+        reported_std.append(
             np.array(
                 [
-                    coefficient_std(one, float(np.sqrt(np.mean(value**2))))
-                    for one, value in zip(group.terms, together, strict=True)
+                    coefficient_std(term, float(np.sqrt(np.mean(value**2))))
+                    for term, value in zip(group.terms, together, strict=True)
                 ]
             )
         )
     if not kept:
         return []
-    terms = [one for group in kept for one in group.terms]
-    only = _regressors(screening, courses, channel, terms, values)
+    terms = [term for group in kept for term in group.terms]
+    only = _regressors(screening, references, channel, terms, values)
     parts = screening.projected(only, [len(group.terms) for group in kept])
-    found = []
-    for group, std, (information, gradient) in zip(kept, stds, parts, strict=True):
+    scores = []
+    for group, std, (information, gradient) in zip(kept, reported_std, parts, strict=True):
         gain, coefficients = _solved(information, gradient, std)
-        found.append(ScoredGroup(group, gain, coefficients, tuple(map(float, std))))
-    return found
+        scores.append(ScoredGroup(group, gain, coefficients, tuple(map(float, std))))
+    return scores
 
 
 def _batches(groups: Sequence[Group], most: int) -> Iterator[list[Group]]:
     """Groups in their order, as many at once as have `most` terms."""
     batch: list[Group] = []
     for group in groups:
-        if batch and sum(len(one.terms) for one in batch) + len(group.terms) > most:
+        if batch and sum(len(member.terms) for member in batch) + len(group.terms) > most:
             yield batch
             batch = []
         batch.append(group)
@@ -198,29 +207,29 @@ def _batches(groups: Sequence[Group], most: int) -> Iterator[list[Group]]:
 
 def _regressors(
     screening: Screening,
-    courses: Courses,
+    references: Courses,
     channel: str,
-    terms: Sequence[LawTerm],
+    terms: Sequence[EquationTerm],
     values: Sequence[Sequence[Floats]],
 ) -> Iterator[Floats]:
     """What one unit of each term's coefficient takes off the innovations, shape (m, s) for each flight."""
-    flights = range(len(courses.linears))
-    weather = screening.estimate.weather
+    flights = range(len(references.linearised_flights))
+    disturbances = screening.estimate.disturbances
     kind, _, where = channel.partition(".")
     if kind == "torque":
-        torques = [np.concatenate([one[i] for one in values], axis=1) for i in flights]
-        return screening.filtered.torque_regressors(weather, AXES.index(where), torques)
+        torques = [np.concatenate([by_flight[i] for by_flight in values], axis=1) for i in flights]
+        return screening.filtered.torque_regressors(disturbances, AXES.index(where), torques)
     signals: list[tuple[Floats, Floats | None]] = []
     for i in flights:
         columns = np.concatenate(
-            [courses.signal(i, one, value[i]) for one, value in zip(terms, values, strict=True)], axis=2
+            [references.signal(i, term, value[i]) for term, value in zip(terms, values, strict=True)], axis=2
         )
         if kind == "measurement":
-            none = np.zeros((len(columns), courses.linears[i].states, columns.shape[2]))
+            none = np.zeros((len(columns), references.linearised_flights[i].states, columns.shape[2]))
             signals.append((none, columns))
         else:
             signals.append((columns, None))
-    return screening.filtered.regressors(weather, signals)
+    return screening.filtered.regressors(disturbances, signals)
 
 
 def _solved(information: Floats, gradient: Floats, std: Floats) -> tuple[float, Floats]:
@@ -231,21 +240,21 @@ def _solved(information: Floats, gradient: Floats, std: Floats) -> tuple[float, 
     return gain, coefficients
 
 
-def coefficient_std(one: LawTerm, rms: float) -> float:
+def coefficient_std(term: EquationTerm, rms: float) -> float:
     """Prior standard deviation of the coefficient of a term of root mean square `rms` along the flights."""
-    kind = one.channel.partition(".")[0]
-    return _LARGEST.get(one.channel, _LARGEST.get(kind, 1.0)) / rms
+    kind = term.channel.partition(".")[0]
+    return _LARGEST.get(term.channel, _LARGEST.get(kind, 1.0)) / rms
 
 
-def _quantities(linear: Linear, trajectory: Trajectory) -> dict[str, Floats]:
+def _quantities(linear: LinearisedFlight, trajectory: Trajectory) -> dict[str, Floats]:
     """Values of every quantity along a course, (n,), or (n, 2) for what each rotor has of its own."""
     model = linear.model
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
     at = model.driven(x, u, p, t)
     wanted = [ca.densify(ca.SX(quantity.value(at))) for quantity in QUANTITIES.values()]
-    found = AlongCourse(ca.Function("quantities", [x, u, t, p], wanted))(trajectory)
+    values = AlongTrajectory(ca.Function("quantities", [x, u, t, p], wanted))(trajectory)
     return {
-        name: one[:, :, 0] if quantity.each else one[:, 0, 0]
-        for (name, quantity), one in zip(QUANTITIES.items(), found, strict=True)
+        name: value[:, :, 0] if quantity.each else value[:, 0, 0]
+        for (name, quantity), value in zip(QUANTITIES.items(), values, strict=True)
     }

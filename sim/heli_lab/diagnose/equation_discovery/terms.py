@@ -315,6 +315,6 @@ class Term:
     def key(self) -> str:
         """The term with its numbers, as text."""
         return "*".join(
-            one.written("sympy", {name: f"{value:.4g}" for name, value in one.numbers})
-            for one in self.factors
+            factor.written("sympy", {name: f"{value:.4g}" for name, value in factor.numbers})
+            for factor in self.factors
         )

@@ -33,7 +33,7 @@ class Backlash(Effect):
         return ({f"{self.place}_rad": half_rad}, {f"{self.place}_rad": -half_rad})
 
     @override
-    def along_measured(self) -> Effect:
+    def with_measured_angles(self) -> Effect:
         direction = Quantity(
             f"{self.prefix}_direction", "1", f"direction in which {self.place} has moved last"
         )

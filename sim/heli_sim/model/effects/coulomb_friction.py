@@ -40,7 +40,7 @@ class CoulombFriction(Effect):
         return acceleration_rad_s2[AXES.index(self.place)] + rate_rad_s / self.own(at, "hold_s")
 
     @override
-    def along_measured(self) -> Effect:
+    def with_measured_angles(self) -> Effect:
         return CoulombFrictionOfMeasuredRate(
             name=self.name,
             parameters=self.parameters,

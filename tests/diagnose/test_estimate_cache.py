@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from heli_lab.diagnose.kept_estimates import KeptEstimates, digest_of
+from heli_lab.diagnose.estimate_cache import EstimateCache, fingerprint
 from heli_lab.errors import IdentifyError
 from heli_lab.identify import Record, prepare
 from heli_sim.model import MultibodyModel
@@ -33,9 +33,9 @@ def test_digest_tells_flights_rigs_models_and_parts_apart() -> None:
         (MultibodyModel(), rig, [replace(record, segments=((start, stop - 1),))]),
         (MultibodyModel(), rig, [record, record]),
     )
-    digests = [digest_of(*one) for one in others]
+    digests = [fingerprint(*one) for one in others]
     assert len(set(digests)) == len(digests)
-    assert digest_of(*others[0]) == digests[0]
+    assert fingerprint(*others[0]) == digests[0]
 
 
 @pytest.mark.parametrize(
@@ -52,14 +52,14 @@ def test_file_of_something_else_is_refused_and_left_as_it_is(
 ) -> None:
     (tmp_path / "kept").write_bytes(content)
     with pytest.raises(IdentifyError, match=said):
-        KeptEstimates(tmp_path / "kept", "mine")
+        EstimateCache(tmp_path / "kept", "mine")
     assert (tmp_path / "kept").read_bytes() == content
 
 
 def test_line_that_was_cut_is_dropped_and_what_stands_before_it_stays(tmp_path: Path) -> None:
     path = tmp_path / "kept"
-    KeptEstimates(path, "mine")
+    EstimateCache(path, "mine")
     head = path.read_bytes()
     path.write_bytes(head + b'{"key": "a"}\n{"key": "b", "the')
-    KeptEstimates(path, "mine")
+    EstimateCache(path, "mine")
     assert path.read_bytes() == head + b'{"key": "a"}\n'

@@ -42,7 +42,7 @@ _ANGLE_STD_rad: Final = 0.1
 
 
 @dataclass(frozen=True)
-class Course:
+class ReferenceTrajectory:
     """States of a flight at even times.
 
     Parameters
@@ -85,14 +85,16 @@ class Course:
     @property
     def rows(self) -> Integers:
         """Steps in free flight, one window after the other."""
-        return np.concatenate([np.arange(one.start, one.stop) for one in self.windows]).astype(np.int64)
+        return np.concatenate([np.arange(window.start, window.stop) for window in self.windows]).astype(
+            np.int64
+        )
 
-    def followed(self, predicted: Floats, filtered: Floats) -> Course:
+    def refiltered(self, predicted: Floats, filtered: Floats) -> ReferenceTrajectory:
         """Keep everything but the states `predicted` and `filtered` by a better filter, shape (n, 6) each."""
         return replace(self, predicted=_held(predicted, self.at_rest), filtered=_held(filtered, self.at_rest))
 
 
-def follow(record: Record, step_s: float = STEP_s) -> Course:
+def kinematic_filter(record: Record, step_s: float = STEP_s) -> ReferenceTrajectory:
     """Follow the angles of a flight without a model, in steps of `step_s` at most, or of the log's own."""
     every = max(1, int(step_s / record.step_s + 1e-6))
     count = len(record.t_s) // every
@@ -116,7 +118,7 @@ def follow(record: Record, step_s: float = STEP_s) -> Course:
     )
     before, after = _kinematic(measured, variance, record.step_s * every)
     at_rest = _at_rest(record, nodes)
-    return Course(
+    return ReferenceTrajectory(
         record,
         every,
         measured,
@@ -142,7 +144,7 @@ def _directions(record: Record, nodes: Integers) -> Floats:
     faster: as the square of the time. One whose count rests long and that then moves on has been on its way
     through the play and back.
     """
-    found, changed = np.zeros((len(nodes), 3)), _changed(record)
+    directions, changed = np.zeros((len(nodes), 3)), _changed(record)
     for axis in range(3):
         moves = np.flatnonzero(changed[:, axis])
         if not len(moves):
@@ -156,24 +158,24 @@ def _directions(record: Record, nodes: Integers) -> Floats:
         # Slowly there, fast back: s^2 (1 - s) is at most 1 / 6.75.
         there_and_back = _BACK * 6.75 * share**2 * (1.0 - share)
         returned = (turned == 0.0) & (rows * record.step_s >= REST_s)
-        found[:, axis] = (
+        directions[:, axis] = (
             signs[last] + turned * share**2 - np.where(returned, signs[last] * there_and_back, 0.0)
         )
-    return found
+    return directions
 
 
 def _at_rest(record: Record, nodes: Integers) -> Flags:
     """Whether each axis, shape (n, 3), is at rest in these rows of a flight."""
     changed = _changed(record)
-    found = np.zeros((len(nodes), 3), bool)
+    at_rest = np.zeros((len(nodes), 3), bool)
     for axis in range(3):
         edges = np.concatenate(([0], np.flatnonzero(changed[:, axis]) + 1, [len(record.angles_rad)]))
         run = np.searchsorted(edges, nodes, side="right") - 1
         first, last = edges[run], edges[run + 1]
         margin = REST_EDGE_s / record.step_s
         long = (last - first) * record.step_s >= REST_s
-        found[:, axis] = long & (nodes >= first + margin) & (nodes < last - margin)
-    return found
+        at_rest[:, axis] = long & (nodes >= first + margin) & (nodes < last - margin)
+    return at_rest
 
 
 def _held(states: Floats, at_rest: Flags) -> Floats:

@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from tests.blind.disturbances import DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
+from tests.blind.disturbed_case import COURSE, DisturbedCase
 from tests.blind.hidden import LISTED, MORE_LISTED, Maker
 from tests.blind.measured_effects import MEASURED_EFFECTS
-from tests.blind.off_list import IN_WEATHER
 from tests.blind.tracking import CONTROLLERS
-from tests.blind.weather import MEMORIES_s, STRENGTHS_Nm, Weather
-from tests.blind.weather_case import COURSE, WeatherCase
+from tests.blind.unlisted import DISTURBED
 
 PAPER = "makki2024"
 RATES_Hz = (100, 250, 500)
@@ -31,7 +31,7 @@ _PAPER_ONLY = (
 _LIVELY = (
     *("travel_drag_quadratic", "pitch_drag_quadratic", "gyroscopic_torque", "flywheel", "inflow_damping"),
     *("edgewise_flow", "encoder_eccentricity", "rotor_reaction_torque", "cable_spring.elevation"),
-    *(law for law in IN_WEATHER if law not in ("bumpy_pitch", "hysteretic_thrust")),
+    *(law for law in DISTURBED if law not in ("bumpy_pitch", "hysteretic_thrust")),
 )
 """What no gentle flight shows at any size that a rig has."""
 
@@ -62,7 +62,7 @@ _UNSEEN = ("random_torque", "encoder_eccentricity.elevation", "encoder_eccentric
 _MAKERS: dict[str, Maker] = {
     **{name: maker for name, (maker, _, _) in (LISTED | MORE_LISTED).items()},
     **{name: maker for name, (maker, _) in MEASURED_EFFECTS.items()},
-    **{name: maker for name, (maker, _) in IN_WEATHER.items()},
+    **{name: maker for name, (maker, _) in DISTURBED.items()},
 }
 _ALONE = (
     *(
@@ -95,13 +95,13 @@ _SEVERAL = (
 )
 
 
-def weather_cases() -> list[WeatherCase]:
+def disturbed_cases() -> list[DisturbedCase]:
     """All of them, in an order in which the first are a fair sample of all."""
     cases = list(_in_order())
     return [cases[i] for i in np.random.default_rng(2).permutation(len(cases))]
 
 
-def _in_order() -> Iterator[WeatherCase]:
+def _in_order() -> Iterator[DisturbedCase]:
     seed = 3000
     for number in range(_NOTHING):
         seed += 1
@@ -119,22 +119,22 @@ def _in_order() -> Iterator[WeatherCase]:
     for names in _SEVERAL:
         seed += 1
         yield _case("w-" + "+".join(names).replace(LAG, "lag"), seed, names, ())
-    for law in IN_WEATHER:
+    for law in DISTURBED:
         for beside in ((LAG,), ()):
             seed += 1
             yield _case("w-" + "lag+" * len(beside) + f"off-{law}", seed, beside, (law,))
 
 
-def _case(name: str, seed: int, effects: Sequence[str], laws: Sequence[str]) -> WeatherCase:
+def _case(name: str, seed: int, effects: Sequence[str], equations: Sequence[str]) -> DisturbedCase:
     """Draw rig, flight and weather of a case, and the sizes that go with them."""
     rng = np.random.default_rng([seed, 6])
     strength = int(rng.integers(3))
-    gusts_Nm, memory_s = STRENGTHS_Nm[strength], MEMORIES_s[int(rng.integers(3))]
+    gusts_Nm, correlation_time_s = STRENGTHS_Nm[strength], MEMORIES_s[int(rng.integers(3))]
     drifts, on_course = rng.random() < _DRIFTING, rng.random() < _ON_COURSE
     drift = [float(share * gust) for share, gust in zip(rng.uniform(0.5, 1.0, 3), gusts_Nm, strict=True)]
-    weather = Weather(
+    disturbances = DisturbanceModel(
         gusts_Nm,
-        memory_s,
+        correlation_time_s,
         (drift[0], drift[1], drift[2]) if drifts else (0.0, 0.0, 0.0),
         float(rng.uniform(20.0, 40.0)),
     )
@@ -143,22 +143,22 @@ def _case(name: str, seed: int, effects: Sequence[str], laws: Sequence[str]) -> 
     controller = CONTROLLERS[int(rng.integers(3))]
     if any(one.startswith(_PAPER_ONLY) for one in effects):
         on_course = False
-    if any(one.startswith(_LIVELY) for one in (*effects, *laws)):
+    if any(one.startswith(_LIVELY) for one in (*effects, *equations)):
         gentle = False
     larger = _LARGER[strength] * (_GENTLE_LARGER if gentle else 1.0)
     sized = [(one, _size(one, SIZES[one], larger, rng)) for one in effects]
-    off = [(law, _size(law, IN_WEATHER[law][1], larger, rng)) for law in laws]
-    return WeatherCase(
+    off = [(law, _size(law, DISTURBED[law][1], larger, rng)) for law in equations]
+    return DisturbedCase(
         name,
         tuple(sized),
         tuple(off),
         seed,
-        tuple(_MAKERS[one] for one in (*effects, *laws)),
+        tuple(_MAKERS[one] for one in (*effects, *equations)),
         COURSE if on_course else PAPER,
         rate_Hz,
         gentle,
         controller,
-        weather,
+        disturbances,
     )
 
 

@@ -13,12 +13,12 @@ import casadi as ca
 import numpy as np
 from heli_host.flight import Flight
 from heli_lab.diagnose import Diagnosis
-from heli_lab.diagnose.candidate import Candidate, usual
+from heli_lab.diagnose.candidate import Candidate, typical_candidate
 from heli_lab.diagnose.effect_contribution import accelerations
 from heli_lab.diagnose.equation_discovery import NAME
 from heli_lab.diagnose.error_reduction import judgement
 from heli_lab.diagnose.free_run import free_runs
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.prediction import predict
 from heli_lab.identify import prepare
 from heli_sim.model import MultibodyModel
@@ -27,11 +27,11 @@ from heli_sim.model.effects import catalogue
 from heli_sim.rig import Prior, Quantity, load_rig
 
 from tests.blind.cases import VALIDATE_S
-from tests.blind.laws import LAWS, Seen, TrueLaw, Unlisted
+from tests.blind.disturbed_case import DisturbedCase
+from tests.blind.equations import LAWS, Seen, TrueLaw, Unlisted
 from tests.blind.mujoco_rig import Floats
 from tests.blind.replay import FINE, GRID_S, Rebuilt, inertia_kg_m2, steps
 from tests.blind.run import REFITS, found_in
-from tests.blind.weather_case import WeatherCase
 
 _AXES = ("elevation", "pitch", "travel")
 
@@ -40,7 +40,7 @@ _AXES = ("elevation", "pitch", "travel")
 class ToldLaw(Effect):
     """A true law as an effect, its size free and its further numbers as they are."""
 
-    law: TrueLaw = field(default_factory=lambda: LAWS["pitch_by_elevation"])
+    equation: TrueLaw = field(default_factory=lambda: LAWS["pitch_by_elevation"])
     numbers: Mapping[str, float] = field(default_factory=dict)
 
     def __hash__(self) -> int:
@@ -53,16 +53,16 @@ class ToldLaw(Effect):
         return Seen(q, w, [at.thrust_N[0], at.thrust_N[1]], late)
 
     def _value(self, at: Operands) -> ca.SX:
-        value: ca.SX = self.own(at, "size") * self.law.value(ca, self._seen(at), self.numbers)
+        value: ca.SX = self.own(at, "size") * self.equation.value(ca, self._seen(at), self.numbers)
         return value
 
     def torque_Nm(self, at: Operands) -> ca.SX:
-        kind, _, where = self.law.channel.partition(".")
+        kind, _, where = self.equation.channel.partition(".")
         on = kind == "torque"
         return ca.vertcat(*(self._value(at) if on and where == axis else ca.SX(0) for axis in _AXES))
 
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
-        kind, _, where = self.law.channel.partition(".")
+        kind, _, where = self.equation.channel.partition(".")
         if kind != "thrust":
             return thrust_N
         on = {"both": (1.0, 1.0), "front": (1.0, 0.0), "back": (0.0, 1.0)}[where]
@@ -71,15 +71,15 @@ class ToldLaw(Effect):
     def state_rates(self, at: Operands) -> ca.SX:
         if not self.states:
             return ca.SX.zeros(0)
-        assert self.law.remembers is not None
+        assert self.equation.remembers is not None
         seen = self._seen(at)
-        return ca.SX((self.law.remembers(seen) - seen.late) / self.numbers["lag_s"])
+        return ca.SX((self.equation.remembers(seen) - seen.late) / self.numbers["lag_s"])
 
 
 def told_effect(hidden: Unlisted) -> ToldLaw:
     """Make the effect of a law that is hidden."""
-    states = (Quantity("told_law_late", "1", "behind a lag"),) if hidden.law.remembers else ()
-    stage = Stage.TORQUE if hidden.law.channel.startswith("torque") else Stage.INFLOW
+    states = (Quantity("told_law_late", "1", "behind a lag"),) if hidden.equation.remembers else ()
+    stage = Stage.TORQUE if hidden.equation.channel.startswith("torque") else Stage.INFLOW
     return ToldLaw(
         "told_law",
         parameters=(Quantity("told_law_size", "1", "size of the law"),),
@@ -87,12 +87,12 @@ def told_effect(hidden: Unlisted) -> ToldLaw:
         priors={"told_law_size": Prior(0.0, 3.0 * abs(hidden.size))},
         states=states,
         stage=stage,
-        law=hidden.law,
+        equation=hidden.equation,
         numbers=hidden.numbers,
     )
 
 
-def true_torque_Nm(case: WeatherCase) -> tuple[Floats, Floats]:
+def true_torque_Nm(case: DisturbedCase) -> tuple[Floats, Floats]:
     """Times and torques of the hidden law along the flight held out, (n,) and (n, 3): by what MuJoCo does
     without it.
     """
@@ -113,12 +113,12 @@ def _without_law(hidden: list[Any]) -> list[Any]:
     return [one for one in hidden if not isinstance(one, Unlisted)]
 
 
-def judged_law(case: WeatherCase, flights: tuple[Flight, Flight], refits: int = REFITS) -> dict[str, Any]:
+def judged_law(case: DisturbedCase, flights: tuple[Flight, Flight], refits: int = REFITS) -> dict[str, Any]:
     """Diagnose a case and hold the law that is proposed against the truth.
 
     Parameters
     ----------
-    case : WeatherCase
+    case : DisturbedCase
         The case.
     flights : tuple of Flight
         The flight to fit and the one to hold out.
@@ -134,7 +134,7 @@ def judged_law(case: WeatherCase, flights: tuple[Flight, Flight], refits: int = 
     """
     rig = load_rig(case.rig_name)
     found = found_in(rig, flights, refits)
-    proposed = found.proposed_law
+    proposed = found.proposed_term
     answer: dict[str, Any] = {
         "verdict": found.label,
         "causes": [one.candidate.id for one in found.verdict.causes],
@@ -145,7 +145,7 @@ def judged_law(case: WeatherCase, flights: tuple[Flight, Flight], refits: int = 
     unlisted = [one for one in case.hidden(0) if isinstance(one, Unlisted)]
     if proposed is not None:
         answer |= {
-            "channel": proposed.law.channels[0],
+            "channel": proposed.equation.channels[0],
             "expression": proposed.sentence,
             "confidence": proposed.confidence,
             "nats": [proposed.discovery.train, proposed.discovery.held_out],
@@ -153,7 +153,7 @@ def judged_law(case: WeatherCase, flights: tuple[Flight, Flight], refits: int = 
     if proposed is None or not unlisted:
         return answer
     records = [prepare(flight, rig, label) for flight, label in zip(flights, "ab", strict=True)]
-    comparison = Comparison(MultibodyModel(), rig, records[:1], records[1:])
+    comparison = ModelComparison(MultibodyModel(), rig, records[:1], records[1:])
     time_s, truth = true_torque_Nm(case)
     seen_s, law = law_torque_Nm(comparison, proposed.discovery.hypothesis, case)
     there = (time_s >= seen_s[0]) & (time_s <= seen_s[-1])
@@ -165,32 +165,34 @@ def judged_law(case: WeatherCase, flights: tuple[Flight, Flight], refits: int = 
     return answer
 
 
-def law_torque_Nm(comparison: Comparison, hypothesis: Hypothesis, case: WeatherCase) -> tuple[Floats, Floats]:
+def law_torque_Nm(
+    comparison: ModelComparison, hypothesis: Hypothesis, case: DisturbedCase
+) -> tuple[Floats, Floats]:
     """Times and torques of a proposed law along the flight held out, (n,) and (n, 3)."""
     estimate = comparison.held_out_estimate(hypothesis)
     seen_s, change = accelerations(estimate, NAME)
-    (linear,) = estimate.filtered().linears
+    (linear,) = estimate.filtered().linearised_flights
     inertia = inertia_kg_m2(case.rig(), linear.trajectory.state[:, :3])
     return seen_s, np.asarray(np.einsum("nij,nj->ni", inertia, change), float)
 
 
 def _over_told(
-    comparison: Comparison, found: Diagnosis, case: WeatherCase, hidden: Unlisted, axis: int
+    comparison: ModelComparison, found: Diagnosis, case: DisturbedCase, hidden: Unlisted, axis: int
 ) -> float:
     """Held-out error over 2 s with the proposed law over that of the fit told the law."""
-    assert found.proposed_law is not None
+    assert found.proposed_term is not None
     told = Candidate("told_law", told_effect(hidden), ("told_law_size",))
     reached = told_errors_deg(comparison, [*listed(name for name, _ in case.effects), told])
-    return found.proposed_law.gains[_AXES[axis]].after_deg / reached[_AXES[axis]]
+    return found.proposed_term.gains[_AXES[axis]].after_deg / reached[_AXES[axis]]
 
 
 def listed(names: Iterable[str]) -> list[Candidate]:
     """Effects of the catalogue for a fit to be told, from their typical sizes."""
     kinds = catalogue()
-    return [usual(kinds[name]) for name in names]
+    return [typical_candidate(kinds[name]) for name in names]
 
 
-def told_errors_deg(comparison: Comparison, candidates: Sequence[Candidate]) -> dict[str, float]:
+def told_errors_deg(comparison: ModelComparison, candidates: Sequence[Candidate]) -> dict[str, float]:
     """Held-out errors over 2 s by axis of a fit that is told what is hidden."""
     start = {name: value for one in candidates for name, value in one.effect.values.items()}
     hypothesis = comparison.refit(candidates, start, comparison.refit([]))

@@ -20,7 +20,7 @@ model lacks, or a wrong rig file, goes unsaid."""
 
 
 @dataclass(frozen=True)
-class Freed:
+class EstimateWithoutPrior:
     """What the flights alone say of a number that is pulled.
 
     Parameters
@@ -37,7 +37,7 @@ class Freed:
 
 
 @dataclass(frozen=True)
-class PriorPull:
+class PriorConflict:
     """A number of the rig and what was known of it beforehand.
 
     Parameters
@@ -48,7 +48,7 @@ class PriorPull:
         Its estimate and standard error.
     prior : Prior
         What the rig file says.
-    freed : Freed or None
+    freed : EstimateWithoutPrior or None
         The same without its prior, where that was tried.
     """
 
@@ -57,7 +57,7 @@ class PriorPull:
     value: float
     std: float
     prior: Prior
-    freed: Freed | None = None
+    freed: EstimateWithoutPrior | None = None
 
     @property
     def deviations(self) -> float:
@@ -83,41 +83,45 @@ class PriorPull:
         )
 
 
-def prior_pulls(fit: Fit) -> tuple[PriorPull, ...]:
+def prior_conflicts(fit: Fit) -> tuple[PriorConflict, ...]:
     """Find the numbers of a `fit` beyond `FAR_STD`, the farthest first; an effect's own are not the rig's."""
-    own = {name for effect in fit.problem.model.effects for name in effect.priors}
+    effect_names = {name for effect in fit.problem.model.effects for name in effect.priors}
     every = (
-        PriorPull(one.name, one.unit, float(value), fit.std[one.name], one.prior)
-        for one, value in zip(fit.problem.free, fit.theta, strict=True)
-        if one.quantity not in own
+        PriorConflict(parameter.name, parameter.unit, float(value), fit.std[parameter.name], parameter.prior)
+        for parameter, value in zip(fit.problem.free, fit.theta, strict=True)
+        if parameter.quantity not in effect_names
     )
-    far = [one for one in every if abs(one.deviations) > FAR_STD]
-    return tuple(sorted(far, key=lambda one: -abs(one.deviations)))
+    far = [pull for pull in every if abs(pull.deviations) > FAR_STD]
+    return tuple(sorted(far, key=lambda pull: -abs(pull.deviations)))
 
 
-def tried_without(pulls: Sequence[PriorPull], estimate: Estimate) -> tuple[PriorPull, ...]:
+def tried_without(pulls: Sequence[PriorConflict], estimate: Estimate) -> tuple[PriorConflict, ...]:
     """Estimate again without the priors of numbers that are pulled, and tell what they are then.
 
     Parameters
     ----------
-    pulls : sequence of PriorPull
+    pulls : sequence of PriorConflict
         The numbers; without any nothing is estimated.
     estimate : Estimate
         The model with all priors, of which they are free parameters.
     """
     if not pulls:
         return ()
-    own = estimate.unknowns
-    names = [one.name for one in pulls]
-    places = [own.names.index(name) for name in names]
+    unknowns_ = estimate.parameter_vector
+    names = [pull.name for pull in pulls]
+    places = [unknowns_.names.index(name) for name in names]
     free = estimated(
-        own.without_priors(names), estimate.courses, estimate.functions, estimate.theta, estimate.weather
+        unknowns_.without_priors(names),
+        estimate.references,
+        estimate.functions,
+        estimate.theta,
+        estimate.disturbances,
     )
     # Likelihoods hold what priors take off: these numbers' is no part of what the flights say.
-    off = (estimate.theta - own.mean) / own.std
+    off = (estimate.theta - unknowns_.mean) / unknowns_.std
     gain = free.log_likelihood - estimate.log_likelihood - 0.5 * float(off[places] @ off[places])
     std = np.sqrt(np.diag(free.covariance))
     return tuple(
-        replace(one, freed=Freed(float(free.theta[place]), float(std[place]), gain))
-        for one, place in zip(pulls, places, strict=True)
+        replace(pull, freed=EstimateWithoutPrior(float(free.theta[place]), float(std[place]), gain))
+        for pull, place in zip(pulls, places, strict=True)
     )

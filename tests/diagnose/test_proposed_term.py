@@ -14,12 +14,12 @@ from heli_host.log.table import write_csv
 from heli_lab.diagnose import to_json
 from heli_lab.diagnose.candidate import ExtendedModel
 from heli_lab.diagnose.equation_discovery.discover import _Discoverer, _Tried, discover, free_name
+from heli_lab.diagnose.equation_discovery.equation import Equation, EquationTerm, equation_effect
 from heli_lab.diagnose.equation_discovery.grammar import Group
-from heli_lab.diagnose.equation_discovery.law import Law, LawTerm, law_effect
 from heli_lab.diagnose.equation_discovery.scoring import Courses, ScoredGroup, score
 from heli_lab.diagnose.equation_discovery.terms import Factor, Term
 from heli_lab.diagnose.failing_regimes import failing_regimes, false_discoveries
-from heli_lab.diagnose.model_comparison import Comparison, Hypothesis
+from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.screening import Screening, score_of
 from heli_lab.diagnose.thresholds import FALSE_DISCOVERY_RATE
 from heli_lab.identify import prepare
@@ -39,33 +39,33 @@ HIDDEN_Nm_per_rad = 0.05
 
 
 def test_the_law_is_found_with_its_number_and_holds_on_the_other_flight() -> None:
-    found = diagnosed(off_list=True)
+    found = diagnosed(unlisted=True)
     assert found.label == "unexplained"
-    proposed = found.proposed_law
+    proposed = found.proposed_term
     assert proposed is not None
-    assert [one.key for one in proposed.law.terms] == ["torque.pitch: elevation"]
+    assert [one.key for one in proposed.equation.terms] == ["torque.pitch: elevation"]
     ((value, std, unit),) = proposed.discovery.values.values()
     assert unit == "N m/rad"
     assert abs(value - HIDDEN_Nm_per_rad) < 3.0 * std < 0.1 * HIDDEN_Nm_per_rad
     assert proposed.discovery.held_out is not None
     assert proposed.discovery.held_out > 50.0
     assert proposed.gains["pitch"].ratio < 0.2
-    law, missing = proposed.course.law_Nm, proposed.course.missing_Nm
-    assert np.corrcoef(law, missing)[0, 1] > 0.9
+    equation, missing = proposed.reference.law_Nm, proposed.reference.missing_Nm
+    assert np.corrcoef(equation, missing)[0, 1] > 0.9
 
 
 def test_the_json_has_the_keys_that_were_promised() -> None:
-    numbers = json.loads(json.dumps(to_json(diagnosed(off_list=True)), allow_nan=False))
-    law = numbers["proposed_law"]
-    assert (law["channel"], law["unit"]) == ("torque.pitch", "N m")
-    assert law["expression"] == "c1_Nm_per_rad*elevation"
-    assert law["symbols"] == {"elevation": "rad"}
-    assert law["numbers"].keys() == {"c1_Nm_per_rad"}
-    assert law["rivals"] == sorted(law["rivals"], key=lambda one: one["log_likelihood_ratio"])
-    assert 0.5 < law["confidence"] < 1.0
-    (matters,) = law["matters"]
+    numbers = json.loads(json.dumps(to_json(diagnosed(unlisted=True)), allow_nan=False))
+    equation = numbers["proposed_term"]
+    assert (equation["channel"], equation["unit"]) == ("torque.pitch", "N m")
+    assert equation["expression"] == "c1_Nm_per_rad*elevation"
+    assert equation["symbols"] == {"elevation": "rad"}
+    assert equation["numbers"].keys() == {"c1_Nm_per_rad"}
+    assert equation["rivals"] == sorted(equation["rivals"], key=lambda one: one["log_likelihood_ratio"])
+    assert 0.5 < equation["confidence"] < 1.0
+    (matters,) = equation["matters"]
     assert 0.0 < matters["rms"] < matters["largest"]
-    fails = numbers["where_the_model_fails"]
+    fails = numbers["failing_regions"]
     assert (fails["axis"], fails["x"], fails["false_discovery_rate"]) == (
         "pitch",
         "elevation",
@@ -77,14 +77,14 @@ def test_the_json_has_the_keys_that_were_promised() -> None:
 
 def test_nothing_hidden_and_a_listed_cause_have_no_law() -> None:
     for found in (diagnosed(), diagnosed("rotor_lag=0.06")):
-        assert to_json(found)["proposed_law"] is None
+        assert to_json(found)["proposed_term"] is None
 
 
 def test_the_law_is_in_the_rig_only_if_asked_for_and_flies_with_its_file(
     terminal: Terminal, tmp_path: Path
 ) -> None:
-    found = diagnosed(off_list=True)
-    proposed = found.proposed_law
+    found = diagnosed(unlisted=True)
+    proposed = found.proposed_term
     assert proposed is not None
     assert found.rig("extended").effects == {}
     path = tmp_path / "proposed.py"
@@ -97,7 +97,7 @@ def test_the_law_is_in_the_rig_only_if_asked_for_and_flies_with_its_file(
     by_law = {}
     for name, more in {
         "without": (),
-        "with": ("--effects", path, "--effect", "proposed_law"),
+        "with": ("--effects", path, "--effect", "proposed_term"),
         "in_rig": ("--rig", "with_law.toml", "--effects", path),
     }.items():
         ended = terminal("fly", "up.toml", "--sil", *more, "--speed", "max", "--log", f"{name}.mcap")
@@ -107,33 +107,36 @@ def test_the_law_is_in_the_rig_only_if_asked_for_and_flies_with_its_file(
 
 
 def test_a_flight_that_speaks_against_a_law_leaves_none() -> None:
-    fit, _ = flights(off_list=True)
+    fit, _ = flights(unlisted=True)
     rig = load_rig("makki2024")
     train = prepare(fit, rig, "fit")
     # The flight held out is one of a rig without the law.
     other = prepare(flights()[1], rig, "other")
-    comparison = Comparison(MultibodyModel(), rig, [train], [other])
+    comparison = ModelComparison(MultibodyModel(), rig, [train], [other])
     assert discover(comparison, comparison.refit([])) is None
 
 
 def test_a_law_beside_one_that_was_proposed_before_has_a_name_of_its_own() -> None:
-    assert free_name(()) == "proposed_law"
-    assert free_name(("proposed_law", "rotor_lag")) == "proposed_law_2"
-    assert free_name(("proposed_law", "proposed_law_2")) == "proposed_law_3"
-    law = Law((LawTerm("torque.pitch", Term((Factor("linear", "elevation"),))),))
-    two = [law_effect(law, dict.fromkeys(law.coefficients, 1.0), name=name) for name in ("one", "two")]
+    assert free_name(()) == "proposed_term"
+    assert free_name(("proposed_term", "rotor_lag")) == "proposed_term_2"
+    assert free_name(("proposed_term", "proposed_term_2")) == "proposed_term_3"
+    equation = Equation((EquationTerm("torque.pitch", Term((Factor("linear", "elevation"),))),))
+    two = [
+        equation_effect(equation, dict.fromkeys(equation.coefficients, 1.0), name=name)
+        for name in ("one", "two")
+    ]
     assert len(MultibodyModel(tuple(two)).parameters) == len(MultibodyModel().parameters) + 2
 
 
 def scored_as(channel: str, quantity: str, nats: float) -> ScoredGroup:
-    group = Group((LawTerm(channel, Term((Factor("linear", quantity),))),), 1)
+    group = Group((EquationTerm(channel, Term((Factor("linear", quantity),))),), 1)
     return ScoredGroup(group, nats, np.ones(1), (1.0,))
 
 
 def discoverer(base: Hypothesis) -> _Discoverer:
     """One that has tried a hundred terms of one factor; it refits nothing."""
     flights = SimpleNamespace(rows=1000, model=MultibodyModel())
-    work = _Discoverer(cast(Comparison, flights), base, lambda _: None)
+    work = _Discoverer(cast(ModelComparison, flights), base, lambda _: None)
     work.tried = {1: 100}
     return work
 
@@ -147,47 +150,49 @@ def test_what_encoders_promise_leaves_room_for_a_torque_that_promises_less() -> 
 
 
 def test_where_drift_stands_for_what_is_missing_terms_are_scored_without_it() -> None:
-    proposed = diagnosed(off_list=True).proposed_law
+    proposed = diagnosed(unlisted=True).proposed_term
     assert proposed is not None
     base = proposed.discovery.base
-    law, encoder = (scored_as(f"{kind}.pitch", "elevation", 0.0).group for kind in ("torque", "measurement"))
-    courses = Courses(Screening(base.estimate))
-    gust_Nm = base.estimate.weather.gust_Nm
+    equation, encoder = (
+        scored_as(f"{kind}.pitch", "elevation", 0.0).group for kind in ("torque", "measurement")
+    )
+    references = Courses(Screening(base.estimate))
+    fast_std_Nm = base.estimate.disturbances.fast_std_Nm
     calm, drifting = (
-        replace(base.estimate.weather, drift_Nm=gust_Nm * [0.5, times, 0.5], curvature=None)
+        replace(base.estimate.disturbances, slow_std_Nm=fast_std_Nm * [0.5, times, 0.5], curvature=None)
         for times in (0.5, 30.0)
     )
-    assert discoverer(base).slow(base, calm, courses, [law, encoder]) == []
-    (beside,) = score(Screening(replace(base.estimate, weather=drifting)), courses, [law])
-    (slow,) = discoverer(base).slow(base, drifting, courses, [law, encoder])
-    assert slow.group is law
+    assert discoverer(base).slow(base, calm, references, [equation, encoder]) == []
+    (beside,) = score(Screening(replace(base.estimate, disturbances=drifting)), references, [equation])
+    (slow,) = discoverer(base).slow(base, drifting, references, [equation, encoder])
+    assert slow.group is equation
     assert slow.log_likelihood_gain > 1.2 * beside.log_likelihood_gain
 
 
 def test_scores_of_all_channels_are_those_of_the_effect_itself() -> None:
     rig = load_rig("makki2024")
-    comparison = Comparison(MultibodyModel(), rig, [prepare(flights()[0], rig, "fit")], [])
+    comparison = ModelComparison(MultibodyModel(), rig, [prepare(flights()[0], rig, "fit")], [])
     screening = Screening(comparison.refit([]).estimate)
-    courses = Courses(screening)
+    references = Courses(screening)
     share = Factor("linear", "own_thrust")
     every = [
-        LawTerm("torque.travel", Term((Factor("signed_square", "travel_rate"),))),
-        LawTerm("thrust.difference", Term((share, Factor("linear", "travel_rate")))),
-        LawTerm("thrust.back", Term((share, Factor("sin", "travel", (("k", 2.0),))))),
-        LawTerm("voltage.both", Term((Factor("square", "own_voltage"),))),
-        LawTerm("measurement.pitch", Term((Factor("linear", "travel"),))),
+        EquationTerm("torque.travel", Term((Factor("signed_square", "travel_rate"),))),
+        EquationTerm("thrust.difference", Term((share, Factor("linear", "travel_rate")))),
+        EquationTerm("thrust.back", Term((share, Factor("sin", "travel", (("k", 2.0),))))),
+        EquationTerm("voltage.both", Term((Factor("square", "own_voltage"),))),
+        EquationTerm("measurement.pitch", Term((Factor("linear", "travel"),))),
     ]
     for one in every:
-        (scored,) = score(screening, courses, [Group((one,), 1)])
-        law = Law((one,))
-        effect = law_effect(law, dict(zip(law.coefficients, scored.stds, strict=True)))
-        linear = tuple(f"proposed_law_{name}" for name in law.coefficients)
+        (scored,) = score(screening, references, [Group((one,), 1)])
+        equation = Equation((one,))
+        effect = equation_effect(equation, dict(zip(equation.coefficients, scored.reported_std, strict=True)))
+        linear = tuple(f"proposed_term_{name}" for name in equation.coefficients)
         extended = ExtendedModel(MultibodyModel(), effect, linear)
-        (flight,) = courses.linears
+        (flight,) = references.linearised_flights
         rates, _ = extended.run(flight.trajectory, effect.values)
         _, angles = extended.run(flight.nodes, effect.values)
         parts = screening.information([(rates, angles if np.any(angles) else None)], [1])
-        gain, coefficients, _ = score_of(*parts[0], np.array(scored.stds))
+        gain, coefficients, _ = score_of(*parts[0], np.array(scored.reported_std))
         assert scored.log_likelihood_gain == pytest.approx(gain, rel=1e-6), one.key
         assert scored.coefficients == pytest.approx(coefficients, rel=1e-6)
 
@@ -209,11 +214,11 @@ def test_a_model_that_is_right_fails_nowhere_in_nineteen_weathers_of_twenty() ->
     rows = screening.measurements
     inside = [
         (one.trajectory.state[:, 0] > low) & (one.trajectory.state[:, 0] <= low + 0.04)
-        for one in screening.filtered.linears
+        for one in screening.filtered.linearised_flights
         for low in np.arange(-0.16, 0.16, 0.04)
     ]
     cells = np.column_stack([one for one in inside if one.sum() > 60]).astype(float)
-    only = list(screening.filtered.torque_regressors(estimate.weather, 1, [cells]))
+    only = list(screening.filtered.torque_regressors(estimate.disturbances, 1, [cells]))
     (nuisance,) = (one[:, 1:] for one in screening._innovations.flights)
     alarms = 0
     for _ in range(200):
@@ -228,11 +233,11 @@ def test_a_model_that_is_right_fails_nowhere_in_nineteen_weathers_of_twenty() ->
 
 
 def test_a_regime_in_which_nothing_is_missing_is_not_outlined() -> None:
-    found = diagnosed(off_list=True)
-    proposed = found.proposed_law
+    found = diagnosed(unlisted=True)
+    proposed = found.proposed_term
     assert proposed is not None
-    law = proposed.discovery
-    regimes = failing_regimes(law.base.estimate, law.hypothesis.estimate, "travel")
+    equation = proposed.discovery
+    regimes = failing_regimes(equation.base.estimate, equation.hypothesis.estimate, "travel")
     assert regimes.after.share < 0.1
 
 
@@ -240,10 +245,10 @@ def test_the_command_writes_law_and_file_and_says_it(
     terminal: Terminal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The search itself is what the tests above have done.
-    found = diagnosed(off_list=True)
+    found = diagnosed(unlisted=True)
     monkeypatch.setattr("heli_lab.diagnose.diagnose", lambda *_args, **_more: found)
     paths = tmp_path / "a.csv.gz", tmp_path / "b.csv.gz"
-    for flight, path in zip(flights(off_list=True), paths, strict=True):
+    for flight, path in zip(flights(unlisted=True), paths, strict=True):
         write_csv(flight, path)
     files = ("--report", "why", "--json", "why.json", "--out", "with_law.toml", "--with-law")
     ended = terminal("diagnose", paths[0], "--validate", paths[1], "--rig", "makki2024", *files)
@@ -251,25 +256,27 @@ def test_the_command_writes_law_and_file_and_says_it(
     assert "proposed law: torque.pitch = 0.0" in ended.out
     assert "why/proposed.py" in ended.out
     assert {"law.png", "regimes.png", "proposed.py"} <= {path.name for path in Path("why").iterdir()}
-    assert "proposed_law" in Path("with_law.toml").read_text()
+    assert "proposed_term" in Path("with_law.toml").read_text()
     page = Path("why/index.html").read_text(encoding="utf-8")
     assert "A law that is proposed for it" in page
 
 
 def test_sine_and_cosine_of_a_wave_share_their_whole_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    law = Law(
+    equation = Equation(
         tuple(
-            LawTerm("torque.elevation", Term((Factor(form, "travel", (("k", 2.0),)),)))
+            EquationTerm("torque.elevation", Term((Factor(form, "travel", (("k", 2.0),)),)))
             for form in ("sin", "cos")
         )
     )
-    effect = law_effect(law, dict.fromkeys(law.coefficients, 0.1))
+    effect = equation_effect(equation, dict.fromkeys(equation.coefficients, 0.1))
     # The weaker of the two says little about its period.
     theta = np.array([0.03, 0.02, 2.02, 2.6])
     names = [f"{effect.prefix}_{name}" for name in ("c1_Nm", "c2_Nm", "k1", "k2")]
     assert set(names) == set(effect.priors)
     estimate = SimpleNamespace(
-        unknowns=SimpleNamespace(names=names), theta=theta, covariance=np.diag([1e-6, 1e-6, 0.02**2, 0.4**2])
+        parameter_vector=SimpleNamespace(names=names),
+        theta=theta,
+        covariance=np.diag([1e-6, 1e-6, 0.02**2, 0.4**2]),
     )
     found = SimpleNamespace(
         candidates=[SimpleNamespace(effect=effect)],
@@ -279,10 +286,10 @@ def test_sine_and_cosine_of_a_wave_share_their_whole_number(monkeypatch: pytest.
         ids=(),
     )
     work = discoverer(cast(Hypothesis, SimpleNamespace(ids=(), candidates=(), values={}, log_likelihood=0.0)))
-    monkeypatch.setattr(work, "stds", lambda law, courses: dict.fromkeys(law.coefficients, 0.1))
-    monkeypatch.setattr(work, "refit", lambda asked: SimpleNamespace(log_likelihood=99.0, asked=asked))
-    tried = _Tried(law, cast(Hypothesis, found), 20.0, Group(law.terms, 2))
+    monkeypatch.setattr(work, "stds", lambda equation, references: dict.fromkeys(equation.coefficients, 0.1))
+    monkeypatch.setattr(work, "refit", lambda asked: SimpleNamespace(log_likelihood=99.0, refit_spec=asked))
+    tried = _Tried(equation, cast(Hypothesis, found), 20.0, Group(equation.terms, 2))
     whole = work.whole(tried, cast(Courses, None))
     assert whole.held == {"k1", "k2"}
-    start = whole.hypothesis.asked.start  # type: ignore[attr-defined]
+    start = whole.hypothesis.refit_spec.start  # type: ignore[attr-defined]
     assert [start[f"{effect.prefix}_{name}"] for name in ("k1", "k2")] == [2.0, 2.0]

@@ -17,7 +17,7 @@ from heli_lab.identify import thresholds
 from heli_lab.identify.fit import Budget, Progress
 from heli_lab.identify.functions import Floats, Integers
 from heli_lab.identify.grid import Grid
-from heli_lab.identify.initial_states import alternative_states, first_states
+from heli_lab.identify.initial_states import alternative_states, initial_state_guess
 from heli_lab.identify.problem import Evaluation, Problem
 from heli_lab.identify.residual_noise import floor_axes, long_run_variance, window_weights
 from heli_lab.identify.schur import bounded_solve, eliminate_states
@@ -46,7 +46,7 @@ class Point:
     cost: float = math.inf
 
 
-class Descent:
+class LevenbergMarquardt:
     """State of a fit: weights, damping, and the steps that change them. If `robust`, outlying windows lose
     weight; `on_progress` is told where the fit is.
     """
@@ -74,12 +74,12 @@ class Descent:
         seconds = time.perf_counter() - self.started_s
         return self.evaluations >= self.budget.evaluations or seconds >= self.budget.seconds
 
-    def first_states(self, theta: Floats) -> list[Floats]:
+    def initial_state_guess(self, theta: Floats) -> list[Floats]:
         """Initial states that the angles suggest with free parameters `theta`, shape (f,), as of
-        `initial_states.first_states`, worked out once for as long as these stay.
+        `initial_states.initial_state_guess`, worked out once for as long as these stay.
         """
         if self._first is None or not np.array_equal(self._first[0], theta):
-            self._first = theta.copy(), first_states(self.problem, theta)
+            self._first = theta.copy(), initial_state_guess(self.problem, theta)
         return [states.copy() for states in self._first[1]]
 
     def evaluate(self, theta: Floats, states: list[Floats]) -> Point:
@@ -101,8 +101,8 @@ class Descent:
         variance, weights = [], []
         for index, evaluation in enumerate(point.evaluations):
             grid = self.problem.grid(index, self.fine, point.theta)
-            found, weight = self._variance_and_weights(evaluation, grid)
-            variance.append(found)
+            record_variance, weight = self._variance_and_weights(evaluation, grid)
+            variance.append(record_variance)
             weights.append(weight)
         change = (
             max(
@@ -122,14 +122,14 @@ class Descent:
             rows = np.repeat(weight, grid.inputs.steps)[:, None]
             share = float(np.mean(rows))
             kept = evaluation.residual * np.sqrt(rows)
-            found = np.maximum(1.0, long_run_variance(kept, grid.slices, grid.inputs.step_s) / share)
-            found = floor_axes(found, np.mean(kept**2, axis=0) / share, grid.record.sigma_rad)
+            variance = np.maximum(1.0, long_run_variance(kept, grid.slices, grid.inputs.step_s) / share)
+            variance = floor_axes(variance, np.mean(kept**2, axis=0) / share, grid.record.sigma_rad)
             before = weight
             if self.robust:
-                weight = window_weights(evaluation.residual, grid.slices, found)
+                weight = window_weights(evaluation.residual, grid.slices, variance)
             if np.array_equal(weight, before):
                 break
-        return found, weight
+        return variance, weight
 
     def _cost(self, point: Point) -> float:
         problem = self.problem
@@ -143,7 +143,7 @@ class Descent:
         of a `point`.
         """
         if self.problem.state_count > 6:
-            self.reference = self.first_states(point.theta)
+            self.reference = self.initial_state_guess(point.theta)
 
     def _window_cost(self, point: Point, index: int) -> Floats:
         of_record = self.reference[index], self.variance[index], self.weights[index]

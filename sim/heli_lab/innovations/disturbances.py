@@ -10,14 +10,14 @@ import numpy as np
 
 from heli_lab.identify.functions import Floats
 
-DRIFT_MEMORY_s: Final = 15.0
+SLOW_CORRELATION_TIME_s: Final = 15.0
 """Correlation time of the slow drift. Set, because a flight of a minute does not tell it: a quarter of one.
 Longer: the constant torque of each flight says the same. Shorter: gusts say the same."""
 
 # Where the search for the weather starts, and its bounds: far outside of what flights show.
-_START_GUST_Nm: Final = (1e-2, 3e-3, 6e-3)
-_START_DRIFT_Nm: Final = (1e-3, 5e-4, 5e-4)
-_START_MEMORY_s: Final = 0.5
+_START_FAST_STD_Nm: Final = (1e-2, 3e-3, 6e-3)
+_START_SLOW_STD_Nm: Final = (1e-3, 5e-4, 5e-4)
+_START_CORRELATION_TIME_s: Final = 0.5
 _START_QUANTISATION: Final = 0.6
 _LEAST_Nm, _MOST_Nm = 2e-5, 1.0
 _LEAST_s, _MOST_s = 0.03, 5.0
@@ -37,41 +37,41 @@ _CONVERGED_NATS: Final = 0.02
 
 
 @dataclass(frozen=True)
-class Weather:
+class DisturbanceModel:
     """Gauss-Markov torques about elevation, pitch and travel, and how well the encoders tell angles.
 
     Parameters
     ----------
-    gust_Nm : ndarray (3,)
+    fast_std_Nm : ndarray (3,)
         Standard deviation of the gusts about each axis.
-    memory_s : ndarray (3,)
+    correlation_time_s : ndarray (3,)
         Time over which the autocorrelation of each axis' gusts falls to 1/e.
-    drift_Nm : ndarray (3,)
-        Standard deviation of the slow drift about each axis, of memory `DRIFT_MEMORY_s`.
+    slow_std_Nm : ndarray (3,)
+        Standard deviation of the slow drift about each axis, of memory `SLOW_CORRELATION_TIME_s`.
     quantisation : ndarray (3,)
         Variance of each axis' quantisation error over that of independent, even errors.
     curvature : ndarray (3, 4, 4) or None
         Of the log-likelihood at the estimate, for the logarithms of each axis' four numbers.
     """
 
-    gust_Nm: Floats
-    memory_s: Floats
-    drift_Nm: Floats
+    fast_std_Nm: Floats
+    correlation_time_s: Floats
+    slow_std_Nm: Floats
     quantisation: Floats
     curvature: Floats | None = None
 
     @classmethod
-    def start(cls) -> Weather:
+    def start(cls) -> DisturbanceModel:
         """Weather to start a search from."""
         return cls(
-            np.array(_START_GUST_Nm),
-            np.full(3, _START_MEMORY_s),
-            np.array(_START_DRIFT_Nm),
+            np.array(_START_FAST_STD_Nm),
+            np.full(3, _START_CORRELATION_TIME_s),
+            np.array(_START_SLOW_STD_Nm),
             np.full(3, _START_QUANTISATION),
         )
 
     @classmethod
-    def from_point(cls, point: Floats) -> Weather:
+    def from_point(cls, point: Floats) -> DisturbanceModel:
         """Make it of a `point`, the logarithms of all numbers, shape (3, 4), an axis a row."""
         gust, memory, drift, quantisation = np.exp(point).T
         return cls(gust, memory, drift, quantisation)
@@ -79,19 +79,23 @@ class Weather:
     @property
     def point(self) -> Floats:
         """Logarithms of all numbers, within the bounds of the search, shape (3, 4), an axis a row."""
-        every = np.log(np.stack((self.gust_Nm, self.memory_s, self.drift_Nm, self.quantisation), axis=1))
+        every = np.log(
+            np.stack((self.fast_std_Nm, self.correlation_time_s, self.slow_std_Nm, self.quantisation), axis=1)
+        )
         result: Floats = np.clip(every, *_BOUNDS)
         return result
 
     def memory(self, step_s: float) -> Floats:
         """Share of each torque that is left after a step of `step_s`, gusts first, shape (6,)."""
-        result: Floats = np.exp(-step_s / np.concatenate((self.memory_s, np.full(3, DRIFT_MEMORY_s))))
+        result: Floats = np.exp(
+            -step_s / np.concatenate((self.correlation_time_s, np.full(3, SLOW_CORRELATION_TIME_s)))
+        )
         return result
 
     @property
     def variance_N2m2(self) -> Floats:
         """Stationary variance of each torque, gusts first, shape (6,)."""
-        result: Floats = np.concatenate((self.gust_Nm, self.drift_Nm)) ** 2
+        result: Floats = np.concatenate((self.fast_std_Nm, self.slow_std_Nm)) ** 2
         return result
 
 
@@ -102,11 +106,11 @@ _BOUNDS: Final = (
 
 
 def maximise(
-    value: Callable[[Sequence[Weather]], Floats],
-    start: Weather,
+    value: Callable[[Sequence[DisturbanceModel]], Floats],
+    start: DisturbanceModel,
     enough_nats: float = _CONVERGED_NATS,
     known: Floats | None = None,
-) -> Weather:
+) -> DisturbanceModel:
     """Maximise a likelihood over the weather by Newton's method.
 
     Weather about one axis hardly touches the innovations of another, so that all three axes are
@@ -117,7 +121,7 @@ def maximise(
     value : callable
         Log-likelihood of each axis' innovations under each of some weathers, nats, shape (w, 3); four cost
         little more than one.
-    start : Weather
+    start : DisturbanceModel
         Where to begin; its curvature is used where it has one.
     enough_nats : float
         Gain that one more step may promise, or bring, before the search ends.
@@ -126,7 +130,7 @@ def maximise(
     """
 
     def at(*points: Floats) -> Floats:
-        return value([Weather.from_point(np.clip(point, *_BOUNDS)) for point in points])
+        return value([DisturbanceModel.from_point(np.clip(point, *_BOUNDS)) for point in points])
 
     point, curvature = start.point, start.curvature
     fresh = curvature is None
@@ -169,7 +173,7 @@ def maximise(
         if share < 1.0 or np.abs(move).max() > 0.5:
             now, curvature = _curvature(at, point)
             fresh = True
-    return replace(Weather.from_point(point), curvature=curvature)
+    return replace(DisturbanceModel.from_point(point), curvature=curvature)
 
 
 def _gradient(at: Callable[..., Floats], point: Floats, now: Floats) -> Floats:

@@ -14,7 +14,7 @@ from heli_sim.rig.quantity import Prior, Quantity
 from heli_lab.diagnose.equation_discovery.terms import QUANTITIES, Factor, Term
 from heli_lab.diagnose.equation_discovery.units import Unit
 
-NAME: Final = "proposed_law"
+NAME: Final = "proposed_term"
 """Id of the effect that a law is."""
 CHANNELS: Final[Mapping[str, tuple[str, Stage]]] = {
     **{f"torque.{axis}": ("N m", Stage.TORQUE) for axis in AXES},
@@ -40,7 +40,7 @@ def rotor_signs(channel: str) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class LawTerm:
+class EquationTerm:
     """A term with the channel that it acts on.
 
     Parameters
@@ -66,20 +66,20 @@ class LawTerm:
 
 
 @dataclass(frozen=True)
-class Law:
+class Equation:
     """A sum of terms on one or more channels."""
 
-    terms: tuple[LawTerm, ...]
+    terms: tuple[EquationTerm, ...]
 
     @property
     def channels(self) -> tuple[str, ...]:
         """Where it acts."""
-        return tuple(dict.fromkeys(one.channel for one in self.terms))
+        return tuple(dict.fromkeys(term.channel for term in self.terms))
 
     @property
     def key(self) -> str:
         """The law as text, with its inner numbers, without its coefficients."""
-        return "; ".join(one.key for one in self.terms)
+        return "; ".join(term.key for term in self.terms)
 
     def coefficient(self, number: int) -> str:
         """Name of the coefficient of term `number`, from 0, without the effect's prefix."""
@@ -94,8 +94,8 @@ class Law:
 
     def inner(self) -> Iterator[tuple[int, int, str, str, float, Unit]]:
         """Numbers of factors: term, factor, the number's own name, its name in the law, value and unit."""
-        for i, one in enumerate(self.terms):
-            for j, factor in enumerate(one.term.factors):
+        for i, term in enumerate(self.terms):
+            for j, factor in enumerate(term.term.factors):
                 for name, value in factor.numbers:
                     unit = factor.number_unit(name)
                     spelled = "" if str(unit) == "1" else "_" + str(unit).replace("/", "_per_")
@@ -104,7 +104,7 @@ class Law:
 
     def numbers_of(self, i: int, j: int) -> dict[str, str]:
         """Names in the law of the numbers of factor `j` of term `i`, by their own names."""
-        return {own: name for a, b, own, name, _, _ in self.inner() if (a, b) == (i, j)}
+        return {inner_name: name for a, b, inner_name, name, _, _ in self.inner() if (a, b) == (i, j)}
 
 
 def _place(i: int, j: int) -> str:
@@ -117,41 +117,41 @@ def memory_name(i: int, j: int) -> str:
 
 
 @dataclass(frozen=True)
-class LawEffect(Effect):
+class EquationEffect(Effect):
     """A law as an effect.
 
     Parameters
     ----------
     name, parameters, values, states, priors, delay, stage, noise_inputs, measured_as
-        Inherited from `Effect`; `law_effect` makes them.
+        Inherited from `Effect`; `equation_effect` makes them.
     multimodal, direction_of
         Inherited from `Effect` as well.
-    law : Law
+    equation : Equation
         Its terms.
     """
 
-    law: Law = Law(())
+    equation: Equation = Equation(())
 
     def __hash__(self) -> int:
-        return hash((self.name, self.law, frozenset(self.values.items())))
+        return hash((self.name, self.equation, frozenset(self.values.items())))
 
     def _values(self, at: Operands, kind: str) -> Iterator[tuple[str, ca.SX]]:
         """Each term of a kind of channel with its coefficient: its channel and its value."""
-        for i, one in enumerate(self.law.terms):
-            if not one.channel.startswith(kind):
+        for i, term in enumerate(self.equation.terms):
+            if not term.channel.startswith(kind):
                 continue
-            value = self.own(at, self.law.coefficient(i))
-            for j, factor in enumerate(one.term.factors):
+            value = self.own(at, self.equation.coefficient(i))
+            for j, factor in enumerate(term.term.factors):
                 value = value * self._factor(at, i, j, factor)
-            yield one.channel, value
+            yield term.channel, value
 
     def _factor(self, at: Operands, i: int, j: int, factor: Factor) -> ca.SX:
         x = QUANTITIES[factor.quantity].value(at)
         if factor.memory:
             late = self._memory(at, i, j, factor)
             x = late if factor.memory == "lag" else late - x
-        names = self.law.numbers_of(i, j)
-        numbers = {own: self.own(at, name) for own, name in names.items()}
+        names = self.equation.numbers_of(i, j)
+        numbers = {inner_name: self.own(at, name) for inner_name, name in names.items()}
         value: ca.SX = factor.value(ca, x, numbers)
         return value
 
@@ -185,31 +185,34 @@ class LawEffect(Effect):
         """Add to what encoders show [rad], shape (3, 1); see `Effect.measured_rad`."""
         for channel, value in self._values(at, "measurement"):
             axis = channel.partition(".")[2]
-            angles_rad = angles_rad + ca.vertcat(*(value if axis == one else ca.SX(0) for one in AXES))
+            angles_rad = angles_rad + ca.vertcat(*(value if axis == other else ca.SX(0) for other in AXES))
         return angles_rad
 
     def state_rates(self, at: Operands) -> ca.SX:
         """First-order lags of what has a memory; see `Effect.state_rates`."""
         rates = []
-        for i, one in enumerate(self.law.terms):
-            for j, factor in enumerate(one.term.factors):
+        for i, term in enumerate(self.equation.terms):
+            for j, factor in enumerate(term.term.factors):
                 if factor.memory:
                     late = self._memory(at, i, j, factor)
-                    lag_s = self.own(at, self.law.numbers_of(i, j)["s"])
+                    lag_s = self.own(at, self.equation.numbers_of(i, j)["s"])
                     rates.append((QUANTITIES[factor.quantity].value(at) - late) / lag_s)
         return ca.vertcat(*rates)
 
 
-def law_effect(
-    law: Law, stds: Mapping[str, float], held: Mapping[str, Any] | None = None, name: str = NAME
-) -> LawEffect:
+def equation_effect(
+    equation: Equation,
+    reported_std: Mapping[str, float],
+    held: Mapping[str, Any] | None = None,
+    name: str = NAME,
+) -> EquationEffect:
     """Make the effect of a law with all coefficients at 0.
 
     Parameters
     ----------
-    law : Law
+    equation : Equation
         Its terms.
-    stds : Mapping[str, float]
+    reported_std : Mapping[str, float]
         Prior standard deviation of each coefficient, by name without prefix.
     held : Mapping[str, Any], optional
         Inner numbers that are not estimated, by name without prefix; the width of a sign never is.
@@ -218,48 +221,48 @@ def law_effect(
     """
     prefix = name.replace(".", "_")
     values, priors, parameters = dict[str, float](), dict[str, Prior](), []
-    for what, one in zip(law.coefficients, law.terms, strict=True):
+    for what, term in zip(equation.coefficients, equation.terms, strict=True):
         full = f"{prefix}_{what}"
-        parameters.append(Quantity(full, str(one.coefficient_unit), f"coefficient of {one.term.key}"))
-        values[full], priors[full] = 0.0, Prior(0.0, stds[what])
-    for i, j, own, what, value, unit in law.inner():
+        parameters.append(Quantity(full, str(term.coefficient_unit), f"coefficient of {term.term.key}"))
+        values[full], priors[full] = 0.0, Prior(0.0, reported_std[what])
+    for i, j, inner_name, what, value, unit in equation.inner():
         full = f"{prefix}_{what}"
-        factor = law.terms[i].term.factors[j]
-        parameters.append(Quantity(full, str(unit), f"{own} of {factor.form} of {factor.quantity}"))
+        factor = equation.terms[i].term.factors[j]
+        parameters.append(Quantity(full, str(unit), f"{inner_name} of {factor.form} of {factor.quantity}"))
         values[full] = value
-        if what not in (held or {}) and not (factor.form == "sign" and own == "width"):
-            priors[full] = inner_prior(factor, own, value)
+        if what not in (held or {}) and not (factor.form == "sign" and inner_name == "width"):
+            priors[full] = inner_prior(factor, inner_name, value)
     states = [
         Quantity(
             f"{prefix}_{memory_name(i, j)}{rotor}", str(QUANTITIES[factor.quantity].unit), "a lagged copy"
         )
-        for i, one in enumerate(law.terms)
-        for j, factor in enumerate(one.term.factors)
+        for i, term in enumerate(equation.terms)
+        for j, factor in enumerate(term.term.factors)
         if factor.memory
         for rotor in (("_front", "_back") if factor.each else ("",))
     ]
-    return LawEffect(
+    return EquationEffect(
         name,
         parameters=tuple(parameters),
         values=values,
         states=tuple(states),
         priors=priors,
-        stage=min(CHANNELS[channel][1] for channel in law.channels),
-        law=law,
+        stage=min(CHANNELS[channel][1] for channel in equation.channels),
+        equation=equation,
     )
 
 
-def inner_prior(factor: Factor, own: str, value: float) -> Prior:
-    """Prior of the number `own` of a `factor` about the `value` of the grid that it was found at: as wide as
+def inner_prior(factor: Factor, inner_name: str, value: float) -> Prior:
+    """Return the prior of the number `inner_name` of a `factor`: centred on the grid's `value`, as wide as
     the grid.
     """
-    if own == "s":
+    if inner_name == "s":
         return Prior(value, value, _LEAST_s, _MOST_s)
-    if own == "k":
+    if inner_name == "k":
         return Prior(value, 0.3 * value, 0.3 * value, 3.0 * value)
-    if own == "slack":
+    if inner_name == "slack":
         return Prior(value, 0.5 * value, 0.3 * value, 2.0 * value)
     width = dict(factor.numbers)["width"]
-    if own == "place":
+    if inner_name == "place":
         return Prior(value, width, value - 4.0 * width, value + 4.0 * width)
     return Prior(value, 0.5 * value, 0.2 * value, 5.0 * value)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from heli_lab.errors import PoolError
-from heli_lab.pool import Make, pool, read_machine
-from heli_lab.pool.machine import Estimate, by_flights_alone
+from heli_lab.pool import RigPopulation, pool, read_machine
+from heli_lab.pool.machine import NumberEstimate, by_flights_alone
 from heli_sim.model.effects import effects_of
 from heli_sim.rig import load_rig, write_rig
 
@@ -47,7 +47,7 @@ def diagnosis(gain: float, lag_s: float | None, hidden: tuple[str, ...] = ()) ->
     }
 
 
-def make(folder: Path, *machines: dict[str, Any]) -> Make:
+def population(folder: Path, *machines: dict[str, Any]) -> RigPopulation:
     paths = [folder / f"machine{n}.json" for n in range(len(machines))]
     for path, content in zip(paths, machines, strict=True):
         path.write_text(json.dumps(content))
@@ -56,7 +56,7 @@ def make(folder: Path, *machines: dict[str, Any]) -> Make:
 
 def test_the_prior_is_taken_out_of_what_machines_share(tmp_path: Path) -> None:
     gains = [1.05 * RIG["thrust_gain"].value, 1.09 * RIG["thrust_gain"].value]
-    made = make(tmp_path, *(diagnosis(gain, None) for gain in gains))
+    made = population(tmp_path, *(diagnosis(gain, None) for gain in gains))
     for machine, gain in zip(made.machines, gains, strict=True):
         assert machine.numbers["thrust_gain"].value == pytest.approx(gain)
         assert machine.numbers["thrust_gain"].std == pytest.approx(0.02 * RIG["thrust_gain"].value)
@@ -64,7 +64,7 @@ def test_the_prior_is_taken_out_of_what_machines_share(tmp_path: Path) -> None:
 
 
 def test_a_number_that_flights_tell_nothing_of_has_no_say() -> None:
-    prior = Estimate(1.0, 0.1, "1")
+    prior = NumberEstimate(1.0, 0.1, "1")
     assert by_flights_alone(1.0, 0.0999, prior) is None
     assert by_flights_alone(1.01, 0.05, prior) is not None
 
@@ -72,7 +72,9 @@ def test_a_number_that_flights_tell_nothing_of_has_no_say() -> None:
 def test_a_cause_is_counted_among_the_machines_that_would_show_it(tmp_path: Path) -> None:
     gain = RIG["thrust_gain"].value
     blind = diagnosis(gain, None, hidden=("rotor_lag",))
-    made = make(tmp_path, *(diagnosis(gain, lag) for lag in (0.08, 0.09, 0.1)), diagnosis(gain, None), blind)
+    made = population(
+        tmp_path, *(diagnosis(gain, lag) for lag in (0.08, 0.09, 0.1)), diagnosis(gain, None), blind
+    )
     counted = made.causes["rotor_lag"]
     assert (counted.found, counted.seen) == (3, 4)
     assert counted.interval == pytest.approx((0.1941, 0.9937), abs=1e-4)
@@ -84,7 +86,7 @@ def test_a_cause_is_counted_among_the_machines_that_would_show_it(tmp_path: Path
 def test_the_next_machine_is_expected_where_the_others_are(tmp_path: Path) -> None:
     was = RIG["thrust_gain"]
     gains = [1.2 * was.value * (1.0 + 0.01 * z) for z in (-1.0, 0.0, 1.0, 0.5, -0.5)]
-    made = make(tmp_path, *(diagnosis(gain, 0.09 + 0.001 * n) for n, gain in enumerate(gains)))
+    made = population(tmp_path, *(diagnosis(gain, 0.09 + 0.001 * n) for n, gain in enumerate(gains)))
     prior = made.prior(RIG, "make")
     assert prior["thrust_gain"].value == pytest.approx(1.2 * was.value, rel=0.02)
     assert prior["thrust_gain"].tolerance < 0.6 * was.tolerance
@@ -103,7 +105,7 @@ def test_the_next_machine_is_expected_where_the_others_are(tmp_path: Path) -> No
 def test_one_machine_says_less_of_the_next_than_several_alike(tmp_path: Path) -> None:
     gain = 1.1 * RIG["thrust_gain"].value
     tolerances = [
-        make(tmp_path, *(diagnosis((1.0 + 1e-6 * number) * gain, None) for number in range(count)))
+        population(tmp_path, *(diagnosis((1.0 + 1e-6 * number) * gain, None) for number in range(count)))
         .prior(RIG, "make")["thrust_gain"]
         .tolerance
         for count in (1, 2, 5)
@@ -120,7 +122,7 @@ def test_a_make_whose_machines_differ_is_expected_to_differ(tmp_path: Path) -> N
     for _ in range(60):
         gains = 1.1 * was.value + spread * random.standard_normal(5)
         seen = gains[:4] + 0.02 * was.value * random.standard_normal(4)
-        prior = make(tmp_path, *(diagnosis(float(gain), None) for gain in seen)).prior(RIG, "m")[
+        prior = population(tmp_path, *(diagnosis(float(gain), None) for gain in seen)).prior(RIG, "m")[
             "thrust_gain"
         ]
         held += abs(gains[4] - prior.value) < prior.tolerance
@@ -148,8 +150,8 @@ def test_machines_of_two_makes_and_of_one_name_are_refused(tmp_path: Path) -> No
     one, other = diagnosis(1.0, None), diagnosis(1.0, None)
     other["rig"]["name"] = "quanser-course"
     with pytest.raises(PoolError, match="not of one make: machine0: rig makki2024"):
-        make(tmp_path, one, other)
-    machine = make(tmp_path, one).machines[0]
+        population(tmp_path, one, other)
+    machine = population(tmp_path, one).machines[0]
     with pytest.raises(PoolError, match="two diagnoses are called machine0"):
         pool([machine, machine])
     with pytest.raises(PoolError, match="machine0 and again are the same diagnosis"):

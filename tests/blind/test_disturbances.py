@@ -11,26 +11,26 @@ from heli_host.flight import Flight
 from heli_sim.rig import load_rig
 
 from tests.blind.cases import every_case
-from tests.blind.course import Course
+from tests.blind.course import ReferenceTrajectory
+from tests.blind.disturbances import Air, DisturbanceModel, MEMORIES_s, STRENGTHS_Nm
+from tests.blind.disturbed_case import COURSE
+from tests.blind.disturbed_cases import SIZES, RATES_Hz, disturbed_cases
 from tests.blind.hidden import LISTED, MORE_LISTED
 from tests.blind.measured_effects import MEASURED_EFFECTS
 from tests.blind.mujoco_rig import STEP_S, Floats, Moment
-from tests.blind.off_list import IN_WEATHER
-from tests.blind.weather import Air, MEMORIES_s, STRENGTHS_Nm, Weather
-from tests.blind.weather_case import COURSE
-from tests.blind.weather_cases import SIZES, RATES_Hz, weather_cases
+from tests.blind.unlisted import DISTURBED
 
-CASES = {case.name: case for case in weather_cases()}
+CASES = {case.name: case for case in disturbed_cases()}
 
 
 @cache
-def flown(name: str) -> tuple[Flight, Course]:
+def flown(name: str) -> tuple[Flight, ReferenceTrajectory]:
     return CASES[name].flown(0, 3.0)
 
 
-def torques(weather: Weather, seed: int, duration_s: float) -> Floats:
+def torques(disturbances: DisturbanceModel, seed: int, duration_s: float) -> Floats:
     """What the air does to a rig that stands, (n, 3)."""
-    air = Air(weather, np.random.default_rng(seed))
+    air = Air(disturbances, np.random.default_rng(seed))
     rows = []
     for k in range(0, round(duration_s / STEP_S), 20):
         at = Moment(0.0, k * STEP_S, np.zeros(2), np.zeros(2), np.zeros(3), np.zeros(3))
@@ -44,7 +44,7 @@ def test_half_of_all_cases_have_weather_and_their_names_and_seeds_are_their_own(
     both = [*clean, *CASES.values()]
     assert 0.5 <= len(CASES) / len(both) <= 0.55
     assert len({case.name for case in both}) == len({case.seed for case in both}) == len(both)
-    assert len(weather_cases()) == len(CASES)
+    assert len(disturbed_cases()) == len(CASES)
 
 
 def test_forty_rigs_and_more_have_weather_and_nothing_else() -> None:
@@ -61,11 +61,15 @@ def test_most_that_have_a_cause_have_a_lag_of_about_a_tenth_of_a_second() -> Non
 @pytest.mark.parametrize("on_course", [False, True])
 def test_strengths_memories_rates_and_controllers_occur_on_both_rigs(on_course: bool) -> None:
     some = [case for case in CASES.values() if (case.rig_name == COURSE) is on_course]
-    assert {case.weather.gusts_Nm for case in some} == set(STRENGTHS_Nm)
-    assert {case.weather.memory_s for case in some} == set(MEMORIES_s)
+    assert {case.disturbances.gusts_Nm for case in some} == set(STRENGTHS_Nm)
+    assert {case.disturbances.correlation_time_s for case in some} == set(MEMORIES_s)
     assert {case.rate_Hz for case in some} == set(RATES_Hz)
     assert len({case.controller for case in some}) == 3
-    assert {case.gentle for case in some} == {any(case.weather.drift_Nm) for case in some} == {True, False}
+    assert (
+        {case.gentle for case in some}
+        == {any(case.disturbances.slow_std_Nm) for case in some}
+        == {True, False}
+    )
 
 
 def test_one_to_four_causes_are_hidden_and_every_effect_and_law_that_weather_leaves_to_be_seen() -> None:
@@ -75,7 +79,7 @@ def test_one_to_four_causes_are_hidden_and_every_effect_and_law_that_weather_lea
     assert hidden <= {*LISTED, *MORE_LISTED, *MEASURED_EFFECTS}
     left = {name for name in SIZES if name not in hidden}
     assert {name.partition(".")[0] for name in left} == {"random_torque", "encoder_eccentricity"}
-    assert {name for case in CASES.values() for name, _ in case.off_list} == set(IN_WEATHER)
+    assert {name for case in CASES.values() for name, _ in case.unlisted} == set(DISTURBED)
 
 
 @pytest.mark.medium
@@ -104,10 +108,10 @@ def test_true_numbers_stay_within_what_is_said_of_them() -> None:
 
 @pytest.mark.medium
 def test_gusts_have_their_strength_and_memory_about_each_axis_and_are_independent() -> None:
-    weather = Weather((0.02, 0.006, 0.012), 0.3)
-    both = np.concatenate([torques(weather, seed, 120.0) for seed in range(8)])
+    disturbances = DisturbanceModel((0.02, 0.006, 0.012), 0.3)
+    both = np.concatenate([torques(disturbances, seed, 120.0) for seed in range(8)])
     # 960 s of a memory of 0.3 s are 1600 draws: standard deviations to 1.8 %, correlations to 0.025.
-    np.testing.assert_allclose(both.std(axis=0), weather.gusts_Nm, rtol=0.06)
+    np.testing.assert_allclose(both.std(axis=0), disturbances.gusts_Nm, rtol=0.06)
     later = np.corrcoef(both[:-30].T, both[30:].T)[:3, 3:]
     np.testing.assert_allclose(np.diag(later), np.exp(-1.0), atol=0.07)
     np.testing.assert_allclose(later - np.diag(np.diag(later)), 0.0, atol=0.08)
@@ -115,7 +119,7 @@ def test_gusts_have_their_strength_and_memory_about_each_axis_and_are_independen
 
 @pytest.mark.medium
 def test_a_drift_is_slow() -> None:
-    drift = torques(Weather((0.0, 0.0, 0.0), 0.3, (0.01, 0.01, 0.01), 30.0), 1, 100.0)
+    drift = torques(DisturbanceModel((0.0, 0.0, 0.0), 0.3, (0.01, 0.01, 0.01), 30.0), 1, 100.0)
     assert 0.003 < drift.std() < 0.02
     assert np.abs(np.diff(drift[::100], axis=0)).max() < 0.5 * np.ptp(drift)
 

@@ -1,4 +1,4 @@
-"""`python -m tests.blind.law_run`: laws on no list, how many are found, and how well."""
+"""`python -m tests.blind.equation_run`: laws on no list, how many are found, and how well."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from typing import Any
 from heli_host.flight import Flight
 
 from tests.blind.choice import add_choice, chosen
+from tests.blind.disturbed_case import DisturbedCase
 from tests.blind.judge import SEEN
-from tests.blind.weather_case import WeatherCase
 
 CORRELATES, NEAR_TOLD = 0.9, 1.3
 Row = dict[str, Any]
@@ -35,17 +35,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         Exit status: 0 when every case ran.
     """
-    parser = argparse.ArgumentParser(prog="python -m tests.blind.law_run", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.blind.equation_run", description=__doc__)
     add_rows(parser, Path("laws.json"))
     parser.add_argument("--nothing", action="store_true", help="cases without a law instead")
     parser.add_argument("--seen", action="store_true", help="diagnose only laws that can be seen")
     given = parser.parse_args(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from tests.blind.law_cases import law_cases
-    from tests.blind.law_oracle import judged_law
-    from tests.blind.weather_cases import weather_cases
+    from tests.blind.disturbed_cases import disturbed_cases
+    from tests.blind.equation_cases import equation_cases
+    from tests.blind.equation_oracle import judged_law
 
-    every = [one for one in weather_cases() if not one.off_list] if given.nothing else law_cases()
+    every = [one for one in disturbed_cases() if not one.unlisted] if given.nothing else equation_cases()
     rows = judged_rows(chosen(every, given), judged_law, _said, given)
     print(summary(rows))
     return 0 if all("failure" not in row for row in rows.values()) else 1
@@ -60,8 +60,8 @@ def add_rows(parser: argparse.ArgumentParser, json_file: Path) -> None:
 
 
 def judged_rows(
-    cases: Sequence[WeatherCase],
-    judge: Callable[[WeatherCase, tuple[Flight, Flight]], Row],
+    cases: Sequence[DisturbedCase],
+    judge: Callable[[DisturbedCase, tuple[Flight, Flight]], Row],
     said: Callable[[Row], str],
     given: argparse.Namespace,
 ) -> dict[str, Row]:
@@ -69,7 +69,7 @@ def judged_rows(
 
     Parameters
     ----------
-    cases : sequence of WeatherCase
+    cases : sequence of DisturbedCase
         The cases.
     judge : callable
         A row of a case and its flights.
@@ -130,15 +130,15 @@ def summary(rows: dict[str, Row]) -> str:
     rows : dict
         Rows by case, as `main` writes them.
     """
-    laws = [
+    equations = [
         row for name, row in rows.items() if name.startswith("law-") and "failure" not in row and is_seen(row)
     ]
     others = [row for name, row in rows.items() if not name.startswith("law-") and "failure" not in row]
-    proposed = [row for row in laws if row["expression"]]
-    good = [row for row in laws if row.get("correlation", 0.0) >= CORRELATES]
-    near = [row for row in laws if row.get("error_ratio", 99.0) <= NEAR_TOLD]
+    proposed = [row for row in equations if row["expression"]]
+    good = [row for row in equations if row.get("correlation", 0.0) >= CORRELATES]
+    near = [row for row in equations if row.get("error_ratio", 99.0) <= NEAR_TOLD]
     return (
-        f"visible laws: {len(laws)}, proposed {len(proposed)}, "
+        f"visible laws: {len(equations)}, proposed {len(proposed)}, "
         f"correlation of {CORRELATES} and more {len(good)}, "
         f"error within {NEAR_TOLD} of told {len(near)}; laws proposed where there is none: "
         f"{sum(bool(row['expression']) for row in others)} of {len(others)}"

@@ -12,17 +12,17 @@ from heli_host.log.table import write_csv
 from heli_sim.rig import Rig, load_rig
 
 from tests.blind.cases import TRAIN_S, VALIDATE_S, Case
-from tests.blind.course import Course, Watching
+from tests.blind.course import ReferenceTrajectory, Watching
+from tests.blind.disturbances import Air, DisturbanceModel
 from tests.blind.mujoco_rig import Hidden
 from tests.blind.tracking import Route, tracked
-from tests.blind.weather import Air, Weather
 
 COURSE = "quanser-course"
 """Name of the rig of the course's kind."""
 
 
 @dataclass(frozen=True)
-class WeatherCase(Case):
+class DisturbedCase(Case):
     """Something hidden, or nothing, on a rig in weather.
 
     Parameters
@@ -35,7 +35,7 @@ class WeatherCase(Case):
         Whether the flights are.
     controller : str
         Which one flies.
-    weather : Weather
+    disturbances : DisturbanceModel
         Of both flights; no gust comes twice.
     """
 
@@ -43,7 +43,7 @@ class WeatherCase(Case):
     rate_Hz: int
     gentle: bool
     controller: str
-    weather: Weather
+    disturbances: DisturbanceModel
 
     def rig(self) -> Rig:
         """Draw the true rig: thrust within 15 %, dead zone 10 %, friction half to double, masses 0.7 %."""
@@ -73,10 +73,10 @@ class WeatherCase(Case):
         flight : int
             Number of the flight, for the weather.
         """
-        air = Air(self.weather, np.random.default_rng([self.seed, 7, flight]))
+        air = Air(self.disturbances, np.random.default_rng([self.seed, 7, flight]))
         return [*super().hidden(flight), air]
 
-    def flown(self, flight: int, duration_s: float) -> tuple[Flight, Course]:
+    def flown(self, flight: int, duration_s: float) -> tuple[Flight, ReferenceTrajectory]:
         """Fly one of the two flights, with somebody looking on.
 
         Parameters
@@ -136,7 +136,7 @@ class WeatherCase(Case):
 
 
 @lru_cache(maxsize=2)
-def _flown(case: WeatherCase, flight: int, duration_s: float) -> tuple[Flight, Course]:
+def _flown(case: DisturbedCase, flight: int, duration_s: float) -> tuple[Flight, ReferenceTrajectory]:
     watching = Watching()
     log = tracked(
         case.rig(),

@@ -26,9 +26,9 @@ from heli_sim.model.parts import AXES
 from heli_lab.identify.functions import Floats, Integers
 from heli_lab.identify.grid import make_grid
 from heli_lab.innovations import _kalman
-from heli_lab.innovations.course import Course
-from heli_lab.innovations.evaluate import OWN_SUBSTEPS, AlongCourse, OwnStates, Trajectory
-from heli_lab.threads import shared_out, usual_threads
+from heli_lab.innovations.evaluate import EFFECT_SUBSTEPS, AlongTrajectory, EffectStates, Trajectory
+from heli_lab.innovations.reference_trajectory import ReferenceTrajectory
+from heli_lab.threads import default_thread_count, parallel_map
 
 BLOCK_s: Final = 0.04
 """Time from one measurement of the filter to the next. Encoders at rest repeat a count for tens of
@@ -50,7 +50,7 @@ class ModelFunctions:
     """
 
     def __init__(self, model: Model, free: Sequence[str]) -> None:
-        self.model = model = along_measured(model)
+        self.model = model = with_measured_angles(model)
         self.free = tuple(free)
         names = [quantity.name for quantity in model.parameters]
         self.names = names
@@ -74,12 +74,12 @@ class ModelFunctions:
             ca.horzcat(angles, by_free(angles)),
             ca.jacobian(angles, x),
         ]
-        self.along = AlongCourse(ca.Function("along", [x, u, t, p], [ca.densify(w) for w in wanted]))
+        self.along = AlongTrajectory(ca.Function("along", [x, u, t, p], [ca.densify(w) for w in wanted]))
         self.own_states = len(model.states) - 6
         if self.own_states:
             z, y = ca.SX.sym("z", self.own_states), ca.SX.sym("y", 6)
             both, inputs = ca.vertcat(y, z), [z, t, y, u, p]
-            self.own = OwnStates(
+            self.own = EffectStates(
                 ca.Function("rates", inputs, [ca.densify(model.dynamics(both, u, p, t)[6:])]),
                 ca.Function("resets", inputs, [ca.densify(model.reset_map(both, u, p, t)[6:])]),
             )
@@ -108,7 +108,7 @@ class ModelFunctions:
             trajectory.t_s,
             trajectory.parameters,
             trajectory.step_s,
-            OWN_SUBSTEPS,
+            EFFECT_SUBSTEPS,
         )
         every: Floats = np.vstack((np.zeros(self.own_states), ends))
         for place, axis in known_directions(self.model.effects):
@@ -116,9 +116,9 @@ class ModelFunctions:
         return every
 
 
-def along_measured(model: Model) -> Model:
+def with_measured_angles(model: Model) -> Model:
     """The same model where the angles of a flight have been measured."""
-    return type(model)(tuple(effect.along_measured() for effect in model.effects))
+    return type(model)(tuple(effect.with_measured_angles() for effect in model.effects))
 
 
 def known_directions(effects: Sequence[Effect]) -> list[tuple[int, int]]:
@@ -210,8 +210,8 @@ class Steps:
     angle_error_rad: Floats
 
 
-class Linear:
-    """A model with all its `parameters`, shape (p,), linearised along a `course`.
+class LinearisedFlight:
+    """A model with all its `parameters`, shape (p,), linearised along a `reference`.
 
     Attributes
     ----------
@@ -231,10 +231,10 @@ class Linear:
         Variance of the quantisation errors.
     """
 
-    def __init__(self, course: Course, functions: ModelFunctions, parameters: Floats) -> None:
-        self.course, self.functions, self.model = course, functions, functions.model
-        self.block = max(1, round(BLOCK_s / course.step_s))
-        lengths = [one.stop - one.start for one in course.windows]
+    def __init__(self, reference: ReferenceTrajectory, functions: ModelFunctions, parameters: Floats) -> None:
+        self.reference, self.functions, self.model = reference, functions, functions.model
+        self.block = max(1, round(BLOCK_s / reference.step_s))
+        lengths = [window.stop - window.start for window in reference.windows]
         edges = np.concatenate(([0], np.cumsum(lengths))).astype(int)
         self.windows = [slice(int(low), int(high)) for low, high in itertools.pairwise(edges)]
         self._place(parameters)
@@ -242,38 +242,42 @@ class Linear:
 
     def _place(self, parameters: Floats) -> None:
         """Lay out the points of the course about which the model is linearised."""
-        course, functions, h = self.course, self.functions, self.course.step_s
+        reference, functions, h = self.reference, self.functions, self.reference.step_s
         names = functions.names
         model = self.model
         delay = (model.delay, float(parameters[names.index(model.delay)])) if model.delay else None
         dead_zone = float(parameters[names.index("dead_zone")])
-        one_way = not parameters[names.index("reverse_thrust")] and "reverse_thrust" not in functions.free
-        one_way &= not any(effect.pushes_below_dead_zone for effect in model.effects)
-        count = len(course.predicted)
+        non_negative = (
+            not parameters[names.index("reverse_thrust")] and "reverse_thrust" not in functions.free
+        )
+        non_negative &= not any(effect.pushes_below_dead_zone for effect in model.effects)
+        count = len(reference.predicted)
         grid = make_grid(
-            course.record,
-            [(0, count * course.every)],
-            course.every,
+            reference.record,
+            [(0, count * reference.every)],
+            reference.every,
             delay=delay,
-            dead_zone_V=dead_zone if one_way else None,
+            dead_zone_V=dead_zone if non_negative else None,
         )
         t_s = np.asarray((np.arange(count) + 0.5) * h, float)
-        after = np.vstack((course.predicted[1:], course.predicted[-1:]))
-        middle = 0.5 * (course.filtered + after)
+        after = np.vstack((reference.predicted[1:], reference.predicted[-1:]))
+        middle = 0.5 * (reference.filtered + after)
         volts_V = grid.inputs.mean_V
-        nodes = course.predicted
+        nodes = reference.predicted
         if functions.own_states:
-            own = functions.integrate(Trajectory(t_s, middle, volts_V, h, parameters), course.directions)
-            middle = np.hstack((middle, 0.5 * (own[:-1] + own[1:])))
-            nodes = np.hstack((nodes, own[:-1]))
-        rows = course.rows
+            effect_states = functions.integrate(
+                Trajectory(t_s, middle, volts_V, h, parameters), reference.directions
+            )
+            middle = np.hstack((middle, 0.5 * (effect_states[:-1] + effect_states[1:])))
+            nodes = np.hstack((nodes, effect_states[:-1]))
+        rows = reference.rows
         self.rows = len(rows)
         self.trajectory = Trajectory(t_s[rows], middle[rows], volts_V[rows], h, parameters)
         self.nodes = Trajectory(t_s[rows] - 0.5 * h, nodes[rows], volts_V[rows], h, parameters)
-        self._change: Floats = ((after - course.filtered) / h)[rows]
-        self._surprise: Floats = (course.predicted - course.filtered)[rows]
-        self._measured: Floats = course.measured_rad[rows]
-        self.variance_rad2: Floats = course.variance_rad2[rows]
+        self._change: Floats = ((after - reference.filtered) / h)[rows]
+        self._surprise: Floats = (reference.predicted - reference.filtered)[rows]
+        self._measured: Floats = reference.measured_rad[rows]
+        self.variance_rad2: Floats = reference.variance_rad2[rows]
         self._shaped_by = [
             (functions.free.index(name), mean[rows])
             for name, mean, _ in grid.inputs.shaped_by
@@ -282,7 +286,7 @@ class Linear:
 
     def derivatives(self, rows: slice) -> Derivatives:
         """Linearise in the steps `rows`."""
-        here, h = self.trajectory.part(rows), self.course.step_s
+        here, h = self.trajectory.part(rows), self.reference.step_s
         rates, a, by_torque, by_volts, angles, c = self.functions.along(here)
         for place, mean in self._shaped_by:
             rates[:, :, 1 + place] -= np.einsum("nij,nj->ni", by_volts, mean[rows])
@@ -302,8 +306,8 @@ class Linear:
     def blocks(self) -> list[Blocks]:
         """The windows, as the filter takes them; once asked for they are kept, until `release`."""
         size, states, n = 1 + len(self.functions.free), self.states, self.block
-        together = max(1, min(_TOGETHER, -(-self.rows // usual_threads())) // n) * n
-        found: list[Blocks] = []
+        together = max(1, min(_TOGETHER, -(-self.rows // default_thread_count())) // n) * n
+        result: list[Blocks] = []
         parts: list[tuple[Blocks, slice, slice]] = []
         for window in self.windows:
             firsts = np.arange(window.start, window.stop - n + 1, n)
@@ -317,22 +321,24 @@ class Linear:
                 np.empty((count, states, size)),
                 np.empty((count, 3, size)),
             )
-            found.append(blocks)
+            result.append(blocks)
             for low in range(0, count * n, together):
                 high = min(low + together, count * n)
                 rows = slice(window.start + low, window.start + high)
                 parts.append((blocks, slice(low // n, high // n), rows))
-        shared_out(lambda part: self._fill(*part), parts)
-        return found
+        parallel_map(lambda part: self._fill(*part), parts)
+        return result
 
     def _fill(self, blocks: Blocks, into: slice, rows: slice) -> None:
         """Linearise in the steps `rows`, which make the blocks `into`."""
         n = self.block
-        found = self.derivatives(rows)
-        blocks.drive[into] = _kalman.over_blocks(found.Phi, found.Gamma, found.rates, n)
-        blocks.drive[into, :, :1] += _kalman.over_blocks(found.Phi, found.Phi, self._moved(rows), n)
-        blocks.measured_rad[into], blocks.measurement[into] = found.angles_rad[::n], found.C[::n]
-        over, parts = _kalman.block_response(found.Phi, found.Gamma, found.by_torque, n)
+        derivatives = self.derivatives(rows)
+        blocks.drive[into] = _kalman.over_blocks(derivatives.Phi, derivatives.Gamma, derivatives.rates, n)
+        blocks.drive[into, :, :1] += _kalman.over_blocks(
+            derivatives.Phi, derivatives.Phi, self._moved(rows), n
+        )
+        blocks.measured_rad[into], blocks.measurement[into] = derivatives.angles_rad[::n], derivatives.C[::n]
+        over, parts = _kalman.block_response(derivatives.Phi, derivatives.Gamma, derivatives.by_torque, n)
         blocks.transition[into], blocks.part_input[:, into] = over, parts.reshape(n, *over.shape[:2], 3)
 
     def _moved(self, rows: slice) -> Floats:
@@ -350,11 +356,13 @@ class Linear:
         )
         for low in range(0, n, _TOGETHER):
             rows = slice(low, min(low + _TOGETHER, n))
-            found = self.derivatives(rows)
-            kept.Phi[rows], kept.Gamma[rows] = found.Phi, found.Gamma
-            kept.by_torque[rows], kept.C[rows] = found.by_torque, found.C
-            kept.drive[rows] = found.Gamma @ found.rates[:, :, :1] + found.Phi @ self._moved(rows)
-            kept.angle_error_rad[rows] = found.angles_rad[:, :, :1]
+            derivatives = self.derivatives(rows)
+            kept.Phi[rows], kept.Gamma[rows] = derivatives.Phi, derivatives.Gamma
+            kept.by_torque[rows], kept.C[rows] = derivatives.by_torque, derivatives.C
+            kept.drive[rows] = derivatives.Gamma @ derivatives.rates[
+                :, :, :1
+            ] + derivatives.Phi @ self._moved(rows)
+            kept.angle_error_rad[rows] = derivatives.angles_rad[:, :, :1]
         return kept
 
     def release(self) -> None:
@@ -381,6 +389,6 @@ class Linear:
         """What changes of the `rates`, shape (n, states, s), move in each block of each window."""
         Phi, Gamma = self.steps.Phi, self.steps.Gamma
         return [
-            _kalman.over_blocks(Phi[one], Gamma[one], np.ascontiguousarray(rates[one]), self.block)
-            for one in self.windows
+            _kalman.over_blocks(Phi[window], Gamma[window], np.ascontiguousarray(rates[window]), self.block)
+            for window in self.windows
         ]

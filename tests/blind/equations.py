@@ -139,7 +139,7 @@ class Unlisted(Hidden):
 
     Parameters
     ----------
-    law : str
+    equation : str
         Its name in `LAWS`.
     size : float
         Its size.
@@ -149,26 +149,26 @@ class Unlisted(Hidden):
 
     def __init__(self, law: str, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)
-        self.law = LAWS[law]
-        self.numbers = {name: float(rng.uniform(*span)) for name, span in self.law.numbers.items()}
+        self.equation = LAWS[law]
+        self.numbers = {name: float(rng.uniform(*span)) for name, span in self.equation.numbers.items()}
         self.truth = {"size": size, **self.numbers}
         self._late = 0.0
 
     def _value(self, at: Moment) -> float:
         seen = Seen(at.angles_rad, at.rates_rad_s, at.thrust_N)
-        if self.law.remembers is not None:
+        if self.equation.remembers is not None:
             keep = np.exp(-STEP_S / self.numbers["lag_s"])
-            self._late = keep * self._late + (1.0 - keep) * float(self.law.remembers(seen))
+            self._late = keep * self._late + (1.0 - keep) * float(self.equation.remembers(seen))
             seen = Seen(seen.q, seen.w, seen.thrust_N, self._late)
-        return self.size * float(self.law.value(np, seen, self.numbers))
+        return self.size * float(self.equation.value(np, seen, self.numbers))
 
     def torque(self, at: Moment) -> None:
-        kind, _, where = self.law.channel.partition(".")
+        kind, _, where = self.equation.channel.partition(".")
         if kind == "torque":
             at.torque_Nm[("elevation", "pitch", "travel").index(where)] += self._value(at)
 
     def thrust(self, at: Moment) -> None:
-        kind, _, where = self.law.channel.partition(".")
+        kind, _, where = self.equation.channel.partition(".")
         if kind == "thrust":
             on = {"both": (1.0, 1.0), "front": (1.0, 0.0), "back": (0.0, 1.0)}[where]
             at.thrust_N = at.thrust_N * (1.0 + self._value(at) * np.array(on))
@@ -178,7 +178,7 @@ class Unlisted(Hidden):
 class Makes:
     """Makes a law; a lambda could not be sent to another process."""
 
-    law: str
+    equation: str
 
     def __call__(self, size: float, rng: np.random.Generator) -> Unlisted:
-        return Unlisted(self.law, size, rng)
+        return Unlisted(self.equation, size, rng)

@@ -208,7 +208,7 @@ class ThrustByPlace(Hidden):
         at.thrust_N = at.thrust_N * (1.0 + self.size * np.sin(at.angles_rad[2] - self._where_rad))
 
 
-IN_WEATHER: dict[str, tuple[Callable[[float, np.random.Generator], Hidden], float]] = {
+DISTURBED: dict[str, tuple[Callable[[float, np.random.Generator], Hidden], float]] = {
     "elevation_by_twice_travel": (TwiceAround, 0.06),
     "pitch_by_elevation": (PitchByElevation, 0.1),
     "elevation_by_travel_rate": (LiftByTravel, 0.2),

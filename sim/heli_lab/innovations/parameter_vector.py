@@ -26,7 +26,7 @@ _VAGUE: Final = 1e3
 """How many times wider a prior is that says next to nothing: a flight's own information is larger by far."""
 
 
-class Unknowns:
+class ParameterVector:
     """Free parameters of a `model` on a `rig` in some flights.
 
     Parameters
@@ -55,55 +55,69 @@ class Unknowns:
     ) -> None:
         self.model, self.rig = model, rig
         constants = {name: _torque_prior(rig, name) for name in TORQUE_STD_Nm}
-        wanted = [one for one in free_parameters(model, rig, None, {}) if one.quantity not in constants]
-        own = [one for one in wanted if one.quantity in PER_FLIGHT]
-        shared = [
-            one for one in wanted if one.quantity not in PER_FLIGHT and one.quantity not in (fixed or {})
+        wanted = [
+            parameter
+            for parameter in free_parameters(model, rig, None, {})
+            if parameter.quantity not in constants
         ]
-        own += [FreeParameter(name, "N m", prior, name) for name, prior in constants.items()]
+        per_flight = [parameter for parameter in wanted if parameter.quantity in PER_FLIGHT]
+        shared = [
+            parameter
+            for parameter in wanted
+            if parameter.quantity not in PER_FLIGHT and parameter.quantity not in (fixed or {})
+        ]
+        per_flight += [FreeParameter(name, "N m", prior, name) for name, prior in constants.items()]
         several = len(records) > 1
         local = [
-            replace(one, record=index, name=f"{one.name}[{record.label}]" if several else one.name)
+            replace(
+                parameter,
+                record=index,
+                name=f"{parameter.name}[{record.label}]" if several else parameter.name,
+            )
             for index, record in enumerate(records)
-            for one in own
+            for parameter in per_flight
         ]
         self.free: tuple[FreeParameter, ...] = (*shared, *local)
-        self.quantities = tuple(one.quantity for one in (*shared, *own))
+        self.quantities = tuple(parameter.quantity for parameter in (*shared, *per_flight))
         self.columns = tuple(
-            np.array([i for i, one in enumerate(self.free) if one.record in (None, index)], int)
+            np.array([i for i, parameter in enumerate(self.free) if parameter.record in (None, index)], int)
             for index in range(len(records))
         )
         names = [quantity.name for quantity in model.parameters]
         self._base: Floats = model.parameter_values(rig)
         for name, value in (fixed or {}).items():
             self._base[names.index(name)] = value
-        self._place = np.array([names.index(one.quantity) for one in self.free], int)
-        self._know()
+        self._place = np.array([names.index(parameter.quantity) for parameter in self.free], int)
+        self._stack_priors()
 
-    def _know(self) -> None:
+    def _stack_priors(self) -> None:
         """Lay out the priors of what is free."""
-        self.mean: Floats = np.array([one.prior.mean for one in self.free])
-        self.std: Floats = np.array([one.prior.std for one in self.free])
+        self.mean: Floats = np.array([parameter.prior.mean for parameter in self.free])
+        self.std: Floats = np.array([parameter.prior.std for parameter in self.free])
 
-    def without_priors(self, names: Collection[str]) -> Unknowns:
+    def without_priors(self, names: Collection[str]) -> ParameterVector:
         """The same, with next to nothing known beforehand of the free parameters `names` but their bounds."""
         less = copy.copy(self)
         less.free = tuple(
-            replace(one, prior=replace(one.prior, std=_VAGUE * one.prior.std)) if one.name in names else one
-            for one in self.free
+            replace(parameter, prior=replace(parameter.prior, std=_VAGUE * parameter.prior.std))
+            if parameter.name in names
+            else parameter
+            for parameter in self.free
         )
-        less._know()
+        less._stack_priors()
         return less
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters."""
-        return tuple(one.name for one in self.free)
+        return tuple(parameter.name for parameter in self.free)
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
         """Lowest and highest values, each of shape (f,)."""
-        return np.array([one.prior.low for one in self.free]), np.array([one.prior.high for one in self.free])
+        return np.array([parameter.prior.low for parameter in self.free]), np.array(
+            [parameter.prior.high for parameter in self.free]
+        )
 
     @property
     def start(self) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 from heli_lab.identify.functions import Floats, Integers
 
 
-def own_columns(columns: Sequence[Integers], size: int) -> Integers:
+def per_flight_columns(columns: Sequence[Integers], size: int) -> Integers:
     """Find the unknowns that each flight has of its own, shape (flights, k); k is 0 for one flight alone.
 
     Parameters
@@ -25,14 +25,14 @@ def own_columns(columns: Sequence[Integers], size: int) -> Integers:
         Number of unknowns.
     """
     used = np.zeros(size, int)
-    for one in columns:
-        used[one] += 1
+    for column in columns:
+        used[column] += 1
     if len(columns) < 2:
         return np.zeros((len(columns), 0), np.int64)
-    return np.array([one[used[one] == 1] for one in columns], np.int64)
+    return np.array([column[used[column] == 1] for column in columns], np.int64)
 
 
-def solve_bordered(matrix: Floats, right: Floats, own: Integers) -> Floats:
+def solve_arrowhead(matrix: Floats, right: Floats, per_flight: Integers) -> Floats:
     """Solve a positive definite system, shape (f,) or (f, s) as its right-hand side.
 
     Parameters
@@ -41,47 +41,47 @@ def solve_bordered(matrix: Floats, right: Floats, own: Integers) -> Floats:
         Zero between unknowns of different flights.
     right : ndarray (f,) or (f, s)
         Right-hand side.
-    own : ndarray (flights, k)
-        As `own_columns` finds them.
+    per_flight : ndarray (flights, k)
+        As `per_flight_columns` finds them.
     """
     columns = right[:, None] if right.ndim == 1 else right
-    shared, gain, complement, blocks = _eliminated(matrix, own)
-    found = np.empty(columns.shape)
-    local = np.linalg.solve(blocks, columns[own]) if own.size else columns[own]
-    reduced = columns[shared] - np.einsum("nks,nkr->sr", gain, columns[own])
-    found[shared] = np.linalg.solve(complement, reduced)
-    found[own] = local - gain @ found[shared]
-    return found[:, 0] if right.ndim == 1 else found
+    shared, gain, complement, blocks = _eliminated(matrix, per_flight)
+    solution = np.empty(columns.shape)
+    local = np.linalg.solve(blocks, columns[per_flight]) if per_flight.size else columns[per_flight]
+    reduced = columns[shared] - np.einsum("nks,nkr->sr", gain, columns[per_flight])
+    solution[shared] = np.linalg.solve(complement, reduced)
+    solution[per_flight] = local - gain @ solution[shared]
+    return solution[:, 0] if right.ndim == 1 else solution
 
 
-def inverse_bordered(matrix: Floats, own: Integers) -> Floats:
-    """Invert a positive definite `matrix`, shape (f, f), zero between unknowns of different flights; `own` as
-    `own_columns` finds them.
+def invert_arrowhead(matrix: Floats, per_flight: Integers) -> Floats:
+    """Invert a positive definite `matrix`, shape (f, f), zero between unknowns of different flights;
+    `per_flight` as `per_flight_columns` finds them.
     """
-    shared, gain, complement, blocks = _eliminated(matrix, own)
+    shared, gain, complement, blocks = _eliminated(matrix, per_flight)
     inverse = np.empty(matrix.shape)
     of_shared = np.linalg.inv(complement)
     inverse[np.ix_(shared, shared)] = of_shared
-    if own.size:
-        flat, border = own.ravel(), gain.reshape(own.size, len(shared))
+    if per_flight.size:
+        flat, border = per_flight.ravel(), gain.reshape(per_flight.size, len(shared))
         beside = border @ of_shared
         inverse[np.ix_(flat, shared)] = -beside
         inverse[np.ix_(shared, flat)] = -beside.T
         inverse[np.ix_(flat, flat)] = beside @ border.T
-        inverse[own[:, :, None], own[:, None, :]] += np.linalg.inv(blocks)
+        inverse[per_flight[:, :, None], per_flight[:, None, :]] += np.linalg.inv(blocks)
     result: Floats = 0.5 * (inverse + inverse.T)
     return result
 
 
-def _eliminated(matrix: Floats, own: Integers) -> tuple[Integers, Floats, Floats, Floats]:
+def _eliminated(matrix: Floats, per_flight: Integers) -> tuple[Integers, Floats, Floats, Floats]:
     """Shared unknowns; for each flight what its own change for each unit of them; the shared ones' Schur
     complement; the blocks.
     """
-    shared = np.setdiff1d(np.arange(len(matrix)), own.ravel())
-    blocks = matrix[own[:, :, None], own[:, None, :]]
-    border = matrix[own[:, :, None], shared[None, None, :]]
+    shared = np.setdiff1d(np.arange(len(matrix)), per_flight.ravel())
+    blocks = matrix[per_flight[:, :, None], per_flight[:, None, :]]
+    border = matrix[per_flight[:, :, None], shared[None, None, :]]
     gain = border
-    if own.size:
+    if per_flight.size:
         gain = np.asarray(np.linalg.solve(blocks, border), float)
     complement: Floats = matrix[np.ix_(shared, shared)] - np.einsum("nks,nkt->st", border, gain)
     return shared, gain, complement, blocks

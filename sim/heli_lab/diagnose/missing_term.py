@@ -33,8 +33,15 @@ from heli_lab.diagnose.spline_term import (
 )
 from heli_lab.diagnose.words import SHOWN, quantity_in_words
 from heli_lab.identify.functions import Floats
-from heli_lab.innovations import AlongCourse, Estimate, Linear, ModelFunctions, Trajectory, Unknowns
-from heli_lab.innovations.estimate import estimate_weather
+from heli_lab.innovations import (
+    AlongTrajectory,
+    Estimate,
+    LinearisedFlight,
+    ModelFunctions,
+    ParameterVector,
+    Trajectory,
+)
+from heli_lab.innovations.estimate import estimate_disturbances
 
 _FOLLOWS: Final = 0.8
 """Share of a law's variance that a smooth curve of one quantity must follow for the law to be drawn over that
@@ -51,7 +58,7 @@ _NUMBER: Final = 98
 
 
 @dataclass(frozen=True)
-class MissingLaw:
+class MissingTerm:
     """What is missing on one axis, at each measurement of the filter, in units for people.
 
     Parameters
@@ -72,7 +79,7 @@ class MissingLaw:
         Its standard error.
     left : ndarray (n,)
         What it lacks with it.
-    law : ndarray (n,)
+    equation : ndarray (n,)
         What the cause gives.
     """
 
@@ -86,49 +93,49 @@ class MissingLaw:
     missing: Floats
     std: Floats
     left: Floats
-    law: Floats
+    equation: Floats
 
     @property
     def share(self) -> float:
         """Share of the variance of what was missing that the law takes away, at most 1."""
-        return 1.0 - float(np.var(self.missing - self.law)) / max(float(np.var(self.missing)), 1e-300)
+        return 1.0 - float(np.var(self.missing - self.equation)) / max(float(np.var(self.missing)), 1e-300)
 
 
-def missing_laws(diagnosis: Diagnosis, most: int = 2) -> list[MissingLaw]:
+def missing_terms(diagnosis: Diagnosis, most: int = 2) -> list[MissingTerm]:
     """Set out the strongest causes of a `diagnosis`, named ones and curves in the place of unknown ones, at
     `most` so many.
 
     What no curve was found for, such as a torque by chance or a term that is absent, has none.
     """
-    found: list[MissingLaw] = []
+    equations: list[MissingTerm] = []
     verdict = diagnosis.verdict
-    for cause in (*verdict.off_list, *verdict.causes)[:most]:
+    for cause in (*verdict.unlisted, *verdict.causes)[:most]:
         whole = diagnosis.search.final if cause.candidate.is_spline else diagnosis.extended
-        found.append(missing_law(whole.estimate, cause.candidate))
-    return found
+        equations.append(missing_term(whole.estimate, cause.candidate))
+    return equations
 
 
-def missing_law(estimate: Estimate, cause: Candidate) -> MissingLaw:
+def missing_term(estimate: Estimate, cause: Candidate) -> MissingTerm:
     """Set out one `cause` of the model of an `estimate`."""
     less = _without(estimate, cause.effect.name)
-    with_, without = estimate.filtered().linears, less.filtered().linears
+    with_, without = estimate.filtered().linearised_flights, less.filtered().linearised_flights
     torque = [_torque_of_law(*pair) for pair in zip(with_, without, strict=True)]
     size = np.sqrt(np.mean(np.concatenate(torque) ** 2, axis=0))
     if not size.any():
         return _missing_angle(estimate, less, cause)
     blocks = [_Blocks(linear) for linear in without]
-    law = np.concatenate([block.mean(one) for block, one in zip(blocks, torque, strict=True)])
+    equation = np.concatenate([block.mean(values) for block, values in zip(blocks, torque, strict=True)])
     missing, std = _torque_by_chance(less)
-    left, _ = _torque_by_chance(estimate)
-    rest = np.sqrt(np.mean((missing - law) ** 2, axis=0)) + 1e-9
+    remaining, _ = _torque_by_chance(estimate)
+    rest = np.sqrt(np.mean((missing - equation) ** 2, axis=0)) + 1e-9
     axis = int(np.argmax(size / rest))
     places = [
         {name: block.mean(value) for name, value in _quantities(linear).items()}
         for block, linear in zip(blocks, with_, strict=True)
     ]
-    place, on, on_unit = _best_place(places, law[:, axis], cause)
+    place, on, on_unit = _best_place(places, equation[:, axis], cause)
     factor, unit = SHOWN["N m"]
-    return MissingLaw(
+    return MissingTerm(
         cause.id,
         "torque",
         unit,
@@ -136,14 +143,14 @@ def missing_law(estimate: Estimate, cause: Candidate) -> MissingLaw:
         on,
         on_unit,
         place,
-        *(factor * one[:, axis] for one in (missing, std, left, law)),
+        *(factor * values[:, axis] for values in (missing, std, remaining, equation)),
     )
 
 
 class _Blocks:
     """Steps of a flight by the filter's measurements."""
 
-    def __init__(self, linear: Linear) -> None:
+    def __init__(self, linear: LinearisedFlight) -> None:
         firsts = np.concatenate([block.rows for block in linear.blocks])
         self._rows = firsts[:, None] + np.arange(linear.block)
 
@@ -155,39 +162,41 @@ class _Blocks:
 
 def _without(estimate: Estimate, name: str) -> Estimate:
     """The same model without one of its effects: all other numbers stay, the weather is sought afresh."""
-    own = estimate.unknowns
-    model = type(own.model)(tuple(effect for effect in own.model.effects if effect.name != name))
-    records = [course.record for course in estimate.courses]
-    unknowns = Unknowns(model, own.rig, records)
-    values = dict(zip(own.names, estimate.theta, strict=True))
-    start = zip(unknowns.names, unknowns.start, strict=True)
-    theta = np.array([values.get(one, value) for one, value in start])
-    functions = ModelFunctions(model, unknowns.quantities)
+    full = estimate.parameter_vector
+    model = type(full.model)(tuple(effect for effect in full.model.effects if effect.name != name))
+    records = [reference.record for reference in estimate.references]
+    parameter_vector = ParameterVector(model, full.rig, records)
+    values = dict(zip(full.names, estimate.theta, strict=True))
+    start = zip(parameter_vector.names, parameter_vector.start, strict=True)
+    theta = np.array([values.get(parameter, value) for parameter, value in start])
+    functions = ModelFunctions(model, parameter_vector.quantities)
     less = replace(
         estimate,
-        unknowns=unknowns,
+        parameter_vector=parameter_vector,
         theta=theta,
-        covariance=np.diag(unknowns.std**2),
+        covariance=np.diag(parameter_vector.std**2),
         functions=functions,
     )
     filtered = less.filtered()
-    weather = estimate_weather(filtered, filtered.moved(np.zeros(len(theta))), estimate.weather)
-    return replace(less, weather=weather)
+    disturbances = estimate_disturbances(
+        filtered, filtered.perturbed_residual(np.zeros(len(theta))), estimate.disturbances
+    )
+    return replace(less, disturbances=disturbances)
 
 
 def _held(estimate: Estimate, names: Iterable[str]) -> Estimate:
     """The same estimate with the parameters `names` no longer free."""
-    own = estimate.unknowns
-    values = dict(zip(own.names, map(float, estimate.theta), strict=True))
+    full = estimate.parameter_vector
+    values = dict(zip(full.names, map(float, estimate.theta), strict=True))
     known = {name: values[name] for name in names if name in values}
-    records = [course.record for course in estimate.courses]
-    unknowns = Unknowns(own.model, own.rig, records, fixed=known)
+    records = [reference.record for reference in estimate.references]
+    parameter_vector = ParameterVector(full.model, full.rig, records, fixed=known)
     return replace(
         estimate,
-        unknowns=unknowns,
-        theta=np.array([values[one] for one in unknowns.names]),
-        covariance=np.diag(unknowns.std**2),
-        functions=ModelFunctions(own.model, unknowns.quantities),
+        parameter_vector=parameter_vector,
+        theta=np.array([values[parameter] for parameter in parameter_vector.names]),
+        covariance=np.diag(parameter_vector.std**2),
+        functions=ModelFunctions(full.model, parameter_vector.quantities),
     )
 
 
@@ -203,17 +212,19 @@ def _torque_by_chance(estimate: Estimate) -> tuple[Floats, Floats]:
     """Torques about the three axes, (k, 3) over all flights, that stand for what a model lacks, and their
     standard errors.
     """
-    found = estimate.filtered().smoothed_torques(estimate.weather, np.zeros(len(estimate.theta)))
-    return np.concatenate([one for _, one, _ in found]), np.concatenate([one for _, _, one in found])
+    smoothed = estimate.filtered().smoothed_torques(estimate.disturbances, np.zeros(len(estimate.theta)))
+    return np.concatenate([values for _, values, _ in smoothed]), np.concatenate(
+        [values for _, _, values in smoothed]
+    )
 
 
-def _torque_of_law(with_: Linear, without: Linear) -> Floats:
+def _torque_of_law(with_: LinearisedFlight, without: LinearisedFlight) -> Floats:
     """Torque about each axis that does what an effect does, along the course, shape (n, 3)."""
     change = _accelerations(with_) - _accelerations(without)
     return without.torque_for(change)
 
 
-def _accelerations(linear: Linear) -> Floats:
+def _accelerations(linear: LinearisedFlight) -> Floats:
     return _along(linear.model, linear.trajectory, lambda *at: linear.model.dynamics(*at)[3:6])
 
 
@@ -221,19 +232,19 @@ def _along(model: Model, trajectory: Trajectory, of: Callable[..., ca.SX]) -> Fl
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
     t, p = ca.SX.sym("t"), ca.SX.sym("p", len(model.parameters))
     function = ca.Function("along", [x, u, t, p], [ca.densify(of(x, u, p, t))])
-    (found,) = AlongCourse(function)(trajectory)
-    return np.ascontiguousarray(found[:, :, 0])
+    (values,) = AlongTrajectory(function)(trajectory)
+    return np.ascontiguousarray(values[:, :, 0])
 
 
-def _quantities(linear: Linear) -> dict[str, Floats]:
+def _quantities(linear: LinearisedFlight) -> dict[str, Floats]:
     """Quantities that a law may go with, shape (n,), by name: those of spline terms, and how fast the thrust
     changes, which is what a lag and a delay go with.
     """
-    found = quantity_values(linear.model, linear.trajectory)
+    values = quantity_values(linear.model, linear.trajectory)
     for name, time_s in itertools.product(("thrust", "thrust_difference"), _LAGS_s):
-        late = _lagged(found[name], linear.trajectory.step_s / time_s)
-        found[f"change of {name} within {time_s:g} s"] = found[name] - late
-    return found
+        late = _lagged(values[name], linear.trajectory.step_s / time_s)
+        values[f"change of {name} within {time_s:g} s"] = values[name] - late
+    return values
 
 
 def _lagged(values: Floats, step: float) -> Floats:
@@ -246,18 +257,18 @@ def _lagged(values: Floats, step: float) -> Floats:
 
 
 def _best_place(
-    places: Sequence[Mapping[str, Floats]], law: Floats, cause: Candidate
+    places: Sequence[Mapping[str, Floats]], equation: Floats, cause: Candidate
 ) -> tuple[Floats, str, str]:
     """What a law is best drawn over: its values, its name in words and its unit."""
-    together = {name: np.concatenate([one[name] for one in places]) for name in places[0]}
+    together = {name: np.concatenate([place[name] for place in places]) for name in places[0]}
     if isinstance(cause.effect, SplineTerm):
         name = cause.effect.on
     else:
-        followed = {name: _followed(value, law) for name, value in together.items()}
-        name = max(followed, key=lambda one: followed[one])
+        followed = {name: _followed(value, equation) for name, value in together.items()}
+        name = max(followed, key=lambda candidate: followed[candidate])
         if followed[name] < _FOLLOWS:
             factor, unit = SHOWN["N m"]
-            return factor * law, "what the law gives", unit
+            return factor * equation, "what the law gives", unit
     factor, unit = SHOWN.get(_unit(name), (1.0, _unit(name)))
     return factor * together[name], quantity_in_words(name), unit
 
@@ -266,45 +277,45 @@ def _unit(name: str) -> str:
     return "N" if name.startswith("change of ") else QUANTITIES[name][1]
 
 
-def _followed(place: Floats, law: Floats) -> float:
+def _followed(place: Floats, equation: Floats) -> float:
     """Share of a law's variance that a smooth curve of one quantity follows."""
     low, step = knot_span(place)
     weights = bspline_basis(place, low, step)
-    fitted = weights @ np.linalg.lstsq(weights, law, rcond=None)[0]
-    return 1.0 - float(np.var(law - fitted)) / max(float(np.var(law)), 1e-300)
+    fitted = weights @ np.linalg.lstsq(weights, equation, rcond=None)[0]
+    return 1.0 - float(np.var(equation - fitted)) / max(float(np.var(equation)), 1e-300)
 
 
-def _missing_angle(estimate: Estimate, less: Estimate, cause: Candidate) -> MissingLaw:
+def _missing_angle(estimate: Estimate, less: Estimate, cause: Candidate) -> MissingTerm:
     """The same of an effect on what an encoder shows: any smooth curve, estimated in its place, is what the
     flights show.
     """
     # With the law in the model its numbers stay: free, they would take what the curve is to show.
     screenings = Screening(less), Screening(_held(estimate, cause.effect.values))
-    linears = screenings[1].filtered.linears
-    laws = [
-        _along(one.model, one.nodes, one.model.measurement)
+    linearised_flights = screenings[1].filtered.linearised_flights
+    equations = [
+        _along(linear.model, linear.nodes, linear.model.measurement)
         - _along(other.model, other.nodes, other.model.measurement)
-        for one, other in zip(linears, screenings[0].filtered.linears, strict=True)
+        for linear, other in zip(linearised_flights, screenings[0].filtered.linearised_flights, strict=True)
     ]
-    law = np.concatenate(laws)
-    axis = int(np.argmax(law.std(axis=0)))
-    places = [quantity_values(one.model, one.nodes) for one in linears]
-    place, on, on_unit = _best_place(places, law[:, axis], cause)
+    equation = np.concatenate(equations)
+    axis = int(np.argmax(equation.std(axis=0)))
+    places = [quantity_values(linear.model, linear.nodes) for linear in linearised_flights]
+    place, on, on_unit = _best_place(places, equation[:, axis], cause)
     name = next((n for n in places[0] if quantity_in_words(n) == on), AXES[axis])
-    place = np.concatenate([one[name] for one in places])
+    place = np.concatenate([quantities[name] for quantities in places])
     low, step = knot_span(place)
     term = spline_term(f"measurement.{AXES[axis]}", name, low, step, _NUMBER)
-    term = replace(term, priors={one: Prior(0.0, _WIDE_rad) for one in term.priors})
+    term = replace(term, priors={prior_name: Prior(0.0, _WIDE_rad) for prior_name in term.priors})
     candidate = Candidate(f"spline:{term.channel}:{name}", term, tuple(term.priors))
     shown = np.linspace(low, low + step * (KNOTS - 3), _SHOWN_PLACES)
     weights = bspline_basis(shown, low, step)
     weights -= weights.mean(axis=0)
-    (without, covariance), (left, _) = (_coefficients(one, candidate) for one in screenings)
+    (without, covariance), (remaining, _) = (_coefficients(screening, candidate) for screening in screenings)
     std = np.sqrt(np.einsum("ni,ij,nj->n", weights, covariance, weights))
-    drawn = weights @ np.linalg.lstsq(bspline_basis(place, low, step), law[:, axis], rcond=None)[0]
+    drawn = weights @ np.linalg.lstsq(bspline_basis(place, low, step), equation[:, axis], rcond=None)[0]
     factor, unit = SHOWN["rad"]
     on_factor, on_unit = SHOWN.get(QUANTITIES[name][1], (1.0, QUANTITIES[name][1]))
-    return MissingLaw(
+    return MissingTerm(
         cause.id,
         "angle",
         unit,
@@ -314,6 +325,6 @@ def _missing_angle(estimate: Estimate, less: Estimate, cause: Candidate) -> Miss
         on_factor * shown,
         factor * (weights @ without),
         factor * std,
-        factor * (weights @ left),
+        factor * (weights @ remaining),
         factor * drawn,
     )

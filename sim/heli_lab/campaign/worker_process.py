@@ -55,7 +55,7 @@ class Limits:
     threads: int = 1
 
 
-class Cage:
+class WorkerProcess:
     """Runs cases, one after the other, in a process of its own, made anew when a case has ended it."""
 
     def __init__(self, limits: Limits) -> None:
@@ -113,8 +113,8 @@ class Cage:
             return Answer(case.name, key, failure=f"no answer after {self.limits.wait_s:g} s: it hung")
         if not line.endswith(b"\n"):
             return self._ended(case, key)
-        said = json.loads(line)
-        return Answer(case.name, key, said["row"], said["detail"], said["failure"], said["cpu_s"])
+        reply = json.loads(line)
+        return Answer(case.name, key, reply["row"], reply["detail"], reply["failure"], reply["cpu_s"])
 
     def _ended(self, case: Case, key: str) -> Answer | None:
         """Say why the process has ended."""
@@ -133,16 +133,16 @@ class Cage:
         threads = {name: text.format(threads=self.limits.threads) for name, text in _ONE_THREAD.items()}
         # Not by multiprocessing, which refuses children to the daemonic processes that workers are.
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "heli_lab.campaign.cage"],
+            [sys.executable, "-m", "heli_lab.campaign.worker_process"],
             env={**os.environ, **threads, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
         )
         self._orders, self._answers = self._process.stdin, queue.SimpleQueue()
-        told = (self._process.stdout, self._answers)
+        pipes = (self._process.stdout, self._answers)
         # Windows waits for sockets only, so a thread waits for the pipe.
-        threading.Thread(target=_pass_on, args=told, daemon=True).start()
+        threading.Thread(target=_pass_on, args=pipes, daemon=True).start()
 
 
 def _pass_on(pipe: IO[bytes], lines: queue.SimpleQueue[bytes]) -> None:
@@ -153,7 +153,7 @@ def _pass_on(pipe: IO[bytes], lines: queue.SimpleQueue[bytes]) -> None:
     lines.put(b"")
 
 
-def serve(orders: IO[bytes], answers: IO[bytes]) -> None:
+def serve_jobs(orders: IO[bytes], answers: IO[bytes]) -> None:
     """Do what `orders` say, one JSON a line, and write an answer a line to `answers`, until nobody
     gives orders.
     """
@@ -171,8 +171,8 @@ def serve(orders: IO[bytes], answers: IO[bytes]) -> None:
         order = json.loads(waiting.get())
         before_s = time.process_time()
         allow_cpu(before_s + order["cpu_s"])
-        said = _done(order["work"], order["settings"])
-        answers.write(_line({**said, "cpu_s": time.process_time() - before_s}) + b"\n")
+        reply = _done(order["work"], order["settings"])
+        answers.write(_line({**reply, "cpu_s": time.process_time() - before_s}) + b"\n")
         answers.flush()
 
 
@@ -190,12 +190,12 @@ def _done(work: str, settings: Mapping[str, Any]) -> dict[str, Any]:
     return {"row": dict(row), "detail": detail, "failure": ""}
 
 
-def _line(said: Mapping[str, Any]) -> bytes:
+def _line(message: Mapping[str, Any]) -> bytes:
     try:
-        return json.dumps(said, default=_plain).encode()
+        return json.dumps(message, default=_plain).encode()
     except (TypeError, ValueError) as error:
         failed: dict[str, Any] = {"row": {}, "detail": None, "failure": f"its result is no JSON: {error}"}
-        return json.dumps({**failed, "cpu_s": said["cpu_s"]}).encode()
+        return json.dumps({**failed, "cpu_s": message["cpu_s"]}).encode()
 
 
 def _plain(value: Any) -> Any:
@@ -252,4 +252,4 @@ def _private(descriptor: int, mode: str) -> IO[bytes]:
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for whoever gives the orders
     with _private(0, "rb") as given, _private(1, "wb") as told:
-        serve(given, told)
+        serve_jobs(given, told)

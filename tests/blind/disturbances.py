@@ -16,24 +16,24 @@ _LONGEST_s = 130.0
 
 
 @dataclass(frozen=True)
-class Weather:
+class DisturbanceModel:
     """How the air of a room behaves.
 
     Parameters
     ----------
     gusts_Nm : tuple of float
         Standard deviations of the gusts about elevation, pitch and travel.
-    memory_s : float
+    correlation_time_s : float
         Correlation time of the gusts.
-    drift_Nm : tuple of float
+    slow_std_Nm : tuple of float
         Standard deviations of a slow drift beside them; zeros where there is none.
     drift_s : float
         Correlation time of the drift.
     """
 
     gusts_Nm: tuple[float, float, float]
-    memory_s: float
-    drift_Nm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    correlation_time_s: float
+    slow_std_Nm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     drift_s: float = 30.0
 
 
@@ -42,28 +42,28 @@ class Air(Hidden):
 
     Parameters
     ----------
-    weather : Weather
+    disturbances : DisturbanceModel
         Sizes and memories.
     chance : numpy.random.Generator
         Other in each flight.
     """
 
-    def __init__(self, weather: Weather, chance: np.random.Generator) -> None:
+    def __init__(self, disturbances: DisturbanceModel, chance: np.random.Generator) -> None:
         super().__init__(1.0, chance)
         steps = round(_LONGEST_s / STEP_S)
-        gusts = _wander(weather.memory_s, steps, chance) * weather.gusts_Nm
-        drift = _wander(weather.drift_s, steps, chance) * weather.drift_Nm
+        gusts = _wander(disturbances.correlation_time_s, steps, chance) * disturbances.gusts_Nm
+        drift = _wander(disturbances.drift_s, steps, chance) * disturbances.slow_std_Nm
         self._torque_Nm = gusts + drift
 
     def torque(self, at: Moment) -> None:
         at.torque_Nm += self._torque_Nm[round(at.flight_s / STEP_S)]
 
 
-def _wander(memory_s: float, steps: int, chance: np.random.Generator) -> Floats:
+def _wander(correlation_time_s: float, steps: int, chance: np.random.Generator) -> Floats:
     """Three stationary Ornstein-Uhlenbeck processes of unit variance, (steps, 3)."""
     from scipy.signal import lfilter
 
-    keep = np.exp(-STEP_S / memory_s)
+    keep = np.exp(-STEP_S / correlation_time_s)
     kicks = np.sqrt(1.0 - keep**2) * chance.standard_normal((steps, 3))
     kicks[0] = chance.standard_normal(3)
     return np.asarray(lfilter([1.0], [1.0, -keep], kicks, axis=0))

@@ -25,12 +25,18 @@ import heli_lab.innovations
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.errors import IdentifyError
 from heli_lab.identify import Record
-from heli_lab.innovations import Course, Estimate, ModelFunctions, Unknowns, Weather
+from heli_lab.innovations import (
+    DisturbanceModel,
+    Estimate,
+    ModelFunctions,
+    ParameterVector,
+    ReferenceTrajectory,
+)
 
-_WEATHER: Final = ("gust_Nm", "memory_s", "drift_Nm", "quantisation", "curvature")
+_DISTURBANCES: Final = ("fast_std_Nm", "correlation_time_s", "slow_std_Nm", "quantisation", "curvature")
 
 
-class KeptEstimates:
+class EstimateCache:
     """Estimates by key, in memory and where a path is given in a file of one JSON object a line.
 
     Parameters
@@ -38,7 +44,7 @@ class KeptEstimates:
     path : Path, optional
         File to read and to append to; it is made if it is missing.
     of : str
-        Digest of what all estimates share, `digest_of`; a file of another is refused.
+        Digest of what all estimates share, `fingerprint`; a file of another is refused.
 
     Raises
     ------
@@ -50,7 +56,7 @@ class KeptEstimates:
     def __init__(self, path: Path | None = None, of: str = "") -> None:
         self._path = path
         self._known: dict[str, Mapping[str, Any]] = {}
-        self.asked: set[str] = set()
+        self.refit_spec: set[str] = set()
         """Keys that were asked for in this search."""
         self._writing = threading.Lock()
         if path is None:
@@ -76,8 +82,8 @@ class KeptEstimates:
         whole = 0
         for line in lines:
             try:
-                one = json.loads(line)
-                self._known[one["key"]] = one
+                entry = json.loads(line)
+                self._known[entry["key"]] = entry
             except (ValueError, KeyError):
                 break
             whole += 1
@@ -88,77 +94,79 @@ class KeptEstimates:
     def estimate(
         self,
         key: str,
-        unknowns: Unknowns,
-        courses: Sequence[Course],
+        parameter_vector: ParameterVector,
+        references: Sequence[ReferenceTrajectory],
         functions: ModelFunctions,
         work_out: Callable[[], Estimate],
-        asked: bool = True,
+        record_use: bool = True,
     ) -> Estimate:
         """Look up the estimate of a `key`, or `work_out` and keep it; several threads may, of other keys.
 
         Parameters
         ----------
         key : str
-            Digest of all that it depends on, see `key_of`.
-        unknowns, courses, functions : Unknowns, sequence of Course, ModelFunctions
+            Digest of all that it depends on, see `cache_key`.
+        parameter_vector, references, functions
+            The free parameters, the reference trajectories and the model functions of the estimate.
             Those of the estimate.
         work_out : callable
             Makes it.
-        asked : bool
+        record_use : bool
             False where it is made before anybody asks for it.
         """
-        if asked:
-            self.asked.add(key)
+        if record_use:
+            self.refit_spec.add(key)
         known = self._known.get(key)
         if known is not None:
-            weather: dict[str, Any] = {
-                name: None if value is None else np.array(value) for name, value in known["weather"].items()
+            disturbances: dict[str, Any] = {
+                name: None if value is None else np.array(value)
+                for name, value in known["disturbances"].items()
             }
             return Estimate(
-                unknowns,
+                parameter_vector,
                 np.array(known["theta"]),
                 np.array(known["covariance"]),
                 known["log_likelihood"],
-                Weather(**weather),
+                DisturbanceModel(**disturbances),
                 known["converged"],
-                tuple(courses),
+                tuple(references),
                 functions,
             )
-        found = work_out()
+        estimate = work_out()
         self._known[key] = kept = {
             "key": key,
-            "theta": found.theta.tolist(),
-            "covariance": found.covariance.tolist(),
-            "log_likelihood": float(found.log_likelihood),
-            "weather": {name: _listed(getattr(found.weather, name)) for name in _WEATHER},
-            "converged": bool(found.converged),
+            "theta": estimate.theta.tolist(),
+            "covariance": estimate.covariance.tolist(),
+            "log_likelihood": float(estimate.log_likelihood),
+            "disturbances": {name: _listed(getattr(estimate.disturbances, name)) for name in _DISTURBANCES},
+            "converged": bool(estimate.converged),
         }
         if self._path is not None:
             with self._writing, self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(kept) + "\n")
-        return found
+        return estimate
 
 
 def _listed(value: Any) -> Any:
     return None if value is None else np.asarray(value).tolist()
 
 
-def key_of(
-    what: str, candidates: Iterable[Candidate], start: Mapping[str, float], near: Estimate | None
+def cache_key(
+    what: str, candidates: Iterable[Candidate], start: Mapping[str, float], warm_start: Estimate | None
 ) -> str:
     """Digest of what an estimate depends on beside what all of a search share: `what` flights, `candidates`
-    with all their values, values to `start` from, and the estimate to begin `near`.
+    with all their values, values to `start` from, and the estimate to begin `warm_start`.
     """
     digest = hashlib.sha256(what.encode())
-    for one in candidates:
-        known = one.id, sorted(one.effect.values.items()), sorted(one.effect.priors.items())
-        digest.update(repr((*known, _equations(one.effect))).encode())
+    for candidate in candidates:
+        known = candidate.id, sorted(candidate.effect.values.items()), sorted(candidate.effect.priors.items())
+        digest.update(repr((*known, _equations(candidate.effect))).encode())
     digest.update(repr(sorted((name, float(value)) for name, value in start.items())).encode())
-    if near is not None:
-        digest.update(repr((near.unknowns.names, near.log_likelihood)).encode())
-        digest.update(np.ascontiguousarray(near.theta).tobytes())
-        for name in _WEATHER:
-            value = getattr(near.weather, name)
+    if warm_start is not None:
+        digest.update(repr((warm_start.parameter_vector.names, warm_start.log_likelihood)).encode())
+        digest.update(np.ascontiguousarray(warm_start.theta).tobytes())
+        for name in _DISTURBANCES:
+            value = getattr(warm_start.disturbances, name)
             digest.update(b"none" if value is None else np.ascontiguousarray(value).tobytes())
     return digest.hexdigest()
 
@@ -171,7 +179,7 @@ def _equations(effect: Effect) -> str:
         return type(effect).__qualname__
 
 
-def digest_of(model: Model, rig: Rig, records: Iterable[Record]) -> str:
+def fingerprint(model: Model, rig: Rig, records: Iterable[Record]) -> str:
     """Digest of what all of a search share: `model`, `rig`, flights (`records`), the code that estimates."""
     digest = hashlib.sha256()
     for room in (heli_sim.model, heli_lab.identify, heli_lab.innovations):
@@ -179,7 +187,9 @@ def digest_of(model: Model, rig: Rig, records: Iterable[Record]) -> str:
             digest.update(path.read_bytes())
     effects = [(effect.name, sorted(effect.values.items())) for effect in model.effects]
     digest.update(repr((model.name, effects)).encode())
-    numbers = [(name, one.value, one.tolerance, one.unit) for name, one in sorted(rig.items())]
+    numbers = [
+        (name, quantity.value, quantity.tolerance, quantity.unit) for name, quantity in sorted(rig.items())
+    ]
     digest.update(repr(numbers).encode())
     for record in records:
         digest.update(repr((record.label, record.segments)).encode())

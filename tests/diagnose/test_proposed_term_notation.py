@@ -7,8 +7,14 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from heli_lab.diagnose.equation_discovery.equation import (
+    NAME,
+    Equation,
+    EquationTerm,
+    equation_effect,
+    rotor_signs,
+)
 from heli_lab.diagnose.equation_discovery.grammar import groups, tried_up_to
-from heli_lab.diagnose.equation_discovery.law import NAME, Law, LawTerm, law_effect, rotor_signs
 from heli_lab.diagnose.equation_discovery.notation import effect_file, expression
 from heli_lab.diagnose.equation_discovery.terms import FORMS, QUANTITIES, Factor, Term
 from heli_lab.diagnose.equation_discovery.units import Unit
@@ -54,7 +60,7 @@ def test_a_unit_is_read_back_as_it_was_written(exponents: tuple[int, ...]) -> No
 def test_a_coefficient_has_the_unit_that_makes_its_channel_of_its_term(
     channel: str, factors: tuple[Factor, ...], unit: str
 ) -> None:
-    assert str(LawTerm(channel, Term(factors)).coefficient_unit) == unit
+    assert str(EquationTerm(channel, Term(factors)).coefficient_unit) == unit
 
 
 @pytest.mark.parametrize("quantity", ["travel_rate", "thrust", "own_voltage", "time"])
@@ -89,15 +95,17 @@ def test_what_sympy_reads_is_what_is_computed_along_a_flight() -> None:
     numbers = np.random.default_rng(1).uniform(0.2, 1.0, len(QUANTITIES))
     values = dict(zip(QUANTITIES, numbers, strict=True))
     for group in OF_EACH_SORT:
-        law = Law(group.terms)
-        known = dict.fromkeys(law.coefficients, 0.7) | {name: v for _, _, _, name, v, _ in law.inner()}
-        channel = law.channels[0]
+        equation = Equation(group.terms)
+        known = dict.fromkeys(equation.coefficients, 0.7) | {
+            name: v for _, _, _, name, v, _ in equation.inner()
+        }
+        channel = equation.channels[0]
         names = {name: sympy.Symbol(name) for name in (*values, *known)}
         # A copy behind a lag of something that holds still is that itself.
         local = {**names, "lag": lambda x, _s: x, "washout": lambda _x, _s: sympy.Integer(0)}
-        read = sympy.sympify(expression(law, channel), locals=local).subs({**values, **known})
+        read = sympy.sympify(expression(equation, channel), locals=local).subs({**values, **known})
         wanted = 0.0
-        for one in law.terms:
+        for one in equation.terms:
             term = 0.7
             for factor in one.term.factors:
                 still = 0.0 if factor.memory == "washout" else values[factor.quantity]
@@ -111,10 +119,10 @@ def test_what_sympy_reads_is_what_is_computed_along_a_flight() -> None:
 def test_what_the_written_file_flies_is_what_was_fitted(number: int, tmp_path: Path) -> None:
     # Two groups of different channels in one law, beside a lag of the rotors.
     first, second = OF_EACH_SORT[number], OF_EACH_SORT[-1 - number]
-    law = Law(tuple(dict.fromkeys((*first.terms, *second.terms))))
-    effect = law_effect(law, dict.fromkeys(law.coefficients, 1.0))
+    equation = Equation(tuple(dict.fromkeys((*first.terms, *second.terms))))
+    effect = equation_effect(equation, dict.fromkeys(equation.coefficients, 1.0))
     values = {**effect.values}
-    for i, name in enumerate(law.coefficients):
+    for i, name in enumerate(equation.coefficients):
         values[f"{NAME}_{name}"] = 0.1 + 0.03 * i
     numbers = {
         q.name.removeprefix(f"{NAME}_"): (values[q.name], 0.01 if q.name in effect.priors else 0.0, q.unit)

@@ -11,7 +11,7 @@ from heli_sim.model.effects import catalogue, effect_numbers
 from heli_sim.rig import Number, Rig
 
 from heli_lab.errors import PoolError
-from heli_lab.pool.machine import SURE, Estimate, Machine
+from heli_lab.pool.machine import SURE, Machine, NumberEstimate
 from heli_lab.pool.random_effects import RandomEffects, Share, der_simonian_laird, share
 
 SPREAD: Final = 0.5
@@ -25,7 +25,7 @@ COMMON: Final = 0.5
 
 
 @dataclass(frozen=True)
-class Make:
+class RigPopulation:
     """Machines of one make, pooled.
 
     Parameters
@@ -43,18 +43,20 @@ class Make:
     numbers: Mapping[str, RandomEffects]
     causes: Mapping[str, Share]
 
-    def expected(self, name: str, prior: Estimate, spread: float) -> tuple[float, float]:
+    def expected(self, name: str, prior: NumberEstimate, spread: float) -> tuple[float, float]:
         """Tell what to expect of the number `name` of another machine, of which a file says `prior`: mean and
         standard deviation. `spread` is the standard deviation from machine to machine that is believed before
         any was measured.
         """
-        measured = [one.numbers[name] for one in self.machines if name in one.numbers]
+        measured = [measurement.numbers[name] for measurement in self.machines if name in measurement.numbers]
         if not measured:
             return prior.value, prior.std
         k = len(measured)
         tau2 = ((k - 1) * self.numbers[name].tau ** 2 + spread**2) / k
-        weights = [1.0 / (one.std**2 + tau2) for one in measured]
-        mean = sum(w * one.value for w, one in zip(weights, measured, strict=True)) / sum(weights)
+        weights = [1.0 / (measurement.std**2 + tau2) for measurement in measured]
+        mean = sum(w * measurement.value for w, measurement in zip(weights, measured, strict=True)) / sum(
+            weights
+        )
         # Of the make's mean the file says something too.
         precision = sum(weights) + prior.std**-2.0
         centre = (mean * sum(weights) + prior.value * prior.std**-2.0) / precision
@@ -70,12 +72,12 @@ class Make:
         name : str
             What the new rig is called, in its file and in messages.
         """
-        source = f"pooled from {', '.join(one.label for one in self.machines)}"
+        source = f"pooled from {', '.join(machine.label for machine in self.machines)}"
         numbers = dict(base.numbers)
         for quantity, was in base.numbers.items():
             if quantity not in self.numbers or was.tolerance == 0.0:
                 continue
-            before = Estimate(was.value, 0.5 * was.tolerance, was.unit)
+            before = NumberEstimate(was.value, 0.5 * was.tolerance, was.unit)
             value, std = self.expected(quantity, before, SPREAD * before.std)
             text = f"{source}; before: {was.value:g} +- {was.tolerance:g}"
             numbers[quantity] = replace(was, value=value, tolerance=2.0 * std, source=text)
@@ -85,21 +87,23 @@ class Make:
             kind = kinds.get(id_)
             if kind is None or kind.baseline or counted.share < COMMON:
                 continue
-            own = [quantity.name for quantity in kind.parameters if quantity.name in self.numbers]
-            priors = {n: one.priors[n] for one in self.machines for n in own if n in one.priors}
-            found = {n: self.expected(n, priors[n], _EFFECT_SPREAD * abs(self.numbers[n].mean)) for n in own}
+            names = [quantity.name for quantity in kind.parameters if quantity.name in self.numbers]
+            priors = {n: machine.priors[n] for machine in self.machines for n in names if n in machine.priors}
+            priors_ = {
+                n: self.expected(n, priors[n], _EFFECT_SPREAD * abs(self.numbers[n].mean)) for n in names
+            }
             bounds = kind.priors
             effects[id_] = effect_numbers(
                 kind,
-                {n: min(max(value, bounds[n].low), bounds[n].high) for n, (value, _) in found.items()},
-                {n: 2.0 * std for n, (_, std) in found.items()},
+                {n: min(max(value, bounds[n].low), bounds[n].high) for n, (value, _) in priors_.items()},
+                {n: 2.0 * std for n, (_, std) in priors_.items()},
                 source,
             )
         text = f"{base.name}, as {len(self.machines)} machines of the make have it"
         return Rig(name, text, numbers, effects, base.model or self.machines[0].model)
 
 
-def pool(machines: Sequence[Machine]) -> Make:
+def pool(machines: Sequence[Machine]) -> RigPopulation:
     """Pool the diagnoses of several machines.
 
     Raises
@@ -110,29 +114,33 @@ def pool(machines: Sequence[Machine]) -> Make:
     """
     if not machines:
         raise PoolError("there is no diagnosis to pool", "give one for each machine")
-    labels = [one.label for one in machines]
+    labels = [machine.label for machine in machines]
     twice = sorted({label for label in labels if labels.count(label) > 1})
     if twice:
         raise PoolError(f"two diagnoses are called {', '.join(twice)}", "rename their files")
-    for one, other in itertools.combinations(machines, 2):
-        if replace(one, label=other.label) == other:
+    for first, other in itertools.combinations(machines, 2):
+        if replace(first, label=other.label) == other:
             raise PoolError(
-                f"{one.label} and {other.label} are the same diagnosis", "give one for each machine"
+                f"{first.label} and {other.label} are the same diagnosis", "give one for each machine"
             )
-    known = {(one.rig, one.model) for one in machines}
+    known = {(machine.rig, machine.model) for machine in machines}
     if len(known) > 1:
-        said = "; ".join(f"{one.label}: rig {one.rig}, model {one.model}" for one in machines)
-        raise PoolError(f"they are not of one make: {said}", "diagnose all with the same --rig and --model")
-    names = dict.fromkeys(name for one in machines for name in one.numbers)
+        list_ = "; ".join(
+            f"{machine.label}: rig {machine.rig}, model {machine.model}" for machine in machines
+        )
+        raise PoolError(f"they are not of one make: {list_}", "diagnose all with the same --rig and --model")
+    names = dict.fromkeys(name for machine in machines for name in machine.numbers)
     numbers = {}
     for name in names:
-        measured = [one.numbers[name] for one in machines if name in one.numbers]
-        numbers[name] = der_simonian_laird([one.value for one in measured], [one.std for one in measured])
+        measured = [machine.numbers[name] for machine in machines if name in machine.numbers]
+        numbers[name] = der_simonian_laird(
+            [measurement.value for measurement in measured], [measurement.std for measurement in measured]
+        )
     causes = {}
-    for id_ in dict.fromkeys(id_ for one in machines for id_ in one.causes):
-        found = [one for one in machines if one.causes.get(id_, 0.0) >= SURE]
-        seen = [one for one in machines if one in found or id_ not in one.hidden]
+    for id_ in dict.fromkeys(id_ for machine in machines for id_ in machine.causes):
+        named = [machine for machine in machines if machine.causes.get(id_, 0.0) >= SURE]
+        seen = [machine for machine in machines if machine in named or id_ not in machine.hidden]
         if seen:
-            causes[id_] = share(len(found), len(seen))
+            causes[id_] = share(len(named), len(seen))
     ordered = dict(sorted(causes.items(), key=lambda item: -item[1].share))
-    return Make(tuple(machines), numbers, ordered)
+    return RigPopulation(tuple(machines), numbers, ordered)

@@ -12,24 +12,24 @@ from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig
 
 from tests.blind.cases import every_case
-from tests.blind.law_cases import law_cases
-from tests.blind.law_oracle import told_effect
-from tests.blind.law_run import summary
-from tests.blind.laws import LAWS, Makes
+from tests.blind.disturbed_cases import disturbed_cases
+from tests.blind.equation_cases import equation_cases
+from tests.blind.equation_oracle import told_effect
+from tests.blind.equation_run import summary
+from tests.blind.equations import LAWS, Makes
 from tests.blind.mujoco_rig import Moment
 from tests.blind.taken_off import TAKEN_OFF, taken_off_cases
 from tests.blind.taken_off_run import summary as summary_in_place
-from tests.blind.weather_cases import weather_cases
 
-CASES = law_cases()
+CASES = equation_cases()
 
 
 def test_twenty_five_laws_and_more_come_in_two_sizes_with_seeds_of_their_own_in_weather() -> None:
     assert len(LAWS) >= 25
     assert len(CASES) == 2 * len(LAWS)
-    others = [*every_case(), *weather_cases()]
+    others = [*every_case(), *disturbed_cases()]
     assert len({one.seed for one in (*CASES, *others)}) == len(CASES) + len(others)
-    assert all(max(one.weather.gusts_Nm) > 0.0 for one in CASES)
+    assert all(max(one.disturbances.gusts_Nm) > 0.0 for one in CASES)
     assert 0.4 < np.mean([bool(one.effects) for one in CASES]) < 0.6
     names = {one.name for one in CASES}
     assert names == {f"law-{law}-{size}" for law in LAWS for size in ("small", "large")}
@@ -69,8 +69,8 @@ _AXES = ("elevation", "pitch", "travel")
 def test_twelve_listed_effects_are_taken_off_the_list_one_by_one() -> None:
     cases = taken_off_cases()
     assert len(cases) >= 12
-    assert len({one.seed for one in (*cases, *CASES, *every_case(), *weather_cases())}) == len(cases) + len(
-        (*CASES, *every_case(), *weather_cases())
+    assert len({one.seed for one in (*cases, *CASES, *every_case(), *disturbed_cases())}) == len(cases) + len(
+        (*CASES, *every_case(), *disturbed_cases())
     )
     kinds = catalogue()
     for case in cases:
