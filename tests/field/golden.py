@@ -2,8 +2,8 @@
 
 The diagnosis of every practice, field and measured case is reduced to its verdict, its causes with sizes and
 log-likelihood ratios, and the prediction errors. A change of names or structure must not change them. A
-change of the method must say why it does; ``--record`` writes the new results. ``golden.json`` holds results only, no
-row of a flight.
+change of the method must say why it does; ``--record`` writes the new results. ``golden.json`` holds results
+only, no row of a flight.
 """
 
 from __future__ import annotations
