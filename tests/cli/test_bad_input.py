@@ -161,7 +161,12 @@ def test_a_log_that_cannot_be_written_does_not_take_off(terminal: Terminal) -> N
 
 
 @pytest.mark.parametrize(
-    "words", [("fly", "hover", "--log"), ("setpoint", "--elevation-deg", "2", "--log"), ("log", "--for-s", "1", "--out")]
+    "words",
+    [
+        ("fly", "hover", "--log"),
+        ("setpoint", "--elevation-deg", "2", "--log"),
+        ("log", "--for-s", "1", "--out"),
+    ],
 )
 def test_a_log_under_the_name_of_a_table_is_not_recorded(
     terminal: Terminal, tmp_path: Path, words: tuple[str, ...]

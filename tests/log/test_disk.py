@@ -285,7 +285,7 @@ def test_a_limit_of_size_ends_a_flight_while_its_landing_fits(
     write_all(writer, tick[:1000], raw[:1000])
     assert writer.nearly_full is None
     write_all(writer, tick[1000:], raw[1000:])
-    assert "almost the size that this system allows" in str(writer.nearly_full)
+    assert "almost the size that a file may have here" in str(writer.nearly_full)
     writer.close()
     assert read_log(tmp_path / "a.mcap").complete
 

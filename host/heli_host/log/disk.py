@@ -108,7 +108,7 @@ class DirectFile:
     path : Path
         File to write; its folder is made.
     last_record : callable taking str and returning bytes, optional
-        Makes the record that gives the reason of a failure; it is written where the failed record leaves room.
+        Makes the record of a failure's reason; it is written where the record that failed leaves room.
 
     Raises
     ------
@@ -162,7 +162,7 @@ class DirectFile:
         most = most_file_bytes()
         if most is not None and most - self._bytes_written < RESERVED_BYTES:
             self.nearly_full = LogWriteError(
-                f"the log {self._path} has almost the size that this system allows a file, {_megabytes(most)}",
+                f"the log {self._path} has almost the size that a file may have here, {_megabytes(most)}",
                 "raise the limit (ulimit -f), or fly for a shorter time",
             )
 
