@@ -208,12 +208,13 @@ def test_a_file_that_lies_about_its_size_is_stopped_by_the_memory_it_may_take(tm
         read_table(tmp_path / "a.mat")
 
 
+@pytest.mark.medium
 def test_sizes_are_counted_up_to_a_limit_for_every_compression() -> None:
     import bz2
 
     import lz4.frame
 
-    data = bytes(range(256)) * 20_000
+    data = bytes(range(256)) * 6_000
     packed = {
         "": data,
         "none": data,
