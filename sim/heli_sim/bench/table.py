@@ -15,7 +15,8 @@ BLANK: Final = "?"
 """A reading of the template that nobody has filled in yet."""
 TEMPLATE: Final = """\
 # Bench tests of a rig, for: heli-host rig weigh RIG THIS.toml --out NEW.toml
-# Write a number for each "?". Remove a table whose test was not done. Tolerances are half widths that hold the truth with 95 %.
+# Write a number for each "?". Remove a table whose test was not done.
+# Tolerances are half widths that hold the truth with 95 %.
 
 # A scale under each rotor, the arm held; run the motors; read at three voltages or more.
 [thrust]
@@ -75,7 +76,7 @@ def _refuse_blanks(table: Mapping[str, Any]) -> None:
                 if BLANK in (reading if isinstance(reading, list) else [reading]):
                     raise RigError(
                         f"{where} {key} is not filled in yet",
-                        f'write what you read for each "{BLANK}", or remove {where} if you did not do this test',
+                        f'write what you read for each "{BLANK}", or remove {where}',
                     )
 
 

@@ -27,8 +27,8 @@ LARGEST: Final[Mapping[str, float]] = {
     "count": 1e8,
     "1": 1e4,
 }
-"""Largest value and tolerance that a rig file may state, by unit: a thousand times a laboratory's and more. Above,
-products of a rig's numbers overflow; a smaller limit would refuse experiments on purpose."""
+"""Largest value and tolerance that a rig file may state, by unit: a thousand times a laboratory's and more.
+Above, products of a rig's numbers overflow; a smaller limit would refuse experiments on purpose."""
 LARGEST_OF_OTHER_UNITS: Final = 1e9
 SMALLEST: Final = 1e-9
 """Smallest size of a number that is not 0, in its unit: below, quotients overflow."""
