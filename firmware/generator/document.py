@@ -123,7 +123,9 @@ def generate_doc(d: Table) -> str:
             for f in d["fault"]
         ],
     )
-    out.append("## Parameters\n\n`idle`: may only be set while idle. The board refuses every value that a row does not allow.\n")
+    out.append(
+        "## Parameters\n\n`idle`: may only be set while idle. The board refuses every value that a row does not allow.\n"
+    )
     out += markdown_table(
         ["#", "name", "unit", "least", "most", "numbers", "default", "set", "meaning"],
         [

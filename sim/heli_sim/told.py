@@ -37,7 +37,8 @@ def found_of(rig: Rig) -> Found:
     from heli_sim.rig.plausible import beyond_a_table
 
     can_fly = True
-    inertias = inertias_kg_m2({name: number.value for name, number in rig.items()})
+    values = {name: number.value for name, number in rig.items()}
+    inertias = inertias_kg_m2(values)
     found = [
         f"{len(rig)} numbers",
         ", ".join(f"{name} {value:.4g}" for name, value in inertias.items()) + " kg m2",
@@ -51,7 +52,7 @@ def found_of(rig: Rig) -> Found:
     except PlantError as error:
         found.append(f"does not hover: {error}")
         can_fly = False
-    return Found((*found, *beyond_a_table(rig)), can_fly)
+    return Found((*found, *beyond_a_table(values)), can_fly)
 
 
 def half_width(number: Number) -> str:

@@ -40,7 +40,7 @@ def noise(kind: str, seed: int, *, in_counts: bool = False) -> Flight:
     """Twelve seconds of an IMU on a bench, in radians, with voltages that moved nothing."""
     random = np.random.default_rng(seed)
     white = random.standard_normal((ROWS, 3))
-    angles: Floats = {
+    angles = {
         "white": lambda: np.radians(2.0) * white,
         "walk": lambda: np.radians(0.05) * np.cumsum(white, axis=0),
         "slow": lambda: np.radians(0.2) * smoothed(white, 0.995),
@@ -48,11 +48,11 @@ def noise(kind: str, seed: int, *, in_counts: bool = False) -> Flight:
     }[kind]()
     if in_counts:
         angles = COUNT_RAD * np.round(angles / COUNT_RAD)
-    t_s = STEP_S * np.arange(ROWS)
+    t_s: Floats = STEP_S * np.arange(ROWS, dtype=np.float64)
     sine = 1.7 + 0.3 * np.sin(2.0 * np.pi * np.column_stack((t_s / 3.0, t_s / 3.0 + 0.2)))
     volts: Floats = sine if seed % 2 else 1.7 + 0.2 * random.standard_normal((ROWS, 2))
-    columns: list[Floats] = [np.ascontiguousarray(one, np.float64) for one in (*volts.T, *angles.T)]
-    return Flight(t_s, *columns)
+    columns = np.array([*volts.T, *angles.T], np.float64)
+    return Flight(t_s, columns[0], columns[1], columns[2], columns[3], columns[4])
 
 
 @pytest.mark.medium

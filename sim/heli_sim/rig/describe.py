@@ -169,7 +169,7 @@ def _number(quantity: Quantity, value: str, tolerance: str | None, unit: str, so
     number = Number(
         size, quantity.unit, half, source if tolerance is not None else f"{source}; {_why(quantity)}"
     )
-    check_size("stated", quantity.name, number)
+    check_size("stated", quantity.name, number.value, number.tolerance, number.unit)
     return number
 
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from heli_sim.errors import RigError
-
-if TYPE_CHECKING:
-    from heli_sim.rig.rig import Number, Rig
+from heli_sim.rig.schema import RIG_QUANTITIES
 
 LARGEST: Final[Mapping[str, float]] = {
     "kg": 1e4,
@@ -62,8 +60,8 @@ TABLE_TOP: Final[Mapping[str, tuple[float, float]]] = {
 often wrong: 64 for 64 cm. A wider range misses that; a narrower one refuses real rigs."""
 
 
-def check_size(where: str, name: str, number: Number) -> None:
-    """Refuse a `number` that is too large or too small to calculate with.
+def check_size(where: str, name: str, value: float, tolerance: float, unit: str) -> None:
+    """Refuse a number of a rig that is too large or too small to calculate with.
 
     Parameters
     ----------
@@ -71,26 +69,31 @@ def check_size(where: str, name: str, number: Number) -> None:
         File or rig, for the error.
     name : str
         Name of the number in it.
+    value, tolerance : float
+        Value and half width, in `unit`.
+    unit : str
+        Unit, as in a rig file.
 
     Raises
     ------
     RigError
         The text names the number and its range.
     """
-    most = LARGEST.get(number.unit, LARGEST_OF_OTHER_UNITS)
-    for what, value in (("value", number.value), ("tolerance", number.tolerance)):
-        if abs(value) > most or 0.0 < abs(value) < SMALLEST:
+    most = LARGEST.get(unit, LARGEST_OF_OTHER_UNITS)
+    for what, size in (("value", value), ("tolerance", tolerance)):
+        if abs(size) > most or 0.0 < abs(size) < SMALLEST:
             raise RigError(
-                f"{where}: {name} has the {what} {value:g} {number.unit}",
-                f"give 0 or a size from {SMALLEST:g} to {most:g} {number.unit}",
+                f"{where}: {name} has the {what} {size:g} {unit}",
+                f"give 0 or a size from {SMALLEST:g} to {most:g} {unit}",
             )
 
 
-def beyond_a_table(rig: Rig) -> list[str]:
-    """Name the numbers of a `rig` that no rig on a table has, a line for each."""
+def beyond_a_table(values: Mapping[str, float]) -> list[str]:
+    """Name the values of a rig, in the units of rig files, that no rig on a table has, a line for each."""
+    units = {quantity.name: quantity.unit for quantity in RIG_QUANTITIES}
     return [
-        f"{name} = {rig[name].value:g} {rig[name].unit} is outside {low:g} to {high:g} {rig[name].unit}, "
+        f"{name} = {values[name]:g} {units[name]} is outside {low:g} to {high:g} {units[name]}, "
         "the range of a table-top rig"
         for name, (low, high) in TABLE_TOP.items()
-        if not low <= rig[name].value <= high
+        if not low <= values[name] <= high
     ]

@@ -237,7 +237,7 @@ def _number(path: Path, name: str, entry: object) -> Number:
     number = Number(float(entry["value"]), entry["unit"], float(entry["tolerance"]), entry["source"])
     # What is not finite is named by whoever knows what it may be.
     if math.isfinite(number.value) and math.isfinite(number.tolerance):
-        check_size(f"rig file {path}", name, number)
+        check_size(f"rig file {path}", name, number.value, number.tolerance, number.unit)
     return number
 
 

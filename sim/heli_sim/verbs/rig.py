@@ -232,7 +232,7 @@ def new(
         given = _asked(base)
     text = description or f"described by its builder, what is not stated as {base.name}"
     rig = described(out.stem, text, base, given)
-    if not anyway and (beyond := beyond_a_table(rig)):
+    if not anyway and (beyond := beyond_a_table({name: rig[name].value for name in rig})):
         raise RigError(beyond[0], "correct it, or write it with --anyway")
     write_rig(
         rig, out, f"Written by heli-host rig new: {len(given)} numbers stated, the rest as {base.name}."
