@@ -28,25 +28,25 @@ _REMEDY: Final = "cut it into pieces, or export fewer signals"
 
 
 def too_large(path: Path, what: str) -> FlightDataError:
-    """Return the error for a file that would unpack to more than `what`, such as "256 MiB"."""
+    """Return the error for the file at `path`, which unpacks to more than `what`, such as "256 MiB"."""
     return FlightDataError(f"{path} unpacks to more than {what}", _REMEDY)
 
 
 def check_numbers(path: Path, count: int) -> None:
-    """Refuse a table of more than `MOST_NUMBERS` numbers."""
+    """Refuse the table at `path` if its `count` of numbers is above `MOST_NUMBERS`."""
     if count > MOST_NUMBERS:
         raise too_large(path, f"{MOST_NUMBERS // 1_000_000} million numbers")
 
 
 def check_columns(path: Path, count: int) -> None:
-    """Refuse a table of more than `MOST_COLUMNS` columns."""
+    """Refuse the table at `path` if its `count` of columns is above `MOST_COLUMNS`."""
     if count > MOST_COLUMNS:
         raise FlightDataError(f"{path} has more than {MOST_COLUMNS} columns", "leave out what is not needed")
 
 
 @contextlib.contextmanager
 def within_memory(path: Path) -> Iterator[None]:
-    """Read within `MOST_MEMORY_BYTES` more than this process has; only Linux has such a limit.
+    """Read the file at `path` within `MOST_MEMORY_BYTES` more than this process has; on Linux only.
 
     Raises
     ------

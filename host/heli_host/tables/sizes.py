@@ -83,8 +83,9 @@ def _check_hdf(path: Path) -> None:
 
 
 def check_parquet(path: Path, file: pyarrow.parquet.ParquetFile) -> None:
-    """Refuse a Parquet file whose row groups hold more than `MOST_NUMBERS` or `MOST_BYTES`. Both count: a run
-    of equal numbers takes two bytes.
+    """Refuse the Parquet `file` at `path` if its row groups hold more than `MOST_NUMBERS` or `MOST_BYTES`.
+
+    Both count: a run of equal numbers takes two bytes.
     """
     check_columns(path, file.metadata.num_columns)
     rows = numbers = size = 0
