@@ -89,7 +89,7 @@ def check_size(where: str, name: str, value: float, tolerance: float, unit: str)
 
 
 def beyond_a_table(values: Mapping[str, float]) -> list[str]:
-    """Name those of a rig's `values`, in the units of rig files, that no rig on a table has, a line for each."""
+    """Name those of a rig's `values`, in rig files' units, that no rig on a table has, a line for each."""
     units = {quantity.name: quantity.unit for quantity in RIG_QUANTITIES}
     return [
         f"{name} = {values[name]:g} {units[name]} is outside {low:g} to {high:g} {units[name]}, "
