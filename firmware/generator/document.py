@@ -123,9 +123,11 @@ def generate_doc(d: Table) -> str:
             for f in d["fault"]
         ],
     )
-    out.append("## Parameters\n\n`idle`: may only be set while idle.\n")
+    out.append(
+        "## Parameters\n\n`idle`: may only be set while idle. The board refuses every value that a row does not allow.\n"
+    )
     out += markdown_table(
-        ["#", "name", "unit", "least", "most", "default", "set", "meaning"],
+        ["#", "name", "unit", "least", "most", "numbers", "default", "set", "meaning"],
         [
             [
                 str(i),
@@ -133,6 +135,7 @@ def generate_doc(d: Table) -> str:
                 p["unit"],
                 f"{p['min']:g}",
                 f"{p['max']:g}",
+                numbers_of(p),
                 f"{p['default']:g}",
                 p["when"],
                 p["meaning"],
@@ -141,3 +144,9 @@ def generate_doc(d: Table) -> str:
         ],
     )
     return "\n".join(out).rstrip("\n") + "\n"
+
+
+def numbers_of(param: Table) -> str:
+    """Which numbers between its ends a parameter takes."""
+    kind = "whole" if param.get("integer", False) else "all"
+    return f"{kind}, not 0" if param.get("nonzero", False) else kind

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-LINK_HASH = 0x914737CE
-LINK_VERSION = "1.2"
+LINK_HASH = 0xFBCCFBA0
+LINK_VERSION = "1.3"
 FIRMWARE_VERSION = "0.1.0"
 PROTOCOL = 1
 BAUD = 250000
@@ -484,8 +484,8 @@ PARAMS: tuple[ParamSpec, ...] = (
     ParamSpec(4, "supply_V", "V", 5.0, 24.0, 12.0, False, False, True, "supply of the motor drivers; full duty means this voltage"),
     ParamSpec(5, "motor_min_V", "V", -24.0, 0.0, 0.0, False, False, True, "lowest motor voltage; 0 never reverses a rotor"),
     ParamSpec(6, "motor_max_V", "V", 0.5, 24.0, 10.0, False, False, True, "highest motor voltage"),
-    ParamSpec(7, "motor_front_sign", "", -1.0, 1.0, 1.0, True, False, True, "-1 swaps the front motor's leads in software"),
-    ParamSpec(8, "motor_back_sign", "", -1.0, 1.0, 1.0, True, False, True, "-1 swaps the back motor's leads in software"),
+    ParamSpec(7, "motor_front_sign", "", -1.0, 1.0, 1.0, True, True, True, "-1 swaps the front motor's leads in software"),
+    ParamSpec(8, "motor_back_sign", "", -1.0, 1.0, 1.0, True, True, True, "-1 swaps the back motor's leads in software"),
     ParamSpec(9, "dead_zone_V", "V", 0.0, 5.0, 1.0, False, False, False, "voltage below which a rotor gives no thrust (paper eq. 31); added back by the control law"),
     ParamSpec(10, "hover_V", "V", 0.0, 20.0, 1.4, False, False, False, "feed-forward of the sum of both voltages above the dead zone that carries the arm at level"),
     ParamSpec(11, "hover_slope", "V/deg", -1.0, 1.0, 0.06, False, False, False, "change of hover_V with elevation: masses that hang below the axis want more lift the higher the arm is"),

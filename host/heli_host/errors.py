@@ -335,8 +335,10 @@ def fault_text(code: int) -> str:
 
 
 def range_text(param: Param) -> str:
-    """Say in words what a parameter takes, such as ``"a number from 0 to 20 V/deg"``."""
+    """Say in words what a parameter takes, such as ``"a number from 0 to 20 V/deg"`` or ``"-1 or 1"``."""
     spec = PARAMS[param]
+    if spec.integer and spec.nonzero and (spec.min, spec.max) == (-1.0, 1.0):
+        return "-1 or 1"
     kind = "a whole number" if spec.integer else "a number"
     zero = ", not 0" if spec.nonzero else ""
     unit = f" {spec.unit}" if spec.unit else ""

@@ -55,7 +55,9 @@ ToOption = Annotated[
 GapsOption = Annotated[
     bool, typer.Option("--allow-gaps", help="Leave out missing rows instead of refusing the flight.")
 ]
-AsIsOption = Annotated[bool, typer.Option("--as-is", help="Fit though signs, zeros or units look wrong.")]
+AsIsOption = Annotated[
+    bool, typer.Option("--as-is", help="Fit though signs, zeros, units or motion look wrong.")
+]
 ReportOption = Annotated[
     Path | None, typer.Option("--report", metavar="DIR", help="A page with figures to look at.")
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from heli_host.errors import printable
@@ -11,14 +12,33 @@ if TYPE_CHECKING:
     from heli_sim.rig import Number, Rig
 
 
-def found_of(rig: Rig) -> list[str]:
-    """Say what the numbers of a `rig` give together, a piece each: inertias, voltages at hover."""
+@dataclass(frozen=True)
+class Found:
+    """What the numbers of a rig give together.
+
+    Parameters
+    ----------
+    words : tuple of str
+        Inertias, voltages at hover, and numbers that no rig on a table has, a piece each.
+    can_fly : bool
+        Whether its supply lifts it to a hover.
+    """
+
+    words: tuple[str, ...]
+    can_fly: bool
+
+
+def found_of(rig: Rig) -> Found:
+    """Return what the numbers of a `rig` give together."""
     from heli_sim.errors import PlantError
     from heli_sim.model import MultibodyModel
     from heli_sim.model.linear import trim
     from heli_sim.rig.inertia import inertias_kg_m2
+    from heli_sim.rig.plausible import beyond_a_table
 
-    inertias = inertias_kg_m2({name: number.value for name, number in rig.items()})
+    can_fly = True
+    values = {name: number.value for name, number in rig.items()}
+    inertias = inertias_kg_m2(values)
     found = [
         f"{len(rig)} numbers",
         ", ".join(f"{name} {value:.4g}" for name, value in inertias.items()) + " kg m2",
@@ -28,9 +48,11 @@ def found_of(rig: Rig) -> list[str]:
         found.append(f"hovers at {front_V:.2f} and {back_V:.2f} V")
         if max(front_V, back_V) > rig["supply"].value:
             found.append(f"more than its supply of {rig['supply'].value:g} V: it cannot fly")
+            can_fly = False
     except PlantError as error:
         found.append(f"does not hover: {error}")
-    return found
+        can_fly = False
+    return Found((*found, *beyond_a_table(values)), can_fly)
 
 
 def half_width(number: Number) -> str:

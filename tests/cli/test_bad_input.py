@@ -160,6 +160,28 @@ def test_a_log_that_cannot_be_written_does_not_take_off(terminal: Terminal) -> N
     assert "/dev/full" in line
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("fly", "hover", "--log"),
+        ("setpoint", "--elevation-deg", "2", "--log"),
+        ("log", "--for-s", "1", "--out"),
+    ],
+)
+def test_a_log_under_the_name_of_a_table_is_not_recorded(
+    terminal: Terminal, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    line = refusal(terminal(*words, "a.csv", *SIL), code=FILE)
+    assert "a.csv: a log is an .mcap file; " in line and "heli-host export --csv" in line
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("value", ["0.5", "0", "-0.999"])
+def test_the_sign_of_a_motor_is_minus_one_or_one(terminal: Terminal, value: str) -> None:
+    line = refusal(terminal("params", "set", "--sil", "--", "motor_front_sign", value), code=ASKED)
+    assert line.endswith(f"motor_front_sign = {value} is out of range; give -1 or 1")
+
+
 @pytest.mark.parametrize("verb", ["info", "plot", "export"])
 @pytest.mark.parametrize(
     "content",

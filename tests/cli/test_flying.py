@@ -144,21 +144,35 @@ def test_a_full_disk_lands_and_keeps_what_was_logged(terminal: Terminal, tmp_pat
     # Compiles the plant into the cache, which the limit on file sizes would not let the next process do.
     assert terminal("params", "get", "hover_V", "--sil").code == 0
     limit_bytes = 200_000
-    done = subprocess.run(
-        command("fly", "hover", *SIL, "--log", "f.mcap"),
-        cwd=tmp_path,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, limit_bytes)),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
+
+    def fly(program: list[str]) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            program,
+            cwd=tmp_path,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, limit_bytes)),
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+        )
+
+    python, option, main, *words = command("fly", "hover", *SIL, "--log", "f.mcap")
+    # A limit that is known keeps the motors off.
+    refused = fly([python, option, main, *words])
+    assert refused.returncode == 5 and "raise the limit (ulimit -f)" in refused.stderr
+    assert not (tmp_path / "f.mcap").exists()
+    # Quotas and file systems have limits that no program knows beforehand.
+    unknown = "import heli_host.log.disk as disk; disk.most_file_bytes = lambda: None; "
+    done = fly([python, option, unknown + main, *words])
     assert done.returncode == 4, done.stderr
     assert done.stderr.startswith("error: ")
     assert len(done.stderr.splitlines()) == 1
     log = read_log(tmp_path / "f.mcap")
     assert len(log.ticks) > 2000
     assert (tmp_path / "f.mcap").stat().st_size <= limit_bytes
+    shown = terminal("info", "f.mcap").out
+    assert "not closed: the log could not be written further (File too large)" in shown
+    assert "the host ended" not in shown
 
 
 def test_a_log_cut_short_is_read_up_to_there(terminal: Terminal, tmp_path: Path) -> None:

@@ -117,7 +117,7 @@ def test_a_table_goes_to_standard_output(flight: Path) -> None:
 
 def test_a_log_that_is_no_log_is_refused_before_anything_is_recorded(terminal: Terminal) -> None:
     ended = terminal("log", "--sil", "--for-s", "1", "-o", "x.csv")
-    assert ended.code == 2
+    assert ended.code == 5
     assert "export --csv" in ended.err
     assert not Path("x.csv").exists()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from pathlib import Path
@@ -89,11 +90,60 @@ def test_check_goes_on_after_a_rig_that_cannot_be(terminal: Terminal, tmp_path: 
     assert "makki2024: 3" in ended.out
 
 
-def test_check_says_when_a_rig_is_too_heavy_for_its_supply(terminal: Terminal, tmp_path: Path) -> None:
-    weak = spoiled(tmp_path, "value = 0.5839", "value = 0.02")
-    assert "it cannot fly" in terminal("rig", "check", weak).out
-    heavy = spoiled(tmp_path, "value = 1.565", "value = 9.0")
-    assert "does not hover" in terminal("rig", "check", heavy).out
+def test_check_ends_with_1_when_a_rig_is_too_heavy_for_its_supply(terminal: Terminal, tmp_path: Path) -> None:
+    for old, new, says in (
+        ("value = 0.5839", "value = 0.02", "it cannot fly"),
+        ("value = 1.565", "value = 9.0", "does not hover"),
+    ):
+        rig = spoiled(tmp_path, old, new)
+        ended = terminal("rig", "check", rig, "quanser-course")
+        assert ended.code == 1 and says in ended.out and not ended.err
+        ended = terminal("rig", "check", rig, "--json")
+        [told] = json.loads(ended.out)["rigs"]
+        assert ended.code == 1 and told["can_be"] and not told["can_fly"]
+    assert terminal("rig", "check", *rig_names()).code == 0
+
+
+@pytest.mark.parametrize("what", ["value", "tolerance"])
+@pytest.mark.parametrize("number", ["1e308", "-1e308", "1e-308"])
+def test_a_number_beyond_calculation_is_refused_by_name(
+    terminal: Terminal, tmp_path: Path, what: str, number: str
+) -> None:
+    text = PAPER.read_text()
+    name = ""
+    lines = text.splitlines()
+    for k, line in enumerate(lines):
+        name = line.strip("[]") if line.startswith("[") else name
+        if line.startswith(f"{what} = "):
+            path = tmp_path / "mine.toml"
+            path.write_text("\n".join([*lines[:k], f"{what} = {number}", *lines[k + 1 :]]))
+            said = refusal(terminal("rig", "check", path), code=ASKED)
+            assert f"mine.toml: {name} has the {what} {float(number):g} " in said
+            assert "; give 0 or a size from 1e-09 to " in said
+
+
+def test_a_number_beyond_calculation_of_an_effect_is_refused_by_name(
+    terminal: Terminal, tmp_path: Path
+) -> None:
+    path = tmp_path / "mine.toml"
+    lag = '[effects.rotor_lag.time_constant]\nvalue = 1e308\nunit = "s"\ntolerance = 0.0\nsource = "x"\n'
+    path.write_text(PAPER.read_text() + lag)
+    said = refusal(terminal("rig", "check", path), code=ASKED)
+    assert "effects.rotor_lag.time_constant has the value 1e+308 s; give 0 or a size from" in said
+
+
+def test_numbers_that_no_table_bears_are_named(terminal: Terminal, tmp_path: Path) -> None:
+    ended = terminal("rig", "check", spoiled(tmp_path, "value = 0.45", "value = 45.0"))
+    assert "L_b = 45 m is outside 0.02 to 3 m, the range of a table-top rig" in ended.out
+    for stated in ("L_a=64", "M_w=1565", "M_f=0.0035", "thrust_gain=58", "encoder_counts=4"):
+        words = ("rig", "new", "new.toml", "--set", stated)
+        line = refusal(terminal(*words), code=ASKED)
+        assert f"{stated.partition('=')[0]} = " in line and "the range of a table-top rig; " in line
+        assert not Path("new.toml").exists()
+    assert terminal("rig", "new", "new.toml", "--set", "L_a=3.5", "--anyway").code == 0
+    assert "L_a = 3.5 m is outside 0.1 to 3 m" in terminal("rig", "check", "new.toml").out
+    for name in rig_names():
+        assert "range of a table-top rig" not in terminal("rig", "check", name).out
 
 
 def test_diff_counts_in_tolerances_and_marks_what_is_beyond(terminal: Terminal) -> None:

@@ -59,6 +59,15 @@ def test_both_ends_of_every_range_are_taken_and_what_lies_beyond_is_not(spec: Pa
     assert params.set(spec.index, -above(-spec.min), True) == Result.OUT_OF_RANGE
 
 
+@pytest.mark.parametrize("name", ["motor_front_sign", "motor_back_sign"])
+def test_a_sign_is_either_minus_one_or_one_on_the_board(name: str) -> None:
+    params = core_link.Params()
+    for value in (0.5, -0.5, 0.0, above(-1.0), -above(1.0), SUBNORMAL):
+        assert params.set(INDEX[name], value, True) == Result.OUT_OF_RANGE
+    for value in (-1.0, 1.0):
+        assert params.set(INDEX[name], value, True) == Result.OK
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_no_parameter_takes_what_is_no_number(value: float) -> None:
     params = core_link.Params()
@@ -94,8 +103,6 @@ def test_only_a_change_raises_the_revision() -> None:
     [
         {"supply_V": 9.0},
         {"motor_max_V": 12.5},
-        {"motor_front_sign": 0.5},
-        {"motor_back_sign": -0.5},
         {"setpoint_hold_s": 2.0},
         {"setpoint_land_s": 0.4},
         {"travel_counts_per_rev": SUBNORMAL},

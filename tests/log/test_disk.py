@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import io
 import threading
@@ -84,11 +85,11 @@ def write_all(writer: LogWriter, tick: np.ndarray, raw: np.ndarray) -> None:
 
 def test_a_thread_writes_the_same_bytes(tmp_path: Path) -> None:
     tick, raw = make_samples(3300)
-    for name, background in (("a", True), ("b", False)):
+    for name, background in (("a.mcap", True), ("b.mcap", False)):
         writer = open_log(tmp_path / name, background=background)
         write_all(writer, tick, raw)
         writer.close({"result": {"outcome": "completed"}})
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
 
 
 @pytest.mark.medium
@@ -226,6 +227,76 @@ def test_a_log_that_is_there_is_not_touched(tmp_path: Path, background: bool) ->
     with pytest.raises(LogWriteError):
         check_new(path)
     assert path.read_bytes() == b"an older flight"
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.mcap.gz", "a", "a.xlsx"])
+def test_a_log_under_the_name_of_a_table_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(LogWriteError, match=r"a log is an \.mcap file; .*heli-host export"):
+        open_log(tmp_path / name, background=False)
+    assert not (tmp_path / name).exists()
+
+
+@contextlib.contextmanager
+def files_up_to(size_bytes: int) -> Iterator[None]:
+    """Let this process write no file above a size, as ``ulimit -f`` does."""
+    resource = pytest.importorskip("resource", reason="skipped: this system has no limits of a process")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("background", [True, False])
+def test_a_log_that_meets_a_limit_of_size_names_it(tmp_path: Path, background: bool) -> None:
+    tick, raw = make_samples(6000)
+    writer = open_log(tmp_path / "a.mcap", background=background)
+    with files_up_to(50_000):
+        with pytest.raises(LogWriteError, match=r"cannot write the log .*File too large; raise the limit"):
+            write_all(writer, tick, raw)
+            writer.close()
+        with contextlib.suppress(LogWriteError):
+            writer.close()
+    log = read_log(tmp_path / "a.mcap")
+    assert 0 < len(log.ticks) < 6000 and not log.complete
+    np.testing.assert_array_equal(log.raw, raw[: len(log.ticks)])
+    assert summarise(log).outcome == "not closed: the log could not be written further (File too large)"
+
+
+def test_a_reason_without_room_is_left_out_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(writes: int) -> None:
+        if writes > 4:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    on_disk(monkeypatch, full)
+    writer = open_log(tmp_path / "a.mcap", background=False)
+    with pytest.raises(LogWriteError, match="free some disk space"):
+        write_all(writer, *make_samples(6000))
+    assert summarise(read_log(tmp_path / "a.mcap")).outcome.startswith("not closed: the host ended, or could")
+
+
+def test_a_limit_of_size_ends_a_flight_while_its_landing_fits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(disk, "most_file_bytes", lambda: disk.RESERVED_BYTES + 100_000)
+    writer = open_log(tmp_path / "a.mcap", background=False)
+    tick, raw = make_samples(6000)
+    write_all(writer, tick[:1000], raw[:1000])
+    assert writer.nearly_full is None
+    write_all(writer, tick[1000:], raw[1000:])
+    assert "almost the size that a file may have here" in str(writer.nearly_full)
+    writer.close()
+    assert read_log(tmp_path / "a.mcap").complete
+
+
+def test_a_flight_beyond_the_limit_of_size_does_not_begin(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(disk, "most_file_bytes", lambda: 20_000_000)
+    check_free_space(tmp_path / "a.mcap", 60.0)
+    with pytest.raises(LogWriteError, match=r"allows a file 20\.0 MB, .* can need 79\.2 MB; .*ulimit -f"):
+        check_free_space(tmp_path / "a.mcap", 600.0)
 
 
 @pytest.mark.skipif(not Path("/dev/null").exists(), reason="skipped: no /dev/null")

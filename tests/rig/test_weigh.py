@@ -87,10 +87,26 @@ def test_numbers_that_were_hidden_are_found_within_their_tolerances() -> None:
     assert before["elevation of balance"] > 1.0 and before["decrement of pitch"] > 1.0
 
 
+def filled() -> str:
+    """The template with the readings of a rig like the paper's."""
+    table = TEMPLATE
+    for blank, reading in (
+        ('front_g = ["?", "?", "?"]', "front_g = [60, 119, 179]"),
+        ('back_g = ["?", "?", "?"]', "back_g = [59, 119, 178]"),
+        ('elevation_deg = "?"', "elevation_deg = -22.1"),
+        ('swings = "?"', "swings = 5"),
+        ('seconds = "?"', "seconds = 13.2"),
+        ('from_deg = "?"', "from_deg = 13"),
+        ('to_deg = "?"', "to_deg = 4"),
+    ):
+        assert blank in table
+        table = table.replace(blank, reading)
+    return table
+
+
 def test_reading_that_no_such_rig_gives_is_said(terminal: Terminal) -> None:
-    table = TEMPLATE.replace("seconds = 13.2", "seconds = 60.0")
-    Path("bench.toml").write_text(table)
-    Path("good.toml").write_text(TEMPLATE)
+    Path("bench.toml").write_text(filled().replace("seconds = 13.2", "seconds = 60.0"))
+    Path("good.toml").write_text(filled())
     ended = terminal("rig", "weigh", "makki2024", "bench.toml", "--out", "new.toml")
     assert ended.code == 0, ended
     # A pendulum of 12 s hangs from its own middle: lengths and masses would have to be far from stated.
@@ -99,8 +115,23 @@ def test_reading_that_no_such_rig_gives_is_said(terminal: Terminal) -> None:
     assert load_rig("new.toml").name == "new"
 
 
-def test_template_is_a_table_that_is_read(terminal: Terminal) -> None:
+def test_template_is_refused_until_it_is_filled_in(terminal: Terminal) -> None:
     assert terminal("rig", "weigh", "makki2024", "--template", "bench.toml").code == 0
+    words = ("rig", "weigh", "makki2024", "bench.toml", "--out", "new.toml")
+    line = refusal(terminal(*words), code=2)
+    assert "[thrust] front_g is not filled in yet; write what you read" in line
+    lines = filled().splitlines()
+    template = Path("bench.toml").read_text().splitlines()
+    changed = [k for k, (old, new) in enumerate(zip(template, lines, strict=True)) if old != new]
+    for k in changed:
+        Path("bench.toml").write_text("\n".join([*lines[:k], template[k], *lines[k + 1 :]]))
+        name = template[k].partition(" ")[0]
+        assert f"{name} is not filled in yet" in refusal(terminal(*words), code=2)
+    assert len(changed) == 7 and not Path("new.toml").exists()
+
+
+def test_template_filled_in_is_read(terminal: Terminal) -> None:
+    Path("bench.toml").write_text(filled())
     told = json.loads(terminal("rig", "weigh", "makki2024", "bench.toml", "--json").out)
     assert told["numbers"]["thrust_gain"]["unit"] == "N/V"
     assert {one["what"] for one in told["tests"]} >= {"elevation of balance", "5 swings of pitch"}

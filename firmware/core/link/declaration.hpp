@@ -9,9 +9,9 @@
 
 namespace heli::link {
 
-inline constexpr std::uint32_t kLinkHash = 0x914737ceU;
+inline constexpr std::uint32_t kLinkHash = 0xfbccfba0U;
 inline constexpr std::uint8_t kLinkMajor = 1;
-inline constexpr std::uint8_t kLinkMinor = 2;
+inline constexpr std::uint8_t kLinkMinor = 3;
 inline constexpr std::uint8_t kFirmwareMajor = 0;
 inline constexpr std::uint8_t kFirmwareMinor = 1;
 inline constexpr std::uint8_t kFirmwarePatch = 0;
@@ -311,8 +311,8 @@ inline constexpr ParamInfo kParams[kParamCount] = {
     {5.0F, 24.0F, 12.0F, false, false, true},  // supply_V
     {-24.0F, 0.0F, 0.0F, false, false, true},  // motor_min_V
     {0.5F, 24.0F, 10.0F, false, false, true},  // motor_max_V
-    {-1.0F, 1.0F, 1.0F, true, false, true},  // motor_front_sign
-    {-1.0F, 1.0F, 1.0F, true, false, true},  // motor_back_sign
+    {-1.0F, 1.0F, 1.0F, true, true, true},  // motor_front_sign
+    {-1.0F, 1.0F, 1.0F, true, true, true},  // motor_back_sign
     {0.0F, 5.0F, 1.0F, false, false, false},  // dead_zone_V
     {0.0F, 20.0F, 1.4F, false, false, false},  // hover_V
     {-1.0F, 1.0F, 0.06F, false, false, false},  // hover_slope

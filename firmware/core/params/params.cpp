@@ -42,8 +42,6 @@ bool Params::consistent() const {
   }
   return get(Param::motor_min_V) < get(Param::motor_max_V) &&
          get(Param::motor_max_V) <= get(Param::supply_V) &&
-         std::fabs(get(Param::motor_front_sign)) == 1.0F &&
-         std::fabs(get(Param::motor_back_sign)) == 1.0F &&
          get(Param::setpoint_hold_s) < get(Param::setpoint_land_s) &&
          get(Param::elevation_rest_deg) < get(Param::elevation_max_deg) &&
          get(Param::pitch_setpoint_max_deg) < get(Param::pitch_max_deg);

@@ -34,7 +34,7 @@ _SYNC_S = 1.0
 _STALL_S = 0.5
 _CLOSE_TIMEOUT_S = 60.0
 _LOOK_S = 0.1
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 _sync = getattr(os, "fdatasync", os.fsync)
 
 
@@ -96,6 +96,10 @@ class LogFile(Protocol):
         ...
 
 
+LastRecord = Callable[[str], bytes]
+"""Makes the record that says why nothing follows it."""
+
+
 class DirectFile:
     """A log's file, written by whoever appends.
 
@@ -103,6 +107,8 @@ class DirectFile:
     ----------
     path : Path
         File to write; its folder is made.
+    last_record : callable taking str and returning bytes, optional
+        Makes the record of a failure's reason; it is written where the record that failed leaves room.
 
     Raises
     ------
@@ -110,10 +116,11 @@ class DirectFile:
         If the file is there already, or cannot be created.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, last_record: LastRecord | None = None) -> None:
         self.failed: LogWriteError | None = None
         self.nearly_full: LogWriteError | None = None
         self._path = path
+        self._last_record = last_record
         self._file = _create(path)
         self._bytes_written = 0
 
@@ -144,11 +151,19 @@ class DirectFile:
         except OSError as error:
             raise self._fail(error) from error
         self._bytes_written += len(data)
+        if self.nearly_full is not None:
+            return
         left = free_bytes(self._path.parent)
-        if left is not None and left < RESERVED_BYTES and self.nearly_full is None:
+        if left is not None and left < RESERVED_BYTES:
             self.nearly_full = LogWriteError(
                 f"the disk of the log {self._path} is almost full, {_megabytes(left)} are left",
                 "free some disk space",
+            )
+        most = most_file_bytes()
+        if most is not None and most - self._bytes_written < RESERVED_BYTES:
+            self.nearly_full = LogWriteError(
+                f"the log {self._path} has almost the size that a file may have here, {_megabytes(most)}",
+                "raise the limit (ulimit -f), or fly for a shorter time",
             )
 
     def sync(self) -> None:
@@ -179,15 +194,28 @@ class DirectFile:
             self._file.close()
 
     def _fail(self, error: OSError) -> LogWriteError:
-        self.failed = LogWriteError(
-            f"cannot write the log {self._path}: {error.strerror or error}",
-            "free some disk space; the log is readable up to here"
-            if error.errno in _FULL
-            else "the log is readable up to here",
-        )
+        remedy = "the log is readable up to here"
+        if error.errno in _FULL:
+            remedy = f"free some disk space; {remedy}"
+        elif error.errno == errno.EFBIG:
+            remedy = f"raise the limit of a file's size (ulimit -f); {remedy}"
+        self.failed = LogWriteError(f"cannot write the log {self._path}: {error.strerror or error}", remedy)
         with contextlib.suppress(OSError):
             self._file.truncate(self._bytes_written)
+            self._write_reason(error.strerror or str(error))
         return self.failed
+
+    def _write_reason(self, reason: str) -> None:
+        """Write why nothing follows, whole or not at all, where the record that failed has left room."""
+        if self._last_record is None:
+            return
+        data = self._last_record(reason)
+        written = 0
+        with contextlib.suppress(OSError):
+            self._file.seek(self._bytes_written)
+            written = self._file.write(data) or 0
+        if written < len(data):
+            self._file.truncate(self._bytes_written)
 
 
 class BackgroundFile:
@@ -201,6 +229,8 @@ class BackgroundFile:
         How much may wait for the disk before `has_room` says no.
     now_s : callable returning float
         Monotonic time [s], by which stalls are measured.
+    last_record : callable taking str and returning bytes, optional
+        As in `DirectFile`.
 
     Raises
     ------
@@ -209,9 +239,13 @@ class BackgroundFile:
     """
 
     def __init__(
-        self, path: Path, queued_bytes: int = QUEUED_BYTES, now_s: Callable[[], float] = time.monotonic
+        self,
+        path: Path,
+        queued_bytes: int = QUEUED_BYTES,
+        now_s: Callable[[], float] = time.monotonic,
+        last_record: LastRecord | None = None,
     ) -> None:
-        self._file = DirectFile(path)
+        self._file = DirectFile(path, last_record)
         self._path = path
         self._now_s = now_s
         self._most_bytes = queued_bytes
@@ -344,7 +378,7 @@ class BackgroundFile:
 
 
 def check_new(path: Path) -> None:
-    """Refuse to write over a log.
+    """Refuse to write over a log, or one under a name that other programs take for a table.
 
     Parameters
     ----------
@@ -354,9 +388,14 @@ def check_new(path: Path) -> None:
     Raises
     ------
     LogWriteError
-        If there is one. Another name of our choosing would leave the old flight under the name that was asked
-        for, to be taken for the new one.
+        If its name does not end in ``.mcap``, or there is one. Another name of our choosing would leave the
+        old flight under the name that was asked for, to be taken for the new one.
     """
+    if path.suffix.lower() != ".mcap" and not _is_device(path):
+        raise LogWriteError(
+            f"cannot record into {path}: a log is an .mcap file",
+            "give a name that ends in .mcap; heli-host export --csv makes a table of it afterwards",
+        )
     if path.exists() and not _is_device(path):
         raise LogWriteError(
             f"{path} is there already, and no log is written over", "give another name, or move it away"
@@ -386,6 +425,22 @@ def check_free_space(path: Path, duration_s: float) -> None:
             f"{_megabytes(needed)}",
             "free some disk space, or choose another place with --log",
         )
+    most = most_file_bytes()
+    if most is not None and most < needed:
+        raise LogWriteError(
+            f"this system allows a file {_megabytes(most)}, the log {path} can need {_megabytes(needed)}",
+            "raise the limit (ulimit -f), or fly for a shorter time",
+        )
+
+
+def most_file_bytes() -> int | None:
+    """Return the largest size to which this process may write a file; None where there is no such limit."""
+    try:
+        import resource
+    except ImportError:  # Windows has no limits of a process
+        return None
+    most = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+    return None if most == resource.RLIM_INFINITY else most
 
 
 def free_bytes(folder: Path) -> int | None:

@@ -190,9 +190,7 @@ class McapBytes:
         file_offset : int
             Where in the file it will stand.
         """
-        builder = _Records()
-        Metadata(name=name, metadata={**values, RECORD_CRC: metadata_crc(name, values)}).write(builder)
-        data = builder.data()
+        data = _metadata(name, values)
         self._metadata_indexes.append(MetadataIndex(offset=file_offset, length=len(data), name=name))
         return data
 
@@ -333,6 +331,23 @@ class McapBytes:
             builder
         )
         return data_end + summary + builder.data() + bytes(MCAP0_MAGIC)
+
+
+def last_record(reason: str) -> bytes:
+    """Return the record of the outcome for a log that can't be written further.
+
+    Parameters
+    ----------
+    reason : str
+        Why not, in the system's words.
+    """
+    return _metadata("result", {"outcome": f"not closed: the log could not be written further ({reason})"})
+
+
+def _metadata(name: str, values: Mapping[str, str]) -> bytes:
+    builder = _Records()
+    Metadata(name=name, metadata={**values, RECORD_CRC: metadata_crc(name, values)}).write(builder)
+    return builder.data()
 
 
 def _joined(parts: Iterable[TickBatch | JsonMessage]) -> list[TickBatch | JsonMessage]:

@@ -136,7 +136,9 @@ def summarise(log: Log) -> FlightSummary:
                 rms_deg[axis] = round(rms(led_deg), 4)
                 max_deg[axis] = round(float(np.max(np.abs(led_deg))), 4)
     outcome = result.get("outcome") or (
-        "recorded" if log.complete else "not closed: the host ended before the flight did"
+        "recorded"
+        if log.complete
+        else "not closed: the host ended, or could write no more, before the flight ended"
     )
     return FlightSummary(
         outcome=outcome,

@@ -24,7 +24,15 @@ from heli_host.declaration import TICK_US
 from heli_host.errors import LogWriteError
 from heli_host.log.clock import TickClock
 from heli_host.log.disk import BackgroundFile, DirectFile, LogFile
-from heli_host.log.records import EVENT_CHANNEL, LINK_CHANNEL, JsonMessage, McapBytes, TickBatch, json_bytes
+from heli_host.log.records import (
+    EVENT_CHANNEL,
+    LINK_CHANNEL,
+    JsonMessage,
+    McapBytes,
+    TickBatch,
+    json_bytes,
+    last_record,
+)
 from heli_host.log.schema import LEVEL_ERROR, LEVEL_INFO, LEVEL_WARNING
 
 CHUNK_TICKS = 1_000_000 // TICK_US
@@ -106,7 +114,8 @@ class LogWriter:
         self._lock = threading.RLock()
         self._last_tick = 0
         self._dropping = 0
-        self._file: LogFile = BackgroundFile(self.path) if background else DirectFile(self.path)
+        kind = BackgroundFile if background else DirectFile
+        self._file: LogFile = kind(self.path, last_record=last_record)
         try:
             self._write(self._bytes.head())
             for name, values in metadata.items():

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from heli_host.errors import FlightDataError
+from heli_host.tables.limits import MOST_NUMBERS, MOST_ROWS, too_large, within_memory
+from heli_host.tables.sizes import check_bag
 from heli_host.tables.table import Column, Table
 
 _MOST_VALUES: Final = 64
@@ -31,27 +34,39 @@ def read_bag(path: Path) -> Table:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise FlightDataError(f"reading {path} needs rosbags", "pip install 'heli-host[import]'") from error
-    series: dict[str, tuple[list[float], list[float]]] = {}
+    series: dict[str, tuple[array[float], array[float]]] = {}
     folder = path.parent if path.suffix == ".db3" else path
-    try:
-        with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            for connection, when_ns, raw in reader.messages():
-                message = reader.deserialize(raw, connection.msgtype)
-                t_s = _stamp_s(message) or when_ns * 1e-9
-                for name, value in _numbers(connection.topic.strip("/"), message, 0):
-                    times, values = series.setdefault(name, ([], []))
-                    times.append(t_s)
-                    values.append(value)
-    except FlightDataError:
-        raise
-    except Exception as error:  # the reader raises whatever a damaged file makes it trip over
-        raise FlightDataError(
-            f"{path}: not a bag that rosbags reads ({type(error).__name__}: {error})", "record it again"
-        ) from error
-    return _table(path, series)
+    with within_memory(path):
+        try:
+            for file in sorted(folder.iterdir()) if folder.is_dir() else [folder]:
+                if file.suffix.lower() in (".mcap", ".bag"):
+                    check_bag(file)
+                elif file.suffix == ".zstd":
+                    raise FlightDataError(f"{file} is compressed as a file", "unpack it with zstd -d")
+            with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+                numbers = 0
+                for count, (connection, when_ns, raw) in enumerate(reader.messages(), 1):
+                    message = reader.deserialize(raw, connection.msgtype)
+                    t_s = _stamp_s(message) or when_ns * 1e-9
+                    for name, value in _numbers(connection.topic.strip("/"), message, 0):
+                        times, values = series.setdefault(name, (array("d"), array("d")))
+                        times.append(t_s)
+                        values.append(value)
+                        numbers += 2
+                    if count > MOST_ROWS:
+                        raise too_large(path, f"{MOST_ROWS // 1_000_000} million messages")
+                    if numbers > MOST_NUMBERS:
+                        raise too_large(path, f"{MOST_NUMBERS // 1_000_000} million numbers")
+        except (FlightDataError, MemoryError):
+            raise
+        except Exception as error:  # the reader raises whatever a damaged file makes it trip over
+            raise FlightDataError(
+                f"{path}: not a bag that rosbags reads ({type(error).__name__}: {error})", "record it again"
+            ) from error
+        return _table(path, series)
 
 
-def _table(path: Path, series: dict[str, tuple[list[float], list[float]]]) -> Table:
+def _table(path: Path, series: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Table:
     columns = {}
     first_s = min((times[0] for times, _ in series.values()), default=0.0)
     for name, (times, values) in series.items():

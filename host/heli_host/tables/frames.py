@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,42 +11,132 @@ import numpy as np
 
 from heli_host.errors import FlightDataError
 from heli_host.tables.clocks import seconds_of
+from heli_host.tables.limits import MOST_BYTES, check_columns, check_numbers, too_large, within_memory
+from heli_host.tables.sizes import MOST_CELLS, check_parquet, check_workbook
 from heli_host.tables.table import Column, Table
 from heli_host.tables.units import unit_of
 
 if TYPE_CHECKING:
     import pandas
+    import pyarrow
 
 _LEAST_SHARE = 0.5
 """Share of a column's cells that must be numbers for it to be one of numbers."""
 
 
 def read_parquet(path: Path) -> Table:
-    """Read a Parquet file at `path`; a FlightDataError where it is none."""
-    import pandas
-
-    return _table(path, _read(path, pandas.read_parquet, "Parquet"))
+    """Read a Parquet file at `path`; a FlightDataError where it is none, or unpacks to too much."""
+    return _read(path, _parquet, "Parquet")
 
 
 def read_excel(path: Path) -> Table:
     """Read the first sheet of a spreadsheet at `path`, names in its first row; a FlightDataError where there
-    is none.
+    is none, or it unpacks to too much.
     """
+    return _read(path, _excel, "Excel")
+
+
+def _parquet(path: Path) -> pandas.DataFrame:
+    import pyarrow.parquet
+
+    with pyarrow.parquet.ParquetFile(path) as file:
+        check_parquet(path, file)
+        schema = file.schema_arrow
+        texts = [field.name for field in schema if _is_text(field.type)]
+        flat = [field.name for field in schema if not pyarrow.types.is_nested(field.type)]
+    # Texts stay in their dictionary until it is known how long they are: each row may name a long one.
+    with pyarrow.parquet.ParquetFile(path, read_dictionary=texts) as file:
+        table = file.read(columns=flat, use_threads=False)
+    for place, name in enumerate(table.column_names):
+        column = table.column(place)
+        if pyarrow.types.is_dictionary(column.type):
+            longest = max(map(_longest, column.chunks), default=0)
+            if longest * len(column) > MOST_BYTES:
+                raise too_large(path, f"{MOST_BYTES >> 20} MiB in column '{name}'")
+            table = table.set_column(place, name, column.cast(column.type.value_type))
+    frame: pandas.DataFrame = table.to_pandas(use_threads=False)
+    return frame
+
+
+def _longest(chunk: pyarrow.DictionaryArray) -> int:
+    """Bytes of the longest value that a row may name."""
+    import pyarrow.compute
+
+    values = chunk.dictionary
+    if not _is_text(values.type):
+        return 8
+    return int(pyarrow.compute.max(pyarrow.compute.binary_length(values)).as_py() or 0)
+
+
+def _is_text(kind: pyarrow.DataType) -> bool:
+    import pyarrow
+
+    text: bool = (
+        pyarrow.types.is_string(kind)
+        or pyarrow.types.is_large_string(kind)
+        or pyarrow.types.is_binary(kind)
+        or pyarrow.types.is_large_binary(kind)
+    )
+    return text
+
+
+def _excel(path: Path) -> pandas.DataFrame:
+    import openpyxl
     import pandas
 
-    return _table(path, _read(path, pandas.read_excel, "Excel"))
+    check_workbook(path)
+    with contextlib.closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
+        sheet = book.worksheets[0]
+        # A sheet states its own size, and a row its number: both may be anything.
+        sheet.reset_dimensions()
+        rows: list[tuple[object, ...]] = []
+        cells = 0
+        for row in sheet.iter_rows(values_only=True):
+            cells += max(1, len(row))
+            if cells > MOST_CELLS:
+                raise too_large(path, f"{MOST_CELLS // 1_000_000} million cells")
+            rows.append(row)
+    filled = [row for row in rows if any(cell is not None for cell in row)]
+    if not filled:
+        return pandas.DataFrame()
+    width = max(map(len, filled))
+    check_columns(path, width)
+    check_numbers(path, width * len(filled))
+    names = _names(filled[0], width)
+    body = (row + (None,) * (width - len(row)) for row in filled[1:])
+    return pandas.DataFrame(body, columns=pandas.Index(names)).infer_objects()
 
 
-def _read(path: Path, reader: Callable[[Path], pandas.DataFrame], kind: str) -> pandas.DataFrame:
+def _names(head: tuple[object, ...], width: int) -> list[str]:
+    """Names of a sheet's columns, made different where they are not."""
+    names: list[str] = []
+    for place in range(width):
+        cell = head[place] if place < len(head) else None
+        name = f"column {place + 1}" if cell is None else str(cell)
+        while name in names:
+            name += "'"
+        names.append(name)
+    return names
+
+
+def _read(path: Path, reader: Callable[[Path], pandas.DataFrame], kind: str) -> Table:
     if not path.is_file():
         raise FlightDataError(f"cannot read {path}: there is no such file", "check the path")
-    try:
-        return reader(path)
-    except ImportError as error:
-        name = getattr(error, "name", None) or "pyarrow and openpyxl"
-        raise FlightDataError(f"reading {path} needs {name}", "pip install 'heli-host[import]'") from error
-    except Exception as error:  # the reader raises whatever a damaged file makes it trip over
-        raise FlightDataError(f"{path}: not a file of {kind}, or a damaged one", "save it again") from error
+    with within_memory(path):
+        try:
+            frame = reader(path)
+        except (FlightDataError, MemoryError):
+            raise
+        except ImportError as error:
+            name = getattr(error, "name", None) or "pyarrow and openpyxl"
+            raise FlightDataError(
+                f"reading {path} needs {name}", "pip install 'heli-host[import]'"
+            ) from error
+        except Exception as error:  # the reader raises whatever a damaged file makes it trip over
+            raise FlightDataError(
+                f"{path}: not a file of {kind}, or a damaged one", "save it again"
+            ) from error
+        return _table(path, frame)
 
 
 def _table(path: Path, frame: pandas.DataFrame) -> Table:

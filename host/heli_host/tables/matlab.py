@@ -9,6 +9,8 @@ from typing import Any, Final
 import numpy as np
 
 from heli_host.errors import FlightDataError
+from heli_host.tables.limits import check_numbers, within_memory
+from heli_host.tables.sizes import check_mat
 from heli_host.tables.table import Column, Floats, Table
 
 _DEEPEST: Final = 8
@@ -26,22 +28,34 @@ def read_mat(path: Path) -> Table:
     Raises
     ------
     FlightDataError
-        If it is no such file, or holds no signals.
+        If it is no such file, holds no signals, or unpacks to more than any flight.
     """
+    with within_memory(path):
+        return _read(path)
+
+
+def _read(path: Path) -> Table:
     import matio
 
     try:
+        check_mat(path)
         content = matio.load_from_mat(str(path))
     except FileNotFoundError as error:
         raise FlightDataError(f"cannot read {path}: there is no such file", "check the path") from error
+    except (FlightDataError, MemoryError):
+        raise
     except Exception as error:  # the reader raises whatever a damaged file makes it trip over
         raise FlightDataError(
             f"{path}: not a MATLAB file, or a damaged one ({type(error).__name__})", "save it again in MATLAB"
         ) from error
     columns: dict[str, Column] = {}
+    numbers = 0
     for name, value in content.items():
         if not name.startswith("__"):
             for found, column in _signals(name, value, 0):
+                # MATLAB stores small whole numbers in a byte; here each takes eight.
+                numbers += column.values.size
+                check_numbers(path, numbers)
                 columns[_free_name(found, columns)] = column
     if not columns:
         raise FlightDataError(f"{path}: no signals of {_LEAST_ROWS} rows or more in it", "save the log")
@@ -137,7 +151,10 @@ def _matrix(value: Any, rows: int | None = None) -> list[tuple[int, Floats, int]
     """Signals of an array of numbers, whichever way it lies: index, values, how many there are."""
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or not value.size:
         return []
-    array = np.squeeze(value.astype(np.float64))
+    array = np.squeeze(value)
+    if array.ndim == 2 and min(array.shape) > _MOST_SIGNALS:
+        return []
+    array = array.astype(np.float64)
     if array.ndim > 2:
         # Simulink logs a signal of one row as 1 x 1 x n.
         array = array.reshape(-1, array.shape[-1])

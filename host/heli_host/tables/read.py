@@ -34,7 +34,7 @@ def read_table(path: Path) -> Table:
         from heli_host.tables.frames import read_parquet
 
         return read_parquet(path)
-    if name.endswith((".xlsx", ".xls", ".ods")):
+    if name.endswith(".xlsx"):
         from heli_host.tables.frames import read_excel
 
         return read_excel(path)

@@ -18,11 +18,14 @@ import numpy as np
 from heli_host.errors import FlightDataError
 from heli_host.files import read_file
 from heli_host.tables.clocks import seconds_of
+from heli_host.tables.limits import MOST_BYTES, MOST_ROWS, check_columns, too_large
 from heli_host.tables.table import Column, Table
 from heli_host.tables.units import unit_of
 
-MOST_BYTES: Final = 1 << 28
-"""Largest table, unpacked: half an hour at 1 kHz."""
+_MOST_LINE_CHARACTERS: Final = 1 << 16
+"""Longest line: a thousand columns have 20 thousand characters."""
+_LINE_ENDS: Final = tuple(bytes([one]) for one in b"\n\x0b\x0c\x1c\x1d\x1e\x85\xa8\xa9")
+"""Bytes in which the ends of a line end, those of Unicode too; a return counts by itself."""
 _COMMENTS: Final = ("#", "%", "//", '"#')
 _SEPARATORS: Final = (";", "\t", ",", "|", " ")
 _LOOKED_AT: Final = 60
@@ -53,7 +56,7 @@ def read_text(path: Path) -> Table:
     """
     import pandas
 
-    lines = _text(path).splitlines()
+    lines = _lines(path)
     notes = "\n".join(line.strip().lstrip("#%/ ") for line in lines if line.strip().startswith(_COMMENTS))
     body = [line for line in lines if line.strip() and not line.strip().startswith(_COMMENTS)]
     if not body:
@@ -72,6 +75,7 @@ def read_text(path: Path) -> Table:
             f"{path}: no row of numbers in it", "give a table: one row a sample, separated by , ; or tabs"
         )
     width = len(_cells(rows[0], dialect))
+    check_columns(path, width)
     names, units = _names(header, dialect, width)
     try:
         frame = pandas.read_csv(
@@ -123,6 +127,15 @@ def find_dialect(lines: list[str]) -> Dialect | None:
     return best
 
 
+def _lines(path: Path) -> list[str]:
+    lines = _text(path).splitlines()
+    if max(map(len, lines), default=0) > _MOST_LINE_CHARACTERS:
+        raise FlightDataError(
+            f"{path}: a line has more than {_MOST_LINE_CHARACTERS} characters", "give one row per line"
+        )
+    return lines
+
+
 def _text(path: Path) -> str:
     try:
         data = read_file(path, MOST_BYTES)
@@ -134,7 +147,9 @@ def _text(path: Path) -> str:
     except OSError as error:
         raise FlightDataError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
     if len(data) > MOST_BYTES:
-        raise FlightDataError(f"{path} unpacks to more than {MOST_BYTES >> 20} MiB", "cut it into pieces")
+        raise too_large(path, f"{MOST_BYTES >> 20} MiB")
+    if max(data.count(b"\r"), sum(data.count(one) for one in _LINE_ENDS)) > MOST_ROWS:
+        raise too_large(path, f"{MOST_ROWS // 1_000_000} million lines")
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         return data.decode("utf-16", errors="replace")
     try:

@@ -12,6 +12,7 @@ from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError
 from heli_lab.identify.check import check, trace, validate
+from heli_lab.identify.explained import refuse_unexplained
 from heli_lab.identify.fit import Budget, Progress
 from heli_lab.identify.free import estimated_names
 from heli_lab.identify.initial_states import initial_state_guess
@@ -38,6 +39,7 @@ def identify(
     seconds: float = float("inf"),
     threads: int | None = None,
     on_progress: Callable[[Progress], None] | None = None,
+    as_is: bool = False,
 ) -> Identification:
     """Estimate a model's parameters from flights, and validate them on others.
 
@@ -59,11 +61,15 @@ def identify(
         Threads of the predictions; see `Problem`.
     on_progress : callable, optional
         Told where the work is.
+    as_is : bool
+        Accept flights whose motion the voltages do not explain, such as noise.
 
     Raises
     ------
     IdentifyError
         When nothing can be identified from the flights.
+    NotExcited
+        When the voltages do not explain a flight's motion; see `heli_lab.identify.explained`.
     """
     started_s = time.perf_counter()
     say = on_progress or (lambda _: None)
@@ -84,12 +90,16 @@ def identify(
     say(Progress("checking", 0.85, fit.cost))
     held_out = validate(fit, others) if others else None
     count = range(len(records))
+    seen = tuple(trace(fit, index) for index in count)
+    seen_held_out = tuple(trace(held_out, index) for index in range(len(others))) if held_out else ()
+    for one in () if as_is else (*seen, *seen_held_out):
+        refuse_unexplained(one)
     return Identification(
         fit,
         tuple(check(fit, index) for index in count),
         tuple(check(held_out, index) for index in range(len(others))) if held_out else (),
-        tuple(trace(fit, index) for index in count),
-        tuple(trace(held_out, index) for index in range(len(others))) if held_out else (),
+        seen,
+        seen_held_out,
     )
 
 

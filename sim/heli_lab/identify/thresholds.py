@@ -197,6 +197,17 @@ COMBINATION_WEIGHT: Final = 0.25
 only."""
 STRONG_CORRELATION: Final = 0.9
 """Correlation beyond which a pair is reported. Set by judgement, for legibility only."""
+UNEXPLAINED: Final = 0.6
+"""Share of the motion of the best axis (rms, no unit) above which the voltages do not explain a flight; see
+`explained.py`. Flights leave at most 0.22 (practice), 0.27 (measured machines), 0.45 (field), 0.18 (a hover
+of 12 s, one parameter free) and 0.47 (a hover in the strongest disturbances of tests/blind); 176 flights of
+noise, white to twice integrated, leave 0.67 and more. On other seeds hovers leave at most 0.41, and 80
+flights of noise 0.72 and more. Lower refuses hovers in disturbances; higher accepts slow noise. One of three
+hovers in five times as strong disturbances leaves 0.61."""
+LEAST_MOTION: Final = 1.7
+"""Motion of an axis without its parabolas that is looked at, rms, in standard deviations of the quantisation:
+half a count. Quantisation alone has 1. Lower, an axis at rest decides by chance; higher, slow axes are left
+out."""
 NOTHING_LEFT: Final = 1.05
 """A normalised error up to here is quantisation alone. Coverage saw none above 1.01 on flights that no
 fit saw; the rest is room for encoders that are not quite even."""

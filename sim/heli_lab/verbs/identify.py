@@ -88,6 +88,7 @@ def identify(
             validation_labels=given.labels[len(flights) :],
             window_s=window_s,
             on_progress=lambda progress: bar.show(progress.stage, progress.done),
+            as_is=as_is,
         )
         written: list[Path | None] = []
         if out is not None:

@@ -11,30 +11,33 @@ from heli_sim.bench.thrust_curve import SCALE_N, ThrustCurve
 from heli_sim.bench.weigh import Balance, Swing, Thrust
 from heli_sim.errors import RigError
 
+BLANK: Final = "?"
+"""A reading of the template that nobody has filled in yet."""
 TEMPLATE: Final = """\
 # Bench tests of a rig, for: heli-host rig weigh RIG THIS.toml --out NEW.toml
-# Leave out a table whose test was not done. Tolerances are half widths that hold the truth with 95 %.
+# Write a number for each "?". Remove a table whose test was not done.
+# Tolerances are half widths that hold the truth with 95 %.
 
 # A scale under each rotor, the arm held; run the motors; read at three voltages or more.
 [thrust]
 volts_V = [2, 3, 4]
-front_g = [60, 119, 179]
-back_g = [59, 119, 178]
+front_g = ["?", "?", "?"]
+back_g = ["?", "?", "?"]
 scale_g = 1
 
 # Motors off, pitch level: where the arm stays in the air. Leave this out where it rests on the table.
 [balance]
-elevation_deg = -22.1
+elevation_deg = "?"
 tolerance_deg = 0.5
 
 # Motors off, elevation and travel held: let pitch go, time whole swings, read the amplitude before and after.
 [[swing]]
 axis = "pitch"
-swings = 5
-seconds = 13.2
+swings = "?"
+seconds = "?"
 tolerance_s = 0.3
-from_deg = 13
-to_deg = 4
+from_deg = "?"
+to_deg = "?"
 tolerance_deg = 0.5
 """
 
@@ -50,6 +53,7 @@ def bench_tests_from(table: Mapping[str, Any]) -> tuple[Thrust | None, Balance |
     unknown = sorted(table.keys() - {"thrust", "balance", "swing"})
     if unknown:
         raise RigError(f"bench tests have no [{unknown[0]}]", "give [thrust], [balance], [[swing]]")
+    _refuse_blanks(table)
     thrust = _thrust_from(_table(table, "thrust")) if "thrust" in table else None
     balance = None
     if "balance" in table:
@@ -61,6 +65,19 @@ def bench_tests_from(table: Mapping[str, Any]) -> tuple[Thrust | None, Balance |
     if not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
         raise RigError("swing must be a list of tables", "write [[swing]] above each")
     return thrust, balance, [_swing_from(one) for one in listed]
+
+
+def _refuse_blanks(table: Mapping[str, Any]) -> None:
+    """Refuse a table in which a reading of the template is still blank."""
+    for name, value in table.items():
+        where = f"[[{name}]]" if isinstance(value, list) else f"[{name}]"
+        for one in value if isinstance(value, list) else [value]:
+            for key, reading in one.items() if isinstance(one, dict) else ():
+                if BLANK in (reading if isinstance(reading, list) else [reading]):
+                    raise RigError(
+                        f"{where} {key} is not filled in yet",
+                        f'write what you read for each "{BLANK}", or remove {where}',
+                    )
 
 
 def _thrust_from(table: Mapping[str, Any]) -> Thrust:

@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Final
 
 from heli_sim.errors import RigError
+from heli_sim.rig.plausible import check_size
 from heli_sim.rig.quantity import Quantity
 from heli_sim.rig.rig import Number, Rig
 from heli_sim.rig.schema import RIG_QUANTITIES
@@ -165,9 +166,11 @@ def _number(quantity: Quantity, value: str, tolerance: str | None, unit: str, so
         half = _usual(quantity, size) if tolerance is None else factor * float(tolerance)
     except ValueError:
         raise RigError(f"{quantity.name}: '{value}' is no number", "write it with a decimal point") from None
-    return Number(
+    number = Number(
         size, quantity.unit, half, source if tolerance is not None else f"{source}; {_why(quantity)}"
     )
+    check_size("stated", quantity.name, number.value, number.tolerance, number.unit)
+    return number
 
 
 def _usual(quantity: Quantity, value: float) -> float:

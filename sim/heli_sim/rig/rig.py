@@ -13,6 +13,7 @@ from heli_host.files import TOML_BYTES, parse_toml, read_file
 
 from heli_sim.errors import RigError
 from heli_sim.rig.inertia import STATED_INERTIAS, inertia_range_kg_m2
+from heli_sim.rig.plausible import check_size
 from heli_sim.rig.schema import RIG_QUANTITIES, UNSTATED
 
 _FOLDER: Final = Path(__file__).parent
@@ -233,7 +234,11 @@ def _number(path: Path, name: str, entry: object) -> Number:
     for key in ("unit", "source"):
         if not isinstance(entry[key], str) or not entry[key]:
             raise RigError(f"{where}: {key} must be a text, not {entry[key]!r}", "put it in quotes")
-    return Number(float(entry["value"]), entry["unit"], float(entry["tolerance"]), entry["source"])
+    number = Number(float(entry["value"]), entry["unit"], float(entry["tolerance"]), entry["source"])
+    # What is not finite is named by whoever knows what it may be.
+    if math.isfinite(number.value) and math.isfinite(number.tolerance):
+        check_size(f"rig file {path}", name, number.value, number.tolerance, number.unit)
+    return number
 
 
 def _unknown(rig: str, name: str) -> RigError:

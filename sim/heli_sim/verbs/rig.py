@@ -104,9 +104,10 @@ def check(
     rigs: Annotated[list[str], typer.Argument(metavar="NAME|FILE...", help="Rigs: names or TOML files.")],
     json: JsonFlag = False,
 ) -> None:
-    """Say whether rigs can be: complete, in the right units, no mass or inertia that none can have.
+    """Check that rig files are complete, in the right units and possible, and that each rig can fly.
 
-    Of each that can, also what its numbers give: inertias, weight at the rotors, voltage at hover.
+    Shows inertias and the voltage at hover, and names numbers that no table-top rig has. Exit code 1: a rig
+    can't fly on its supply; 2: a rig file is wrong.
 
     Example: `heli-host rig check my-rig.toml`
     """
@@ -116,6 +117,7 @@ def check(
 
     refused: list[RigError | EffectError] = []
     told: list[dict[str, Any]] = []
+    grounded = 0
     for name in rigs:
         try:
             rig = load_rig(name)
@@ -126,15 +128,19 @@ def check(
                 say(f"{name}: {error}")
             refused.append(error)
             continue
-        told.append({"rig": name, "can_be": True, "found": found_of(rig)})
+        found = found_of(rig)
+        grounded += not found.can_fly
+        told.append({"rig": name, "can_be": True, "can_fly": found.can_fly, "found": list(found.words)})
         if not json:
-            say(f"{name}: {'; '.join(found_of(rig))}")
+            say(f"{name}: {'; '.join(found.words)}")
     if json:
         say_json({"rigs": told})
     if len(rigs) > 1 and refused:
         raise RigError(f"{len(refused)} of {len(rigs)} rigs cannot be, see above", "correct them")
     if refused:
         raise refused[0]
+    if grounded:
+        raise typer.Exit(1)
 
 
 @app.command("diff")
@@ -196,6 +202,9 @@ def new(
         typer.Option("--set", metavar="NAME=VALUE", help="One number, such as 'M_f=355+-4 g; scale'."),
     ] = None,
     description: Annotated[str, typer.Option("--description", metavar="TEXT", help="One line.")] = "",
+    anyway: Annotated[
+        bool, typer.Option("--anyway", help="Write numbers too that no table-top rig has.")
+    ] = False,
 ) -> None:
     """Describe a rig: from a table, from options, or where neither is given from a few questions.
 
@@ -209,6 +218,7 @@ def new(
     from heli_sim.errors import RigError
     from heli_sim.rig import load_rig, write_rig
     from heli_sim.rig.describe import described, numbers_from_table, numbers_from_words
+    from heli_sim.rig.plausible import beyond_a_table
 
     base = load_rig(like)
     check_place(out)
@@ -222,10 +232,12 @@ def new(
         given = _asked(base)
     text = description or f"described by its builder, what is not stated as {base.name}"
     rig = described(out.stem, text, base, given)
+    if not anyway and (beyond := beyond_a_table({name: rig[name].value for name in rig})):
+        raise RigError(beyond[0], "correct it, or write it with --anyway")
     write_rig(
         rig, out, f"Written by heli-host rig new: {len(given)} numbers stated, the rest as {base.name}."
     )
-    say(f"{out}: {'; '.join(found_of(rig))}")
+    say(f"{out}: {'; '.join(found_of(rig).words)}")
     left = [name for name in rig if rig[name].source == f"not stated: as {base.name}"]
     say(f"not stated, so as {base.name} and wide: {', '.join(left) or 'none'}")
 

@@ -40,10 +40,6 @@ def log(
     from heli_host.log.summary import summarise
 
     if out is not None:
-        if out.suffix.lower() != ".mcap":
-            raise typer.BadParameter(
-                f"{out}: a log is an .mcap file; record one, then heli-host export --csv writes a table of it"
-            )
         check_new(out)
     with open_board(port, sil_address(rig=rig, speed=speed) if sil else None) as heli:
         path = out if out is not None else flight_folder() / "flight.mcap"

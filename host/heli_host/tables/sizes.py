@@ -1,0 +1,197 @@
+"""How much a file of another program unpacks to, counted before anything of that size is in memory."""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from heli_host.tables.limits import (
+    MOST_BYTES,
+    MOST_ROWS,
+    check_columns,
+    check_numbers,
+    too_large,
+    unpacked_bytes,
+)
+
+if TYPE_CHECKING:
+    import pyarrow.parquet
+
+MOST_CHUNK_BYTES: Final = 1 << 27
+"""Largest chunk of a bag, which is in memory as a whole: one image of a large camera is 100 MB."""
+MOST_RATIO: Final = 30
+"""How much a bag above `MOST_BYTES` may unpack to, in sizes of its file. Bags of sensors compress 2 to 10
+times; a bomb 1000 times."""
+MOST_SHEET_BYTES: Final = 1 << 27
+"""All XML of a spreadsheet. A million cells have 30 MB."""
+MOST_CELLS: Final = 2_000_000
+"""Cells of a sheet, empty ones between the first and the last too: half an hour at 100 Hz with 11 columns."""
+MOST_ELEMENTS: Final = 3 * MOST_CELLS
+"""XML elements of a spreadsheet: cells and their values, shared texts, styles. Each takes time."""
+_STEP_BYTES: Final = 1 << 20
+_COMPRESSED: Final = 15
+_MAT_HEAD: Final = 128
+_HDF: Final = b"\x89HDF\r\n\x1a\n"
+_MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
+_CHUNK, _CHUNK_INDEX = 0x06, 0x08
+
+
+def check_mat(path: Path) -> None:
+    """Refuse a MATLAB file at `path`, version 4 to 7.3, that unpacks to more than `MOST_BYTES`."""
+    size = path.stat().st_size
+    if size > MOST_BYTES:
+        raise too_large(path, f"{MOST_BYTES >> 20} MiB")
+    with path.open("rb") as file:
+        head = file.read(_MAT_HEAD)
+        if file.seek(512) and file.read(len(_HDF)) == _HDF:
+            _check_hdf(path)
+            return
+        if len(head) < _MAT_HEAD or head[-2:] not in (b"IM", b"MI"):
+            return
+        order = "<" if head[-2:] == b"IM" else ">"
+        file.seek(_MAT_HEAD)
+        total = 0
+        while len(tag := file.read(8)) == 8:
+            kind, length = struct.unpack(f"{order}II", tag)
+            if kind == _COMPRESSED:
+                total += unpacked_bytes("zlib", file.read(length), MOST_BYTES - total)
+            else:
+                total += length
+                file.seek(length, 1)
+            if total > MOST_BYTES:
+                raise too_large(path, f"{MOST_BYTES >> 20} MiB")
+
+
+def _check_hdf(path: Path) -> None:
+    import h5py
+
+    numbers = objects = 0
+
+    def count(_: str, item: Any) -> None:
+        nonlocal numbers, objects
+        objects += 1
+        numbers += int(item.size or 0) if isinstance(item, h5py.Dataset) else 0
+        check_numbers(path, numbers)
+        if objects > MOST_ROWS:
+            raise too_large(path, f"{MOST_ROWS // 1_000_000} million variables")
+
+    with h5py.File(path, "r") as file:
+        file.visititems(count)
+
+
+def check_parquet(path: Path, file: pyarrow.parquet.ParquetFile) -> None:
+    """Refuse the Parquet `file` at `path` if its row groups hold more than `MOST_NUMBERS` or `MOST_BYTES`.
+
+    Both count: a run of equal numbers takes two bytes.
+    """
+    check_columns(path, file.metadata.num_columns)
+    rows = numbers = size = 0
+    for index in range(file.metadata.num_row_groups):
+        group = file.metadata.row_group(index)
+        rows += group.num_rows
+        for number in range(group.num_columns):
+            column = group.column(number)
+            numbers += max(column.num_values, group.num_rows)
+            size += column.total_uncompressed_size
+    check_numbers(path, numbers)
+    if size > MOST_BYTES:
+        raise too_large(path, f"{MOST_BYTES >> 20} MiB")
+    if rows > MOST_ROWS:
+        raise too_large(path, f"{MOST_ROWS // 1_000_000} million rows")
+
+
+def check_workbook(path: Path) -> None:
+    """Refuse a spreadsheet (.xlsx) at `path` with more XML or elements than the limits of this module."""
+    with zipfile.ZipFile(path) as archive:
+        parts = [part for part in archive.infolist() if part.filename.lower().endswith((".xml", ".rels"))]
+        # zipfile gives no more of a part than it declares.
+        if sum(part.file_size for part in parts) > MOST_SHEET_BYTES:
+            raise too_large(path, f"{MOST_SHEET_BYTES >> 20} MiB")
+        elements = 0
+        for part in parts:
+            with archive.open(part) as file:
+                while step := file.read(_STEP_BYTES):
+                    elements += step.count(b"<") - step.count(b"</")
+                    if elements > MOST_ELEMENTS:
+                        raise too_large(path, f"{MOST_ELEMENTS // 1_000_000} million elements")
+
+
+def check_bag(path: Path) -> None:
+    """Refuse a bag (.bag, .mcap) at `path` whose chunks unpack to more than a bag of this size can hold."""
+    size = path.stat().st_size
+    most = max(MOST_BYTES, MOST_RATIO * size)
+    total, seen = 0, set()
+    for offset, codec, data in _chunks(path, size):
+        if data is None:
+            # An index may name a chunk again and again, and have it unpacked each time.
+            if offset in seen:
+                raise too_large(path, f"{most >> 20} MiB")
+            seen.add(offset)
+            continue
+        count = unpacked_bytes(codec, data, MOST_CHUNK_BYTES)
+        if count > MOST_CHUNK_BYTES:
+            raise too_large(path, f"{MOST_CHUNK_BYTES >> 20} MiB in a chunk")
+        total += count
+        if total > most:
+            raise too_large(path, f"{most >> 20} MiB")
+
+
+def _chunks(path: Path, size: int) -> Iterator[tuple[int, str, bytes | None]]:
+    """Yield each chunk as its place, compression and packed data, and each mention of one as its place."""
+    with path.open("rb") as file:
+        begin = file.read(13)
+        if begin.startswith(_MCAP_MAGIC):
+            yield from _mcap_chunks(file, size)
+        elif begin == b"#ROSBAG V2.0\n":
+            yield from _rosbag_chunks(file, size)
+
+
+def _mcap_chunks(file: Any, size: int) -> Iterator[tuple[int, str, bytes | None]]:
+    offset = len(_MCAP_MAGIC)
+    while offset + 9 <= size:
+        file.seek(offset)
+        kind, length = struct.unpack("<BQ", file.read(9))
+        if offset + 9 + length > size:
+            return
+        if kind == _CHUNK and length >= 40:
+            name_bytes = struct.unpack("<8x8x8x4xI", file.read(32))[0]
+            codec = file.read(min(name_bytes, 8)).decode("ascii", errors="replace")
+            data_bytes = struct.unpack("<Q", file.read(8))[0]
+            yield offset, codec, file.read(min(data_bytes, length))
+        elif kind == _CHUNK_INDEX and length >= 24:
+            yield struct.unpack("<8x8xQ", file.read(24))[0], "", None
+        offset += 9 + length
+
+
+def _rosbag_chunks(file: Any, size: int) -> Iterator[tuple[int, str, bytes | None]]:
+    offset = 13
+    while offset + 8 <= size:
+        file.seek(offset)
+        head_bytes = struct.unpack("<I", file.read(4))[0]
+        if offset + 8 + head_bytes > size:
+            return
+        head = _rosbag_fields(file.read(head_bytes))
+        data_bytes = struct.unpack("<I", file.read(4))[0]
+        kind = head.get(b"op", b"")
+        if kind == b"\x05":
+            yield (
+                offset,
+                head.get(b"compression", b"").decode("ascii", errors="replace"),
+                file.read(data_bytes),
+            )
+        elif kind == b"\x06" and len(head.get(b"chunk_pos", b"")) == 8:
+            yield struct.unpack("<Q", head[b"chunk_pos"])[0], "", None
+        offset += 8 + head_bytes + data_bytes
+
+
+def _rosbag_fields(head: bytes) -> dict[bytes, bytes]:
+    fields, offset = {}, 0
+    while offset + 4 <= len(head):
+        length = struct.unpack_from("<I", head, offset)[0]
+        name, _, value = head[offset + 4 : offset + 4 + length].partition(b"=")
+        fields[name] = value
+        offset += 4 + length
+    return fields

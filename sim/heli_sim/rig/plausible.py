@@ -1,0 +1,99 @@
+"""How large the numbers of a rig can be: beyond what calculation bears, and beyond what stands on a table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from heli_sim.errors import RigError
+from heli_sim.rig.schema import RIG_QUANTITIES
+
+LARGEST: Final[Mapping[str, float]] = {
+    "kg": 1e4,
+    "m": 1e3,
+    "m2": 1e4,
+    "m/s2": 1e3,
+    "kg/m3": 1e4,
+    "N": 1e6,
+    "N/V": 1e4,
+    "N m": 1e6,
+    "N m s/rad": 1e6,
+    "V": 1e4,
+    "s": 1e4,
+    "1/s": 1e6,
+    "deg": 1e5,
+    "count": 1e8,
+    "1": 1e4,
+}
+"""Largest value and tolerance that a rig file may state, by unit: a thousand times a laboratory's and more.
+Above, products of a rig's numbers overflow; a smaller limit would refuse experiments on purpose."""
+LARGEST_OF_OTHER_UNITS: Final = 1e9
+SMALLEST: Final = 1e-9
+"""Smallest size of a number that is not 0, in its unit: below, quotients overflow."""
+
+TABLE_TOP: Final[Mapping[str, tuple[float, float]]] = {
+    # A motor with its propeller: from 10 g of a toy's to 2 kg; two of them are lifted.
+    "M_f": (0.01, 2.0),
+    "M_b": (0.01, 2.0),
+    # Whatever one person lifts onto a table.
+    "M_w": (0.02, 20.0),
+    "M_h": (0.0, 5.0),
+    "M_l": (0.0, 10.0),
+    # An arm that turns in a room: the shipped rigs have 0.46 m and 0.66 m.
+    "L_a": (0.1, 3.0),
+    "L_b": (0.02, 3.0),
+    "L_x": (-1.5, 1.5),
+    "L_h": (0.03, 1.0),
+    # Heights of bearings.
+    "L_phi": (-0.3, 0.3),
+    "L_theta": (-0.3, 0.3),
+    # Sea level to 5 km.
+    "g": (9.7, 9.9),
+    "air_density": (0.6, 1.5),
+    # Enough thrust for 10 g at 24 V; at most that of a 30 cm propeller.
+    "thrust_gain": (0.005, 10.0),
+    "dead_zone": (0.0, 6.0),
+    "supply": (2.0, 60.0),
+    "encoder_counts": (50.0, 100_000.0),
+}
+"""Range of a rig that stands on a table, in the unit of rig files. Outside, a unit or a decimal point is most
+often wrong: 64 for 64 cm. A wider range misses that; a narrower one refuses real rigs."""
+
+
+def check_size(where: str, name: str, value: float, tolerance: float, unit: str) -> None:
+    """Refuse a number of a rig that is too large or too small to calculate with.
+
+    Parameters
+    ----------
+    where : str
+        File or rig, for the error.
+    name : str
+        Name of the number in it.
+    value, tolerance : float
+        Value and half width, in `unit`.
+    unit : str
+        Unit, as in a rig file.
+
+    Raises
+    ------
+    RigError
+        The text names the number and its range.
+    """
+    most = LARGEST.get(unit, LARGEST_OF_OTHER_UNITS)
+    for what, size in (("value", value), ("tolerance", tolerance)):
+        if abs(size) > most or 0.0 < abs(size) < SMALLEST:
+            raise RigError(
+                f"{where}: {name} has the {what} {size:g} {unit}",
+                f"give 0 or a size from {SMALLEST:g} to {most:g} {unit}",
+            )
+
+
+def beyond_a_table(values: Mapping[str, float]) -> list[str]:
+    """Name those of a rig's `values`, in rig files' units, that no rig on a table has, a line for each."""
+    units = {quantity.name: quantity.unit for quantity in RIG_QUANTITIES}
+    return [
+        f"{name} = {values[name]:g} {units[name]} is outside {low:g} to {high:g} {units[name]}, "
+        "the range of a table-top rig"
+        for name, (low, high) in TABLE_TOP.items()
+        if not low <= values[name] <= high
+    ]
