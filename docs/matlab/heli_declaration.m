@@ -4,7 +4,7 @@ function d = heli_declaration()
 % Written by firmware/generate.py from firmware/link.toml. Do not edit.
 
 d.link_version = '1.2';
-d.link_hash = uint32(2437363662);
+d.link_hash = uint32(1948321504);
 d.protocol = 1;
 d.baud = 250000;
 d.tick_us = 1000;
