@@ -41,6 +41,20 @@ def test_every_tick_on_the_emulated_due_is_replayed_bit_for_bit(name: str) -> No
 
 
 @pytest.mark.medium
+def test_a_law_is_flown_without_asking_for_its_tape() -> None:
+    law = law_of(LAWS / "lqi.py")
+    with heli_host.connect("sil://") as heli:
+        heli.load_law(law)
+        heli.take_off()
+        report = heli.fly_law(law, duration_s=0.5, parameters={"hover_V": 1.45})
+        assert (report.hash, report.taken_over) == (law.tape.hash, "")
+        assert heli.set_law_parameter(law, "hover_V", 1.5) == 1.5
+        for wrong in (law.function, "lqi.py", None):
+            with pytest.raises(heli_host.HeliError, match="is not a control law; give what @control_law"):
+                heli.fly_law(wrong, duration_s=0.5)  # type: ignore[arg-type]
+
+
+@pytest.mark.medium
 def test_parameters_of_a_law_are_set_by_name() -> None:
     law = law_of(LAWS / "lqi.py")
     with heli_host.connect("sil://") as heli:

@@ -128,7 +128,7 @@ class Law:
 
     @cached_property
     def evaluated(self) -> ca.Function:
-        """The function as numpy and C run it: what is no number passes limits and conditions, as on the board."""
+        """The function as numpy and C run it: NaN passes limits and conditions, as on the board."""
         return with_no_number(self.function)
 
     def runner(self) -> Runner:

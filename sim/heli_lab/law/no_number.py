@@ -1,7 +1,7 @@
 """A law's function in which "no number" (NaN) passes every limit and condition, as it does on the board.
 
-In C and in CasADi ``fmin(nan, 1)`` is 1, and a comparison with NaN is false. A limit would hide that a law has
-failed: the board's operations give NaN there, so that its guard takes over in that very tick.
+In C and in CasADi ``fmin(nan, 1)`` is 1, and a comparison with NaN is false: a limit hides that a law has
+failed. The board's operations give NaN there, so that its guard takes over in the same tick.
 """
 
 from __future__ import annotations
