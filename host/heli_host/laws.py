@@ -16,8 +16,8 @@ from heli_host.tape import Tape
 
 ENTRY_POINT_GROUP: Final = "heli_host.laws"
 FILE_LIMIT_s: Final = 30.0
-"""How long the file of a law may run [s]. The laws of the documents take under 2 s. A shorter limit refuses files
-that solve a large problem first; with a longer limit people wait longer for a loop without an end."""
+"""How long the file of a law may run [s]. The laws of the documents take under 2 s. A shorter limit refuses
+files that solve a large problem first; with a longer limit people wait longer for a loop without an end."""
 
 LawReader = Callable[[Path], Tape]
 

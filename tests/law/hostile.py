@@ -131,6 +131,10 @@ def amplified(gain: float) -> Bad:
     )
 
 
+def _constant(value_V: float) -> Callable[[Any, Any], Any]:
+    return lambda now, grown: value_V
+
+
 def tilted(change_V: Callable[[Any], Any]) -> Bad:
     """Change the differential by ``change_V(grown)``."""
     return lambda now, good, grown: motor_volts(good.collective_V, good.differential_V + change_V(grown))
@@ -194,7 +198,7 @@ def _rows() -> dict[str, _Row]:
         add(f"gain_{gain:g}", ANY, amplified(gain))
     add("no_gain", HARMLESS, amplified(0.0))
     for more_V in (50.0, -50.0, 2.0, -0.6, 1e38):
-        add(f"lift_{more_V:g}", HARMLESS, lifted(lambda now, t, more_V=more_V: more_V))
+        add(f"lift_{more_V:g}", HARMLESS, lifted(_constant(more_V)))
     add("full_voltage", JUMP, lambda now, good, _: both(12.0))
     # To full voltage, or to none, in a quarter of a second: no jump from call to call.
     add(
