@@ -9,11 +9,12 @@ from typing import Any
 import heli_host
 import numpy as np
 import pytest
-from heli_host.declaration import Channel, LawFlyMessage
+from heli_host.declaration import Channel, Fault, LawFlyMessage
+from heli_host.guest_law import engage
 from heli_host.link.telemetry import Ticks
 
 from tests.law.flown import fly, law_of, replayed
-from tests.law.hostile import HOSTILE, RIGS, CALM_s, Good, Volts, follows, hostile, motors, tries
+from tests.law.hostile import HOSTILE, RIGS, CALM_s, Good, MOST_deg, Volts, follows, hostile, motors, tries
 from tests.running.long import LONG, samples
 
 LAWS = Path(__file__).resolve().parents[2] / "docs" / "laws"
@@ -124,6 +125,40 @@ def test_an_axis_that_stays_away_from_its_setpoint_is_taken_over(axis: str, want
         assert report.taken_over == f"{axis}_following", str(report)
         # Of the board's own limit, the share that law_envelope says.
         assert abs(report.value) > 0.8 * heli.params[f"{axis}_following_max_deg"]
+
+
+@pytest.mark.medium
+def test_a_good_law_flies_at_the_highest_setpoint_there_is() -> None:
+    law = hostile("well", lambda now, good, _: motors(good))
+    with heli_host.connect("sil://") as heli:
+        heli.take_off()
+        heli.setpoint(elevation_deg=MOST_deg)
+        heli.wait(4.0)
+        assert not heli.fly_law(law.tape, duration_s=5.0).taken_over
+        assert abs(heli.latest.elevation_deg - MOST_deg) < 1.0
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("end", ["the host ends it", "it lands"])
+@pytest.mark.parametrize("rig", ["nominal", "slow rotors"])
+def test_a_law_may_be_ended_far_below_a_high_setpoint(end: str, rig: str) -> None:
+    with heli_host.connect(f"sil://?seed=1{RIGS[rig]}") as heli:
+        heli.take_off()
+        heli.setpoint(elevation_deg=21.0)
+        heli.wait(4.0)
+        engage(heli, HOSTILE["drift_down"][0].tape)
+        heli.wait_until(lambda sample: sample.elevation_deg < 9.5, 40.0)
+        start = heli.latest.tick
+        if end == "it lands":
+            heli.land()
+        else:
+            heli.session.command(LawFlyMessage(0, 0))
+            heli.wait(20.0)
+        since = heli.samples(last_s=30.0)
+        assert np.degrees(since.elevation_rad[since.tick > start]).max() < MOST_deg
+        assert heli.latest.fault is Fault.NONE
+        if end != "it lands":
+            assert abs(heli.latest.elevation_deg - 21.0) < 1.0
 
 
 @pytest.mark.medium
