@@ -272,7 +272,7 @@ def tape_of(law: Tape | LawLike) -> Tape:
     if not isinstance(tape, Tape):
         raise BadLaw(
             f"a {type(law).__name__} is not a control law",
-            "give what @control_law or from_gain of heli_lab.law makes, or its tape",
+            "give what @control_law or from_gain makes, or its tape",
         )
     return tape
 

@@ -86,7 +86,8 @@ Judgement Guard::check_envelope(const ControlInput& in, const Wish& before,
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     Quantity rate_rad_s = in.rate_rad_s[axis];
     if (axis == kElevation) {
-      const Quantity spare_V = spare_lift_V(before.front_V, before.back_V, in.angle_rad[axis], limits);
+      const Quantity spare_V =
+          spare_lift_V(before.front_V, before.back_V, in.angle_rad[axis], limits);
       rate_rad_s += kReaction_s * (limits.lift_rad_s2_per_V * spare_V);
     }
     const Quantity speed_rad_s = magnitude(rate_rad_s);

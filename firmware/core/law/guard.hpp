@@ -26,8 +26,8 @@ struct GuardLimits {
   Quantity table_rad;
   Gain braking_s2[kAxisCount];  // angle to brake in, for each (rad/s)^2; 0: not foreseen
   Gain lift_rad_s2_per_V;       // acceleration of elevation by lift beyond hover's
-  Quantity hover_V;      // lift that carries the arm at level
-  Gain hover_V_per_rad;  // and what it takes more, the higher the arm is
+  Quantity hover_V;             // lift that carries the arm at level
+  Gain hover_V_per_rad;         // and what it takes more, the higher the arm is
   control::DeadZone dead_zone;
   Quantity following_max_rad[kAxisCount];
   // From here on the supervisor counts as well, and the way back takes part of its time.
