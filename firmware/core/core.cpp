@@ -217,13 +217,27 @@ void Core::log_law(link::Sample& sample) {
     news.tick = seen_.tick;
     link_.push_event(news);
   }
+  const auto tell = [&sample](Channel channel, std::int32_t value) {
+    sample.raw[static_cast<std::size_t>(channel)] = value;
+  };
+  law::Recovery& recovery = guest_.recovery();
+  // Where the board's own law has no axis to fly, there is nothing to take in hand.
+  if (recovery.active() && supervisor_.axes() == 0U) {
+    recovery.stop();
+  }
+  guest_.settle();
+  const auto move = [this, &recovery, &tell](std::size_t axis, Channel channel, Wire per_unit) {
+    if (recovery.active() && recovery.moves(axis)) {
+      supervisor_.go_on_from(axis, recovery.setpoint_rad(axis));
+      tell(channel, wire(recovery.setpoint_rad(axis), per_unit));
+    }
+  };
+  move(kElevation, Channel::elevation_setpoint, kElevationSetpointWire);
+  move(kTravel, Channel::travel_setpoint, kTravelSetpointWire);
   if (!guest_.flying()) {
     return;
   }
   sample.raw[static_cast<std::size_t>(Channel::flags)] |= link::flags::law;
-  const auto tell = [&sample](Channel channel, std::int32_t value) {
-    sample.raw[static_cast<std::size_t>(channel)] = value;
-  };
   tell(Channel::elevation_setpoint, guest_.setpoint_raw(kElevation));
   tell(Channel::pitch_setpoint, guest_.setpoint_raw(kPitch));
   tell(Channel::travel_setpoint, guest_.setpoint_raw(kTravel));

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-LINK_HASH = 0xFBCCFBA0
+LINK_HASH = 0x2B045E14
 LINK_VERSION = "1.3"
 FIRMWARE_VERSION = "0.1.0"
 PROTOCOL = 1
@@ -115,7 +115,7 @@ class Takeover(IntEnum):
     """Why the board's own law took over."""
 
     COMMAND = 0  # asked for; value 0
-    NOT_FINITE = 1  # an output was not a number or infinite; value = which output
+    NOT_FINITE = 1  # an output, a signal or a new state was not a number or infinite; value = its place: voltages, setpoints, signals, states
     VOLTAGE_JUMP = 2  # a voltage jumped from one tick to the next; value in V
     ELEVATION_ENVELOPE = 3  # elevation could not be braked any more before its limits; value = angle foreseen in deg
     PITCH_ENVELOPE = 4  # pitch could not be braked any more before its limit; value = angle foreseen in deg
@@ -732,8 +732,8 @@ LAW_OUTPUT_COST = 320
 LAW_INPUT_COST = 22
 LAW_MOVING_COST = 135
 LAW_TERM_COST = 41
-LAW_STATE_COST = 6
-LAW_SIGNAL_COST = 70
+LAW_STATE_COST = 13
+LAW_SIGNAL_COST = 80
 LAW_INPUTS: tuple[str, ...] = (
     "elevation_rad",
     "pitch_rad",
@@ -775,16 +775,16 @@ OPERATIONS: tuple[OperationSpec, ...] = (
     OperationSpec("divide", 4, 2, 78, "a / b"),
     OperationSpec("negate", 5, 1, 17, "-a"),
     OperationSpec("absolute", 6, 1, 17, "|a|"),
-    OperationSpec("minimum", 7, 2, 29, "the lesser; the other one where one is no number"),
-    OperationSpec("maximum", 8, 2, 29, "the greater; the other one where one is no number"),
-    OperationSpec("less", 9, 2, 34, "1 where a < b, else 0"),
-    OperationSpec("less_equal", 10, 2, 34, "1 where a <= b, else 0"),
-    OperationSpec("equal", 11, 2, 33, "1 where a = b, else 0"),
-    OperationSpec("not_equal", 12, 2, 33, "1 where a is not b, else 0"),
-    OperationSpec("both", 13, 2, 21, "1 where neither is 0, else 0"),
-    OperationSpec("either", 14, 2, 20, "1 where one is not 0, else 0"),
-    OperationSpec("negation", 15, 1, 20, "1 where a is 0, else 0"),
-    OperationSpec("select", 16, 2, 19, "b where a is not 0, else 0"),
+    OperationSpec("minimum", 7, 2, 30, "the lesser; no number where one is none"),
+    OperationSpec("maximum", 8, 2, 30, "the greater; no number where one is none"),
+    OperationSpec("less", 9, 2, 35, "1 where a < b, else 0; no number where one is none, as in all conditions"),
+    OperationSpec("less_equal", 10, 2, 35, "1 where a <= b, else 0"),
+    OperationSpec("equal", 11, 2, 35, "1 where a = b, else 0"),
+    OperationSpec("not_equal", 12, 2, 35, "1 where a is not b, else 0"),
+    OperationSpec("both", 13, 2, 27, "1 where neither is 0, else 0"),
+    OperationSpec("either", 14, 2, 26, "1 where one is not 0, else 0"),
+    OperationSpec("negation", 15, 1, 23, "1 where a is 0, else 0"),
+    OperationSpec("select", 16, 2, 22, "b where a is not 0, else 0; b counts only where it is selected"),
     OperationSpec("floor", 17, 1, 31, "the greatest whole number that is not above a"),
     OperationSpec("square_root", 18, 1, 299, "no number below 0"),
     OperationSpec("sine", 19, 1, 93, "of a in rad; no number beyond 8192 rad"),

@@ -220,7 +220,11 @@ def fly_law(
 
     Parameters
     ----------
-    heli, tape, duration_s, after, parameters
+    heli : Vehicle
+        In flight, all loops closed.
+    tape : Tape
+        The law.
+    duration_s, after, parameters
         As in `heli_host.Heli.fly_law`, which calls this; so are errors.
     """
     first = engage(heli, tape, parameters)

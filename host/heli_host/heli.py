@@ -12,7 +12,7 @@ from heli_host.guest_law import LawReport, fly_law, set_parameter, upload
 from heli_host.link.session import HANDSHAKE_TIMEOUT_S, RECONNECT_TIMEOUT_S, Session
 from heli_host.link.transport import open_transport, transport_label, transport_rig
 from heli_host.log.summary import FlightSummary
-from heli_host.tape import Tape
+from heli_host.tape import LawLike, Tape, tape_of
 from heli_host.telemetry_view import HISTORY_S
 from heli_host.vehicle import Vehicle
 
@@ -80,27 +80,30 @@ class Heli(Vehicle):
         """
         return run_controller(self, law, rate_Hz=rate_Hz, duration_s=duration_s, valid_s=valid_s, after=after)
 
-    def load_law(self, tape: Tape) -> None:
+    def load_law(self, law: Tape | LawLike) -> None:
         """Bring a control law to the board, which verifies it.
 
         A board forgets it at a reset, and gets it again from here when it is next armed.
 
         Parameters
         ----------
-        tape : Tape
-            The law, as the laboratory makes it of Python.
+        law : Tape or LawLike
+            A law of the laboratory, or its tape.
 
         Raises
         ------
+        BadLaw
+            It is no law, or one that no board could run.
         CommandRefused
             The board does not take it, and says why.
         """
+        tape = tape_of(law)
         upload(self.session, tape)
         self._tape, self._tape_restarts = tape, self.session.counters.restarts
 
     def fly_law(
         self,
-        tape: Tape,
+        law: Tape | LawLike,
         *,
         duration_s: float,
         after: After = "hold",
@@ -113,8 +116,8 @@ class Heli(Vehicle):
 
         Parameters
         ----------
-        tape : Tape
-            The law; sent when the board has another one, or was reset.
+        law : Tape or LawLike
+            A law of the laboratory, or its tape; sent when the board has another one, or was reset.
         duration_s : float
             How long, in device time [s].
         after : {"hold", "land", "stop"}
@@ -129,20 +132,23 @@ class Heli(Vehicle):
 
         Raises
         ------
+        BadLaw
+            It is no law, or one that no board could run.
         CommandRefused
             The board does not take the law, or does not hover.
         FlightAborted
             A fault switched the motors off, or the law was taken over at once.
         """
+        tape = tape_of(law)
         self.load_law(tape)
         return fly_law(self, tape, duration_s=duration_s, after=after, parameters=parameters)
 
-    def set_law_parameter(self, tape: Tape, name: str, value: float) -> float:
+    def set_law_parameter(self, law: Tape | LawLike, name: str, value: float) -> float:
         """Change a parameter of the law on the board, in flight too.
 
         Parameters
         ----------
-        tape : Tape
+        law : Tape or LawLike
             The law that the board has.
         name : str
             Which parameter.
@@ -159,7 +165,7 @@ class Heli(Vehicle):
         BadLaw
             The law has no such parameter.
         """
-        return set_parameter(self.session, tape, name, value)
+        return set_parameter(self.session, tape_of(law), name, value)
 
     def fly(self, plans: PlanLike | Sequence[PlanLike], log: str | Path | None = None) -> FlightSummary:
         """Take off, fly plans one after the other, land; `heli_host.fly.runner.fly` has more options.

@@ -15,6 +15,9 @@ from heli_host.errors import BadLaw
 from heli_host.tape import Tape
 
 ENTRY_POINT_GROUP: Final = "heli_host.laws"
+FILE_LIMIT_s: Final = 30.0
+"""How long the file of a law may run [s]. The laws of the documents take under 2 s. A shorter limit refuses
+files that solve a large problem first; with a longer limit people wait longer for a loop without an end."""
 
 LawReader = Callable[[Path], Tape]
 
@@ -35,7 +38,7 @@ def read_law(path: Path) -> Tape:
     Raises
     ------
     BadLaw
-        The file is missing, fails or holds no law; or no installed package reads laws.
+        The file is missing, fails, does not end or holds no law; or no installed package reads laws.
     """
     for entry in entry_points(group=ENTRY_POINT_GROUP):
         reader: LawReader = entry.load()

@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, Protocol
 
 from heli_host.declaration import (
     AXES,
@@ -244,6 +244,37 @@ class Tape:
             ticks[-1] += one.cost
         ticks[-1] += end
         return tuple(ticks)
+
+
+class LawLike(Protocol):
+    """What has a tape: a law of the laboratory."""
+
+    @property
+    def tape(self) -> Tape:
+        """The law as the board takes it."""
+        ...
+
+
+def tape_of(law: Tape | LawLike) -> Tape:
+    """Return the tape of a law, or the tape itself.
+
+    Parameters
+    ----------
+    law : Tape or LawLike
+        What is to fly.
+
+    Raises
+    ------
+    BadLaw
+        It is neither, or a law that no board could run.
+    """
+    tape = law if isinstance(law, Tape) else getattr(law, "tape", None)
+    if not isinstance(tape, Tape):
+        raise BadLaw(
+            f"a {type(law).__name__} is not a control law",
+            "give what @control_law or from_gain makes, or its tape",
+        )
+    return tape
 
 
 def hash_of(words: Sequence[int]) -> int:

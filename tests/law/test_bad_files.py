@@ -9,14 +9,20 @@ from typing import Final
 
 import heli_host
 import pytest
+from heli_host.errors import BadLaw
+from heli_host.laws import read_law
+from heli_lab.law import files
+from heli_lab.law.files import load_law
 
 from tests.cli.terminal import Terminal, refusal, terminal
+from tests.law.flown import law_of
 
 __all__ = ["terminal"]
 
 pytestmark = pytest.mark.medium
 
 ASKED, FILE = 2, 5
+LAWS = Path(__file__).resolve().parents[2] / "docs" / "laws"
 START: Final = "from heli_lab.law import *\nimport math, casadi\n"
 
 
@@ -104,6 +110,54 @@ def test_a_file_that_is_not_there_is_named_by_every_verb(verb: str, terminal: Te
     assert "nowhere.py" in refusal(terminal("law", verb, "nowhere.py", *out), code=ASKED)
     Path("folder.py").mkdir()
     assert "no file folder.py" in refusal(terminal("law", verb, "folder.py", *out), code=ASKED)
+
+
+@pytest.mark.usefixtures("nothing_sent")
+@pytest.mark.parametrize("verb", ["check", "fly", "compare", "export"])
+def test_a_file_that_never_ends_is_one_line_with_its_limit(verb: str, terminal: Terminal) -> None:
+    Path("endless.py").write_text("n = 0\nwhile True:\n    n += 1\n")
+    out = ("--out", "law.c") if verb == "export" else ()
+    line = refusal(terminal("law", verb, "endless.py", "--load-timeout", "0.3", *out), code=ASKED)
+    assert "endless.py did not end within 0.3 s; look for a loop without an end" in line
+    assert "--load-timeout" in line
+
+
+def test_what_an_endless_file_has_started_ends_with_it(tmp_path: Path) -> None:
+    told = tmp_path / "pid"
+    (tmp_path / "law.py").write_text(
+        "import pathlib, subprocess, sys\n"
+        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(3600)'])\n"
+        f"pathlib.Path({str(told)!r}).write_text(str(child.pid))\n"
+        "child.wait()\n"
+    )
+    with pytest.raises(BadLaw, match="did not end within 3 s"):
+        load_law(tmp_path / "law.py", 3.0)
+    state = Path(f"/proc/{told.read_text()}/stat")
+    assert not state.exists() or state.read_text().split()[2] == "Z"
+
+
+def test_a_page_refuses_a_law_whose_file_never_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files.load_law, "__defaults__", (0.3,))
+    (tmp_path / "endless.py").write_text("while True: pass\n")
+    with pytest.raises(BadLaw, match=r"endless\.py did not end within 0\.3 s"):
+        read_law(tmp_path / "endless.py")
+
+
+@pytest.mark.usefixtures("nothing_sent")
+def test_a_file_that_crashes_python_is_one_line(terminal: Terminal) -> None:
+    Path("crash.py").write_text("import ctypes\nctypes.string_at(0)\n")
+    assert "crash.py ended Python (SIGSEGV)" in refusal(terminal("law", "check", "crash.py"), code=ASKED)
+    Path("exits.py").write_text("import os\nos._exit(3)\n")
+    assert "exits.py ended Python (exit status 3)" in refusal(
+        terminal("law", "check", "exits.py"), code=ASKED
+    )
+
+
+def test_a_law_of_another_process_has_the_same_tape_and_may_print(tmp_path: Path) -> None:
+    for path in sorted(LAWS.glob("*.py"))[::4]:
+        assert load_law(path).tape.words == law_of(path).tape.words
+    (tmp_path / "talks.py").write_text(law("return Command(1.0, 1.0)") + "print('x' * 200_000)\n")
+    assert load_law(tmp_path / "talks.py").name == "law"
 
 
 def test_a_law_may_import_what_lies_beside_it(terminal: Terminal) -> None:

@@ -12,7 +12,14 @@ import pytest
 
 pytest.importorskip("heli_sim.due._due", reason="the emulated Due is not built: make setup")
 
-from heli_host.declaration import LAW_INPUTS, LAW_TERM_COST, LAW_TICK_COST, OPERATIONS
+from heli_host.declaration import (
+    LAW_INPUTS,
+    LAW_SIGNAL_COST,
+    LAW_STATE_COST,
+    LAW_TERM_COST,
+    LAW_TICK_COST,
+    OPERATIONS,
+)
 from heli_host.tape import Tape
 from heli_lab.law import Command, Law, control_law, motor_volts, sqrt
 
@@ -116,6 +123,14 @@ def test_a_flight_costs_no_more_than_foretold_and_nearly_as_much(name: str) -> N
     assert flight.tick()[2] <= MOST_TICK
 
 
+def test_states_and_signals_cost_no_more_than_declared() -> None:
+    few, many = (flown(remembering(count).tape).function(LAW_UPDATE)[2] for count in (1, 201))
+    each = (many - few) / 200
+    assert LAW_STATE_COST - 1 < each <= LAW_STATE_COST
+    told = flown(remembering(1, signals=4).tape).function(LAW_UPDATE)[2]
+    assert (told - few) / 4 <= LAW_SIGNAL_COST
+
+
 def test_a_tick_with_the_dearest_tape_that_is_accepted_stays_within_its_bound() -> None:
     tape = dearest().tape
     assert LAW_TICK_COST - 400 < tape.cost <= LAW_TICK_COST
@@ -152,6 +167,24 @@ def flown(tape: Tape) -> Flight:
     flight = Flight(elf, read_image(elf), (LAW_UPDATE, EXECUTE))
     fly_and_steer(flight, tape, 4.0)
     return flight
+
+
+def remembering(states: int, signals: int = 0) -> Law:
+    """A law that flies, and has nothing to do with its states."""
+
+    @control_law(states={f"x{k}": 0.5 for k in range(states)})
+    def law(now: Any, state: Any, parameter: Any) -> Command:
+        collective_V = 1.4 - 16.0 * now.elevation_rad - 12.0 * now.elevation_rad_s
+        tilt_rad = -0.5 * now.travel_rad - 2.5 * now.travel_rad_s
+        volts = motor_volts(collective_V, 5.0 * (tilt_rad - now.pitch_rad) - 1.6 * now.pitch_rad_s)
+        inputs = (now.pitch_rad, now.travel_rad, now.elevation_rad, now.pitch_rad_s)
+        return Command(
+            *volts,
+            states={f"x{k}": 0.25 for k in range(states)},
+            signals={f"s{k}": inputs[k] for k in range(signals)},
+        )
+
+    return law
 
 
 def dearest() -> Law:

@@ -46,7 +46,7 @@ class Compiled:
         self.state = np.array([*law.states.values()], np.float32)
         self.parameters = np.array([*law.parameters.values()], np.float32)
         self.outputs = np.zeros(5 + len(law.signals), np.float32)
-        self.work = np.zeros(max(1, law.function.sz_w()), np.float32)
+        self.work = np.zeros(max(1, law.evaluated.sz_w()), np.float32)
 
     def __call__(self, inputs: Floats) -> Floats:
         def pointers(*arrays: npt.NDArray[np.float32]) -> ctypes.Array[ctypes.c_void_p]:

@@ -148,6 +148,20 @@ class LawReplay {
     return guest_->engage({front_raw, back_raw}).result == heli::link::Result::ok;
   }
 
+  bool set_parameter(std::uint8_t index, float value) {
+    heli::link::LawSetMessage message;
+    message.index = index;
+    message.value = value;
+    return guest_->set_parameter(message).result == heli::link::Result::ok;
+  }
+
+  // Reason and value of the last beginning or end that was not asked for yet.
+  std::tuple<int, float> news() {
+    heli::link::EventMessage event;
+    if (!guest_->take_news(event)) throw std::invalid_argument("there is no news");
+    return {event.detail, event.value};
+  }
+
   // Raw front and back voltage of the log; none when the law was taken over.
   std::optional<std::tuple<std::int32_t, std::int32_t>> update(
       const std::array<std::int32_t, heli::kAxisCount>& setpoint_raw) {
@@ -235,6 +249,8 @@ void bind_law(nb::module_& parent) {
       .def("load", &LawReplay::load, "words"_a, "hash"_a)
       .def("measure", &LawReplay::measure, "counts"_a)
       .def("engage", &LawReplay::engage, "front_raw"_a, "back_raw"_a)
+      .def("set_parameter", &LawReplay::set_parameter, "index"_a, "value"_a)
+      .def("news", &LawReplay::news)
       .def("update", &LawReplay::update, "setpoint_raw"_a)
       .def("told", &LawReplay::told);
   module.def("operate", &operate, "code"_a, "operands"_a);

@@ -21,6 +21,14 @@ class Cascade final : public Controller {
   // still: they know what this rig needs, and nothing of what the other law does.
   void shadow(const ControlInput& in, Bank bank, const ControlOutput& acting);
 
+  // After shadow(), before update(): its own voltages act at once, not after a fade from those of
+  // the other law, which may be what the arm has to be saved from.
+  void forget_jumps() {
+    state_.collective_fade.forget();
+    state_.differential_fade.forget();
+    state_.pitch_setpoint_fade.forget();
+  }
+
  private:
   struct State {
     Pid elevation;

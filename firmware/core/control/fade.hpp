@@ -18,6 +18,8 @@ class Fade {
   // As if the last output had been so much more.
   void shift(Quantity by) { jump_ += by; }
 
+  void forget() { jump_ = {}; }
+
  private:
   Quantity jump_;
 };

@@ -110,6 +110,12 @@ void Setpoints::hold_at(std::size_t axis, Quantity angle_rad) {
   axes_[axis].place = Place::at(angle_rad);
 }
 
+void Setpoints::go_on_from(std::size_t axis, Quantity angle_rad) {
+  axes_[axis].place = Place::at(angle_rad);
+  axes_[axis].step_rad = Step{};
+  axes_[axis].smooth_change_rad = Change{};
+}
+
 Setpoint Setpoints::of(std::size_t axis) const {
   const Axis& a = axes_[axis];
   return {a.place.angle_rad(), product<24>(a.step_rad, kTickRate),

@@ -87,6 +87,8 @@ class Setpoints {
 
   void start_at(const Quantity (&angle_rad)[kAxisCount]);
   void hold_at(std::size_t axis, Quantity angle_rad);
+  // Begins again at rest from another place, towards the same target.
+  void go_on_from(std::size_t axis, Quantity angle_rad);
 
   // False when a target lies outside the bounds or too far ahead; then nothing changes.
   bool aim(const Quantity (&target_rad)[kAxisCount], std::uint32_t apply_tick,

@@ -39,6 +39,8 @@ class Supervisor {
   OpenVoltages open_voltages() const { return open_; }
   Setpoint setpoint(std::size_t axis) const { return setpoints_.of(axis); }
   Quantity setpoint_rad(std::size_t axis) const { return setpoints_.angle_rad(axis); }
+  // The setpoint goes on to its target from there.
+  void go_on_from(std::size_t axis, Quantity angle_rad) { setpoints_.go_on_from(axis, angle_rad); }
   // Whether a law of the host's flies and has told where to; those setpoints are only logged.
   bool follows() const { return follows_ && state_ == State::streamed; }
   Quantity following_rad(std::size_t axis) const { return following_rad_[axis]; }

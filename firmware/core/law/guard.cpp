@@ -32,6 +32,13 @@ float deg(Quantity angle_rad) { return angle_rad.to_float() * kDegPerRad; }
 
 }  // namespace
 
+Quantity spare_lift_V(Quantity front_V, Quantity back_V, Quantity elevation_rad,
+                      const GuardLimits& limits) {
+  return lift_from_motor_V(front_V, limits.dead_zone) +
+         lift_from_motor_V(back_V, limits.dead_zone) - limits.hover_V -
+         limits.hover_V_per_rad * elevation_rad;
+}
+
 GuardLimits guard_limits_of(const params::Params& params) {
   const auto rad = [&params](Param p) { return params.get(p) * kRadPerDeg; };
   const float share = params.get(Param::law_envelope);
@@ -63,6 +70,7 @@ GuardLimits guard_limits_of(const params::Params& params) {
   const float lift = params.get(Param::elevation_acceleration_ff) * kDegPerRad;
   l.lift_rad_s2_per_V = Gain::of(lift > 0.0F ? 1.0F / lift : 0.0F);
   l.hover_V = Quantity::of(params.get(Param::hover_V));
+  l.hover_V_per_rad = Gain::of(params.get(Param::hover_slope) * kDegPerRad);
   l.dead_zone = control::DeadZone::of(params.get(Param::dead_zone_V));
   return l;
 }
@@ -78,15 +86,17 @@ Judgement Guard::check_envelope(const ControlInput& in, const Wish& before,
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
     Quantity rate_rad_s = in.rate_rad_s[axis];
     if (axis == kElevation) {
-      const Quantity lift_V = lift_from_motor_V(before.front_V, limits.dead_zone) +
-                              lift_from_motor_V(before.back_V, limits.dead_zone);
-      rate_rad_s += kReaction_s * (limits.lift_rad_s2_per_V * (lift_V - limits.hover_V));
+      const Quantity spare_V =
+          spare_lift_V(before.front_V, before.back_V, in.angle_rad[axis], limits);
+      rate_rad_s += kReaction_s * (limits.lift_rad_s2_per_V * spare_V);
     }
     const Quantity speed_rad_s = magnitude(rate_rad_s);
     const Quantity brake_rad = limits.braking_s2[axis] * (speed_rad_s * speed_rad_s);
     const Quantity way_rad = kReaction_s * speed_rad_s + brake_rad;
     const bool up = rate_rad_s > Quantity{};
     const Quantity foreseen_rad = in.angle_rad[axis] + (up ? way_rad : -way_rad);
+    // Lift that seems to be too little, on a rig that needs less, foresees a fall that never comes.
+    const bool above = axis == kElevation && in.angle_rad[axis] > limits.angle_max_rad[axis];
     // Downwards there is all the lift that the motors have, and the table.
     const bool beyond =
         axis == kElevation && !up
@@ -94,7 +104,7 @@ Judgement Guard::check_envelope(const ControlInput& in, const Wish& before,
                   in.angle_rad[axis] - kReaction_s * speed_rad_s - brake_rad.half() <
                       limits.table_rad
             : magnitude(foreseen_rad) > limits.angle_max_rad[axis];
-    if (beyond || magnitude(in.rate_rad_s[axis]) > limits.rate_max_rad_s[axis]) {
+    if (above || beyond || magnitude(in.rate_rad_s[axis]) > limits.rate_max_rad_s[axis]) {
       return {kEnvelope[axis], deg(foreseen_rad)};
     }
   }

@@ -26,13 +26,18 @@ struct GuardLimits {
   Quantity table_rad;
   Gain braking_s2[kAxisCount];  // angle to brake in, for each (rad/s)^2; 0: not foreseen
   Gain lift_rad_s2_per_V;       // acceleration of elevation by lift beyond hover's
-  Quantity hover_V;
+  Quantity hover_V;             // lift that carries the arm at level
+  Gain hover_V_per_rad;         // and what it takes more, the higher the arm is
   control::DeadZone dead_zone;
   Quantity following_max_rad[kAxisCount];
   // From here on the supervisor counts as well, and the way back takes part of its time.
   Quantity following_end_rad[kAxisCount];
   std::uint32_t following_ticks = 0;
 };
+
+// Lift of two motors beyond what carries the arm there.
+Quantity spare_lift_V(Quantity front_V, Quantity back_V, Quantity elevation_rad,
+                      const GuardLimits& limits);
 
 GuardLimits guard_limits_of(const params::Params& params);
 

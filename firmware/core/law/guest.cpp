@@ -34,11 +34,22 @@ Quantity volts(std::int32_t raw) {
 
 static_assert(link::kFrontPerUnit == link::kBackPerUnit, "both voltages have one scale");
 
+// Place among the outputs, new states included.
+std::uint32_t first_not_finite(const Tape& tape) {
+  const std::uint32_t count = tape.shape().outputs();
+  std::uint32_t place = 0;
+  while (place + 1U < count && is_finite(tape.output(place))) {
+    ++place;
+  }
+  return place;
+}
+
 }  // namespace
 
 void Guest::derive(const params::Params& params, Bank bank) {
   Limits& l = limits_[bank];
   l.guard = guard_limits_of(params);
+  l.recovery = recovery_limits_of(params);
   const Param cutoffs[kAxisCount] = {Param::elevation_filter_Hz, Param::pitch_filter_Hz,
                                      Param::travel_filter_Hz};
   for (std::size_t axis = 0; axis < kAxisCount; ++axis) {
@@ -59,6 +70,7 @@ link::Reply Guest::engage(const Acted& acted) {
   }
   tape_.restart();
   guard_.restart();
+  recovery_.stop();
   phase_ = 0;
   called_ = false;
   acted_ = acted;
@@ -93,8 +105,17 @@ link::Reply Guest::set_parameter(const link::LawSetMessage& message) {
   return {link::Result::ok, message.index, message.value};
 }
 
+bool Guest::recover(ControlInput& in, Bank bank) {
+  const Limits& limits = limits_[bank];
+  const Quantity lift_V =
+      spare_lift_V(before_.front_V, before_.back_V, in.angle_rad[kElevation], limits.guard);
+  recovery_.update(in, lift_V, before_.front_V - before_.back_V, limits.recovery);
+  return recovery_.begins();
+}
+
 void Guest::leave(Takeover reason, float value) {
   tape_.fly(false);
+  recovery_.start();
   news_ = {0, static_cast<std::uint8_t>(link::Event::law_taken_over),
            static_cast<std::uint8_t>(reason), 0, value};
   news_waits_ = true;
@@ -105,7 +126,6 @@ bool Guest::take_news(link::EventMessage& news) {
     return false;
   }
   news_waits_ = false;
-  busy_ = flying();
   news = news_;
   return true;
 }
@@ -161,7 +181,8 @@ void Guest::see(const ControlInput& in, const Limits& limits) {
 }
 
 Judgement Guest::take_outputs(const Limits& limits) {
-  for (std::size_t place = 0; place < Shape::kFirstSignal; ++place) {
+  const Shape& shape = tape_.shape();
+  for (std::uint32_t place = 0; place < Shape::kFirstSignal + shape.signals; ++place) {
     if (!is_finite(tape_.output(place))) {
       return {Takeover::not_finite, static_cast<float>(place)};
     }
@@ -188,11 +209,14 @@ Judgement Guest::take_outputs(const Limits& limits) {
       setpoint_raw_[axis] = product<0>(own_rad, kSetpointWire[axis]).raw();
     }
   }
-  for (std::uint32_t k = 0; k < tape_.shape().signals; ++k) {
+  for (std::uint32_t k = 0; k < shape.signals; ++k) {
     const Bits signal = tape_.output(Shape::kFirstSignal + k);
     signal_raw_[k] = to_whole(multiply(signal, bits_of(kSignalPerUnit[k])));
   }
-  tape_.take_new_states();
+  // What is not finite in a state would reach the voltages only at the next call.
+  if (!tape_.take_new_states()) {
+    return {Takeover::not_finite, static_cast<float>(first_not_finite(tape_))};
+  }
   return {};
 }
 

@@ -9,6 +9,7 @@
 #include "control/fade.hpp"
 #include "control/rate_filter.hpp"
 #include "law/guard.hpp"
+#include "law/recovery.hpp"
 #include "law/tape.hpp"
 #include "link/mailbox.hpp"
 #include "params/params.hpp"
@@ -47,14 +48,21 @@ class Guest {
   std::int32_t setpoint_raw(std::size_t axis) const { return setpoint_raw_[axis]; }
   std::int32_t signal_raw(std::size_t place) const { return signal_raw_[place]; }
 
-  // From the beginning of a flight until the news of its end was taken.
+  // What follows its flight; the core ends it where the board's own law does not fly the arm.
+  Recovery& recovery() { return recovery_; }
+  // One tick of it; true in the first.
+  bool recover(ControlInput& in, Bank bank);
+
+  // From the beginning of a flight until the news of its end was taken, and the arm is in hand.
   bool busy() const { return busy_; }
+  void settle() { busy_ = flying() || news_waits_ || recovery_.active(); }
   // True once for each beginning and end of a flight.
   bool take_news(link::EventMessage& news);
 
  private:
   struct Limits {
     GuardLimits guard;
+    RecoveryLimits recovery;
     control::Share smoothing[kAxisCount];
     control::Share bumpless_keep;
     Quantity motor_min_V;
@@ -70,6 +78,7 @@ class Guest {
   bool busy_ = false;  // first, where every tick reaches it at once
   Tape tape_;
   Guard guard_;
+  Recovery recovery_;
   Limits limits_[control::kBanks];
 
   std::uint32_t phase_ = 0;  // ticks since the call began

@@ -28,11 +28,18 @@ class Simplex final : public control::Controller {
  private:
   [[gnu::noinline]] ControlOutput update_both(const ControlInput& in, Bank bank) {
     ControlOutput out{};
-    if (!guest_.flying() || !guest_.update(in, bank, out)) {
+    if (guest_.flying() && guest_.update(in, bank, out)) {
+      own_.shadow(in, bank, out);
+      return out;
+    }
+    if (!guest_.recovery().active()) {
       return own_.update(in, bank);
     }
-    own_.shadow(in, bank, out);
-    return out;
+    ControlInput reachable = in;
+    if (guest_.recover(reachable, bank)) {
+      own_.forget_jumps();
+    }
+    return own_.update(reachable, bank);
   }
 
   control::Cascade& own_;

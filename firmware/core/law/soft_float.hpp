@@ -27,7 +27,7 @@ constexpr std::uint32_t exponent_of(Bits a) { return (a >> 23U) & 0xffU; }
 constexpr Bits mantissa_of(Bits a) { return (a & kFractionMask) | kHiddenBit; }
 constexpr bool is_no_number(Bits a) { return (a << 1U) > (kInfinity << 1U); }
 constexpr bool is_finite(Bits a) { return exponent_of(a) != 0xffU; }
-// As a condition: whatever is not zero.
+// As a condition: whatever is not zero. Not for "no number".
 constexpr bool holds(Bits a) { return (a << 1U) != 0U; }
 constexpr Bits truth(bool condition) { return condition ? kOne : 0U; }
 
@@ -152,14 +152,27 @@ constexpr std::int32_t place(Bits a) {
   return static_cast<std::int32_t>((a & kSign) != 0U ? kSign - a : a);
 }
 
-constexpr bool less(Bits a, Bits b) {
-  return !is_no_number(a) && !is_no_number(b) && place(a) < place(b);
+// IEEE 754 lets a comparison with "no number" be false, and fmin and fmax take the other operand.
+// Here the result is "no number": a limit or a condition that hid it would have the motors act on
+// whatever is on its other side, and the guard would notice only when the arm has fallen.
+constexpr bool any_no_number(Bits a, Bits b) { return is_no_number(a) || is_no_number(b); }
+constexpr Bits truth_of(Bits a, Bits b, bool condition) {
+  return any_no_number(a, b) ? kNoNumber : truth(condition);
 }
-constexpr bool less_equal(Bits a, Bits b) {
-  return !is_no_number(a) && !is_no_number(b) && place(a) <= place(b);
-}
-constexpr bool equal(Bits a, Bits b) {
-  return !is_no_number(a) && !is_no_number(b) && place(a) == place(b);
+
+constexpr Bits less(Bits a, Bits b) { return truth_of(a, b, place(a) < place(b)); }
+constexpr Bits less_equal(Bits a, Bits b) { return truth_of(a, b, place(a) <= place(b)); }
+constexpr Bits equal(Bits a, Bits b) { return truth_of(a, b, place(a) == place(b)); }
+constexpr Bits not_equal(Bits a, Bits b) { return truth_of(a, b, place(a) != place(b)); }
+constexpr Bits both(Bits a, Bits b) { return truth_of(a, b, holds(a) && holds(b)); }
+constexpr Bits either(Bits a, Bits b) { return truth_of(a, b, holds(a) || holds(b)); }
+constexpr Bits negation(Bits a) { return is_no_number(a) ? kNoNumber : truth(!holds(a)); }
+// What is not selected does not count: a root may be taken where its operand is known to be good.
+constexpr Bits select(Bits a, Bits b) {
+  if (is_no_number(a)) {
+    return kNoNumber;
+  }
+  return holds(a) ? b : 0U;
 }
 
 // Whole numbers in the order of the floats, -0 below 0. Not for "no number".
@@ -169,17 +182,17 @@ constexpr std::int32_t rank(Bits a) {
 }
 
 constexpr Bits minimum(Bits a, Bits b) {
-  if (is_no_number(a)) {
-    return b;
+  if (any_no_number(a, b)) {
+    return kNoNumber;
   }
-  return !is_no_number(b) && rank(b) < rank(a) ? b : a;
+  return rank(b) < rank(a) ? b : a;
 }
 
 constexpr Bits maximum(Bits a, Bits b) {
-  if (is_no_number(a)) {
-    return b;
+  if (any_no_number(a, b)) {
+    return kNoNumber;
   }
-  return !is_no_number(b) && rank(b) > rank(a) ? b : a;
+  return rank(b) > rank(a) ? b : a;
 }
 
 constexpr Bits floor(Bits a) {

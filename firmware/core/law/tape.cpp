@@ -45,12 +45,16 @@ bool Tape::run(std::uint32_t tick) {
   return tick + 1U == ticks_;
 }
 
-void Tape::take_new_states() {
+bool Tape::take_new_states() {
   const std::uint32_t* from = image_ + outputs_at_ + Shape::kFirstSignal + shape_.signals;
   Bits* state = cells_ + shape_.first_state();
+  Bits largest = 0;
   for (std::uint32_t k = 0; k < shape_.states; ++k) {
-    state[k] = cells_[from[k]];
+    const Bits fresh = cells_[from[k]];
+    state[k] = fresh;
+    largest = (fresh << 1U) > largest ? fresh << 1U : largest;
   }
+  return is_finite(largest >> 1U);
 }
 
 void Tape::execute(const std::uint32_t* from, const std::uint32_t* to) {
@@ -88,28 +92,28 @@ void Tape::execute(const std::uint32_t* from, const std::uint32_t* to) {
         result = maximum(a, b);
         break;
       case Operation::less:
-        result = truth(less(a, b));
+        result = less(a, b);
         break;
       case Operation::less_equal:
-        result = truth(less_equal(a, b));
+        result = less_equal(a, b);
         break;
       case Operation::equal:
-        result = truth(equal(a, b));
+        result = equal(a, b);
         break;
       case Operation::not_equal:
-        result = truth(!equal(a, b));
+        result = not_equal(a, b);
         break;
       case Operation::both:
-        result = truth(holds(a) && holds(b));
+        result = both(a, b);
         break;
       case Operation::either:
-        result = truth(holds(a) || holds(b));
+        result = either(a, b);
         break;
       case Operation::negation:
-        result = truth(!holds(a));
+        result = negation(a);
         break;
       case Operation::select:
-        result = holds(a) ? b : 0U;
+        result = select(a, b);
         break;
       case Operation::floor:
         result = floor(a);

@@ -81,7 +81,8 @@ class Tape {
   }
   // A bit for each input that the law reads.
   std::uint32_t inputs_read() const { return inputs_read_; }
-  void take_new_states();
+  // False: one of them is not finite.
+  bool take_new_states();
   bool set_parameter(std::uint32_t index, Bits value);
 
  private:

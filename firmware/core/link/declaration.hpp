@@ -9,7 +9,7 @@
 
 namespace heli::link {
 
-inline constexpr std::uint32_t kLinkHash = 0xfbccfba0U;
+inline constexpr std::uint32_t kLinkHash = 0x2b045e14U;
 inline constexpr std::uint8_t kLinkMajor = 1;
 inline constexpr std::uint8_t kLinkMinor = 3;
 inline constexpr std::uint8_t kFirmwareMajor = 0;
@@ -96,7 +96,7 @@ inline constexpr std::size_t kLawStateCount = 4;
 // Why the board's own law took over.
 enum class Takeover : std::uint8_t {
   command = 0,  // asked for; value 0
-  not_finite = 1,  // an output was not a number or infinite; value = which output
+  not_finite = 1,  // an output, a signal or a new state was not a number or infinite; value = its place: voltages, setpoints, signals, states
   voltage_jump = 2,  // a voltage jumped from one tick to the next; value in V
   elevation_envelope = 3,  // elevation could not be braked any more before its limits; value = angle foreseen in deg
   pitch_envelope = 4,  // pitch could not be braked any more before its limit; value = angle foreseen in deg
@@ -419,8 +419,8 @@ inline constexpr std::uint32_t kLawOutputCost = 320;
 inline constexpr std::uint32_t kLawInputCost = 22;
 inline constexpr std::uint32_t kLawMovingCost = 135;
 inline constexpr std::uint32_t kLawTermCost = 41;
-inline constexpr std::uint32_t kLawStateCost = 6;
-inline constexpr std::uint32_t kLawSignalCost = 70;
+inline constexpr std::uint32_t kLawStateCost = 13;
+inline constexpr std::uint32_t kLawSignalCost = 80;
 enum class LawInput : std::uint8_t {
   elevation_rad = 0,  // angle, by the encoder
   pitch_rad = 1,  // angle, by the encoder
@@ -449,16 +449,16 @@ enum class Operation : std::uint8_t {
   divide = 4,  // a / b
   negate = 5,  // -a
   absolute = 6,  // |a|
-  minimum = 7,  // the lesser; the other one where one is no number
-  maximum = 8,  // the greater; the other one where one is no number
-  less = 9,  // 1 where a < b, else 0
+  minimum = 7,  // the lesser; no number where one is none
+  maximum = 8,  // the greater; no number where one is none
+  less = 9,  // 1 where a < b, else 0; no number where one is none, as in all conditions
   less_equal = 10,  // 1 where a <= b, else 0
   equal = 11,  // 1 where a = b, else 0
   not_equal = 12,  // 1 where a is not b, else 0
   both = 13,  // 1 where neither is 0, else 0
   either = 14,  // 1 where one is not 0, else 0
   negation = 15,  // 1 where a is 0, else 0
-  select = 16,  // b where a is not 0, else 0
+  select = 16,  // b where a is not 0, else 0; b counts only where it is selected
   floor = 17,  // the greatest whole number that is not above a
   square_root = 18,  // no number below 0
   sine = 19,  // of a in rad; no number beyond 8192 rad
@@ -470,7 +470,7 @@ enum class Operation : std::uint8_t {
   sum_of_products = 25,  // a b + c d - ... of the terms that follow it, rounded once; no number where one of them is not finite
 };
 inline constexpr std::size_t kOperationCount = 26;
-inline constexpr std::uint16_t kOperationCost[kOperationCount] = {15, 63, 64, 51, 78, 17, 17, 29, 29, 34, 34, 33, 33, 21, 20, 20, 19, 31, 299, 93, 89, 228, 238, 277, 127, 63};
+inline constexpr std::uint16_t kOperationCost[kOperationCount] = {15, 63, 64, 51, 78, 17, 17, 30, 30, 35, 35, 35, 35, 27, 26, 23, 22, 31, 299, 93, 89, 228, 238, 277, 127, 63};
 // A bit for each that has two operands.
 inline constexpr std::uint32_t kBinaryOperations = 0x00417f9eU;
 

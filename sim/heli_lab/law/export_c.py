@@ -29,7 +29,7 @@ def c_source(law: Law) -> str:
         "   res[1]: new states */",
     ]
     generator = ca.CodeGenerator("law.c", {"casadi_real": "float", "with_header": False})
-    generator.add(law.function)
+    generator.add(law.evaluated)
     with tempfile.TemporaryDirectory() as folder:
         generator.generate(f"{folder}/")
         body = (Path(folder) / "law.c").read_text(encoding="utf-8")

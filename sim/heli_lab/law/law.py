@@ -19,6 +19,7 @@ from heli_host.errors import BadLaw
 from heli_host.tape import Tape, check_number, divisor_of
 
 from heli_lab.law.compile import compile_tape
+from heli_lab.law.no_number import with_no_number
 from heli_lab.law.streamed import Streamed
 
 Floats = npt.NDArray[np.float64]
@@ -125,6 +126,11 @@ class Law:
         """
         return compile_tape(self)
 
+    @cached_property
+    def evaluated(self) -> ca.Function:
+        """The function as numpy and C run it: NaN passes limits and conditions, as on the board."""
+        return with_no_number(self.function)
+
     def runner(self) -> Runner:
         """Return it as numpy, in double precision, from its first states."""
         return Runner(self)
@@ -187,7 +193,7 @@ class Runner:
         ndarray, shape (5 + signals,)
             Voltages [V], setpoints [rad], signals.
         """
-        outputs, state = self.law.function(
+        outputs, state = self.law.evaluated(
             ca.DM(np.asarray(inputs, float)), self.state, [*self.law.parameters.values()]
         )
         self.state = np.asarray(state, float).reshape(-1)

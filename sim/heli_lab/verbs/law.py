@@ -9,6 +9,7 @@ import typer
 from heli_host.cli.say import say, say_files
 from heli_host.cli.simulated import DEFAULT_RIG, BoardOption, SeedOption
 from heli_host.cli.verb import Verb
+from heli_host.laws import FILE_LIMIT_s
 
 if TYPE_CHECKING:
     from heli_host.flight import Flight
@@ -19,6 +20,10 @@ app = typer.Typer(no_args_is_help=True, help="Check, fly, compare and export a c
 
 LawArgument = Annotated[
     Path, typer.Argument(metavar="LAW.py", help="Python file with a LAW; its code is run.")
+]
+LoadTimeoutOption = Annotated[
+    float,
+    typer.Option("--load-timeout", metavar="SECONDS", min=0.1, help="Longest that the law's file may run."),
 ]
 _MOST_POLES = 4
 
@@ -33,6 +38,7 @@ def check(
         int, typer.Option("--rigs", min=0, help="Rigs to fly it on, their thrust and lag drawn.")
     ] = 3,
     seed: SeedOption = 1,
+    load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:
     """Say what a law costs on the board and how stable it is, and fly it on random rigs in simulation.
 
@@ -42,7 +48,7 @@ def check(
 
     from heli_lab.law.files import load_law
 
-    loaded = load_law(law)
+    loaded = load_law(law, load_timeout)
     tape = loaded.tape
     spread = f", over {tape.ticks} ticks" if tape.ticks > 1 else ""
     say(
@@ -87,6 +93,7 @@ def fly(
         str, typer.Option("--plan", metavar="NAME|FILE", help="Plan to fly instead, such as sine.")
     ] = "",
     seed: SeedOption = 1,
+    load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:
     """Fly a law on the board itself: a step of travel, then sines; without --port, in simulation.
 
@@ -95,7 +102,7 @@ def fly(
     from heli_lab.law.files import load_law
 
     address = port or f"sil://?board={board or 'native'}&seed={seed}"
-    loaded = load_law(law)
+    loaded = load_law(law, load_timeout)
     say(_planned(loaded, address, plan, log) if plan else _flown(loaded, address, seconds, log))
 
 
@@ -116,6 +123,7 @@ def compare(
     out: Annotated[
         Path, typer.Option("--out", metavar="FILE.png", help="Figure to write: both over each other.")
     ] = Path("compare.png"),
+    load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:
     """Compare two logs where a law flew, or fly two laws along the same path in simulation: the numbers of
     `heli-host plot`, and a figure.
@@ -125,7 +133,11 @@ def compare(
     from heli_host.log.comparison import comparison_lines, comparison_numbers, write_comparison
 
     address = f"sil://?board={board or 'native'}&seed={seed}"
-    flights = _logged(law, other) if law.suffix != ".py" else _flown_both(law, other, address, seconds)
+    flights = (
+        _logged(law, other)
+        if law.suffix != ".py"
+        else _flown_both(law, other, address, seconds, load_timeout)
+    )
     say(*comparison_lines(comparison_numbers(flights)))
     write_comparison(flights, out)
     say_files((out,))
@@ -135,6 +147,7 @@ def compare(
 def export(
     law: LawArgument,
     out: Annotated[Path, typer.Option("--out", metavar="FILE.c", help="File to write.")],
+    load_timeout: LoadTimeoutOption = FILE_LIMIT_s,
 ) -> None:
     """Write a law as one file of C, in single precision.
 
@@ -143,7 +156,7 @@ def export(
     from heli_lab.law.export_c import c_source
     from heli_lab.law.files import load_law
 
-    out.write_text(c_source(load_law(law)), encoding="utf-8")
+    out.write_text(c_source(load_law(law, load_timeout)), encoding="utf-8")
     say_files((out,))
 
 
@@ -176,12 +189,14 @@ def _logged(first: Path, second: Path | None) -> dict[str, Flight]:
     return {str(path): flight_of_law(path) for path in (first, second)}
 
 
-def _flown_both(first: Path, second: Path | None, address: str, seconds: float) -> dict[str, Flight]:
+def _flown_both(
+    first: Path, second: Path | None, address: str, seconds: float, limit_s: float
+) -> dict[str, Flight]:
     from heli_lab.law.files import load_law
     from heli_lab.law.trial import try_law
 
     flights = {}
-    laws = [load_law(path) if path is not None else None for path in (first, second)]
+    laws = [load_law(path, limit_s) if path is not None else None for path in (first, second)]
     for path, law in zip((first, second), laws, strict=True):
         trial = try_law(law, address, seconds)
         name = law.name if law is not None else "the board's own"

@@ -1,0 +1,121 @@
+"""Tapes whose values can be made "no number" in flight, one by one, and what then has to follow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from heli_host.declaration import LAW_INPUTS, OPERATIONS
+from heli_host.tape import Instruction, Tape, Term
+
+NAME: Final = {one.code: one.name for one in OPERATIONS}
+CODE: Final = {one.name: one.code for one in OPERATIONS}
+POISON: Final = "poison"
+HEALTHY, POISONED = 1.0, 0.0
+
+
+@dataclass(frozen=True)
+class Poisoned:
+    """A tape with a parameter that, once 0, makes the result of one instruction NaN.
+
+    ``instruction`` is its place in the tape that it was made of.
+    """
+
+    tape: Tape
+    instruction: int
+
+    @property
+    def index(self) -> int:
+        """Which of its parameters."""
+        return len(self.tape.parameters) - 1
+
+
+def poisoned(tape: Tape) -> Iterator[Poisoned]:
+    """Yield a tape for each instruction: its result is multiplied by 1, and in the end by 0 / 0."""
+    own = len(LAW_INPUTS) + len(tape.constants) + len(tape.parameters)
+
+    def cell(place: int) -> int:
+        return place + 1 if place >= own else place
+
+    moved = [
+        Instruction(
+            one.code, cell(one.target), cell(one.first) if not one.terms else 0,
+            cell(one.second) if OPERATIONS[one.code].operands == 2 else 0,
+            tuple(Term(cell(term.first), cell(term.second), term.negative) for term in one.terms),
+        )
+        for one in tape.instructions
+    ]  # fmt: skip
+    parameters = (*tape.parameters, (POISON, HEALTHY))
+    outputs = tuple(cell(place) for place in tape.outputs)
+    ratio = tape.cells + 1
+    for k, one in enumerate(moved):
+        poison = (
+            Instruction(CODE["divide"], ratio, own, own),
+            Instruction(CODE["multiply"], one.target, one.target, ratio),
+        )
+        program = (*moved[: k + 1], *poison, *moved[k + 1 :])
+        yield Poisoned(replace(tape, parameters=parameters, outputs=outputs, instructions=program), k)
+
+
+_MEANING: Final[dict[str, Callable[[float, float], float]]] = {
+    "copy": lambda a, b: a, "add": lambda a, b: a + b, "subtract": lambda a, b: a - b,
+    "multiply": lambda a, b: a * b, "negate": lambda a, b: -a, "absolute": lambda a, b: abs(a),
+    "divide": lambda a, b: float(np.divide(a, b)), "minimum": lambda a, b: float(np.minimum(a, b)),
+    "maximum": lambda a, b: float(np.maximum(a, b)), "less": lambda a, b: float(a < b),
+    "less_equal": lambda a, b: float(a <= b), "equal": lambda a, b: float(a == b),
+    "not_equal": lambda a, b: float(a != b), "both": lambda a, b: float(bool(a) and bool(b)),
+    "either": lambda a, b: float(bool(a) or bool(b)), "negation": lambda a, b: float(not a),
+    "floor": lambda a, b: float(np.floor(a)), "square_root": lambda a, b: float(np.sqrt(a)),
+    "sine": lambda a, b: float(np.sin(a)), "cosine": lambda a, b: float(np.cos(a)),
+    "tangent": lambda a, b: float(np.tan(a)), "arctangent": lambda a, b: float(np.arctan2(a, b)),
+    "hyperbolic_tangent": lambda a, b: float(np.tanh(a)), "exponential": lambda a, b: float(np.exp(a)),
+}  # fmt: skip
+
+
+class Reference:
+    """A tape as it is meant, in double precision: a result is NaN if an operand is that counts.
+
+    Parameters
+    ----------
+    tape : Tape
+        What is run.
+    """
+
+    def __init__(self, tape: Tape) -> None:
+        self.tape = tape
+        numbers = [*tape.constants, *(value for _, value in tape.parameters)]
+        self._first_state = len(LAW_INPUTS) + len(numbers)
+        self.cells = np.zeros(tape.cells + 1)
+        self.cells[len(LAW_INPUTS) : self._first_state] = numbers
+        states = [value for _, value in tape.states]
+        self.cells[self._first_state : self._first_state + len(states)] = states
+
+    def poison(self) -> None:
+        """Set the parameter that makes a result NaN."""
+        self.cells[self._first_state - 1] = POISONED
+
+    def __call__(self, inputs: Sequence[float]) -> list[float]:
+        """Run it once; all outputs, new states included."""
+        self.cells[: len(LAW_INPUTS)] = inputs
+        with np.errstate(all="ignore"):
+            for one in self.tape.instructions:
+                self.cells[one.target] = self._result(one)
+        outputs = [float(self.cells[place]) for place in self.tape.outputs]
+        states = len(self.tape.states)
+        if states:
+            self.cells[self._first_state : self._first_state + states] = outputs[-states:]
+        return outputs
+
+    def _result(self, one: Instruction) -> float:
+        if one.terms:
+            signs = (-1.0 if term.negative else 1.0 for term in one.terms)
+            pairs = ((self.cells[term.first], self.cells[term.second]) for term in one.terms)
+            return float(sum(sign * a * b for sign, (a, b) in zip(signs, pairs, strict=True)))
+        a, b = float(self.cells[one.first]), float(self.cells[one.second])
+        name = NAME[one.code]
+        if name == "select":
+            return np.nan if np.isnan(a) else b if a else 0.0
+        counts = (a, b)[: OPERATIONS[one.code].operands]
+        return np.nan if np.isnan(counts).any() else _MEANING[name](a, b)
