@@ -56,6 +56,8 @@ class Recorder:
         What the board is, where it cannot know; empty to take its word.
     duration_s : float
         How long the flight lasts, for the space that it needs on the disk; 0 if nobody knows [s].
+    overwrite : bool
+        Write over a file that is there; otherwise it is refused.
 
     Raises
     ------
@@ -72,6 +74,7 @@ class Recorder:
         plans: Sequence[Plan] = (),
         board_name: str = "",
         duration_s: float = 0.0,
+        overwrite: bool = False,
     ) -> None:
         self.path = Path(path)
         self.error: LogError | None = None
@@ -90,6 +93,7 @@ class Recorder:
             },
             rad_per_count=rad_per_count(parameters),
             background=not heli.session.lockstep,
+            overwrite=overwrite,
         )
         self._last_wall_ns = 0
         self._law_signals: dict[str, str] = {}

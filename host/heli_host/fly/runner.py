@@ -44,6 +44,7 @@ def fly(
     twin: TwinWatch | None = None,
     land_on_change: bool = False,
     on_taken_off: Callable[[], object] | None = None,
+    overwrite: bool = False,
 ) -> FlightSummary:
     """Take off, fly plans one after the other, land.
 
@@ -74,6 +75,8 @@ def fly(
         A twin that flies along; what it says goes into the log.
     land_on_change : bool
         Whether the flight ends in a landing when the rig is no longer what the twin knows.
+    overwrite : bool
+        Write over a log that is there; otherwise it is refused.
 
     Returns
     -------
@@ -101,6 +104,7 @@ def fly(
             plans=loaded,
             board_name=board_name,
             duration_s=route.duration_s,
+            overwrite=overwrite,
         )
         tolerance = Tolerance.widest([plan.tolerance for plan in loaded])
         end_when = (lambda: twin.parted) if twin is not None and land_on_change else None

@@ -103,6 +103,8 @@ class DirectFile:
     ----------
     path : Path
         File to write; its folder is made.
+    overwrite : bool
+        Write over a file that is there; otherwise it is refused.
 
     Raises
     ------
@@ -110,11 +112,11 @@ class DirectFile:
         If the file is there already, or cannot be created.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, overwrite: bool = False) -> None:
         self.failed: LogWriteError | None = None
         self.nearly_full: LogWriteError | None = None
         self._path = path
-        self._file = _create(path)
+        self._file = _create(path, overwrite)
         self._bytes_written = 0
 
     @property
@@ -201,6 +203,8 @@ class BackgroundFile:
         How much may wait for the disk before `has_room` says no.
     now_s : callable returning float
         Monotonic time [s], by which stalls are measured.
+    overwrite : bool
+        Write over a file that is there; otherwise it is refused.
 
     Raises
     ------
@@ -209,9 +213,14 @@ class BackgroundFile:
     """
 
     def __init__(
-        self, path: Path, queued_bytes: int = QUEUED_BYTES, now_s: Callable[[], float] = time.monotonic
+        self,
+        path: Path,
+        queued_bytes: int = QUEUED_BYTES,
+        now_s: Callable[[], float] = time.monotonic,
+        *,
+        overwrite: bool = False,
     ) -> None:
-        self._file = DirectFile(path)
+        self._file = DirectFile(path, overwrite=overwrite)
         self._path = path
         self._now_s = now_s
         self._most_bytes = queued_bytes
@@ -429,9 +438,12 @@ def sync_folder(folder: Path) -> None:
             os.close(opened)
 
 
-def _create(path: Path) -> io.FileIO:
+def _create(path: Path, overwrite: bool) -> io.FileIO:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        if overwrite and path.is_file():
+            # A new file under the name, not the old one emptied: a program that reads the old log keeps it.
+            path.unlink()
         check_new(path)
         return io.FileIO(path, "w" if _is_device(path) else "x")
     except OSError as error:

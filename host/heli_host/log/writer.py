@@ -77,6 +77,8 @@ class LogWriter:
         zstd's compression level.
     background : bool
         Write by a thread, and have the disk keep it every second: nobody who logs waits for the disk.
+    overwrite : bool
+        Write over a file that is there; otherwise it is refused.
 
     Raises
     ------
@@ -93,6 +95,7 @@ class LogWriter:
         rad_per_count: NDArray[np.float64],
         level: int = 3,
         background: bool = False,
+        overwrite: bool = False,
     ) -> None:
         self.path = Path(path)
         self._counters = LogCounters()
@@ -106,7 +109,8 @@ class LogWriter:
         self._lock = threading.RLock()
         self._last_tick = 0
         self._dropping = 0
-        self._file: LogFile = BackgroundFile(self.path) if background else DirectFile(self.path)
+        kind = BackgroundFile if background else DirectFile
+        self._file: LogFile = kind(self.path, overwrite=overwrite)
         try:
             self._write(self._bytes.head())
             for name, values in metadata.items():

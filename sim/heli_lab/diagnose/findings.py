@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 from heli_sim.model.parts import AXES
@@ -11,7 +12,6 @@ from heli_lab.diagnose.error_reduction import ErrorReduction
 from heli_lab.diagnose.residual_analysis import ResidualAnalysis, correlates
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.thresholds import CONFIDENCE_BESIDE_UNKNOWN, CONFIDENCE_GUST
-from heli_lab.diagnose.verdict import ambiguous_with, confidence
 
 
 def causes(found: Diagnosis) -> list[dict[str, Any]]:
@@ -19,23 +19,22 @@ def causes(found: Diagnosis) -> list[dict[str, Any]]:
     first.
     """
     causes: list[dict[str, Any]] = []
-    unexplained = found.verdict.label == "unexplained"
-    beside = CONFIDENCE_BESIDE_UNKNOWN if unexplained else 1.0
+    beside = CONFIDENCE_BESIDE_UNKNOWN if found.verdict.label == "unexplained" else 1.0
     for one in found.verdict.causes:
         causes.append(
             {
-                "effect": one.candidate.id,
-                "parameters": _parameters(found.values(one)),
-                "confidence": round(confidence(one, unexplained), 3),
-                "sentence": found.sentence(one),
-                "equation": found.kinds[one.candidate.id].equation,
+                "effect": one.effect,
+                "parameters": {name: asdict(number) for name, number in one.parameters.items()},
+                "confidence": round(one.confidence, 3),
+                "sentence": one.sentence,
+                "equation": one.equation,
                 "evidence": {
                     "log_likelihood_ratio_train": one.train,
                     "log_likelihood_ratio_held_out": one.held_out,
                     "penalty": one.penalty,
                     "alternatives": {other.id: other.log_likelihood_ratio for other in one.alternatives},
                 },
-                "ambiguous_with": ambiguous_with(one),
+                "ambiguous_with": list(one.ambiguous_with),
             }
         )
     if found.verdict.gust:
