@@ -67,13 +67,14 @@ def with_file(monkeypatch: pytest.MonkeyPatch, **options: object) -> None:
     monkeypatch.setattr("heli_host.log.writer.BackgroundFile", partial(BackgroundFile, **options))  # type: ignore[arg-type]
 
 
-def open_log(path: Path, *, background: bool = True) -> LogWriter:
+def open_log(path: Path, *, background: bool = True, overwrite: bool = False) -> LogWriter:
     return LogWriter(
         path,
         start_wall_ns=WALL_NS,
         metadata={"session": {"rig": "makki2024"}},
         rad_per_count=RAD_PER_COUNT,
         background=background,
+        overwrite=overwrite,
     )
 
 
@@ -226,6 +227,20 @@ def test_a_log_that_is_there_is_not_touched(tmp_path: Path, background: bool) ->
     with pytest.raises(LogWriteError):
         check_new(path)
     assert path.read_bytes() == b"an older flight"
+
+
+@pytest.mark.parametrize("background", [True, False])
+def test_a_log_is_written_over_only_on_request(tmp_path: Path, background: bool) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"an older flight, longer than nothing")
+    with path.open("rb") as reader:
+        open_log(path, background=background, overwrite=True).close()
+        assert path.read_bytes().startswith(b"\x89MCAP")
+        assert reader.read() == b"an older flight, longer than nothing"
+    folder = tmp_path / "folder.mcap"
+    folder.mkdir()
+    with pytest.raises(LogWriteError):
+        open_log(folder, background=background, overwrite=True)
 
 
 @pytest.mark.skipif(not Path("/dev/null").exists(), reason="skipped: no /dev/null")
