@@ -25,9 +25,7 @@ def cells(path: Path) -> list[tuple[str, str]]:
 
 def script(path: Path) -> str:
     """The code of a notebook, line by line where it stands in the file."""
-    return "".join(
-        "\n" * text.count("\n") if "[markdown]" in head else text for head, text in cells(path)
-    )
+    return "".join("\n" * text.count("\n") if "[markdown]" in head else text for head, text in cells(path))
 
 
 def test_there_are_six() -> None:
@@ -49,7 +47,8 @@ def test_all_notebooks_run_whole_twice_in_one_folder(typed: Typed, tmp_path: Pat
     """Cells tagged long too, on a part of their flights but for `make long`."""
     for attempt in ("first", "second"):
         for path in NOTEBOOKS:
-            code, said = typed.run(["python", "-c", STRICTLY + script(path)], tmp_path, () if LONG else (WORK,))
+            words = ["python", "-c", STRICTLY + script(path)]
+            code, said = typed.run(words, tmp_path, () if LONG else (WORK,))
             assert code == 0, f"{path.name}, {attempt} run: {said[-5000:]}"
     # No notebook writes where another one does.
     assert sorted(one.relative_to(tmp_path).as_posix() for one in tmp_path.glob("*/*")) == [

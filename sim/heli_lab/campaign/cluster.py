@@ -77,7 +77,9 @@ def workers_of(scheduler: str | None, processes: int) -> Iterator[Client]:
                 client.close(timeout=CONNECT_s)
 
 
-def usable(client: Client, code: str, works: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
+def usable(
+    client: Client, code: str, works: tuple[str, ...], modules: str = ""
+) -> tuple[list[str], dict[str, str]]:
     """Ask all workers for their code.
 
     Parameters
@@ -86,6 +88,8 @@ def usable(client: Client, code: str, works: tuple[str, ...]) -> tuple[list[str]
         Digest of the campaign's.
     works : tuple of str
         Functions that it covers.
+    modules : str
+        Folder of modules that are not installed.
 
     Returns
     -------
@@ -94,7 +98,7 @@ def usable(client: Client, code: str, works: tuple[str, ...]) -> tuple[list[str]
     bad : dict of str
         Why each other worker cannot be used, by address.
     """
-    told = client.run(other_code, code, works, on_error="return")
+    told = client.run(other_code, code, works, modules, on_error="return")
     bad = {}
     for address, said in told.items():
         if isinstance(said, BaseException):

@@ -34,6 +34,8 @@ class Order:
     token : str
         What lies in ``store.txt`` beside it: a worker that finds it there sees the same folder, and keeps the
         result before it tells anybody.
+    modules : str
+        Folder of modules that are not installed.
     """
 
     case: Case
@@ -43,6 +45,7 @@ class Order:
     limits: Limits
     cases: str
     token: str
+    modules: str = ""
 
 
 @dataclass(frozen=True)
@@ -61,12 +64,13 @@ class _Cages:
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     @contextmanager
-    def one(self, limits: Limits) -> Iterator[Cage]:
+    def one(self, limits: Limits, modules: str) -> Iterator[Cage]:
         with self.lock:
-            fit = next((one for one in self.idle if one.limits.threads == limits.threads), None)
+            wanted = (limits.threads, modules)
+            fit = next((one for one in self.idle if (one.limits.threads, one.modules) == wanted), None)
             if fit is not None:
                 self.idle.remove(fit)
-        cage = fit or Cage(limits)
+        cage = fit or Cage(limits, modules)
         cage.limits = limits
         try:
             yield cage
@@ -96,12 +100,12 @@ def here() -> str:
         return f"{socket.gethostname()}:{os.getpid()}"
 
 
-def other_code(code: str, works: tuple[str, ...]) -> str:
+def other_code(code: str, works: tuple[str, ...], modules: str = "") -> str:
     """Say how the code of this process differs from that of digest `code`, which covers the functions
-    `works`; empty where it is the same.
+    `works`, also of modules in the folder `modules`; empty where it is the same.
     """
     try:
-        own = code_digest(works)
+        own = code_digest(works, modules)
     except ImportError as error:
         return str(error)
     return "" if own == code else f"its code has the digest {own}, the campaign's has {code}"
@@ -113,7 +117,7 @@ def attend(order: Order) -> Answer | Refused:
     A result that is there already is taken: a cluster that has lost the worker which held it asks again.
     Where this worker sees the folder of the results, only the row travels.
     """
-    why = other_code(order.code, order.works)
+    why = other_code(order.code, order.works, order.modules)
     if why:
         return Refused(here(), why)
     cases = Path(order.cases)
@@ -121,7 +125,7 @@ def attend(order: Order) -> Answer | Refused:
     seen = mark.is_file() and mark.read_text() == order.token
     answer = kept(cases, order.key) if seen else None
     if answer is None:
-        with _cages().one(order.limits) as cage:
+        with _cages().one(order.limits, order.modules) as cage:
             answer = replace(cage.run(order.case, order.key), where=here())
         if seen:
             keep(cases, answer)

@@ -231,4 +231,3 @@ class Diagnosis:
     def metric(self) -> str:
         """What the gains measure, with its unit."""
         return METRIC if self.after.held_out_fit else METRIC.replace("validation", "fitted")
-

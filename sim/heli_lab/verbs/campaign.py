@@ -42,12 +42,14 @@ def campaign(
     """Fly, fit, diagnose or check gains over rigs, effects, plans and seeds, on this machine or a cluster.
 
     Every case leaves a JSON file and a row of the table. Whatever is killed on the way, the same command goes
-    on with the cases that had not ended.
+    on with the cases that had not ended. Ends with 1 if a case has no result, otherwise with 4 if a flight
+    did not end as completed.
 
     Example: `heli-host campaign study.toml --out study`, and on a cluster `--scheduler tcp://head:8786`
     """
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
+    from heli_host.errors import FlightAborted
 
     from heli_lab.campaign.file import load_campaign
     from heli_lab.campaign.page import write_summary
@@ -95,6 +97,8 @@ def campaign(
     say_files([page, folder / TABLE])
     if found.failed:
         raise typer.Exit(1)
+    if found.not_completed:
+        raise typer.Exit(FlightAborted.exit_code)
 
 
 def _cores() -> int:
@@ -104,6 +108,9 @@ def _cores() -> int:
 
 def _print(found: Summary, cases: int) -> None:
     say(f"{found.cases} of {cases} cases have ended, {len(found.failed)} of them without a result")
+    if found.outcomes:
+        ends = ", ".join(f"{outcome} {count}" for outcome, count in found.outcomes.items())
+        say(f"{found.not_completed} of {sum(found.outcomes.values())} cases did not end as completed: {ends}")
     for one in found.columns:
         if len(one.values):
             say(f"  {one.name:28s} median {one.median:.4g}, 5 to 95 % {one.low:.4g} to {one.high:.4g}")
