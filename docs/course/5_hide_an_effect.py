@@ -85,6 +85,7 @@ assert handed_over.splitlines()[0] == "t_s,front_V,back_V,elevation_rad,pitch_ra
 
 # %% [markdown]
 # **Common mistakes.**
-# - Handing over the log: its metadata tell the address of the simulated board, effect included.
+# - Handing over the log: its metadata hold the address of the simulated board, effect included. On the command line,
+#   `heli-host fly --sil --blind` and `heli-host export --blind` leave it out and seal it.
 # - An effect too small to see: `heli-host diagnose` lists what a flight could not have shown. That is not the neighbour's fault.
 # - Changing the rule of judgement after the seal is open.
