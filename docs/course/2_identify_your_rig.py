@@ -7,19 +7,23 @@
 # than its file says; on a real rig skip the first cell and give the port.
 
 # %%
+from pathlib import Path
+
 import heli_host
 import numpy as np
 from heli_lab.identify.run import identify
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig, write_rig
 
+folder = Path("course/02")  # the files of this notebook
+folder.mkdir(parents=True, exist_ok=True)
 believed = load_rig("makki2024")
-write_rig(believed.replace(thrust_gain=0.63, friction_travel=0.055), "hidden.toml")
+write_rig(believed.replace(thrust_gain=0.63, friction_travel=0.055), folder / "hidden.toml")
 
 # %%
-with heli_host.connect("sil://?rig=hidden.toml") as heli:
-    print(heli.fly("identify", log="flight.mcap").outcome)
-flight = heli_host.read_flight("flight.mcap")
+with heli_host.connect(f"sil://?rig={folder}/hidden.toml") as heli:
+    print(heli.fly("identify", log=folder / "flight.mcap", overwrite=True).outcome)
+flight = heli_host.read_flight(folder / "flight.mcap")
 flight
 
 # %% [markdown]

@@ -7,6 +7,8 @@
 # **Before.** [diagnosing.md](../diagnosing.md). This rig's cable pulls travel back to where it was laid: a spring that no model has.
 
 # %%
+from pathlib import Path
+
 import casadi as ca
 import heli_host
 import matplotlib.pyplot as plt
@@ -16,11 +18,12 @@ from heli_sim.model import MultibodyModel
 from heli_sim.plant import Plant
 from heli_sim.rig import load_rig
 
+folder = Path("course/04")  # the files of this notebook
 rig = load_rig("makki2024")
 SPRING = 0.06  # N m/rad
 with heli_host.connect(f"sil://?effect=cable_spring.travel={SPRING}") as heli:
-    heli.fly("sine", log="flight.mcap")
-flight = heli_host.read_flight("flight.mcap")
+    heli.fly("sine", log=folder / "flight.mcap", overwrite=True)
+flight = heli_host.read_flight(folder / "flight.mcap")
 flying = flight.between(12.0, 42.0)
 
 # %% [markdown]
@@ -86,10 +89,14 @@ print(f"a spring of {estimate:.3f} N m/rad; hidden was {SPRING}")
 from heli_lab.diagnose import diagnose, summary
 
 with heli_host.connect(f"sil://?effect=cable_spring.travel={SPRING}&seed=2") as heli:
-    heli.fly("step", log="second.mcap")
-result = diagnose(MultibodyModel(), rig, [flight.between(12.0, 34.0)], [heli_host.read_flight("second.mcap")])
+    heli.fly("step", log=folder / "second.mcap", overwrite=True)
+second = heli_host.read_flight(folder / "second.mcap")
+result = diagnose(MultibodyModel(), rig, [flight.between(12.0, 34.0)], [second])
 print(summary(result))
-assert [cause.id for cause in result.verdict.causes] == ["cable_spring.travel"]
+for cause in result.verdict.causes:
+    sizes = {name: f"{one.value:.3g} +- {one.std:.1g} {one.unit}" for name, one in cause.parameters.items()}
+    print(cause.effect, f"confidence {cause.confidence:.2f}", sizes, "ambiguous with", cause.ambiguous_with)
+assert [cause.effect for cause in result.verdict.causes] == ["cable_spring.travel"]
 
 # %% [markdown]
 # **Check.**

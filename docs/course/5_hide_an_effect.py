@@ -20,6 +20,8 @@ from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, parse_effects
 from heli_sim.rig import load_rig
 
+folder = Path("course/05")  # the files of this notebook
+
 # %% [markdown]
 # **Task 1, you.** Choose an effect and a size. Seal it: the digest goes to the neighbour now, effect and salt when it is over. The salt
 # keeps the neighbour from trying all effects against the digest.
@@ -37,26 +39,26 @@ print("sealed:", sealed)
 # %%
 for name, plan, seed in (("a", "identify", 1), ("b", "step", 2)):
     with heli_host.connect(f"sil://?effect={SECRET}&seed={seed}") as heli:
-        heli.fly(plan, log=f"{name}.mcap")
-    whole = heli_host.read_flight(f"{name}.mcap").between(3.0, 33.0)
+        heli.fly(plan, log=folder / f"{name}.mcap", overwrite=True)
+    whole = heli_host.read_flight(folder / f"{name}.mcap").between(3.0, 33.0)
     bare = Flight(
         whole.t_s, whole.front_V, whole.back_V, whole.elevation_rad, whole.pitch_rad, whole.travel_rad
     )
-    write_csv(bare, f"{name}.csv")
-handed_over = Path("a.csv").read_text() + Path("b.csv").read_text()
+    write_csv(bare, folder / f"{name}.csv")
+handed_over = (folder / "a.csv").read_text() + (folder / "b.csv").read_text()
 
 # %% [markdown]
 # **Task 3, your neighbour.** Look before you compute: which axis is off, and does it lag or lean? Then diagnose. Write the answer down
 # with its confidence, *before* the seal is opened.
 
 # %%
-given = [heli_host.read_flight(f"{name}.csv") for name in "ab"]
+given = [heli_host.read_flight(folder / f"{name}.csv") for name in "ab"]
 for flight in given:
     print(flight, f"pitch moves {np.ptp(flight.pitch_deg):.0f} deg")
 
 # %% tags=["long"]
 result = diagnose(MultibodyModel(), load_rig("makki2024"), given[:1], given[1:])
-answer = [cause.id for cause in result.verdict.causes]
+answer = [cause.effect for cause in result.verdict.causes]
 print(summary(result))
 assert answer == ["rotor_lag"]
 
@@ -83,6 +85,7 @@ assert handed_over.splitlines()[0] == "t_s,front_V,back_V,elevation_rad,pitch_ra
 
 # %% [markdown]
 # **Common mistakes.**
-# - Handing over the log: its metadata tell the address of the simulated board, effect included.
+# - Handing over the log: its metadata hold the address of the simulated board, effect included. On the command line,
+#   `heli-host fly --sil --blind` and `heli-host export --blind` leave it out and seal it.
 # - An effect too small to see: `heli-host diagnose` lists what a flight could not have shown. That is not the neighbour's fault.
 # - Changing the rule of judgement after the seal is open.

@@ -167,7 +167,13 @@ class Heli(Vehicle):
         """
         return set_parameter(self.session, tape_of(law), name, value)
 
-    def fly(self, plans: PlanLike | Sequence[PlanLike], log: str | Path | None = None) -> FlightSummary:
+    def fly(
+        self,
+        plans: PlanLike | Sequence[PlanLike],
+        log: str | Path | None = None,
+        *,
+        overwrite: bool = False,
+    ) -> FlightSummary:
         """Take off, fly plans one after the other, land; `heli_host.fly.runner.fly` has more options.
 
         Parameters
@@ -175,7 +181,10 @@ class Heli(Vehicle):
         plans : Plan, str or Path, or a sequence of them
             Plans, names of built-in ones, or TOML files.
         log : str or Path or None
-            Log to write.
+            Log to write; its folder is made.
+        overwrite : bool
+            Write over a log that is there, so that a cell of a notebook can run again; otherwise it is
+            refused.
 
         Returns
         -------
@@ -187,9 +196,9 @@ class Heli(Vehicle):
         PlanError
             A plan cannot be flown on this board; nothing has moved.
         LogWriteError
-            The log cannot be created; nothing has moved.
+            The log is there already, or cannot be created; nothing has moved.
         """
-        return fly(self, plans, log_path=log)
+        return fly(self, plans, log_path=log, overwrite=overwrite)
 
 
 def connect(

@@ -14,6 +14,8 @@ from tests.campaign.killer import PATIENCE_s, kill_all, start
 
 pytestmark = pytest.mark.medium
 
+BAD = "tests.campaign.works:bad"
+PAIR = "return (row, detail): a dict by column, and anything that JSON holds"
 LIMITS = Limits(cpu_s=1.0, wait_s=60.0)
 FINE = Case("fine", "tests.campaign.works:count", {"number": 3})
 
@@ -36,6 +38,10 @@ def done(cage: WorkerProcess, how: str) -> Answer:
         pytest.param("runs away", "over 1 s of CPU: it ran away", marks=pytest.mark.slow),
         ("raises", "ValueError: seven lines of it"),
         ("refuses", "no such thing; ask for another"),
+        ("returns a dict", f"{BAD} returned a dict; {PAIR}"),
+        ("returns three", f"{BAD} returned 3 values; {PAIR}"),
+        ("returns a list as its row", f"{BAD} returned a list for its row; {PAIR}"),
+        ("returns a row by number", f"{BAD} returned a row with columns that are no texts; {PAIR}"),
         ("returns no JSON", "its result is no JSON: set is no JSON"),
     ],
 )

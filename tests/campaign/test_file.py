@@ -61,6 +61,7 @@ def test_a_case_is_another_when_a_setting_or_the_code_is(tmp_path: Path) -> None
         ("[cases]", "[cases", "is not TOML"),
         ('work = "fly"', 'work = "swim"', "work = 'swim' is unknown"),
         ('work = "fly"', "", "work = None is unknown"),
+        ('work = "fly"', 'work = "module:"', "work = 'module:' is unknown"),
         ("seed =", "sead =", r"\[cases\] has sead"),
         ("to = 5", "to = 1", r"\[cases\] seed is no range"),
         ("to = 5", "to = 900000", "seed has 899998 values"),
@@ -118,13 +119,18 @@ def test_rigs_are_drawn_as_said_and_a_seed_draws_the_same_again() -> None:
     }
     lags, masses, frictions = [], [], []
     for seed in range(40):
-        true, effects = drawn(rig, ["rotor_lag", "input_delay=0.02"], how, seed)
+        draw = drawn(rig, ["rotor_lag", "input_delay=0.02"], how, seed)
+        true, effects = draw.rig, draw.effects
         name, _, lag = effects[0].partition("=")
         assert (name, effects[1]) == ("rotor_lag", "input_delay=0.02")
         lags.append(float(lag))
         masses.append(true["M_w"].value / rig["M_w"].value)
         frictions.append(true["friction_travel"].value / rig["friction_travel"].value)
         assert true["thrust_gain"] == rig["thrust_gain"]
+        # The table has each number that was drawn, and no other.
+        changed = {name for name in rig if true[name].value != rig[name].value}
+        assert set(draw.row) == {f"drawn_{name}" for name in (*changed, "rotor_lag")}
+        assert draw.row["drawn_M_w"] == true["M_w"].value and draw.row["drawn_rotor_lag"] == float(lag)
     assert 0.05 <= min(lags) < 0.07 and 0.13 < max(lags) <= 0.15
     assert 0.97 <= min(masses) < 0.98 and 1.02 < max(masses) <= 1.03
     assert 0.5 <= min(frictions) < 0.65 and 1.5 < max(frictions) <= 2.0
@@ -137,7 +143,9 @@ def test_tolerances_draw_what_the_file_says_of_each_number() -> None:
     rig = load_rig("makki2024")
     drawn_z = []
     for seed in range(60):
-        true, _ = drawn(rig, [], "tolerances", seed)
+        draw = drawn(rig, [], "tolerances", seed)
+        true = draw.rig
+        assert draw.row["drawn_thrust_gain"] == true["thrust_gain"].value
         number = rig["thrust_gain"]
         drawn_z.append((true["thrust_gain"].value - number.value) / number.tolerance)
         assert true["g"] == rig["g"] or rig["g"].tolerance > 0.0

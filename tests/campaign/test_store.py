@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import pytest
@@ -73,6 +74,29 @@ def test_the_table_follows_from_parts_and_from_results_without_a_row(tmp_path: P
     assert table["case"] == [case.name for case in CASES]
     assert table["number"] == [0, 1, 2, 3]
     assert not list((tmp_path / "parts").iterdir())
+
+
+@pytest.mark.medium
+def test_rows_are_in_the_order_of_the_numbers_in_their_names(tmp_path: Path) -> None:
+    names = ["rig seed 100", "rig seed 2", "lag=0.05 seed 10", "rig seed 10", "lag=0.5 seed 1", "rig"]
+    ordered = ["lag=0.05 seed 10", "lag=0.5 seed 1", "rig", "rig seed 2", "rig seed 10", "rig seed 100"]
+    store = Store(tmp_path)
+    store.settle([{"case": name, "key": name} for name in names])
+    assert [row["case"] for row in store.rows()] == ordered
+    cases = tuple(Case(str(n), "tests.campaign.works:count", {"number": n}) for n in (100, 1, 10, 2))
+    rows = run_campaign(Campaign("squares", cases), Store(tmp_path / "run"), code="test")
+    assert [row["number"] for row in rows] == [1, 2, 10, 100]
+
+
+@pytest.mark.parametrize("package", ["distributed", "pyarrow"])
+def test_a_missing_package_names_the_extra_of_campaigns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(CampaignError, match=package) as caught:
+        Store(tmp_path / "out")
+    assert caught.value.remedy == "run: pip install 'heli-host[campaign]'"
+    assert not (tmp_path / "out").exists()
 
 
 def test_columns_may_differ_from_case_to_case(tmp_path: Path) -> None:

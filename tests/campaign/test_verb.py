@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from pathlib import Path
 
 import pytest
 
+from tests.campaign.killer import Cluster
 from tests.cli.terminal import Terminal, terminal
 
 __all__ = ["terminal"]
@@ -21,6 +23,7 @@ worst = "square"
 number = { from = 1, to = 12 }
 nap_s = 0.0
 """
+SHORT_PLAN = "[start]\nsettle_s = 2\n[[segment]]\nkind = 'hold'\nduration_s = 3\n"
 BAD = 'work = "tests.campaign.works:bad"\n[cases]\nhow = ["fine", "crashes", "raises"]\n'
 
 
@@ -55,6 +58,97 @@ def test_cases_that_fail_are_named_on_the_screen_and_on_the_page(terminal: Termi
     assert "its process crashed" not in again.out
     retried = terminal("campaign", str(file), "--out", str(out), "--retry")
     assert "crashes: its process crashed: SIGSEGV" in retried.out
+
+
+def test_flights_that_are_not_completed_are_counted_and_end_with_4(
+    terminal: Terminal, tmp_path: Path
+) -> None:
+    import pyarrow.parquet as pq
+
+    (tmp_path / "short.toml").write_text(SHORT_PLAN)
+    file, out = tmp_path / "weak.toml", tmp_path / "out"
+    file.write_text(
+        'work = "fly"\n[cases]\nplan = "short.toml"\nseed = [1, 2, 10]\n'
+        "[draw]\nthrust_gain = { range = [0.1, 1.1] }\nM_w = { share = 0.05 }\n"
+    )
+    said = terminal("campaign", str(file), "--out", str(out))
+    rows = pq.read_table(out / "cases.parquet").to_pylist()
+    assert [row["seed"] for row in rows] == [1, 2, 10]
+    for number in ("thrust_gain", "M_w"):
+        assert len({row[f"drawn_{number}"] for row in rows}) == 3
+    ended = [row["outcome"] == "completed" for row in rows]
+    assert 0 < sum(ended) < 3
+    assert said.code == 4, said
+    assert "0 of them without a result" in said.out
+    assert f"{3 - sum(ended)} of 3 cases did not end as completed: " in said.out
+    assert f"completed {sum(ended)}" in said.out and "aborted (landing_timeout) " in said.out
+    page = (out / "index.html").read_text()
+    assert f"{3 - sum(ended)} cases did not end as completed" in page
+    again = terminal("campaign", str(file), "--out", str(out))
+    assert again.code == 4
+
+
+def test_a_case_without_a_result_has_what_was_drawn_in_the_table(terminal: Terminal, tmp_path: Path) -> None:
+    import pyarrow.parquet as pq
+
+    file, out = tmp_path / "broken.toml", tmp_path / "out"
+    # The plan is looked for only by the case.
+    file.write_text(
+        'work = "fly"\n[cases]\nplan = "no-such-plan"\nseed = [1, 2]\n[draw]\nM_w = { share = 0.1 }\n'
+    )
+    assert terminal("campaign", str(file), "--out", str(out)).code == 1
+    rows = pq.read_table(out / "cases.parquet").to_pylist()
+    assert all("no-such-plan" in row["failure"] for row in rows)
+    assert len({row["drawn_M_w"] for row in rows}) == 2
+
+
+OWN = """
+import helper_of_mine
+
+def root(settings):
+    value = settings["number"] ** 0.5 * helper_of_mine.SCALE
+    return {"root": value}, {"squared": [settings["number"]]}
+
+def wrong(settings):
+    return {"root": 1.0}
+"""
+
+
+def test_a_function_in_a_module_next_to_the_file_is_a_work(
+    terminal: Terminal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import pyarrow.parquet as pq
+
+    study = tmp_path / "study"
+    study.mkdir()
+    (study / "roots_of_mine.py").write_text(OWN)
+    (study / "helper_of_mine.py").write_text("SCALE = 1.0\n")
+    file, out = study / "roots.toml", tmp_path / "out"
+    file.write_text('work = "roots_of_mine:root"\n[cases]\nnumber = [4, 9]\n')
+    said = terminal("campaign", str(file), "--out", str(out))
+    assert said.code == 0, said
+    rows = pq.read_table(out / "cases.parquet").to_pylist()
+    assert [row["root"] for row in rows] == [2.0, 3.0]
+    # What is next to the module is part of the code, and other code gives other results.
+    (study / "helper_of_mine.py").write_text("SCALE = 10.0\n")
+    assert terminal("campaign", str(file), "--out", str(out)).code == 0
+    assert [row["root"] for row in pq.read_table(out / "cases.parquet").to_pylist()] == [20.0, 30.0]
+    with Cluster(workers=1) as own:
+        there = terminal("campaign", str(file), "--out", str(tmp_path / "c"), "--scheduler", own.address)
+        assert there.code == 0, there
+    assert [row["root"] for row in pq.read_table(tmp_path / "c" / "cases.parquet").to_pylist()] == [20, 30]
+    assert "roots_of_mine" not in sys.modules
+    file.write_text('work = "roots_of_mine:wrong"\n[cases]\nnumber = [4]\n')
+    wrong = terminal("campaign", str(file), "--out", str(out))
+    assert wrong.code == 1
+    assert "roots_of_mine:wrong returned a dict; return (row, detail)" in wrong.out
+    file.write_text('work = "roots_of_mine:no_such"\n[cases]\nnumber = [4]\n')
+    assert "module roots_of_mine has no function no_such" in terminal("campaign", str(file)).out
+    file.write_text('work = "no_such_module:root"\n[cases]\nnumber = [4]\n')
+    missing = terminal("campaign", str(file), "--out", str(out))
+    assert missing.code == 2 and missing.err.count("\n") == 1
+    assert "there is no module no_such_module installed or in" in missing.err
+    assert "report it" not in missing.err
 
 
 def test_a_file_that_is_no_campaign_is_one_line(terminal: Terminal, tmp_path: Path) -> None:

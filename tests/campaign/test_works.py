@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from heli_lab.campaign import works
+from heli_sim.rig import load_rig
 
 HOVER = "title = 'Short'\n[start]\nsettle_s = 3\n[[segment]]\nkind = 'hold'\nduration_s = 6\n"
 
@@ -22,6 +23,7 @@ def test_a_flight_is_its_settings_and_nothing_else(plan: str) -> None:
     settings = {**works.DEFAULTS, "plan": plan, "draw": {"thrust_gain": {"share": 0.2}}}
     row, _ = works.fly(settings)
     assert row["outcome"] == "completed"
+    assert 0.8 < float(row["drawn_thrust_gain"] or 0.0) / load_rig("makki2024")["thrust_gain"].value < 1.2
     assert 9.0 < float(row["duration_s"] or 0.0) < 40.0
     assert works.fly(settings)[0] == row
     other, _ = works.fly({**settings, "seed": 2})
@@ -38,6 +40,7 @@ def test_gains_without_margin_fail_where_the_defaults_fly(tmp_path: Any) -> None
     good, detail = works.gains(settings)
     assert good["outcome"] == "completed"
     assert 0.1 <= float(detail["effects"][0].partition("=")[2]) <= 0.15
+    assert good["drawn_rotor_lag"] == float(detail["effects"][0].partition("=")[2])
     bad, _ = works.gains({**settings, "params": str(bold)})
     assert bad["outcome"] != "completed"
 
@@ -46,7 +49,8 @@ def test_gains_without_margin_fail_where_the_defaults_fly(tmp_path: Any) -> None
 def test_a_fit_is_held_against_the_rig_that_flew() -> None:
     settings = {**works.DEFAULTS, "plan": "identify", "validate": "sine", "draw": "tolerances", "seed": 3}
     row, detail = works.identify(settings)
-    assert row["converged"]
+    assert row["converged"] and row["outcome"]
+    assert sum(name.startswith("drawn_") for name in row) > 10
     assert float(row["held_out_normalised"] or 9.9) < 1.1
     assert float(row["within_2_std"] or 0.0) > 0.8
     assert set(detail["standard_errors_off"]) <= set(detail["values"])

@@ -37,6 +37,14 @@ def bad(settings: Mapping[str, Any]) -> tuple[dict[str, int], None]:
         raise ValueError("seven\nlines of it")
     if how == "refuses":
         raise CampaignError("no such thing", "ask for another")
+    if how == "returns a dict":
+        return {"fine": 1}  # type: ignore[return-value]
+    if how == "returns three":
+        return {"fine": 1}, None, None  # type: ignore[return-value]
+    if how == "returns a list as its row":
+        return [1], None  # type: ignore[return-value]
+    if how == "returns a row by number":
+        return {1: 1}, None  # type: ignore[dict-item]
     if how == "returns no JSON":
         return {"set": {1}}, None  # type: ignore[dict-item]
     return {"fine": 1}, None

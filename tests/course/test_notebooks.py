@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 
 import pytest
 
+from tests.repo.shortened import WORK
 from tests.repo.typed import Typed
+from tests.running.long import LONG
 
 COURSE = Path(__file__).resolve().parents[2] / "docs" / "course"
 NOTEBOOKS = sorted(COURSE.glob("*.py"))
-LONG = os.environ.get("HELI_LONG") == "1"
 PARTS = ("**Goals.**", "**Before.**", "**Task 1", "**Check.**", "**Common mistakes.**")
 STRICTLY = "import warnings; warnings.filterwarnings('error', '', DeprecationWarning, '__main__'); "
 
@@ -23,13 +23,9 @@ def cells(path: Path) -> list[tuple[str, str]]:
     return list(zip(found[::2], found[1::2], strict=True))
 
 
-def script(path: Path, *, long: bool = LONG) -> str:
-    """The code of a notebook, line by line where it stands in the file, without what takes minutes."""
-    kept = []
-    for head, text in cells(path):
-        runs = "[markdown]" not in head and (long or '"long"' not in head)
-        kept.append(text if runs else "\n" * text.count("\n"))
-    return "".join(kept)
+def script(path: Path) -> str:
+    """The code of a notebook, line by line where it stands in the file."""
+    return "".join("\n" * text.count("\n") if "[markdown]" in head else text for head, text in cells(path))
 
 
 def test_there_are_six() -> None:
@@ -47,7 +43,15 @@ def test_a_notebook_has_goals_tasks_a_check_and_common_mistakes(path: Path) -> N
 
 
 @pytest.mark.documents
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs_and_its_check_holds(path: Path, typed: Typed, tmp_path: Path) -> None:
-    code, said = typed.run(["python", "-c", STRICTLY + script(path)], tmp_path)
-    assert code == 0, said[-5000:]
+def test_all_notebooks_run_whole_twice_in_one_folder(typed: Typed, tmp_path: Path) -> None:
+    """Cells tagged long too, on a part of their flights but for `make long`."""
+    for attempt in ("first", "second"):
+        for path in NOTEBOOKS:
+            words = ["python", "-c", STRICTLY + script(path)]
+            code, said = typed.run(words, tmp_path, () if LONG else (WORK,))
+            assert code == 0, f"{path.name}, {attempt} run: {said[-5000:]}"
+    # No notebook writes where another one does.
+    assert sorted(one.relative_to(tmp_path).as_posix() for one in tmp_path.glob("*/*")) == [
+        f"course/{number}" for number in ("02", "04", "05")
+    ]
+    assert [one.name for one in tmp_path.iterdir()] == ["course"]

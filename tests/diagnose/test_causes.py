@@ -45,6 +45,19 @@ def test_answer_has_the_keys_and_units_that_were_promised_whatever_the_verdict()
         conforms(to_json(found))
 
 
+def test_a_cause_has_attributes_of_the_names_that_its_json_has() -> None:
+    found = diagnosed("rotor_lag=0.06")
+    (written,), (cause,) = to_json(found)["causes"], found.verdict.causes
+    for name in ("effect", "sentence", "equation"):
+        assert getattr(cause, name) == written[name]
+    assert cause.id == cause.effect == "rotor_lag"
+    assert round(cause.confidence, 3) == written["confidence"]
+    assert list(cause.ambiguous_with) == written["ambiguous_with"]
+    lag = cause.parameters["rotor_lag_s"]
+    assert written["parameters"] == {"rotor_lag_s": {"value": lag.value, "std": lag.std, "unit": "s"}}
+    assert abs(lag.value - 0.06) < 0.01
+
+
 def test_seed_settles_the_intervals() -> None:
     found = diagnosed("rotor_lag=0.06")
     runs = found.judgement.before, found.judgement.after

@@ -8,8 +8,8 @@ from typing import cast
 import numpy as np
 import pytest
 from heli_host.fly.plan import Plan
+from heli_lab.diagnose.cause_parameters import reported_std
 from heli_lab.diagnose.experiment_design import compose_experiment, segment_for
-from heli_lab.diagnose.result import reported_std
 from heli_lab.diagnose.spline_term import KNOTS, bspline_basis, channel_quantity_pairs, knot_span
 from heli_lab.identify import Fit
 from heli_sim.model.effects import catalogue

@@ -178,6 +178,19 @@ def test_a_log_that_cannot_be_created_moves_nothing(tmp_path: Path) -> None:
         assert heli.state is State.IDLE
 
 
+def test_a_refused_plan_leaves_the_log_that_it_was_to_write_over(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"an older flight")
+    with connect("sil://?seed=3") as heli:
+        with pytest.raises(PlanError):
+            heli.fly(short(SHORT.replace("travel_deg = 6", "travel_deg = 172")), log=path, overwrite=True)
+        assert path.read_bytes() == b"an older flight"
+        with pytest.raises(LogWriteError, match="no log is written over"):
+            heli.fly(short(), log=path)
+        assert heli.fly(short(), log=path, overwrite=True).completed
+    assert len(read_log(path).ticks) > 5000
+
+
 def test_a_fault_ends_the_flight_with_its_name_and_parameter(tmp_path: Path) -> None:
     def tighten(heli: Heli) -> None:
         heli.params["elevation_rate_max_deg_s"] = 10.0

@@ -68,13 +68,14 @@ def with_file(monkeypatch: pytest.MonkeyPatch, **options: object) -> None:
     monkeypatch.setattr("heli_host.log.writer.BackgroundFile", partial(BackgroundFile, **options))  # type: ignore[arg-type]
 
 
-def open_log(path: Path, *, background: bool = True) -> LogWriter:
+def open_log(path: Path, *, background: bool = True, overwrite: bool = False) -> LogWriter:
     return LogWriter(
         path,
         start_wall_ns=WALL_NS,
         metadata={"session": {"rig": "makki2024"}},
         rad_per_count=RAD_PER_COUNT,
         background=background,
+        overwrite=overwrite,
     )
 
 
@@ -297,6 +298,20 @@ def test_a_flight_beyond_the_limit_of_size_does_not_begin(
     check_free_space(tmp_path / "a.mcap", 60.0)
     with pytest.raises(LogWriteError, match=r"allows a file 20\.0 MB, .* can need 79\.2 MB; .*ulimit -f"):
         check_free_space(tmp_path / "a.mcap", 600.0)
+
+
+@pytest.mark.parametrize("background", [True, False])
+def test_a_log_is_written_over_only_on_request(tmp_path: Path, background: bool) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"an older flight, longer than nothing")
+    with path.open("rb") as reader:
+        open_log(path, background=background, overwrite=True).close()
+        assert path.read_bytes().startswith(b"\x89MCAP")
+        assert reader.read() == b"an older flight, longer than nothing"
+    folder = tmp_path / "folder.mcap"
+    folder.mkdir()
+    with pytest.raises(LogWriteError):
+        open_log(folder, background=background, overwrite=True)
 
 
 @pytest.mark.skipif(not Path("/dev/null").exists(), reason="skipped: no /dev/null")

@@ -1,9 +1,8 @@
 """What the documents tell a reader to type works.
 
 In a fence ```console every line that starts with ``$`` is a command: its verb and options must exist. A fence
-```console run, or ```python run, is run, each document in one empty folder from top to bottom; one with
-```console long, or ```python long, in `make long` only, because a room of the
-tests does the same.
+```console run, or ```python run, is run, each document in one empty folder from top to bottom. One with
+```console long, or ```python long, is run as well, on shorter flights; in `make long` at its full length.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ import pytest
 import typer.main
 from heli_host.cli import app
 
+from tests.repo.shortened import PLANS, WORK
 from tests.repo.typed import Typed
 from tests.running.long import LONG
 
@@ -42,9 +42,9 @@ class Block:
     language : str
         What it is written in.
     runs : bool
-        Whether it is to be run, now or in `make long`.
+        Whether it is to be run.
     is_long : bool
-        Whether only there.
+        Whether on shorter flights, but for `make long`.
     text : str
         Its content.
     """
@@ -143,11 +143,12 @@ def parse(arguments: list[str]) -> None:
 )
 def test_what_a_document_says_to_run_runs(path: Path, typed: Typed, tmp_path: Path) -> None:
     for block in blocks(path):
-        if not block.runs or (block.is_long and not LONG):
+        if not block.runs:
             continue
+        shorter = (PLANS, WORK) if block.is_long and not LONG else ()
         is_python = block.language == "python"
         for words in [["python", "-c", block.text]] if is_python else block.commands:
-            code, said = typed.run(words, tmp_path)
+            code, said = typed.run(words, tmp_path, shorter)
             assert code == 0, f"{words[-1] if is_python else shlex.join(words)}\n{said[-4000:]}"
 
 

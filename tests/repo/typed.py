@@ -19,6 +19,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
+from tests.repo.shortened import shorten
 from tests.running import clock
 
 ROOT: Final = Path(__file__).resolve().parents[2]
@@ -73,11 +74,17 @@ class Typed:
         # Waited for, it brings along what its commands took.
         clock.charge(-self._charged_s)
 
-    def run(self, words: Sequence[str], folder: Path) -> tuple[int, str]:
-        """Run ``heli-host ...`` or ``python -c ...`` in a folder; its exit code, and what it said."""
+    def run(self, words: Sequence[str], folder: Path, shorter: Sequence[str] = ()) -> tuple[int, str]:
+        """Run ``heli-host ...`` or ``python -c ...`` in a folder; its exit code, and what it said.
+
+        Parameters
+        ----------
+        shorter : sequence of str
+            Parts that are shortened, see `tests.repo.shortened`.
+        """
         assert self._started.stdin is not None
         assert self._started.stdout is not None
-        self._started.stdin.write(json.dumps([str(folder), *words]) + "\n")
+        self._started.stdin.write(json.dumps([str(folder), list(shorter), *words]) + "\n")
         self._started.stdin.flush()
         code, cpu_s = json.loads(self._started.stdout.readline() or "[-1, 0.0]")
         self._charged_s += cpu_s
@@ -95,8 +102,10 @@ def main() -> None:
     for line in sys.stdin:
         child = os.fork()
         if child == 0:
-            folder, *words = json.loads(line)
+            folder, shorter, *words = json.loads(line)
             os.chdir(folder)
+            if shorter:
+                shorten(shorter)
             become(words, sys.argv[1])
             return
         _, status, used = os.wait4(child, 0)

@@ -98,13 +98,16 @@ def clear_latched_fault(heli: Heli) -> None:
         heli.clear_fault()
 
 
-def board_text(heli: Heli) -> str:
-    """Say which board it is, such as ``"Arduino Due, firmware 0.1.0, on /dev/ttyACM0"``."""
+def board_text(heli: Heli, *, hidden: bool = False) -> str:
+    """Say which board it is, such as ``"Arduino Due, firmware 0.1.0, on /dev/ttyACM0"``; without its address
+    where that is `hidden`.
+    """
     from heli_host.link.transport import transport_label
 
     info, transport = heli.info, heli.session.transport
     kind = transport_label(transport) or ("simulated board" if info.board == "native" else info.board)
-    return f"{kind}, firmware {info.firmware_version}, on {transport.url}"
+    where = "address hidden" if hidden else f"on {transport.url}"
+    return f"{kind}, firmware {info.firmware_version}, {where}"
 
 
 def board_versions(info: BoardInfo) -> str:

@@ -30,6 +30,14 @@ def say(*lines: str) -> None:
     stream.flush()
 
 
+def say_error(*lines: str) -> None:
+    """Print `lines` to standard error, where they are in the way of no data."""
+    from heli_host.errors import printable
+
+    for line in lines:
+        print(printable(line), file=sys.stderr)
+
+
 def say_progress(*lines: str) -> None:
     """Print `lines` on how far something is, unless ``--quiet`` was given."""
     if not QUIET.get():

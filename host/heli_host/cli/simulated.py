@@ -163,6 +163,33 @@ def sil_address(
     return "sil://?" + urlencode({key: value for key, value in options.items() if value})
 
 
+def flown(
+    address: str,
+    *,
+    rig: str | None,
+    model: str | None,
+    effect: Sequence[str] | None,
+    effect_files: Sequence[Path] | None,
+    seed: int,
+    plans: Sequence[str],
+) -> dict[str, object]:
+    """Say in full what a simulated flight flies, for the truth file of a blind one: the options, and the text
+    of each file among them.
+    """
+    files = [*([Path(rig)] if rig is not None else []), *(effect_files or ())]
+    return {
+        "rig": rig if rig is not None else DEFAULT_RIG,
+        "model": model or "",
+        "effects": list(effect or ()),
+        "seed": seed,
+        "plans": list(plans),
+        "address": address,
+        "files": {
+            str(file): file.read_text(encoding="utf-8", errors="replace") for file in files if file.is_file()
+        },
+    }
+
+
 def refuse_without_sil(**options: object) -> None:
     """Refuse `options`, by name with ``_`` for ``-``, that only a simulated board takes, of a board that is
     real: a typer.BadParameter when one is neither None nor empty.

@@ -16,6 +16,7 @@ from heli_host.errors import HeliError, LogError
 from heli_host.flight.flown import PHASE_EVENT
 from heli_host.link.channels import rad_per_count
 from heli_host.link.events import BOARD_RESTARTED, LAW_SIGNALS, LINK_LOST, LINK_SILENT, LinkEvent
+from heli_host.log.blind import hide, said
 from heli_host.log.disk import check_free_space
 from heli_host.log.schema import LEVEL_ERROR, LEVEL_INFO, LEVEL_WARNING
 from heli_host.log.writer import LogCounters, LogWriter
@@ -56,6 +57,11 @@ class Recorder:
         What the board is, where it cannot know; empty to take its word.
     duration_s : float
         How long the flight lasts, for the space that it needs on the disk; 0 if nobody knows [s].
+    overwrite : bool
+        Write over a file that is there; otherwise it is refused.
+    sealed : str
+        Seal of a flight whose cause is hidden, see `heli_host.log.blind`: the log has it in the place of
+        address, rig, seed and boot id. Empty for any other flight.
 
     Raises
     ------
@@ -72,7 +78,10 @@ class Recorder:
         plans: Sequence[Plan] = (),
         board_name: str = "",
         duration_s: float = 0.0,
+        overwrite: bool = False,
+        sealed: str = "",
     ) -> None:
+        self._sealed = sealed
         self.path = Path(path)
         self.error: LogError | None = None
         self._heli = heli
@@ -84,12 +93,13 @@ class Recorder:
             self.path,
             start_wall_ns=heli.session.transport.wall_ns(),
             metadata={
-                "session": self._session(heli, rig_name, plans, board_name),
+                "session": self._said(self._session(heli, rig_name, plans, board_name)),
                 "parameters": {name: repr(value) for name, value in parameters.items()},
                 "plan": _texts(plans),
             },
             rad_per_count=rad_per_count(parameters),
             background=not heli.session.lockstep,
+            overwrite=overwrite,
         )
         self._last_wall_ns = 0
         self._law_signals: dict[str, str] = {}
@@ -143,7 +153,8 @@ class Recorder:
         """
         newest = self._heli.session.latest
         with self._guard():
-            self._writer.write_event((newest[0] if newest else 0) & 0xFFFFFFFF, name, text, level)
+            tick = (newest[0] if newest else 0) & 0xFFFFFFFF
+            self._writer.write_event(tick, name, self._text(text), level)
 
     def check(self) -> None:
         """Raise what stopped the writing, if anything did.
@@ -174,7 +185,7 @@ class Recorder:
         last = {
             "counters": {name: str(value) for name, value in counters.items()},
             "result": {
-                "outcome": outcome,
+                "outcome": self._text(outcome),
                 "ticks_logged": str(log.ticks_logged),
                 "ticks_lost": str(log.ticks_lost),
                 "ticks_dropped": str(log.ticks_dropped),
@@ -188,6 +199,12 @@ class Recorder:
             last["parameters_changed"] = changed
         with self._guard():
             self._writer.close(last)
+
+    def _said(self, session: dict[str, str]) -> dict[str, str]:
+        return said(session, self._sealed) if self._sealed else session
+
+    def _text(self, text: str) -> str:
+        return hide(text) if self._sealed else text
 
     def _values(self) -> dict[str, float]:
         # A board that has restarted would be asked again, and may be gone.
@@ -208,9 +225,8 @@ class Recorder:
                 self._writer.skip(
                     max(0, event.wall_ns - self._last_wall_ns) / 1e9 if self._last_wall_ns else 0.0
                 )
-            self._writer.write_event(
-                event.tick & 0xFFFFFFFF, event.kind, event.text, _LEVELS.get(event.kind, LEVEL_INFO)
-            )
+            level = _LEVELS.get(event.kind, LEVEL_INFO)
+            self._writer.write_event(event.tick & 0xFFFFFFFF, event.kind, self._text(event.text), level)
             if event.kind in _URGENT:
                 # What follows may be silence: nothing should wait in memory for a chunk to fill.
                 self._writer.flush()

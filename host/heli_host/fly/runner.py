@@ -18,6 +18,7 @@ from heli_host.fly.pilot import Pilot, Progress
 from heli_host.fly.plan import Plan, load_plan, take_off
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.tracking import Tolerance
+from heli_host.log.blind import hide
 from heli_host.log.figure import write_figure
 from heli_host.log.reader import Log, read_log
 from heli_host.log.schema import TICK_LAYOUT
@@ -44,6 +45,8 @@ def fly(
     twin: TwinWatch | None = None,
     land_on_change: bool = False,
     on_taken_off: Callable[[], object] | None = None,
+    overwrite: bool = False,
+    sealed: str = "",
 ) -> FlightSummary:
     """Take off, fly plans one after the other, land.
 
@@ -74,6 +77,11 @@ def fly(
         A twin that flies along; what it says goes into the log.
     land_on_change : bool
         Whether the flight ends in a landing when the rig is no longer what the twin knows.
+    overwrite : bool
+        Write over a log that is there; otherwise it is refused.
+    sealed : str
+        Seal of a flight whose cause is hidden, see `heli_host.log.blind`: the log has it in the place of
+        address, rig, seed and boot id. Empty for any other flight.
 
     Returns
     -------
@@ -101,6 +109,8 @@ def fly(
             plans=loaded,
             board_name=board_name,
             duration_s=route.duration_s,
+            overwrite=overwrite,
+            sealed=sealed,
         )
         tolerance = Tolerance.widest([plan.tolerance for plan in loaded])
         end_when = (lambda: twin.parted) if twin is not None and land_on_change else None
@@ -125,7 +135,8 @@ def fly(
                     twin.close()
                 recorder.close(pilot.outcome)
         log = _written(path, recorder)
-    summary = replace(summarise(log), outcome=pilot.outcome, log=str(log_path) if log_path else "")
+    outcome = hide(pilot.outcome) if sealed else pilot.outcome
+    summary = replace(summarise(log), outcome=outcome, log=str(log_path) if log_path else "")
     if recorder.error is not None and str(recorder.error) not in summary.outcome:
         summary = replace(summary, notes=(*summary.notes, str(recorder.error)))
     if json_path is not None:

@@ -109,6 +109,8 @@ class DirectFile:
         File to write; its folder is made.
     last_record : callable taking str and returning bytes, optional
         Makes the record of a failure's reason; it is written where the record that failed leaves room.
+    overwrite : bool
+        Write over a file that is there; otherwise it is refused.
 
     Raises
     ------
@@ -116,12 +118,12 @@ class DirectFile:
         If the file is there already, or cannot be created.
     """
 
-    def __init__(self, path: Path, last_record: LastRecord | None = None) -> None:
+    def __init__(self, path: Path, last_record: LastRecord | None = None, *, overwrite: bool = False) -> None:
         self.failed: LogWriteError | None = None
         self.nearly_full: LogWriteError | None = None
         self._path = path
         self._last_record = last_record
-        self._file = _create(path)
+        self._file = _create(path, overwrite)
         self._bytes_written = 0
 
     @property
@@ -231,6 +233,8 @@ class BackgroundFile:
         Monotonic time [s], by which stalls are measured.
     last_record : callable taking str and returning bytes, optional
         As in `DirectFile`.
+    overwrite : bool
+        Write over a file that is there; otherwise it is refused.
 
     Raises
     ------
@@ -244,8 +248,10 @@ class BackgroundFile:
         queued_bytes: int = QUEUED_BYTES,
         now_s: Callable[[], float] = time.monotonic,
         last_record: LastRecord | None = None,
+        *,
+        overwrite: bool = False,
     ) -> None:
-        self._file = DirectFile(path, last_record)
+        self._file = DirectFile(path, last_record, overwrite=overwrite)
         self._path = path
         self._now_s = now_s
         self._most_bytes = queued_bytes
@@ -484,9 +490,12 @@ def sync_folder(folder: Path) -> None:
             os.close(opened)
 
 
-def _create(path: Path) -> io.FileIO:
+def _create(path: Path, overwrite: bool) -> io.FileIO:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        if overwrite and path.is_file():
+            # A new file under the name, not the old one emptied: a program that reads the old log keeps it.
+            path.unlink()
         check_new(path)
         return io.FileIO(path, "w" if _is_device(path) else "x")
     except OSError as error:

@@ -85,6 +85,8 @@ class LogWriter:
         zstd's compression level.
     background : bool
         Write by a thread, and have the disk keep it every second: nobody who logs waits for the disk.
+    overwrite : bool
+        Write over a file that is there; otherwise it is refused.
 
     Raises
     ------
@@ -101,6 +103,7 @@ class LogWriter:
         rad_per_count: NDArray[np.float64],
         level: int = 3,
         background: bool = False,
+        overwrite: bool = False,
     ) -> None:
         self.path = Path(path)
         self._counters = LogCounters()
@@ -115,7 +118,7 @@ class LogWriter:
         self._last_tick = 0
         self._dropping = 0
         kind = BackgroundFile if background else DirectFile
-        self._file: LogFile = kind(self.path, last_record=last_record)
+        self._file: LogFile = kind(self.path, last_record=last_record, overwrite=overwrite)
         try:
             self._write(self._bytes.head())
             for name, values in metadata.items():

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 Cell = str | int | float | bool | None
 """What a table holds."""
+_NUMBER = re.compile(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)")
+
+
+def natural_order(name: str) -> list[str | float]:
+    """Key that sorts names by the numbers in them: ``seed 2`` before ``seed 10``."""
+    parts = _NUMBER.split(name)
+    # Texts are at even places and numbers at odd ones, so that equal places always compare.
+    return [float(part) if place % 2 else part for place, part in enumerate(parts)]
 
 
 @dataclass(frozen=True)

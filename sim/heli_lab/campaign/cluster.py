@@ -85,7 +85,9 @@ def workers_of(scheduler: str | None, processes: int) -> Iterator[Client]:
                 client.close(timeout=CONNECT_s)
 
 
-def usable(client: Client, code: str, works: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
+def usable(
+    client: Client, code: str, works: tuple[str, ...], modules: str = ""
+) -> tuple[list[str], dict[str, str]]:
     """Ask all workers for their code.
 
     Parameters
@@ -96,6 +98,8 @@ def usable(client: Client, code: str, works: tuple[str, ...]) -> tuple[list[str]
         Digest of the campaign's.
     works : tuple of str
         Functions that it covers.
+    modules : str
+        Folder of modules that are not installed.
 
     Returns
     -------
@@ -104,7 +108,7 @@ def usable(client: Client, code: str, works: tuple[str, ...]) -> tuple[list[str]
     bad : dict of str
         Why each other worker cannot be used, by address.
     """
-    replies = client.run(other_code, code, works, on_error="return")
+    replies = client.run(other_code, code, works, modules, on_error="return")
     bad = {}
     for address, reply in replies.items():
         if isinstance(reply, BaseException):

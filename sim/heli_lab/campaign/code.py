@@ -8,6 +8,7 @@ import importlib.util
 import sys
 from collections.abc import Iterable, Iterator
 from functools import cache
+from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Final
 
@@ -16,21 +17,52 @@ _ENDS: Final = (".py", ".toml", ".so", ".pyd", ".hpp", ".cpp", ".h")
 """Sources, rigs and plans, and what is compiled. Pages and documents compute nothing."""
 
 
-def code_digest(works: Iterable[str] = ()) -> str:
+def code_digest(works: Iterable[str] = (), folder: str = "") -> str:
     """Digest all files of these packages, and of the packages of the functions `works` (as
     ``package.module:function``), that can change a number, with Python's version: 16 letters.
+
+    Parameters
+    ----------
+    works : iterable of str
+        Functions that do the cases.
+    folder : str
+        Folder of modules that are not installed, such as the campaign file's.
 
     Raises
     ------
     ImportError
-        When a package of `works` is not installed here.
+        When a package of `works` is neither installed here nor in the folder.
     """
     names = {work.partition(":")[0].rpartition(".")[0] or work.partition(":")[0] for work in works}
     others = sorted(name for name in names if name.partition(".")[0] not in PACKAGES)
     digest = hashlib.sha256(f"{sys.version_info[:2]}".encode())
     for package in (*PACKAGES, *others):
-        digest.update(_package_digest(package))
+        digest.update(_package_digest(package) if _installed(package) else _loose_digest(package, folder))
     return digest.hexdigest()[:16]
+
+
+def _installed(package: str) -> bool:
+    try:
+        return importlib.util.find_spec(package) is not None
+    except (ModuleNotFoundError, ValueError):
+        return False
+
+
+def _loose_digest(package: str, folder: str) -> bytes:
+    """Digest a module or package in a folder, and the modules next to it, which it may import."""
+    top = package.partition(".")[0]
+    spec = PathFinder.find_spec(top, [folder]) if folder else None
+    if spec is None:
+        where = f" or in {folder}" if folder else ""
+        raise ImportError(f"there is no module {top} installed{where}")
+    paths = list(Path(folder).glob("*.py"))
+    for inside in spec.submodule_search_locations or ():
+        paths += [path for path in Path(inside).rglob("*") if path.suffix in _ENDS and path.is_file()]
+    digest = hashlib.sha256(package.encode())
+    for path in sorted(set(paths)):
+        digest.update(path.relative_to(folder).as_posix().encode())
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.digest()
 
 
 @cache

@@ -4,20 +4,46 @@ from __future__ import annotations
 
 import fnmatch
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from heli_sim.rig import Rig
 
+from heli_lab.campaign.case import Cell
 from heli_lab.errors import CampaignError
 
 TOLERANCES: Final = "tolerances"
+PREFIX: Final = "drawn_"
+"""Begins the names of the table's columns for what was drawn."""
 _FORMS: Final = ("share", "factor", "range")
 
 
-def drawn(
-    rig: Rig, effects: Sequence[str], draw: str | Mapping[str, Mapping[str, Any]], seed: int
-) -> tuple[Rig, list[str]]:
+@dataclass(frozen=True)
+class Drawn:
+    """What a seed draws.
+
+    Parameters
+    ----------
+    rig : Rig
+        With the numbers that were drawn.
+    effects : tuple of str
+        As the command line spells them, each with its size.
+    numbers : Mapping of str to float
+        What was drawn, by the rig's name of a number, in its unit, or by the name of an effect.
+    """
+
+    rig: Rig
+    effects: tuple[str, ...]
+    numbers: Mapping[str, float]
+
+    @property
+    def row(self) -> dict[str, Cell]:
+        """Columns of the table: ``drawn_thrust_gain``, ``drawn_rotor_lag``."""
+        return {f"{PREFIX}{name}": value for name, value in self.numbers.items()}
+
+
+def drawn(rig: Rig, effects: Sequence[str], draw: str | Mapping[str, Mapping[str, Any]], seed: int) -> Drawn:
     """Draw a rig and sizes of effects.
 
     Parameters
@@ -49,7 +75,8 @@ def drawn(
             if number.tolerance > 0.0:
                 value = number.value + 0.5 * number.tolerance * float(random.standard_normal())
                 values[name] = value if Rig.may_be_negative(name) else abs(value)
-        return rig.replace(**values), sized
+        return Drawn(rig.replace(**values), tuple(sized), values)
+    sizes: dict[str, float] = {}
     for pattern, how in draw.items():
         check_form(pattern, how)
         names = [name for name in rig if fnmatch.fnmatchcase(name, pattern)]
@@ -62,8 +89,9 @@ def drawn(
                 f"[draw] {pattern}: no number of rig {rig.name} and no effect of the case without a size",
                 "correct the name; an effect needs a range",
             )
-        sized[sized.index(pattern)] = f"{pattern}={_draw(0.0, how, random):.6g}"
-    return rig.replace(**values), sized
+        text = f"{_draw(0.0, how, random):.6g}"
+        sized[sized.index(pattern)], sizes[pattern] = f"{pattern}={text}", float(text)
+    return Drawn(rig.replace(**values), tuple(sized), {**values, **sizes})
 
 
 def check_form(name: str, how: object) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -18,6 +19,7 @@ from heli_lab.errors import CampaignError
 
 MOST_CASES: Final = 200_000
 """More than a store of one file a case should hold; a slip of the pen makes millions."""
+_OWN_WORK: Final = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
 _TOP: Final = ("title", "work", "cases", "draw", "limits", "worst")
 _LISTS: Final = ("effects", "effect_files")
 """Settings whose one value is a list already."""
@@ -48,7 +50,7 @@ def load_campaign(path: Path) -> Campaign:
 def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
     _known(table, _TOP, "the top")
     work = table.get("work")
-    if not isinstance(work, str) or (work not in WORKS and ":" not in work):
+    if not isinstance(work, str) or (work not in WORKS and not _OWN_WORK.fullmatch(work)):
         raise CampaignError(
             f"work = {work!r} is unknown",
             f"write work = one of {', '.join(WORKS)}, or your own function as package.module:function",
@@ -79,7 +81,8 @@ def _campaign(path: Path, table: Mapping[str, Any]) -> Campaign:
             for setting in varied
         )
         cases.append(Case(name or "the case", WORKS.get(work, work), {**fixed, **settings}))
-    return Campaign(title, tuple(cases), _limits(table.get("limits", {})), worst)
+    modules = str(path.parent.resolve()) if work not in WORKS else ""
+    return Campaign(title, tuple(cases), _limits(table.get("limits", {})), worst, modules)
 
 
 def _known(table: Mapping[str, Any], names: Sequence[str], where: str) -> None:

@@ -9,7 +9,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from heli_lab.campaign.case import Answer, Case, Cell
+from heli_host.errors import HeliError
+
+from heli_lab.campaign.case import Answer, Case, Cell, natural_order
 from heli_lab.campaign.cluster import usable, workers_of
 from heli_lab.campaign.code import code_digest
 from heli_lab.campaign.store import Store, row_of
@@ -44,12 +46,15 @@ class Campaign:
     worst : str
         Column of the table whose largest values are the worst; a minus sign in front: whose smallest are.
         Empty where there is none.
+    modules : str
+        Folder of modules that are not installed and that cases may use: the campaign file's.
     """
 
     title: str
     cases: tuple[Case, ...]
     limits: Limits = _USUAL
     worst: str = ""
+    modules: str = ""
 
     def __post_init__(self) -> None:
         if not self.cases:
@@ -120,7 +125,7 @@ def run_campaign(
         When the cluster cannot be used, or is gone before all cases have ended; what has ended is kept.
     """
     tell = say or (lambda _: None)
-    digest = code_digest(campaign.works) if code is None else code
+    digest = _digest(campaign) if code is None else code
     keys = {case.key(digest): case for case in campaign.cases}
     with store.locked():
         rows = _kept_rows(store, keys, again)
@@ -135,7 +140,7 @@ def run_campaign(
                     tell(State(len(rows), count, len(keys), None, note))
                     continue
                 store.keep(answer)
-                rows[answer.key] = row_of(keys[answer.key], answer)
+                rows[answer.key] = _row(keys[answer.key], answer)
                 waiting.append(rows[answer.key])
                 count += bool(answer.failure)
                 if time.monotonic() - flushed_s > _FLUSH_s:
@@ -145,7 +150,30 @@ def run_campaign(
         finally:
             store.append(waiting)
         store.settle(rows.values())
-    return sorted(rows.values(), key=lambda row: str(row["case"]))
+    return sorted(rows.values(), key=lambda row: natural_order(str(row["case"])))
+
+
+def _digest(campaign: Campaign) -> str:
+    try:
+        return code_digest(campaign.works, campaign.modules)
+    except ImportError as error:
+        raise CampaignError(
+            f"work = {', '.join(campaign.works)}: {error}",
+            "put the module into the folder of the campaign file, or install it",
+        ) from None
+
+
+def _row(case: Case, answer: Answer) -> dict[str, Cell]:
+    """Line of the table; a case without a result has what was drawn for it too."""
+    row = row_of(case, answer)
+    if answer.failure:
+        # Read only here: a campaign of other works needs no simulation.
+        from heli_lab.campaign.works import WORKS, drawn_row
+
+        if case.work in WORKS.values():
+            with suppress(HeliError, OSError):
+                row |= drawn_row(case.settings)
+    return row
 
 
 def _kept_rows(
@@ -156,7 +184,7 @@ def _kept_rows(
     if again is not None:
         store.forget(key for key, answer in answers.items() if again(answer))
         answers = {key: answer for key, answer in answers.items() if not again(answer)}
-    rows: dict[str, dict[str, Any]] = {key: row_of(keys[key], answer) for key, answer in answers.items()}
+    rows: dict[str, dict[str, Any]] = {key: _row(keys[key], answer) for key, answer in answers.items()}
     known = {row["key"] for row in store.rows()}
     store.append([row for key, row in rows.items() if key not in known])
     return rows
@@ -179,11 +207,20 @@ def _done(
     works = campaign.works if compared else ()
     expected_code = code if compared else code_digest()
     orders = {
-        key: Job(case, key, expected_code, works, campaign.limits, str(store.cases.resolve()), store.token)
+        key: Job(
+            case,
+            key,
+            expected_code,
+            works,
+            campaign.limits,
+            str(store.cases.resolve()),
+            store.token,
+            campaign.modules,
+        )
         for key, case in remaining.items()
     }
     with workers_of(scheduler, min(processes, len(remaining))) as client:
-        good, bad = usable(client, expected_code, works)
+        good, bad = usable(client, expected_code, works, campaign.modules)
         for address, why in bad.items():
             yield None, f"worker {address} is not used: {why}"
         if not good:

@@ -7,6 +7,7 @@ time to write there follows from the JSON files. At the end the parts become one
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import math
 import secrets
@@ -16,12 +17,14 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from heli_lab.campaign.case import Answer, Case, Cell
+from heli_lab.campaign.case import Answer, Case, Cell, natural_order
 from heli_lab.errors import CampaignError
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+PACKAGES: Final = ("distributed", "pyarrow")
+"""Packages of the extra ``campaign`` that nothing else of the laboratory needs."""
 TABLE: Final = "cases.parquet"
 OWN: Final = ("failure", "cpu_s", "seconds", "where", "key")
 """Columns that every case has, beside its name, its settings and what its work returned."""
@@ -30,6 +33,11 @@ OWN: Final = ("failure", "cpu_s", "seconds", "where", "key")
 class Store:
     """The results of a campaign in a `folder`, made where it is missing.
 
+    Raises
+    ------
+    CampaignError
+        When a package of the extra ``campaign`` is not installed, or the folder cannot be written.
+
     Attributes
     ----------
     token : str
@@ -37,6 +45,7 @@ class Store:
     """
 
     def __init__(self, folder: Path) -> None:
+        _check_packages()
         self.folder = folder
         self.cases, self._parts = folder / "cases", folder / "parts"
         try:
@@ -108,10 +117,24 @@ class Store:
     def settle(self, rows: Iterable[Mapping[str, Cell]]) -> Path:
         """Make one table of `rows`, by the names of the cases, in the place of all parts; return its file."""
         path = self.folder / TABLE
-        _write_parquet(path, sorted(rows, key=lambda row: str(row["case"])))
+        _write_parquet(path, sorted(rows, key=lambda row: natural_order(str(row["case"]))))
         for part in self._parts.glob("*.parquet"):
             part.unlink()
         return path
+
+
+def _check_packages() -> None:
+    """Look for what the extra installs before any work is done; other extras have a part of it only."""
+    for name in PACKAGES:
+        try:
+            spec = importlib.util.find_spec(name)
+        except ValueError:
+            spec = None
+        if spec is None:
+            raise CampaignError(
+                f"a campaign needs the Python package {name}, which is not installed",
+                "run: pip install 'heli-host[campaign]'",
+            )
 
 
 def row_of(case: Case, answer: Answer) -> dict[str, Cell]:

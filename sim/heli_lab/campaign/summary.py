@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from heli_host.declaration import Fault
 
+from heli_lab.campaign.draw import PREFIX
 from heli_lab.campaign.run import Campaign
 from heli_lab.campaign.store import OWN
 
+OUTCOME: Final = "outcome"
+"""Column that says how a flight ended."""
+COMPLETED: Final = "completed"
+_FAULTS: Final = frozenset(fault.name.lower() for fault in Fault if fault)
 _WORST: Final = 10
 _MOST_GROUPS: Final = 24
 """Values of a setting beyond which it groups nothing: a seed has as many as there are cases."""
@@ -60,6 +67,9 @@ class Summary:
         The worst cases, worst first.
     failed : tuple of Row
         Cases without a result.
+    outcomes : Mapping of str to int
+        How the flights ended, the most frequent first: ``completed``, ``not_tracked``, ``aborted`` with the
+        fault; empty where the work says nothing of it.
     """
 
     cases: int
@@ -68,6 +78,12 @@ class Summary:
     groups: Mapping[str, Mapping[str, tuple[Row, ...]]]
     worst: tuple[Row, ...]
     failed: tuple[Row, ...]
+    outcomes: Mapping[str, int]
+
+    @property
+    def not_completed(self) -> int:
+        """Flights that did not end as completed."""
+        return sum(count for outcome, count in self.outcomes.items() if outcome != COMPLETED)
 
 
 def summarise(campaign: Campaign, rows: Sequence[Row]) -> Summary:
@@ -77,7 +93,7 @@ def summarise(campaign: Campaign, rows: Sequence[Row]) -> Summary:
     names = [
         name
         for name in dict.fromkeys(n for row in good for n in row)
-        if name not in {"case", *OWN, *settings}
+        if name not in {"case", OUTCOME, *OWN, *settings} and not name.startswith(PREFIX)
     ]
     columns, words = [], {}
     for name in names:
@@ -100,7 +116,17 @@ def summarise(campaign: Campaign, rows: Sequence[Row]) -> Summary:
         (row for row in good if isinstance(row.get(by), int | float)), key=lambda row: -sign * float(row[by])
     )
     failed = tuple(row for row in rows if row.get("failure"))
-    return Summary(len(rows), tuple(columns), words, groups, tuple(ranked[:_WORST]), failed)
+    ends = Counter(_kind(str(row[OUTCOME])) for row in good if row.get(OUTCOME))
+    return Summary(
+        len(rows), tuple(columns), words, groups, tuple(ranked[:_WORST]), failed, dict(ends.most_common())
+    )
+
+
+def _kind(outcome: str) -> str:
+    """An outcome without its numbers: its first word, and the fault that it names."""
+    first, _, rest = outcome.partition(":")
+    fault = next((word for word in re.findall(r"\w+", rest) if word in _FAULTS), "")
+    return f"{first} ({fault})" if fault else first
 
 
 def _column(name: str, values: Sequence[float]) -> Column:

@@ -34,6 +34,8 @@ class Job:
     token : str
         What lies in ``store.txt`` beside it: a worker that finds it there sees the same folder, and keeps the
         result before it tells anybody.
+    modules : str
+        Folder of modules that are not installed.
     """
 
     case: Case
@@ -43,6 +45,7 @@ class Job:
     limits: Limits
     cases: str
     token: str
+    modules: str = ""
 
 
 @dataclass(frozen=True)
@@ -61,14 +64,20 @@ class _Cages:
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     @contextmanager
-    def one(self, limits: Limits) -> Iterator[WorkerProcess]:
+    def one(self, limits: Limits, modules: str) -> Iterator[WorkerProcess]:
         with self.lock:
+            wanted = (limits.threads, modules)
             fit = next(
-                (idle_cage for idle_cage in self.idle if idle_cage.limits.threads == limits.threads), None
+                (
+                    idle_process
+                    for idle_process in self.idle
+                    if (idle_process.limits.threads, idle_process.modules) == wanted
+                ),
+                None,
             )
             if fit is not None:
                 self.idle.remove(fit)
-        cage = fit or WorkerProcess(limits)
+        cage = fit or WorkerProcess(limits, modules)
         cage.limits = limits
         try:
             yield cage
@@ -98,12 +107,12 @@ def here() -> str:
         return f"{socket.gethostname()}:{os.getpid()}"
 
 
-def other_code(code: str, works: tuple[str, ...]) -> str:
+def other_code(code: str, works: tuple[str, ...], modules: str = "") -> str:
     """Say how the code of this process differs from that of digest `code`, which covers the functions
-    `works`; empty where it is the same.
+    `works`, also of modules in the folder `modules`; empty where it is the same.
     """
     try:
-        worker_code = code_digest(works)
+        worker_code = code_digest(works, modules)
     except ImportError as error:
         return str(error)
     return "" if worker_code == code else f"its code has the digest {worker_code}, the campaign's has {code}"
@@ -115,7 +124,7 @@ def run_job(order: Job) -> Answer | CodeMismatch:
     A result that is there already is taken: a cluster that has lost the worker which held it asks again.
     Where this worker sees the folder of the results, only the row travels.
     """
-    why = other_code(order.code, order.works)
+    why = other_code(order.code, order.works, order.modules)
     if why:
         return CodeMismatch(here(), why)
     cases = Path(order.cases)
@@ -123,7 +132,7 @@ def run_job(order: Job) -> Answer | CodeMismatch:
     seen = mark.is_file() and mark.read_text() == order.token
     answer = kept(cases, order.key) if seen else None
     if answer is None:
-        with _cages().one(order.limits) as cage:
+        with _cages().one(order.limits, order.modules) as cage:
             answer = replace(cage.run(order.case, order.key), where=here())
         if seen:
             keep(cases, answer)

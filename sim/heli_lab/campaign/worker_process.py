@@ -56,10 +56,17 @@ class Limits:
 
 
 class WorkerProcess:
-    """Runs cases, one after the other, in a process of its own, made anew when a case has ended it."""
+    """Runs cases, one after the other, in a process of its own, made anew when a case has ended it.
 
-    def __init__(self, limits: Limits) -> None:
+    Parameters
+    ----------
+    modules : str
+        Folder of modules that are not installed; those that are go first.
+    """
+
+    def __init__(self, limits: Limits, modules: str = "") -> None:
         self.limits = limits
+        self.modules = modules
         self._process: subprocess.Popen[bytes] | None = None
         self._orders: IO[bytes] | None = None
         self._answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
@@ -134,7 +141,11 @@ class WorkerProcess:
         # Not by multiprocessing, which refuses children to the daemonic processes that workers are.
         self._process = subprocess.Popen(
             [sys.executable, "-m", "heli_lab.campaign.worker_process"],
-            env={**os.environ, **threads, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            env={
+                **os.environ,
+                **threads,
+                "PYTHONPATH": os.pathsep.join(filter(None, [*sys.path, self.modules])),
+            },
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -180,14 +191,41 @@ def _done(work: str, settings: Mapping[str, Any]) -> dict[str, Any]:
     from heli_host.errors import HeliError
 
     try:
-        module, _, function = work.partition(":")
-        row, detail = getattr(importlib.import_module(module), function)(settings)
+        row, detail = _row_and_detail(work, _function(work)(settings))
     except HeliError as error:
         return {"row": {}, "detail": None, "failure": str(error)}
     except Exception as error:  # noqa: BLE001 - whatever a case raises is its own failure and no other's
         text = " ".join(f"{type(error).__name__}: {error}".split())
         return {"row": {}, "detail": {"traceback": traceback.format_exc()}, "failure": text}
-    return {"row": dict(row), "detail": detail, "failure": ""}
+    return {"row": row, "detail": detail, "failure": ""}
+
+
+def _function(work: str) -> Callable[[Mapping[str, Any]], Any]:
+    from heli_lab.errors import CampaignError
+
+    module, _, name = work.partition(":")
+    function = getattr(importlib.import_module(module), name, None)
+    if not callable(function):
+        raise CampaignError(f"module {module} has no function {name}", "correct work = in the campaign file")
+    checked: Callable[[Mapping[str, Any]], Any] = function
+    return checked
+
+
+def _row_and_detail(work: str, returned: Any) -> tuple[dict[str, Any], Any]:
+    """Check what a function of a user's own returned."""
+    from heli_lab.errors import CampaignError
+
+    if not isinstance(returned, tuple) or len(returned) != 2:
+        what = f"{len(returned)} values" if isinstance(returned, tuple) else f"a {type(returned).__name__}"
+    elif not isinstance(returned[0], Mapping):
+        what = f"a {type(returned[0]).__name__} for its row"
+    elif not all(isinstance(column, str) for column in returned[0]):
+        what = "a row with columns that are no texts"
+    else:
+        return dict(returned[0]), returned[1]
+    raise CampaignError(
+        f"{work} returned {what}", "return (row, detail): a dict by column, and anything that JSON holds"
+    )
 
 
 def _line(message: Mapping[str, Any]) -> bytes:

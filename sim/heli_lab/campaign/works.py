@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,7 +30,7 @@ from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
 
 from heli_lab.campaign.case import Cell
-from heli_lab.campaign.draw import drawn
+from heli_lab.campaign.draw import Drawn, drawn
 
 Settings = Mapping[str, Any]
 Result = tuple[dict[str, Cell], Any]
@@ -64,13 +65,15 @@ _VALIDATION_SEED: Final = 500_000
 
 def fly(settings: Settings) -> Result:
     """Fly a plan on a rig that may differ from its file's, as the `settings` say, and tell how well."""
-    _, _, flight, summary = _flown(settings, settings["plan"], 0)
+    flown = _flown(settings, settings["plan"], 0)
+    flight, summary = flown.flight, flown.summary
     return {
         "outcome": summary.outcome,
         "duration_s": float(flight.duration_s),
         **{f"{axis}_rms_deg": value for axis, value in _tracking_deg(flight).items()},
         "pitch_max_deg": float(np.degrees(np.abs(flight.pitch_rad)).max()),
         "voltage_max_V": float(flight.voltages_V.max()),
+        **flown.drawn.row,
     }, {"notes": list(summary.notes)}
 
 
@@ -80,14 +83,15 @@ def identify(settings: Settings) -> Result:
     """
     from heli_lab.identify.run import identify as find
 
-    nominal, true, flight, _ = _flown(settings, settings["plan"], 0)
-    other = _flown(settings, settings["validate"], _VALIDATION_SEED)[2]
+    flown = _flown(settings, settings["plan"], 0)
+    nominal, true = flown.nominal, flown.drawn.rig
+    other = _flown(settings, settings["validate"], _VALIDATION_SEED)
     model = _model(settings, nominal)
     identification = find(
         model,
         nominal,
-        [flight],
-        validation=[other],
+        [flown.flight],
+        validation=[other.flight],
         labels=["fit"],
         validation_labels=["validation"],
         threads=settings["threads"],
@@ -98,11 +102,13 @@ def identify(settings: Settings) -> Result:
         if name in true and not name.startswith("offset_")
     }
     return {
+        "outcome": _outcome(flown, other),
         "normalised": identification.training[0].normalised,
         "held_out_normalised": identification.validation[0].normalised,
         "within_2_std": float(np.mean([abs(z) < 2.0 for z in off.values()])) if off else None,
         "most_std_off": max((abs(z) for z in off.values()), default=None),
         "converged": identification.fit.converged,
+        **flown.drawn.row,
     }, {"values": identification.fit.values, "std": identification.fit.std, "standard_errors_off": off}
 
 
@@ -113,14 +119,15 @@ def diagnose(settings: Settings) -> Result:
     from heli_lab.diagnose import diagnose as find
     from heli_lab.diagnose import to_json
 
-    nominal, _, flight, _ = _flown(settings, settings["plan"], 0)
-    other = _flown(settings, settings["validate"], _VALIDATION_SEED)[2]
+    flown = _flown(settings, settings["plan"], 0)
+    nominal = flown.nominal
+    other = _flown(settings, settings["validate"], _VALIDATION_SEED)
     known = _effects(settings, nominal, of_rig_only=True)
     diagnosis = find(
         model_named(settings["model"] or nominal.model or MultibodyModel.name, known),
         nominal,
-        [flight],
-        [other],
+        [flown.flight],
+        [other.flight],
         kinds=catalogue(settings["effect_files"]),
         labels=["fit", "validation"],
         refits=settings["budget"],
@@ -132,6 +139,7 @@ def diagnose(settings: Settings) -> Result:
     sure = {cause["effect"] for cause in numbers["causes"] if cause["confidence"] >= 0.9}
     gains = numbers["gain"]["axis"]
     return {
+        "outcome": _outcome(flown, other),
         "verdict": numbers["verdict"],
         "causes": ", ".join(sorted(named)),
         "found": hidden <= named,
@@ -140,6 +148,7 @@ def diagnose(settings: Settings) -> Result:
         "held_out_after": numbers["residual"]["normalised"]["held_out_after"],
         **{f"{axis}_gain": gain["ratio"] for axis, gain in gains.items()},
         "complete": numbers["complete"],
+        **flown.drawn.row,
     }, numbers
 
 
@@ -151,21 +160,49 @@ def gains(settings: Settings) -> Result:
 
     from heli_lab.tune.flights import try_gains
 
-    nominal = load_rig(settings["rig"])
-    true, effects = drawn(nominal, settings["effects"], settings["draw"], settings["seed"])
+    nominal, draw = _draw(settings)
+    true, effects = draw.rig, draw.effects
     fitted_effects = parse_effects(effects, settings["effect_files"])
     model = model_named(settings["model"] or nominal.model or MultibodyModel.name, fitted_effects)
     parameters = read_parameters(Path(settings["params"])) if settings["params"] else {}
     trial = try_gains(Plant(model, true, settings["seed"]), parameters, "campaign", settings["seed"])
     metrics = asdict(trial.metrics)
     finite = {name: v if not isinstance(v, float) or np.isfinite(v) else None for name, v in metrics.items()}
-    return finite, {"effects": effects, "numbers": {name: n.value for name, n in true.items()}}
+    return {**finite, **draw.row}, {
+        "effects": list(effects),
+        "numbers": {name: n.value for name, n in true.items()},
+    }
 
 
-def _flown(settings: Settings, plan: str, more_seed: int) -> tuple[Rig, Rig, Flight, FlightSummary]:
-    """Fly a plan, and return the rig of the file, the one that flew, the flight and its summary."""
+def drawn_row(settings: Settings) -> dict[str, Cell]:
+    """Columns of the table for what the `settings` of a case draw, without doing the case."""
+    return _draw(settings)[1].row
+
+
+def _draw(settings: Settings) -> tuple[Rig, Drawn]:
+    """The rig of the file, and what is drawn from it."""
     nominal = load_rig(settings["rig"])
-    true, effects = drawn(nominal, settings["effects"], settings["draw"], settings["seed"])
+    return nominal, drawn(nominal, settings["effects"], settings["draw"], settings["seed"])
+
+
+@dataclass(frozen=True)
+class _Flown:
+    """The rig of the file, what flew in its place, the flight and its summary."""
+
+    nominal: Rig
+    drawn: Drawn
+    flight: Flight
+    summary: FlightSummary
+
+
+def _outcome(*flights: _Flown) -> str:
+    """Outcome of the first flight that did not end as it should; ``completed`` without one."""
+    return next((flown.summary.outcome for flown in flights if not flown.summary.completed), "completed")
+
+
+def _flown(settings: Settings, plan: str, more_seed: int) -> _Flown:
+    nominal, draw = _draw(settings)
+    true, effects = draw.rig, draw.effects
     all_effects = (
         *_effects(settings, nominal, of_rig_only=True),
         *parse_effects(effects, settings["effect_files"]),
@@ -179,7 +216,7 @@ def _flown(settings: Settings, plan: str, more_seed: int) -> tuple[Rig, Rig, Fli
             heli.params.restore(read_parameters(Path(settings["params"])))
         log = Path(folder) / "flight.mcap"
         summary = fly_plans(heli, plan, log_path=log)
-        return nominal, true, read_flight(log), summary
+        return _Flown(nominal, draw, read_flight(log), summary)
 
 
 def _effects(settings: Settings, rig: Rig, *, of_rig_only: bool) -> tuple[Any, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 from heli_sim.model.parts import AXES
@@ -11,7 +12,6 @@ from heli_lab.diagnose.error_reduction import ErrorReduction
 from heli_lab.diagnose.residual_analysis import ResidualAnalysis, correlates
 from heli_lab.diagnose.result import Diagnosis
 from heli_lab.diagnose.thresholds import CONFIDENCE_BESIDE_UNKNOWN, CONFIDENCE_GUST
-from heli_lab.diagnose.verdict import ambiguous_with, confidence
 
 
 def causes(result: Diagnosis) -> list[dict[str, Any]]:
@@ -19,23 +19,22 @@ def causes(result: Diagnosis) -> list[dict[str, Any]]:
     first.
     """
     causes: list[dict[str, Any]] = []
-    unexplained = result.verdict.label == "unexplained"
-    beside = CONFIDENCE_BESIDE_UNKNOWN if unexplained else 1.0
+    beside = CONFIDENCE_BESIDE_UNKNOWN if result.verdict.label == "unexplained" else 1.0
     for cause in result.verdict.causes:
         causes.append(
             {
-                "effect": cause.candidate.id,
-                "parameters": _parameters(result.values(cause)),
-                "confidence": round(confidence(cause, unexplained), 3),
-                "sentence": result.sentence(cause),
-                "equation": result.kinds[cause.candidate.id].equation,
+                "effect": cause.effect,
+                "parameters": {name: asdict(number) for name, number in cause.parameters.items()},
+                "confidence": round(cause.confidence, 3),
+                "sentence": cause.sentence,
+                "equation": cause.equation,
                 "evidence": {
                     "log_likelihood_ratio_train": cause.train,
                     "log_likelihood_ratio_held_out": cause.held_out,
                     "penalty": cause.penalty,
                     "alternatives": {other.id: other.log_likelihood_ratio for other in cause.alternatives},
                 },
-                "ambiguous_with": ambiguous_with(cause),
+                "ambiguous_with": list(cause.ambiguous_with),
             }
         )
     if result.verdict.gust:

@@ -16,6 +16,7 @@ from heli_sim.model.parts import AXES
 from heli_sim.rig import Number, Rig
 
 from heli_lab.diagnose.absent_terms import AbsentTerm
+from heli_lab.diagnose.cause_parameters import reported_std
 from heli_lab.diagnose.equation_discovery import ProposedTerm
 from heli_lab.diagnose.error_reduction import ErrorReduction, HeldOutComparison
 from heli_lab.diagnose.experiment_design import ExperimentDesign
@@ -24,18 +25,11 @@ from heli_lab.diagnose.model_comparison import Hypothesis
 from heli_lab.diagnose.prediction import Prediction
 from heli_lab.diagnose.prior_conflict import PriorConflict, prior_conflicts, tried_without
 from heli_lab.diagnose.residual_analysis import ResidualAnalysis
-from heli_lab.diagnose.search_record import Cause, Search
+from heli_lab.diagnose.search_record import Search
 from heli_lab.diagnose.spline_curve import SplineCurve, spline_curve_of
 from heli_lab.diagnose.spline_term import SplineTerm
-from heli_lab.diagnose.thresholds import (
-    FEW_WINDOWS,
-    LEAST_COUNTS,
-    LEAST_STD_SHARE,
-    WITHIN_STEP_STD,
-    CALIBRATE_s,
-)
+from heli_lab.diagnose.thresholds import FEW_WINDOWS, CALIBRATE_s
 from heli_lab.diagnose.verdict import Verdict
-from heli_lab.identify import Fit
 from heli_lab.identify.result import Identification
 
 METRIC: Final = "2 s free-run rms on the validation flights, deg"
@@ -96,27 +90,6 @@ class Diagnosis:
     calibrate_s: float | None = None
     refits: int = 0
     proposed_term: ProposedTerm | None = None
-
-    def values(self, cause: Cause) -> dict[str, tuple[float, float, str]]:
-        """Parameters of a cause by full name: value, standard error and unit."""
-        kind, fit = self.kinds[cause.candidate.id], self.after.fit
-        std = reported_std(fit, kind)
-        return {
-            q.name: (
-                fit.values.get(q.name, cause.candidate.effect.values[q.name]),
-                std.get(q.name, 0.0),
-                q.unit,
-            )
-            for q in kind.parameters
-        }
-
-    def sentence(self, cause: Cause) -> str:
-        """A cause with its parameters, in one sentence without its full stop."""
-        numbers = self.values(cause)
-        return self.kinds[cause.candidate.id].describe(
-            {name: value for name, (value, _, _) in numbers.items()},
-            {name: std for name, (_, std, _) in numbers.items()},
-        )
 
     @cached_property
     def failing(self) -> FailingRegimes:
@@ -226,11 +199,10 @@ class Diagnosis:
         source = f"found by heli-host diagnose from {labels}"
         effects: dict[str, Mapping[str, Number]] = dict(rig.effects)
         for cause in self.verdict.causes:
-            numbers = self.values(cause)
-            effects[cause.candidate.id] = effect_numbers(
-                self.kinds[cause.candidate.id],
-                {key: value for key, (value, _, _) in numbers.items()},
-                {key: 2.0 * std for key, (_, std, _) in numbers.items()},
+            effects[cause.effect] = effect_numbers(
+                self.kinds[cause.effect],
+                {key: number.value for key, number in cause.parameters.items()},
+                {key: 2.0 * number.std for key, number in cause.parameters.items()},
                 source,
             )
         if self.verdict.gust:
@@ -267,26 +239,3 @@ class Diagnosis:
     def metric(self) -> str:
         """What the gains measure, with its unit."""
         return METRIC if self.after.held_out_fit else METRIC.replace("validation", "fitted")
-
-
-def reported_std(fit: Fit, kind: EffectKind) -> dict[str, float]:
-    """Standard errors by name of the numbers of a `kind`, none finer than what flights resolve.
-
-    Voltages are held over a sample: a time constant or a delay is uncertain by a part of it, whichever way
-    board and simulator count it, and of what a controller answers within a step. What acts within a step is
-    blurred, so no size is finer than a share of itself; and what lies between an axis and its encoder is
-    shown in whole counts.
-    """
-    record = fit.problem.records[0]
-    part, _, axis = kind.acts_on.partition(".")
-    errors = {}
-    for parameter in fit.problem.free:
-        least = 0.0
-        if parameter.unit == "s":
-            least = 0.5 * record.step_s
-        elif parameter.unit == "rad" and part == "measurement" and axis in AXES:
-            least = LEAST_COUNTS * float(record.count_rad[AXES.index(axis)])
-        std = fit.std[parameter.name] * (WITHIN_STEP_STD if parameter.unit == "s" else 1.0)
-        blurred = LEAST_STD_SHARE * fit.values[parameter.name] if parameter.name in kind.size else 0.0
-        errors[parameter.name] = math.hypot(std, least, blurred)
-    return errors

@@ -38,7 +38,7 @@ from heli_lab.diagnose.search_record import Search
 from heli_lab.diagnose.spline_curve import spline_curve_of
 from heli_lab.diagnose.spline_term import SplineTerm
 from heli_lab.diagnose.thresholds import AMBIGUOUS, MANY_UNDETECTABLE, SHORT_s
-from heli_lab.diagnose.verdict import Verdict, ambiguous_with, judge
+from heli_lab.diagnose.verdict import Verdict, judge
 from heli_lab.errors import IdentifyError, NotExcited
 from heli_lab.identify import Record, prepare
 from heli_lab.threads import using_threads
@@ -260,7 +260,7 @@ def _pair(
     comparison: ModelComparison, verdict: Verdict, search_result: Search, extended: Hypothesis
 ) -> Pair | None:
     """The least certain cause and its closest alternative, both fitted in the place of the same effect."""
-    unclear = [cause for cause in verdict.causes if ambiguous_with(cause)]
+    unclear = [cause for cause in verdict.causes if cause.ambiguous_with]
     if not unclear:
         return None
     least_certain = min(unclear, key=lambda cause: cause.alternatives[0].log_likelihood_ratio)

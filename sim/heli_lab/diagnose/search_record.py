@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from heli_lab.diagnose.candidate import Candidate
 from heli_lab.diagnose.model_comparison import Hypothesis
 from heli_lab.diagnose.screening import Scored, Screening
+from heli_lab.diagnose.thresholds import AMBIGUOUS
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +93,25 @@ class Cause:
     held_out: float | None
     penalty: float
     alternatives: tuple[Alternative, ...]
+
+    @property
+    def effect(self) -> str:
+        """Id of the effect, such as ``rotor_lag``."""
+        return self.candidate.id
+
+    @property
+    def id(self) -> str:
+        """The same as `effect`: the name that candidates and alternatives have it under."""
+        return self.candidate.id
+
+    @property
+    def ambiguous_with(self) -> tuple[str, ...]:
+        """Ids of other effects that the flights do not distinguish from this cause, closest first."""
+        return tuple(
+            alternative.id
+            for alternative in self.alternatives
+            if alternative.log_likelihood_ratio < AMBIGUOUS
+        )
 
 
 @dataclass(frozen=True)

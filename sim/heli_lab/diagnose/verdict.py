@@ -11,9 +11,35 @@ from heli_sim.model.effects import EffectKind
 from heli_sim.model.parts import AXES
 
 from heli_lab.diagnose import thresholds
+from heli_lab.diagnose.cause_parameters import CauseParameter, cause_parameters
 from heli_lab.diagnose.prediction import Prediction
 from heli_lab.diagnose.residual_analysis import ResidualAnalysis
 from heli_lab.diagnose.search_record import Cause, Search
+from heli_lab.identify import Fit
+
+
+@dataclass(frozen=True)
+class NamedCause(Cause):
+    """A cause that the verdict names; its attributes have the names of the JSON.
+
+    ``effect`` and ``ambiguous_with`` come from the search.
+
+    Parameters
+    ----------
+    parameters : Mapping[str, CauseParameter]
+        By full name, such as ``rotor_lag_s``: ``value``, ``std`` and ``unit``.
+    confidence : float
+        How sure the name is, 0 to 1.
+    sentence : str
+        The cause with its parameters in a sentence without its full stop.
+    equation : str
+        What the effect adds to the model, in LaTeX.
+    """
+
+    parameters: Mapping[str, CauseParameter]
+    confidence: float
+    sentence: str
+    equation: str
 
 
 @dataclass(frozen=True)
@@ -24,7 +50,7 @@ class Verdict:
     ----------
     label : str
         ``explained``, ``cause_found``, ``ambiguous`` or ``unexplained``.
-    causes : tuple of Cause
+    causes : tuple of NamedCause
         Effects of the catalogue, strongest first.
     unlisted : tuple of Cause
         Spline terms, in the place of causes that are not in the catalogue.
@@ -33,7 +59,7 @@ class Verdict:
     """
 
     label: str
-    causes: tuple[Cause, ...]
+    causes: tuple[NamedCause, ...]
     unlisted: tuple[Cause, ...]
     gust: bool
 
@@ -61,16 +87,37 @@ def judge(
     absent : bool
         Whether the fit estimated a term of the baseline as zero, which is a cause as well.
     """
-    causes = tuple(cause for cause in search.causes if not cause.candidate.is_spline)
+    effects = tuple(cause for cause in search.causes if not cause.candidate.is_spline)
     unlisted = tuple(cause for cause in search.causes if cause.candidate.is_spline)
     shows = max(after.train.normalised, after.held_out.normalised) > thresholds.AT_NOISE_FLOOR
     gust = shows and not unlisted and not remaining.dependences and gust_alone(remaining, kinds)
-    if shows and (unlisted or remaining.dependences):
+    unexplained = shows and bool(unlisted or remaining.dependences)
+    causes = tuple(_named(cause, kinds[cause.effect], after.fit, unexplained) for cause in effects)
+    if unexplained:
         return Verdict("unexplained", causes, unlisted, False)
     if causes:
-        unclear = any(ambiguous_with(cause) for cause in causes)
+        unclear = any(cause.ambiguous_with for cause in causes)
         return Verdict("ambiguous" if unclear else "cause_found", causes, (), gust)
     return Verdict("cause_found" if gust or absent else "explained", (), (), gust)
+
+
+def _named(cause: Cause, kind: EffectKind, fit: Fit, unexplained: bool) -> NamedCause:
+    """Give a cause what the final fit and the verdict say of it."""
+    parameters = cause_parameters(cause.candidate, kind, fit)
+    return NamedCause(
+        cause.candidate,
+        cause.train,
+        cause.held_out,
+        cause.penalty,
+        cause.alternatives,
+        parameters,
+        confidence(cause, unexplained),
+        kind.describe(
+            {name: number.value for name, number in parameters.items()},
+            {name: number.std for name, number in parameters.items()},
+        ),
+        kind.equation,
+    )
 
 
 def gust_alone(remaining: ResidualAnalysis, kinds: Mapping[str, EffectKind]) -> bool:
@@ -84,15 +131,6 @@ def gust_alone(remaining: ResidualAnalysis, kinds: Mapping[str, EffectKind]) -> 
         and remaining.disturbances.fast_std_Nm[axis] > least_Nm
         and remaining.disturbances.correlation_time_s[axis] > thresholds.GUST_LEAST_s
     )
-
-
-def ambiguous_with(cause: Cause) -> list[str]:
-    """Ids of other effects that the flights do not tell from a cause, closest first."""
-    return [
-        alternative.id
-        for alternative in cause.alternatives
-        if alternative.log_likelihood_ratio < thresholds.AMBIGUOUS
-    ]
 
 
 def confidence(cause: Cause, unexplained: bool = False) -> float:

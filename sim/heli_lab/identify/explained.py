@@ -30,13 +30,13 @@ def unexplained_shares(seen: Trace) -> tuple[Floats, Floats]:
     for window in seen.windows:
         t = np.linspace(-1.0, 1.0, window.stop - window.start)
         parabolas, _ = np.linalg.qr(np.column_stack((np.ones_like(t), t, t**2)))
-        left = [
+        residuals = [
             angles[window] - parabolas @ (parabolas.T @ angles[window])
             for angles in (seen.measured_rad, seen.predicted_rad)
         ]
-        both += np.sum(left[0] * left[1], axis=0)
-        measured += np.sum(left[0] ** 2, axis=0)
-        predicted += np.sum(left[1] ** 2, axis=0)
+        both += np.sum(residuals[0] * residuals[1], axis=0)
+        measured += np.sum(residuals[0] ** 2, axis=0)
+        predicted += np.sum(residuals[1] ** 2, axis=0)
     alike = both / np.sqrt(np.maximum(measured * predicted, np.finfo(float).tiny))
     # A free run that diverged to nan is like nothing.
     alike = np.clip(np.nan_to_num(alike), 0.0, 1.0)

@@ -92,8 +92,8 @@ def identify(
     count = range(len(records))
     seen = tuple(trace(fit, index) for index in count)
     seen_held_out = tuple(trace(held_out, index) for index in range(len(others))) if held_out else ()
-    for one in () if as_is else (*seen, *seen_held_out):
-        refuse_unexplained(one)
+    for sign in () if as_is else (*seen, *seen_held_out):
+        refuse_unexplained(sign)
     return Identification(
         fit,
         tuple(check(fit, index) for index in count),

@@ -76,8 +76,8 @@ def _run_apart(path: Path, limit_s: float) -> dict[str, Any]:
     finally:
         _end(process)
     if answer:
-        told: dict[str, Any] = pickle.loads(answer)
-        return told
+        reply: dict[str, Any] = pickle.loads(answer)
+        return reply
     how = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
     raise BadLaw(f"{path.name} ended Python ({how})", "correct it; run alone with python, it says more")
 

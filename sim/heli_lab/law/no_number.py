@@ -42,7 +42,7 @@ def with_no_number(function: ca.Function) -> ca.Function:
             work[into[0]] = _computed(code, [work[place] for place in read])
     names_in = [function.name_in(k) for k in range(function.n_in())]
     names_out = [function.name_out(k) for k in range(function.n_out())]
-    dense = [ca.densify(one) for one in outputs]
+    dense = [ca.densify(output) for output in outputs]
     return ca.Function(function.name(), inputs, dense, names_in, names_out)
 
 

@@ -42,12 +42,14 @@ def campaign(
     """Fly, fit, diagnose or check gains over rigs, effects, plans and seeds, on this machine or a cluster.
 
     Every case leaves a JSON file and a row of the table. Whatever is killed on the way, the same command goes
-    on with the cases that had not ended.
+    on with the cases that had not ended. Ends with 1 if a case has no result, otherwise with 4 if a flight
+    did not end as completed.
 
     Example: `heli-host campaign study.toml --out study`, and on a cluster `--scheduler tcp://head:8786`
     """
     from heli_host.cli.outputs import check_result_places
     from heli_host.cli.progress_bar import WorkBar
+    from heli_host.errors import FlightAborted
 
     from heli_lab.campaign.file import load_campaign
     from heli_lab.campaign.page import write_summary
@@ -95,6 +97,8 @@ def campaign(
     say_files([page, folder / TABLE])
     if summary.failed:
         raise typer.Exit(1)
+    if summary.not_completed:
+        raise typer.Exit(FlightAborted.exit_code)
 
 
 def _cores() -> int:
@@ -104,6 +108,12 @@ def _cores() -> int:
 
 def _print(summary: Summary, cases: int) -> None:
     say(f"{summary.cases} of {cases} cases have ended, {len(summary.failed)} of them without a result")
+    if summary.outcomes:
+        ends = ", ".join(f"{outcome} {count}" for outcome, count in summary.outcomes.items())
+        say(
+            f"{summary.not_completed} of {sum(summary.outcomes.values())} cases "
+            f"did not end as completed: {ends}"
+        )
     for column in summary.columns:
         if len(column.values):
             say(

@@ -21,6 +21,10 @@ def export(
     mat: Annotated[bool, typer.Option("--mat", help="A MATLAB file.")] = False,
     parquet: Annotated[bool, typer.Option("--parquet", help="A Parquet file; needs pyarrow.")] = False,
     ros2: Annotated[bool, typer.Option("--ros2", help="An MCAP file of ROS 2, all of it in CDR.")] = False,
+    blind: Annotated[
+        bool,
+        typer.Option("--blind", help="Leave out what flew: address, rig, effects, seed; seal it instead."),
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -33,6 +37,9 @@ def export(
     Names are the same in each (`elevation_rad`, `front_V`, `elevation_count`), but that ROS 2 takes no
     capitals: there it is `front_volt`.
 
+    With --blind the export has a seal, a salted digest of what is left out. The truth is written next to the
+    log, as LOG.truth.json: keep it. `heli-host info LOG --truth LOG.truth.json` shows what flew and the seal.
+
     Example: `heli-host export flights/2026-01-31_12-00-00/flight.mcap --csv`
     """
     if csv + mat + parquet + ros2 != 1:
@@ -41,6 +48,8 @@ def export(
 
     write, suffix = _format(csv, mat, parquet)
     flight = read_flight(log, allow_gaps=True)
+    if blind:
+        flight = _blind(flight, log)
     if out is not None and str(out) == "-":
         _to_stdout(flight, write, suffix)
         return
@@ -63,6 +72,19 @@ def _format(csv: bool, mat: bool, parquet: bool) -> tuple[Callable[[Flight, Path
     if mat:
         return export_mat, ".mat"
     return (export_parquet, ".parquet") if parquet else (export_ros2, ".ros2.mcap")
+
+
+def _blind(flight: Flight, log: Path) -> Flight:
+    """The flight without what says what flew; what was left out goes into the truth file of the log."""
+    from heli_host.cli.say import say_error
+    from heli_host.log.blind import SEALED, blind, sealed_truth, truth_path
+
+    truth = sealed_truth(flight, log)
+    if truth is None:
+        return blind(flight, flight.meta[SEALED])
+    truth.write(truth_path(log))
+    say_error(f"sealed: {truth.digest}", f"truth, not for those who search: {truth_path(log)}")
+    return blind(flight, truth.digest)
 
 
 def _to_stdout(flight: Flight, write: Callable[[Flight, Path], None], suffix: str) -> None:

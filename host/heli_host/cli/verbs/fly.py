@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from pathlib import Path
 from typing import Annotated
 
@@ -28,7 +29,21 @@ def fly(
     effect: simulated.EffectOption = None,
     effects: simulated.EffectFilesOption = None,
     speed: simulated.SpeedOption = "1",
-    seed: simulated.SeedOption = 1,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            "--seed",
+            min=0,
+            help="Seed of everything random in the simulation.  [default: 1; with --blind a random seed]",
+        ),
+    ] = None,
+    blind: Annotated[
+        bool,
+        typer.Option(
+            "--blind",
+            help="Leave rig, effects and seed out of all files but LOG.truth.json; needs --sil.",
+        ),
+    ] = False,
     clear_fault: ClearFaultOption = False,
     gains: GainsOption = None,
     params: ParamsFileOption = None,
@@ -45,6 +60,10 @@ def fly(
     Without --log, --json and --figure the three files go into a new folder, flights/<time>/. With any of them
     only those are written, and the log always is.
 
+    With --blind the log has a seal, a salted digest of what flew. The truth is written next to the log,
+    as LOG.truth.json: keep it, and hand out the other files. `heli-host info LOG --truth LOG.truth.json` compares
+    log and truth.
+
     Example: `heli-host fly hover sine --sil --speed 5`
     """
     from heli_host.cli.board import board_text, clear_latched_fault, open_board
@@ -57,13 +76,21 @@ def fly(
     from heli_host.fly.runner import Progress
     from heli_host.fly.runner import fly as fly_plans
     from heli_host.link.transport import transport_label, transport_note
+    from heli_host.log.blind import Truth, truth_path
     from heli_host.log.disk import check_new
     from heli_host.published_gains import load_gains
 
     simulated.parse_speed(speed)
     land_on_change = check_on_change(twin, on_change)
     if not sil:
-        simulated.refuse_without_sil(board=board, elf=elf, model=model, effect=effect, effects=effects)
+        simulated.refuse_without_sil(
+            board=board, elf=elf, model=model, effect=effect, effects=effects, blind=blind
+        )
+    if blind and twin is not None:
+        raise typer.BadParameter("--twin names what has changed; leave it out, or leave out --blind")
+    if seed is None:
+        # The flight of a known seed could be flown again with each effect, and compared byte by byte.
+        seed = secrets.randbelow(1 << 31) if blind else 1
     address = simulated.sil_address(
         rig=rig,
         speed=speed,
@@ -80,6 +107,13 @@ def fly(
     check_result_places(json, figure=figure)
     if log is not None:
         check_new(log)
+    truth = None
+    if blind:
+        truth = Truth.seal(
+            simulated.flown(
+                address, rig=rig, model=model, effect=effect, effect_files=effects, seed=seed, plans=plans
+            )
+        )
     maker = read_twin(twin)
     with open_board(port, address if sil else None) as heli:
         if clear_fault:
@@ -91,7 +125,10 @@ def fly(
         folder = flight_folder() if log is None else log.parent
         log = log if log is not None else folder / "flight.mcap"
         json, figure = (folder / "summary.json", folder / "figure.png") if everything else (json, figure)
-        text, transport = board_text(heli), heli.session.transport
+        text, transport = board_text(heli, hidden=blind), heli.session.transport
+        key = truth_path(log)
+        if truth is not None:
+            truth.write(key)
         if note := transport_note(transport):
             say_progress(note)
         say_progress(text, f"flying: {', then '.join(plan.title for plan in loaded)}")
@@ -114,15 +151,18 @@ def fly(
                 json_path=json,
                 figure_path=figure,
                 on_progress=show,
-                rig_name=simulated.rig_name(rig, simulated=sil),
+                rig_name="" if blind else simulated.rig_name(rig, simulated=sil),
                 board_name=transport_label(transport).partition(",")[0].removesuffix(" board"),
                 twin=watch,
                 land_on_change=land_on_change,
+                sealed=truth.digest if truth is not None else "",
             )
     say(*summary_lines(summary), f"board: {text}")
     if watch is not None:
         say(f"twin: {watch.words()}")
     say_files((log, json, figure))
+    if truth is not None:
+        say(f"sealed: {truth.digest}", f"truth, not for those who search: {key}")
     if was_interrupted(summary.outcome):
         raise KeyboardInterrupt
     if not summary.completed:

@@ -21,6 +21,14 @@ def info(
     events: Annotated[bool, typer.Option("--events", help="List the events too.")] = False,
     parameters: Annotated[bool, typer.Option("--params", help="List the board's parameters too.")] = False,
     plan: Annotated[bool, typer.Option("--plan", help="Print the flight plans too.")] = False,
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            "--truth",
+            metavar="FILE",
+            help="Compare with the truth file of a blind flight, and show what flew.",
+        ),
+    ] = None,
     json: JsonFlag = False,
 ) -> None:
     """Say what a log holds: versions, duration, tracking errors, losses, and what is wrong with it.
@@ -28,8 +36,16 @@ def info(
     Example: `heli-host info flights/2026-01-31_12-00-00/flight.mcap --events`
     """
     if json:
-        say_json(_content(flight_file))
+        content = _content(flight_file)
+        if truth is not None:
+            content["truth"] = _checked(flight_file, truth)
+        say_json(content)
         return
+    if truth is not None:
+        for name, value in _checked(flight_file, truth).items():
+            # A rig's file has a hundred lines; the truth file holds them.
+            shown = ", ".join(map(str, value)) if isinstance(value, list | dict) else value
+            say(f"truth, {name}: {shown}")
     if flight_file.name.lower().endswith(".mcap"):
         from heli_host.log.reader import read_log
 
@@ -54,6 +70,16 @@ def info(
     if plan:
         for line in (flight.plan.rstrip() or "no plan").splitlines():
             say(line.replace("\t", "    "))
+
+
+def _checked(path: Path, truth_file: Path) -> dict[str, Any]:
+    """What flew by a truth file whose seal is that of the flight; else a LogError."""
+    from heli_host.log.blind import SEALED, Truth
+    from heli_host.log.flight_file import read_flight
+
+    truth = Truth.read(truth_file)
+    truth.check(path, read_flight(path, allow_gaps=True).meta.get(SEALED, ""))
+    return {SEALED: truth.digest, **truth.flown}
 
 
 def _content(path: Path) -> dict[str, Any]:

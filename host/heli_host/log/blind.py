@@ -1,0 +1,218 @@
+"""Flights whose cause is hidden: what a log may say of them, and a seal over what it leaves out.
+
+The seal is a SHA-256 digest of what flew and of a random salt. It fixes the answer beforehand and gives
+nothing away: without the salt, nobody can try all effects against it. The truth file holds both, for whoever
+hid the effect.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import secrets
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from heli_host.errors import LogError, LogWriteError
+from heli_host.files import read_file
+from heli_host.flight import Flight
+
+SEALED: Final = "sealed"
+"""Name of the digest in a log's session and in the notes of an export."""
+TRUTH_END: Final = ".truth.json"
+TWIN_EVENT: Final = "twin"
+"""Name of a twin's events, `heli_host.twins.EVENT`."""
+_SAID: Final = frozenset(
+    (
+        *("axes", "board", "boot_fault", "firmware", "host", "host_link", "host_link_hash"),
+        *("law_signals", "link", "link_hash", "params_source", "reset", "start", SEALED),
+    )
+)
+"""Notes that a blind flight keeps; a note that is not known here may name what flew. The boot id follows from
+the seed."""
+_RESULT: Final = "result."
+_ADDRESS: Final = re.compile(r"\b\w+://\S*[^\s:;,.]")
+_BOOT_ID: Final = re.compile(r"\bboot id \d+")
+_MOST_BYTES: Final = 4 << 20
+"""Of a truth file; a rig's file, which it holds, has 10 kB."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What flew, and the salt of its seal.
+
+    Parameters
+    ----------
+    flown : Mapping of str to Any
+        What a blind flight does not say: rig, effects, seed, address; as JSON can hold it.
+    salt : str
+        Random text.
+    """
+
+    flown: Mapping[str, Any]
+    salt: str
+
+    @classmethod
+    def seal(cls, flown: Mapping[str, Any]) -> Truth:
+        """Seal what flew, `flown`, with a new salt."""
+        return cls(dict(flown), secrets.token_hex(16))
+
+    @property
+    def digest(self) -> str:
+        """The seal: SHA-256 of the salt and of what flew as JSON with sorted keys and no spaces."""
+        text = json.dumps(self.flown, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+        return "sha256:" + hashlib.sha256(f"{self.salt}{text}".encode()).hexdigest()
+
+    def write(self, path: Path) -> None:
+        """Write the truth file `path`, which only its owner may read; a missing folder is made.
+
+        Raises
+        ------
+        LogWriteError
+            If it cannot be written.
+        """
+        content = {"sealed": self.digest, "salt": self.salt, "flown": self.flown}
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch(mode=0o600)
+            path.chmod(0o600)
+            path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise LogWriteError(
+                f"cannot write {path}: {error.strerror or error}", "choose another folder"
+            ) from error
+
+    @classmethod
+    def read(cls, path: Path) -> Truth:
+        """Read the truth file `path`.
+
+        Raises
+        ------
+        LogError
+            If it cannot be read, or is none.
+        """
+        try:
+            content = json.loads(read_file(path, _MOST_BYTES))
+            flown, salt = content["flown"], content["salt"]
+        except OSError as error:
+            raise LogError(f"cannot read {path}: {error.strerror or error}", "check the path") from error
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise LogError(f"{path} is not a truth file", "give the .truth.json of the flight") from error
+        if not isinstance(flown, dict) or not isinstance(salt, str):
+            raise LogError(f"{path} is not a truth file", "give the .truth.json of the flight")
+        return cls(flown, salt)
+
+    def check(self, path: Path, sealed: str) -> None:
+        """Compare with the seal of a flight.
+
+        Parameters
+        ----------
+        path : Path
+            File of the flight.
+        sealed : str
+            Its seal; of a flight that says what flew, empty: then the file itself is compared.
+
+        Raises
+        ------
+        LogError
+            If this truth is of another flight, or one of the two was changed.
+        """
+        matches = sealed == self.digest if sealed else self.flown.get("log_sha256") == file_digest(path)
+        if not matches:
+            raise LogError(
+                f"the truth file does not match {path}: its seal is {self.digest}, the flight's is "
+                f"{sealed or 'none, and its bytes differ'}",
+                "give the truth file of this flight; if it is, one of the two was changed",
+            )
+
+
+def truth_path(log: Path) -> Path:
+    """Return the place of the truth file of a `log`."""
+    return log.with_name(log.name.removesuffix(".gz").rpartition(".")[0] + TRUTH_END)
+
+
+def hide(text: str) -> str:
+    """Take addresses and boot ids out of a `text`: an address holds rig, effects and seed, and the seed
+    settles the boot id.
+    """
+    return _BOOT_ID.sub("boot id hidden", _ADDRESS.sub("the board", text))
+
+
+def said(session: Mapping[str, str], sealed: str) -> dict[str, str]:
+    """Keep of the notes `session` what a blind flight may say, and add its seal, `sealed`."""
+    return {name: hide(text) for name, text in session.items() if name in _SAID} | {SEALED: sealed}
+
+
+def blind(flight: Flight, sealed: str) -> Flight:
+    """Take out of a flight what says which rig and which effects flew.
+
+    Parameters
+    ----------
+    flight : Flight
+        Any.
+    sealed : str
+        Digest of what is left out, for its notes.
+
+    Returns
+    -------
+    Flight
+        The same columns, parameters and plan. Addresses, rig, seed, unknown notes, and events of a twin,
+        which name what is missing, are left out.
+    """
+    results = {name: hide(text) for name, text in flight.meta.items() if name.startswith(_RESULT)}
+    return replace(
+        flight,
+        meta=said(flight.meta, sealed) | results,
+        events=tuple(
+            replace(event, text=hide(event.text)) for event in flight.events if event.name != TWIN_EVENT
+        ),
+    )
+
+
+def sealed_truth(flight: Flight, log: Path) -> Truth | None:
+    """Seal what an export leaves out.
+
+    Parameters
+    ----------
+    flight : Flight
+        As it was read from the log.
+    log : Path
+        Its file. A truth file that is there for the same log is used again, so that all exports of a log
+        have one seal.
+
+    Returns
+    -------
+    Truth or None
+        None where the flight was sealed when it flew: then its own seal stays.
+
+    Raises
+    ------
+    LogError
+        If the truth file that is there is of another log.
+    """
+    if flight.meta.get(SEALED):
+        return None
+    left_out = {name: text for name, text in flight.meta.items() if name not in _SAID}
+    flown = {
+        "log_sha256": file_digest(log),
+        **{name: text for name, text in left_out.items() if not name.startswith(_RESULT)},
+    }
+    path = truth_path(log)
+    if not path.exists():
+        return Truth.seal(flown)
+    there = Truth.read(path)
+    if there.flown != flown:
+        raise LogError(f"{path} is the truth file of another flight", "move it away, or rename the log")
+    return there
+
+
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 digest of the bytes of a file, `path`."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise LogError(f"cannot read {path}: {error.strerror or error}", "check the path") from error

@@ -1,0 +1,87 @@
+"""Shorter flights and less work, for the parts of documents and notebooks that are marked ``long``.
+
+Each command and each cell still runs whole, from its inputs to its files and its asserts. `make long` runs
+them at full length.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable
+from typing import Any, Final
+
+PLANS: Final = "plans"
+"""Fly only the first seconds of a plan."""
+WORK: Final = "work"
+"""Use less of each flight, fewer refits, fewer iterations and coarser figures."""
+SEGMENTS_s: Final = 20.0
+"""Of a plan's segments, s: at 16 s the sine of the plan `identify` is refused, because it is too short."""
+USED_s: Final = 16.0
+"""Of each flight that a notebook diagnoses, s: at 11 s the effects that the notebooks hide are not named."""
+REFITS: Final = 2
+"""Refits of a search for causes: with 1 no cause is named."""
+ITERATIONS: Final = 20
+"""Iterations of an optimizer, which the design of gains starts four times."""
+DPI: Final = 20
+"""Of figures that are written, dots per inch."""
+
+
+def shorten(parts: Iterable[str]) -> None:
+    """Shorten `parts`, `PLANS` or `WORK`, of what this process does from now on."""
+    import heli_host.fly.plan
+    import heli_lab.diagnose.run
+    import scipy.optimize
+    from matplotlib.figure import Figure
+
+    if PLANS in parts:
+        _wrap(heli_host.fly.plan, "parse_toml", _short_plan)
+    if WORK in parts:
+        _wrap(heli_lab.diagnose.run, "prepare", _short_record)
+        _wrap(heli_lab.diagnose.run, "search", _small_search)
+        _wrap(scipy.optimize, "minimize", _few_iterations)
+        _wrap(Figure, "savefig", _coarse_figure)
+
+
+def _wrap(holder: Any, name: str, how: Callable[..., Any]) -> None:
+    original = getattr(holder, name)
+
+    @functools.wraps(original)
+    def wrapped(*arguments: Any, **options: Any) -> Any:
+        return how(original, *arguments, **options)
+
+    setattr(holder, name, wrapped)
+
+
+def _short_plan(parse: Callable[[str], dict[str, Any]], text: str) -> dict[str, Any]:
+    """Read TOML, and leave out of a plan what comes after so many seconds."""
+    values = parse(text)
+    rows, left_s = values.get("segment"), SEGMENTS_s
+    if not isinstance(rows, list):
+        return values
+    kept: list[Any] = []
+    for row in rows:
+        duration_s = row.get("duration_s", 0.0)
+        if kept and duration_s > left_s:
+            break
+        # A first segment may be longer than all that is left; waypoints have their times in their points.
+        kept.append({**row, "duration_s": left_s} if duration_s > left_s and "points" not in row else row)
+        left_s -= duration_s
+    return {**values, "segment": kept}
+
+
+def _short_record(prepare: Callable[..., Any], flight: Any, *arguments: Any, **options: Any) -> Any:
+    return prepare(flight.between(flight.t_s[0], flight.t_s[0] + USED_s), *arguments, **options)
+
+
+def _small_search(search: Callable[..., Any], *arguments: Any, refits: float, **options: Any) -> Any:
+    return search(*arguments, refits=min(refits, REFITS), **options)
+
+
+def _few_iterations(
+    minimize: Callable[..., Any], *arguments: Any, options: dict[str, Any] | None = None, **more: Any
+) -> Any:
+    return minimize(*arguments, options={**(options or {}), "maxiter": ITERATIONS}, **more)
+
+
+def _coarse_figure(savefig: Callable[..., None], *arguments: Any, **options: Any) -> None:
+    savefig(*arguments, **{**options, "dpi": DPI})
