@@ -80,9 +80,11 @@ def given_away(path: Path) -> set[str]:
 
 
 def sealed_of(path: Path) -> str:
-    found = {one.decode() for text in texts(path) for one in re.findall(rb"sha256:[0-9a-f]{64}", text)}
-    (sealed,) = found
-    return sealed
+    found: set[str] = {
+        one.decode() for text in texts(path) for one in re.findall(rb"sha256:[0-9a-f]{64}", text)
+    }
+    assert len(found) == 1
+    return found.pop()
 
 
 @pytest.mark.slow

@@ -61,8 +61,8 @@ def fly(
     only those are written, and the log always is.
 
     With --blind the log has a seal, a salted digest of what flew. The truth is written next to the log, as
-    LOG.truth.json: keep it, and hand out the other files. `heli-host info LOG --truth LOG.truth.json` compares
-    log and truth.
+    LOG.truth.json: keep it, and hand out the other files. `heli-host info LOG --truth LOG.truth.json`
+    compares the two.
 
     Example: `heli-host fly hover sine --sil --speed 5`
     """
