@@ -173,8 +173,16 @@ def flown(
     seed: int,
     plans: Sequence[str],
 ) -> dict[str, object]:
-    """Say in full what a simulated flight flies, for the truth file of a blind one: the options, and the text
-    of each file among them.
+    """Say in full what a simulated flight flies, for the truth file of a blind one.
+
+    Parameters
+    ----------
+    address : str
+        As `sil_address` spells it.
+    rig, model, effect, effect_files, seed : str, int or sequence
+        Options as `sil_address` takes them; the text of each file is kept.
+    plans : sequence of str
+        Plans as typed.
     """
     files = [*([Path(rig)] if rig is not None else []), *(effect_files or ())]
     return {

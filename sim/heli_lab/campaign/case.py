@@ -15,7 +15,7 @@ _NUMBER = re.compile(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)")
 
 
 def natural_order(name: str) -> list[str | float]:
-    """Key that sorts names by the numbers in them: ``seed 2`` before ``seed 10``."""
+    """Key that sorts a `name` by the numbers in it: ``seed 2`` before ``seed 10``."""
     parts = _NUMBER.split(name)
     # Texts are at even places and numbers at odd ones, so that equal places always compare.
     return [float(part) if place % 2 else part for place, part in enumerate(parts)]

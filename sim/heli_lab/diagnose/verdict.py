@@ -26,6 +26,8 @@ class NamedCause(Cause):
 
     Parameters
     ----------
+    train, held_out, penalty : float, float or None, float
+        Log-likelihood ratios on the flights fitted and held out, and the BIC penalty, nats.
     parameters : Mapping[str, CauseParameter]
         By full name, such as ``rotor_lag_s``: ``value``, ``std`` and ``unit``.
     confidence : float

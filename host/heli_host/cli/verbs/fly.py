@@ -60,9 +60,9 @@ def fly(
     Without --log, --json and --figure the three files go into a new folder, flights/<time>/. With any of them
     only those are written, and the log always is.
 
-    With --blind the log has a seal, a salted digest of what flew. The truth is written next to the log,
-    as LOG.truth.json: keep it, and hand out the other files. `heli-host info LOG --truth LOG.truth.json`
-    compares log and truth.
+    With --blind the log has a seal, a salted digest of what flew. The truth is written next to the log, as
+    LOG.truth.json: keep it, and hand out the other files. `heli-host info LOG --truth LOG.truth.json`
+    compares the two.
 
     Example: `heli-host fly hover sine --sil --speed 5`
     """
