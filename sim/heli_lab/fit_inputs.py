@@ -143,7 +143,7 @@ def refuse_wrong_signs(flights: Sequence[Flight], labels: Sequence[str], rig: Ri
         wrong = wrong_signs(flight, rig)
         if wrong:
             raise WrongSigns(
-                f"{label}: {'; '.join(sign.what for sign in wrong)}",
+                f"{label}: {'; '.join(sign.description for sign in wrong)}",
                 f"{'; '.join(sign.remedy for sign in wrong)} (or fit it --as-is)",
             )
 
