@@ -13,7 +13,7 @@ from heli_host.flight import Flight
 from heli_lab.identify import Record, prepare
 from heli_lab.identify.functions import Floats
 from heli_lab.innovations import ModelFunctions, ParameterVector, estimate, kinematic_filter
-from heli_lab.pool.machine import NumberEstimate, by_flights_alone
+from heli_lab.pool.rig_diagnosis import ParameterEstimate, without_prior
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import Rig, load_rig
@@ -40,12 +40,12 @@ class Pooled:
     ----------
     off : dict of float
         By name, estimate minus truth in standard errors.
-    alone : dict of NumberEstimate
+    alone : dict of ParameterEstimate
         By name, what the flights alone say, where they say more than the rig's file.
     """
 
     off: dict[str, float]
-    alone: dict[str, NumberEstimate]
+    alone: dict[str, ParameterEstimate]
 
 
 def true_rig(rig: int) -> tuple[Rig, float]:
@@ -75,23 +75,27 @@ def pooled(rig: int, count: int) -> Pooled:
     model = MultibodyModel(parse_effects(["rotor_lag=0.06"]))
     parameter_vector = ParameterVector(model, nominal, records)
     functions = ModelFunctions(model, parameter_vector.quantities)
-    references, theta, disturbances = [kinematic_filter(one) for one in records], parameter_vector.start, None
+    references, theta, disturbances = (
+        [kinematic_filter(item) for item in records],
+        parameter_vector.start,
+        None,
+    )
     for _ in range(2):
-        found = estimate(parameter_vector, references, functions, theta, disturbances)
-        theta, disturbances = found.theta, found.disturbances
-        references = found.filtered().refiltered(disturbances)
-    std = np.sqrt(np.diag(found.covariance))
+        fit = estimate(parameter_vector, references, functions, theta, disturbances)
+        theta, disturbances = fit.theta, fit.disturbances
+        references = fit.filtered().refiltered(disturbances)
+    std = np.sqrt(np.diag(fit.covariance))
     truth = {**{name: number.value for name, number in true.items()}, "rotor_lag_s": lag_s}
-    shared = [(i, one) for i, one in enumerate(parameter_vector.free) if one.record is None]
+    shared = [(i, item) for i, item in enumerate(parameter_vector.free) if item.record is None]
     alone = {
-        one.name: by_flights_alone(
-            float(theta[i]), float(std[i]), NumberEstimate(one.prior.mean, one.prior.std, one.unit)
+        item.name: without_prior(
+            float(theta[i]), float(std[i]), ParameterEstimate(item.prior.mean, item.prior.std, item.unit)
         )
-        for i, one in shared
+        for i, item in shared
     }
     return Pooled(
-        {one.name: float((theta[i] - truth[one.quantity]) / std[i]) for i, one in shared},
-        {name: one for name, one in alone.items() if one is not None},
+        {item.name: float((theta[i] - truth[item.quantity]) / std[i]) for i, item in shared},
+        {name: item for name, item in alone.items() if item is not None},
     )
 
 

@@ -25,7 +25,7 @@ from heli_lab.diagnose.model_comparison import Hypothesis, ModelComparison
 from heli_lab.diagnose.prediction import predict
 from heli_lab.identify import Record, prepare
 from heli_lab.pool import pool
-from heli_lab.pool.machine import Machine, NumberEstimate, by_flights_alone
+from heli_lab.pool.rig_diagnosis import ParameterEstimate, RigDiagnosis, without_prior
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, effect_numbers, effects_of, parse_effects
 from heli_sim.rig import Rig, load_rig
@@ -70,13 +70,13 @@ class MachineCase(DisturbedCase):
             name: float(np.exp(std * _AMONG_MACHINES * own.standard_normal()))
             for name, std in _NORMAL.items()
         }
-        return population.replace(**{name: population[name].value * one for name, one in off.items()})
+        return population.replace(**{name: population[name].value * item for name, item in off.items()})
 
     def make_rig(self) -> Rig:
         """Draw the make from what the file says."""
         rig, population = load_rig(self.rig_name), np.random.default_rng([self.population, 9])
         off = {name: float(np.exp(std * population.standard_normal())) for name, std in _NORMAL.items()}
-        return rig.replace(**{name: rig[name].value * one for name, one in off.items()})
+        return rig.replace(**{name: rig[name].value * item for name, item in off.items()})
 
 
 def _drawn(number: int) -> tuple[np.random.Generator, float]:
@@ -140,7 +140,7 @@ def compared(number: int) -> dict[str, Any]:
     model = MultibodyModel(parse_effects([f"{_LAG}=0.06"]))
     found = ModelComparison(model, nominal, [record], []).refit([])
     machine = _machine("lively", found)
-    prior = pool([machine]).prior(nominal, "make")
+    prior = pool([machine]).prior_rig(nominal, "pooled")
     drawn = as_drawn(number)
     train = _record(gentle, 0, GENTLE_s, nominal)
     others = {
@@ -162,8 +162,8 @@ def compared(number: int) -> dict[str, Any]:
             held_out = judges[name].held_out_estimate(hypothesis)
             answer[name][what] = _errors(run, other) | {"log_likelihood": held_out.log_likelihood}
     answer["numbers"] = {
-        name: [one.value, prior[name].value, 0.5 * prior[name].tolerance]
-        for name, one in gentle.rig().items()
+        name: [item.value, prior[name].value, 0.5 * prior[name].tolerance]
+        for name, item in gentle.rig().items()
     }
     return answer
 
@@ -172,18 +172,18 @@ def _record(case: DisturbedCase, flight: int, seconds: float, nominal: Rig) -> R
     return prepare(case.flown(flight, seconds)[0], nominal, f"{case.name} {flight}")
 
 
-def _machine(label: str, found: Hypothesis) -> Machine:
+def _machine(label: str, found: Hypothesis) -> RigDiagnosis:
     """The machine as a diagnosis that named the lag has it."""
     estimate = found.estimate
     std = np.sqrt(np.diag(estimate.covariance))
     priors, numbers = {}, {}
-    for i, one in enumerate(estimate.parameter_vector.free):
-        if one.record is None:
-            priors[one.name] = NumberEstimate(one.prior.mean, one.prior.std, one.unit)
-            alone = by_flights_alone(float(estimate.theta[i]), float(std[i]), priors[one.name])
+    for i, item in enumerate(estimate.parameter_vector.free):
+        if item.record is None:
+            priors[item.name] = ParameterEstimate(item.prior.mean, item.prior.std, item.unit)
+            alone = without_prior(float(estimate.theta[i]), float(std[i]), priors[item.name])
             if alone is not None:
-                numbers[one.name] = alone
-    return Machine(label, "makki2024", "multibody", numbers, priors, {_LAG: 1.0}, ())
+                numbers[item.name] = alone
+    return RigDiagnosis(label, "makki2024", "multibody", numbers, priors, {_LAG: 1.0}, ())
 
 
 def _errors(run: FreeRun, record: Record) -> dict[str, Any]:

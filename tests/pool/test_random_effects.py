@@ -20,7 +20,7 @@ MEASURED = st.tuples(st.floats(-10.0, 10.0), st.floats(0.05, 5.0))
 def test_it_is_what_statsmodels_has(measured: list[tuple[float, float]]) -> None:
     from statsmodels.stats.meta_analysis import combine_effects
 
-    values, stds = (np.array(one) for one in zip(*measured, strict=True))
+    values, stds = (np.array(item) for item in zip(*measured, strict=True))
     ours = der_simonian_laird(values.tolist(), stds.tolist())
     theirs = combine_effects(values, stds**2, method_re="dl", use_t=True)
     assert ours.tau**2 == pytest.approx(max(0.0, theirs.tau2), abs=1e-9)

@@ -1,4 +1,4 @@
-"""One machine as its diagnosis has it."""
+"""Read the diagnosis of one rig, and remove the prior from its parameter estimates."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from typing import Any, Final
 
 from heli_lab.errors import PoolError
 
-SURE: Final = 0.9
-"""Confidence from which on a cause counts as found: of those so sure, nine of ten and more are right on the
-blind set (docs/diagnosing.md). Lower: what is on no machine is counted. Higher: causes of which the flights
-show little are taken for absent."""
-_LEAST_SHARE: Final = 0.05
-"""Least that flights must add to what was known of a number, as a share of the prior's precision, for the
-machine to have a say: below it their own estimate is a difference of nearly equal numbers."""
+MIN_CAUSE_CONFIDENCE: Final = 0.9
+"""Confidence from which on a cause counts as present, 0 to 1. At least nine of ten such causes are right on
+the blind set (docs/diagnosing.md). A lower value counts causes that no rig has, a higher one misses causes
+that the flights show weakly."""
+_MIN_INFORMATION_SHARE: Final = 0.05
+"""Smallest precision from the flights over the prior's precision for which a parameter of a rig is used.
+Below it, the estimate without the prior is a difference of nearly equal numbers."""
 
 
 @dataclass(frozen=True)
-class NumberEstimate:
-    """A number of a machine by its flights alone.
+class ParameterEstimate:
+    """Estimate or prior of one parameter of a rig.
 
     Parameters
     ----------
     value, std : float
-        Value and standard error.
+        Value and standard error, in `unit`.
     unit : str
-        Of both, spelled as in rig files.
+        Unit as in rig files.
     """
 
     value: float
@@ -37,93 +37,95 @@ class NumberEstimate:
 
 
 @dataclass(frozen=True)
-class Machine:
-    """What a diagnosis says of a machine.
+class RigDiagnosis:
+    """Diagnosis of one rig: parameter estimates and causes of model errors.
 
     Parameters
     ----------
     label : str
-        For messages.
+        Name of the rig in messages.
     rig, model : str
-        Name of the rig that was known beforehand, and of the model.
-    numbers : Mapping of str to NumberEstimate
-        Numbers that its flights tell something of.
-    priors : Mapping of str to NumberEstimate
-        What was known of each number beforehand.
+        Names of the rig file that gave the prior, and of the model.
+    parameters : Mapping of str to ParameterEstimate
+        Estimates from the flights alone, of each parameter about which they are informative.
+    priors : Mapping of str to ParameterEstimate
+        Prior of each parameter.
     causes : Mapping of str to float
-        Causes that were named, with their confidence.
-    hidden : tuple of str
-        Effects that its flights could not have shown.
+        Diagnosed effects with their confidence, 0 to 1.
+    undetectable : tuple of str
+        Effects that the flights could not show.
     """
 
     label: str
     rig: str
     model: str
-    numbers: Mapping[str, NumberEstimate]
-    priors: Mapping[str, NumberEstimate]
+    parameters: Mapping[str, ParameterEstimate]
+    priors: Mapping[str, ParameterEstimate]
     causes: Mapping[str, float]
-    hidden: tuple[str, ...]
+    undetectable: tuple[str, ...]
 
 
-def read_machine(path: Path) -> Machine:
+def read_rig_diagnosis(path: Path) -> RigDiagnosis:
     """Read the JSON file that ``heli-host diagnose --json`` wrote to `path`.
 
     Raises
     ------
     PoolError
-        When it cannot be read, is no diagnosis, or one without numbers, such as one in which nothing flew.
+        When the file cannot be read, or is not a diagnosis with parameters of a rig.
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise PoolError(f"{path}: {error.strerror}", "give files of heli-host diagnose --json") from None
     except ValueError:
-        raise PoolError(f"{path} is no JSON", "give files of heli-host diagnose --json") from None
+        raise PoolError(f"{path} is not JSON", "give files of heli-host diagnose --json") from None
     try:
-        return _machine(path, content)
+        return _rig_diagnosis(path, content)
     except (KeyError, TypeError, AttributeError, ValueError):
         raise PoolError(
-            f"{path} is no diagnosis with numbers of a rig",
-            "give files of heli-host diagnose --json, written by this version from flights that flew",
+            f"{path} is not a diagnosis with parameters of a rig",
+            "give files that this version of heli-host diagnose --json wrote for flights in the air",
         ) from None
 
 
-def _machine(path: Path, content: Mapping[str, Any]) -> Machine:
-    numbers, priors = {}, {}
-    for name, number in content["rig"]["numbers"].items():
-        prior = NumberEstimate(
-            float(number["prior"]["value"]), float(number["prior"]["std"]), str(number["unit"])
+def _rig_diagnosis(path: Path, content: Mapping[str, Any]) -> RigDiagnosis:
+    parameters, priors = {}, {}
+    for name, entry in content["rig"]["numbers"].items():
+        prior = ParameterEstimate(
+            float(entry["prior"]["value"]), float(entry["prior"]["std"]), str(entry["unit"])
         )
         priors[name] = prior
-        alone = by_flights_alone(float(number["value"]), float(number["std"]), prior)
-        if alone is not None:
-            numbers[name] = alone
+        from_flights = without_prior(float(entry["value"]), float(entry["std"]), prior)
+        if from_flights is not None:
+            parameters[name] = from_flights
     causes = {str(cause["effect"]): float(cause["confidence"]) for cause in content["causes"]}
     rig = content["rig"]
-    hidden = tuple(map(str, content["undetectable"]))
-    return Machine(path.stem, str(rig["name"]), str(rig["model"]), numbers, priors, causes, hidden)
+    undetectable = tuple(map(str, content["undetectable"]))
+    return RigDiagnosis(
+        path.stem, str(rig["name"]), str(rig["model"]), parameters, priors, causes, undetectable
+    )
 
 
-def by_flights_alone(value: float, std: float, prior: NumberEstimate) -> NumberEstimate | None:
-    """Take the prior out of an estimate: machines share it, and their flights do not.
+def without_prior(value: float, std: float, prior: ParameterEstimate) -> ParameterEstimate | None:
+    """Remove the prior from an estimate, because all rigs of a type share this prior.
 
-    The estimate's density is the prior's times the flights' likelihood, everything else integrated out: of
-    normal densities precisions subtract.
+    The posterior density is the product of the prior and the marginal likelihood of the flights. For normal
+    densities, the precision of the flights is the posterior precision minus the prior precision.
 
     Parameters
     ----------
     value, std : float
         Estimate with its standard error, in the prior's unit.
-    prior : NumberEstimate
-        What was known before the flights.
 
     Returns
     -------
-    Estimate or None
-        None where the flights say next to nothing.
+    ParameterEstimate or None
+        None if the flights add almost no information.
     """
-    before = prior.std**-2.0
-    precision = std**-2.0 - before
-    if precision < _LEAST_SHARE * before:
+    prior_precision = prior.std**-2.0
+    precision = std**-2.0 - prior_precision
+    if precision < _MIN_INFORMATION_SHARE * prior_precision:
         return None
-    return NumberEstimate((value * std**-2.0 - prior.value * before) / precision, precision**-0.5, prior.unit)
+    return ParameterEstimate(
+        (value * std**-2.0 - prior.value * prior_precision) / precision, precision**-0.5, prior.unit
+    )
