@@ -1,4 +1,4 @@
-"""Flights of one rig in weather, and its numbers from some of them together."""
+"""Flights of one rig with disturbances, and its parameters from several of them together."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from tests.running.kept import FLOWN, KEPT
 
 SECONDS = 14.0
 FLIGHTS = 4
-"""Together, to be held against one."""
+"""Number of flights in a joint estimate, to compare with one flight."""
 BY_FLIGHTS = ("rotor_lag_s", "friction_pitch", "friction_travel", "dead_zone")
-"""Numbers that one flight tells by itself; masses and lengths are told in combinations only, whose other
-members a file's tolerances hold."""
+"""Parameters that one flight identifies alone. Of masses and lengths it identifies only combinations, so that
+the rig file's tolerances are needed too."""
 GUST_Nm = {"elevation": 0.012, "pitch": 0.004, "travel": 0.008}
 MADE_BY = (Path(__file__), Path(made.__file__))
 
 
 @dataclass(frozen=True)
 class Pooled:
-    """Numbers of a rig from some flights together.
+    """Parameters of a rig from several flights together.
 
     Parameters
     ----------
     off : dict of float
-        By name, estimate minus truth in standard errors.
+        Estimate minus true value, in standard errors, by name.
     alone : dict of ParameterEstimate
-        By name, what the flights alone say, where they say more than the rig's file.
+        Estimates without the prior, by name, if the flights are informative.
     """
 
     off: dict[str, float]
@@ -49,7 +49,7 @@ class Pooled:
 
 
 def true_rig(rig: int) -> tuple[Rig, float]:
-    """Numbers of a rig, drawn from what the file says of them, and the lag of its rotors in s."""
+    """Return a rig drawn within the tolerances of its file, and the lag of its rotors [s]."""
     return perturbed(rig), float(np.random.default_rng([rig, 8]).uniform(0.04, 0.12))
 
 
@@ -69,7 +69,7 @@ def record(rig: int, seed: int) -> Record:
 
 @cache
 def pooled(rig: int, count: int) -> Pooled:
-    """Estimate a rig's numbers from its first flights together."""
+    """Estimate a rig's parameters from its first `count` flights together."""
     nominal, (true, lag_s) = load_rig("makki2024"), true_rig(rig)
     records = [record(rig, seed) for seed in range(count)]
     model = MultibodyModel(parse_effects(["rotor_lag=0.06"]))
@@ -100,8 +100,7 @@ def pooled(rig: int, count: int) -> Pooled:
 
 
 def shares_of_one(name: str, rigs: Iterable[int]) -> list[float]:
-    """Standard error of a number from `FLIGHTS` flights over that from one, times the root of `FLIGHTS`, of
-    each rig."""
+    """Return, for each rig, the ratio of standard errors from `FLIGHTS` flights and one, times their root."""
     return [
         math.sqrt(FLIGHTS) * pooled(rig, FLIGHTS).alone[name].std / pooled(rig, 1).alone[name].std
         for rig in rigs
@@ -109,5 +108,5 @@ def shares_of_one(name: str, rigs: Iterable[int]) -> list[float]:
 
 
 def off(count: int, rigs: Iterable[int]) -> Floats:
-    """Every number of each rig from `count` flights, minus the truth, in standard errors."""
+    """Return all estimates of each rig from `count` flights minus the true values, in standard errors."""
     return np.array([value for rig in rigs for value in pooled(rig, count).off.values()])

@@ -1,4 +1,4 @@
-"""Diagnoses are read, pooled, and made into what a new machine begins with."""
+"""Diagnoses are read and pooled, and give a prior for another rig."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def number(value: float, std: float, mean: float, prior_std: float, unit: str) -
 
 
 def diagnosis(gain: float, lag_s: float | None, hidden: tuple[str, ...] = ()) -> dict[str, Any]:
-    """What a machine's flights say, of the prior of the rig's file and a measurement of 2 % of the gain."""
+    """Diagnosis of a rig: the prior of the rig file combined with a measurement of the gain to 2 %."""
     was = RIG["thrust_gain"]
     before, flights = 0.5 * was.tolerance, 0.02 * was.value
     precision = before**-2.0 + flights**-2.0
@@ -78,7 +78,7 @@ def test_a_cause_is_counted_among_the_machines_that_would_show_it(tmp_path: Path
     counted = made.causes["rotor_lag"]
     assert (counted.present, counted.detectable) == (3, 4)
     assert counted.interval == pytest.approx((0.1941, 0.9937), abs=1e-4)
-    # What was named without being sure counts as seen and not found.
+    # A cause that was named with low confidence counts as detectable but not present.
     assert made.causes["backlash.pitch"].present == 0
     assert next(iter(made.causes)) == "rotor_lag"
 
@@ -115,7 +115,7 @@ def test_one_machine_says_less_of_the_next_than_several_alike(tmp_path: Path) ->
 
 
 def test_rigs_of_a_type_that_differ_is_expected_to_differ(tmp_path: Path) -> None:
-    """The next machine lies within two standard deviations of what is expected, as often as that says."""
+    """The parameter of the next rig is within two predicted standard deviations in about 95 % of cases."""
     random = np.random.default_rng(1)
     was, held = RIG["thrust_gain"], 0
     spread = 0.3 * 0.5 * was.tolerance
