@@ -36,7 +36,7 @@ def import_(
         typer.Option(
             "--rig",
             metavar="NAME|FILE",
-            help="Rig with its table angle and encoders.  [default: the shipped rig that fits best]",
+            help="Rig of the files.  [default: the shipped rig that fits best]",
             show_default=False,
         ),
     ] = None,
@@ -48,14 +48,14 @@ def import_(
         bool,
         typer.Option(
             "--one-flight",
-            help="Merge all files into one flight, such as angles in one file, voltages in another.",
+            help="Merge all files into one flight, such as angles and voltages.",
         ),
     ] = False,
     anyway: Annotated[
         bool, typer.Option("--anyway", help="Write the flights even if the guess is unsure.")
     ] = False,
 ) -> None:
-    """Convert log files of other programs into flights, by a profile or a guessed profile.
+    """Convert logs of other programs into flights by a given or guessed profile.
 
     A guess that is sure writes the flights, the profile and a figure. If a guess is unsure, it lists the
     ambiguities and writes profile and figure only; correct the profile and give it with --profile.

@@ -37,7 +37,7 @@ _HEAVIER_ROTOR = "M_f"
 def tables(
     rig: RigName = DEFAULT_RIG, model: ModelName = _MODEL, seed: SeedOption = 1, json: JsonFile = None
 ) -> None:
-    """Print Tables 2 to 5 together with estimates from the bench tests on the simulated rig.
+    """Print Tables 2 to 5 and estimates from simulated bench tests.
 
     Example: `heli-host paper tables --json tables.json`
     """
@@ -73,7 +73,7 @@ def tables(
 
 @app.command("gains")
 def gains(rig: RigName = DEFAULT_RIG, json: JsonFile = None) -> None:
-    """Check the stability of pitch and travel with Table 6, in every interpretation of the table.
+    """Check the stability of pitch and travel for every interpretation of Table 6.
 
     The plants are the linearised equations (30) and the linearised multibody model.
 
@@ -98,9 +98,10 @@ def gains(rig: RigName = DEFAULT_RIG, json: JsonFile = None) -> None:
 
 @app.command("models")
 def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonFile = None) -> None:
-    """Compare the paper's equations, printed and corrected, with a flight of a multibody rig.
+    """Compare the paper's equations with a flight of a multibody rig.
 
-    Every model simulates the flight open loop over 2 s with the parameters of the rig file, without a fit.
+    Every model, printed and corrected, simulates the flight open loop over 2 s with the parameters of the rig
+    file, without a fit.
 
     Example: `heli-host paper models`
     """

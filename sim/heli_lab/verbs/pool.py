@@ -37,11 +37,11 @@ def pool(
     ] = None,
     json: NumbersOption = None,
 ) -> None:
-    """Combine diagnoses of several rigs of one type and estimate how their parameters vary.
+    """Combine diagnoses of several rigs and estimate how their parameters vary.
 
-    Prints the mean of each parameter, its standard deviation between rigs, and the share of rigs with each
-    cause. With --out it also writes a rig file: the prior for another rig, to identify or diagnose with
-    --rig.
+    The rigs must be of one type. Prints the mean of each parameter, its standard deviation between rigs, and
+    the share of rigs with each cause. With --out it also writes a rig file: the prior for another rig, to
+    identify or diagnose with --rig.
 
     Example: `heli-host pool lab1.json lab2.json lab3.json --out make.toml`
     """

@@ -48,7 +48,7 @@ def tune(
             metavar="S",
             min=1.6,
             max=10.0,
-            help="Bound on the peak of 1/|1 + L|; lower values give calmer and slower loops.",
+            help="Bound on the peak of 1/|1 + L|. Lower values give slower, calmer loops.",
         ),
     ] = 3.5,
     seed: SeedOption = 1,
@@ -57,13 +57,15 @@ def tune(
     ] = None,
     json: Annotated[
         Path | None,
-        typer.Option("--json", metavar="FILE", help="Gains, margins and flights; - for standard output."),
+        typer.Option(
+            "--json", metavar="FILE", help="Gains, margins and flights as JSON, - for standard output."
+        ),
     ] = None,
     figure: Annotated[
         Path | None, typer.Option("--figure", metavar="FILE", help="Flights and loops: .png, .pdf or .svg.")
     ] = None,
 ) -> None:
-    """Design gains for a rig, print their stability margins, and test them in simulation.
+    """Design gains for a rig, print stability margins, and test them in simulation.
 
     One set of gains must fly the rig and all corners of its uncertainty: thrust ± 20 %, counterweight ± 3 %,
     rotor lag 0 to 0.15 s, or a stated rotor_lag ± 25 %.
